@@ -1,0 +1,69 @@
+"""Bodies that cloth meets: rigid primitives on moving frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_schemas.fabric import Float, Int
+
+CAPSULE, PLANE, BOX = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Everything about bodies that does not change: sent once.
+
+    bodies     names of the b bodies; frames: names "body/frame" of the f frames
+    kind       (p,) int8     CAPSULE (a sphere where a = b), PLANE or BOX
+    frame      (p,) int32    frame that carries the primitive
+    body       (p,) int32    body it belongs to; a body is the union of its primitives
+    a, b       (p, 3)        in the frame [m]: capsule ends; plane point and unit normal;
+                             box centre and half extents
+    radius     (p,)          [m], capsules only, else 0
+    stiffness  (b,)          penalty stiffness per cloth vertex [N/m]; NaN = chosen by the solver
+    damping    (b,)          damping of the normal velocity in contact, as a ratio of critical
+    friction   (b,)          Coulomb coefficient
+    """
+
+    bodies: tuple[str, ...]
+    frames: tuple[str, ...]
+    kind: NDArray[np.int8]
+    frame: Int
+    body: Int
+    a: Float
+    b: Float
+    radius: Float
+    stiffness: Float
+    damping: Float
+    friction: Float
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where the frames are at time t: world = R(rotation) local + translation.
+
+    rotation    (f, 4) unit quaternions w, x, y, z
+    translation (f, 3) [m]
+    Within a frame of animation both are interpolated (slerp, linear), and the velocity of that
+    interpolation is the body's velocity.
+    """
+
+    t: float
+    rotation: Float
+    translation: Float
+
+
+def rotation_matrices(q: Float) -> Float:
+    """(f, 4) unit quaternions -> (f, 3, 3) matrices."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        -2,
+    )

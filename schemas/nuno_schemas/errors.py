@@ -1,0 +1,51 @@
+"""Errors that a user can act on: what is wrong, where, what the limit is, and what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass
+class BadInput(Exception):
+    """Input refused before anything starts (exit code 2).
+
+    `problem` is one sentence; the other fields are printed where they are known.
+    """
+
+    problem: str
+    file: str | None = None
+    line: int | None = None
+    field: str | None = None
+    value: object = None
+    limit: str | None = None
+    remedy: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__init__(self.problem)
+
+    def __str__(self) -> str:
+        place = ":".join(str(part) for part in (self.file, self.line) if part is not None)
+        head = ": ".join(part for part in (place, self.field) if part)
+        lines = [f"{head}: {self.problem}" if head else self.problem]
+        if self.value is not None:
+            shown = repr(self.value)
+            lines.append(f"  value:  {shown if len(shown) <= 120 else shown[:117] + '...'}")
+        if self.limit is not None:
+            lines.append(f"  limit:  {self.limit}")
+        if self.remedy is not None:
+            lines.append(f"  remedy: {self.remedy}")
+        return "\n".join(lines)
+
+
+class RunFailed(Exception):
+    """A run that started and could not go on (exit code 1); its recording is kept."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A remedy that names the nearest known name, then all of them."""
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}known: {', '.join(names) if names else 'none'}"

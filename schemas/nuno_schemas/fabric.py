@@ -1,0 +1,182 @@
+"""What a model builds: a fabric (constant) and its state (varying). SI units throughout.
+
+Springs and hinges are stored as runs: `count` elements whose indices all grow by `stride`.
+A 256 x 256 sheet has 1,536 spring runs instead of 392,000 index pairs, and a run is what a
+kernel can vectorise; an irregular mesh simply has runs of one. Constants are given per run or
+per element, whichever is shorter, and `pairs()` or `quads()` writes the plain list out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int32]
+Bool = NDArray[np.bool_]
+
+
+def _expand(first: Int, count: Int, stride: Int) -> Int:
+    """Indices of all elements: (m, w) first indices, (m,) counts and strides -> (total, w)."""
+    start = np.cumsum(count) - count
+    step = (np.arange(int(count.sum()), dtype=np.int32) - np.repeat(start, count)) * np.repeat(stride, count)
+    return (np.repeat(first, count, axis=0) + step[:, None]).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Springs:
+    """Damped linear springs between two vertices.
+
+    first  (m, 2) int32  the two vertices of each run's first spring
+    count  (m,)   int32  springs in the run
+    stride (m,)   int32  added to both indices from one spring to the next
+    k      (m,) or (s,)  stiffness [N/m], per run or per spring, s = count.sum()
+    rest   (m,) or (s,)  rest length [m]
+    c      (m,) or (s,)  damping along the spring [N s/m]
+    kind   (m,)   int8   0 structural, 1 shear, 2 bending (for reports only)
+    """
+
+    first: Int
+    count: Int
+    stride: Int
+    k: Float
+    rest: Float
+    c: Float
+    kind: NDArray[np.int8]
+
+    @property
+    def number(self) -> int:
+        return int(self.count.sum())
+
+    def pairs(self) -> Int:
+        """(s, 2) int32 vertices of every spring."""
+        return _expand(self.first, self.count, self.stride)
+
+    def per_spring(self, values: Float) -> Float:
+        """(s,) values of a constant that may be stored per run."""
+        return values if values.shape[0] == self.number else np.repeat(values, self.count)
+
+    @staticmethod
+    def from_pairs(pairs: Int, k: Float, rest: Float, c: Float, kind: int = 0) -> Springs:
+        """Runs of one spring each, constants per spring."""
+        number = pairs.shape[0]
+        one = np.ones(number, np.int32)
+        return Springs(np.ascontiguousarray(pairs, np.int32), one, one, k, rest, c, np.full(number, kind, np.int8))
+
+    @staticmethod
+    def join(parts: list[Springs]) -> Springs:
+        """One set from several (at least one), constants per run if all have them so."""
+        per_run = all(p.k.shape == p.rest.shape == p.c.shape == p.count.shape for p in parts)
+
+        def values(name: str) -> Float:
+            arrays = [getattr(p, name) for p in parts]
+            return np.concatenate(arrays if per_run else [p.per_spring(a) for p, a in zip(parts, arrays, strict=True)])
+
+        def plain(name: str) -> NDArray[np.generic]:
+            return np.concatenate([getattr(p, name) for p in parts])
+
+        return Springs(plain("first"), plain("count"), plain("stride"), values("k"), values("rest"), values("c"), plain("kind"))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Hinges:
+    """Bending between two triangles that share an edge: energy k (1 - cos(angle - rest)).
+
+    first  (m, 4) int32  edge start, edge end, opposite vertex left, opposite vertex right
+    count, stride        as in Springs
+    k      (m,) or (h,)  stiffness [N m], per run or per hinge
+    rest   (m,) or (h,)  rest angle [rad], 0 is flat
+
+    For small angles the energy is k angle^2 / 2. A stiffness of k = B e^2 / (A1 + A2), with e
+    the edge length and A1, A2 the two areas, stores B curvature^2 / 2 per area.
+    """
+
+    first: Int
+    count: Int
+    stride: Int
+    k: Float
+    rest: Float
+
+    @property
+    def number(self) -> int:
+        return int(self.count.sum())
+
+    def quads(self) -> Int:
+        """(h, 4) int32 vertices of every hinge."""
+        return _expand(self.first, self.count, self.stride)
+
+    def per_hinge(self, values: Float) -> Float:
+        """(h,) values of a constant that may be stored per run."""
+        return values if values.shape[0] == self.number else np.repeat(values, self.count)
+
+
+@dataclass(frozen=True)
+class Binding:
+    """Pinned vertices that move rigidly with a body's frame.
+
+    vertices (b,) int32; body and frame are names, e.g. "dancer" and "hips".
+    """
+
+    vertices: Int
+    body: str
+    frame: str
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """A piece of cloth, or several: what does not change while a run goes on.
+
+    position (n, 3) float64  [m] at the start; velocity (n, 3) [m/s]
+    mass     (n,)   float64  [kg], > 0
+    pinned   (n,)   bool     held where they are, or moved by a binding
+    faces    (f, 3) int32    triangles, counter-clockwise seen from outside; f may be 0
+    uv       (n, 2) float32  texture coordinates in [0, 1], or None
+    springs, hinges          or None where there are none
+    bindings                 pinned vertices that follow a body
+    texture                  path of an image, or None
+    """
+
+    name: str
+    position: Float
+    velocity: Float
+    mass: Float
+    pinned: Bool
+    faces: Int
+    springs: Springs | None = None
+    hinges: Hinges | None = None
+    uv: NDArray[np.float32] | None = None
+    bindings: tuple[Binding, ...] = ()
+    texture: str | None = None
+
+    @property
+    def number(self) -> int:
+        return int(self.mass.shape[0])
+
+    def with_texture(self, path: str | None) -> Fabric:
+        return replace(self, texture=path)
+
+
+@dataclass
+class State:
+    """What changes: x (n, 3) [m], v (n, 3) [m/s], both float64 and C-contiguous; t [s]."""
+
+    x: Float
+    v: Float
+    t: float = 0.0
+
+    def copy(self) -> State:
+        return State(self.x.copy(), self.v.copy(), self.t)
+
+
+@dataclass
+class Memory:
+    """What a solver keeps between frames.
+
+    arrays are part of the state (friction anchors, adaptive step): checkpointed and restored.
+    work can be rebuilt at any time (kernel layouts, buffers) and is never stored.
+    """
+
+    arrays: dict[str, NDArray[np.generic]] = field(default_factory=dict)
+    work: object = None

@@ -1,0 +1,245 @@
+"""Plugin kinds: one small protocol each, found by entry point, imported only when named.
+
+A plugin is a module-level class without state of its own. `name` is its entry point's name;
+`Config` is a pydantic model that forbids unknown fields. Memory goes in and comes out, and a
+failure is a returned status, not hidden state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.fabric import Fabric, Float, Memory, State
+
+GROUPS: Mapping[str, str] = {
+    "nuno.models": "build a fabric: sheet, skirt, mesh, net",
+    "nuno.forces": "forces beyond springs, hinges, gravity and damping: wind, drag",
+    "nuno.integrators": "advance a fabric's state in time",
+    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton",
+    "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
+    "nuno.contacts": "forces between cloth and bodies",
+    "nuno.renderers": "draw a picture of a frame",
+}
+
+
+class Config(BaseModel):
+    """Base of every plugin's configuration: unknown fields are refused by name."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Files(Protocol):
+    """Opens files that a scene names, inside the folders the user allows."""
+
+    def resolve(self, name: str) -> Path:
+        """The path of an existing file. Raises BadInput for one outside the roots or missing."""
+        ...
+
+
+@dataclass(frozen=True)
+class Term:
+    """One force, prepared for one fabric.
+
+    A `kind` that the kernels know ("springs", "hinges", "wind", "particle_wind", "contact") is
+    fused into the compiled step, and `data` is that kernel's tuple of arrays. Any other force
+    has kind "python" and `data` is a function f(x, v, t, out): it adds newtons to `out` (n, 3)
+    and is called at every evaluation.
+    """
+
+    kind: str
+    data: object
+    omega_squared: float = 0.0
+    """Most this term can add to the squared angular frequency [1/s^2] where it is not active
+    at the start (contact); terms active at the start leave 0 and are measured."""
+    damping_rate: float = 0.0
+    """Likewise for the damping rate c/m [1/s]."""
+
+
+@dataclass(frozen=True)
+class System:
+    """A fabric and everything that acts on it."""
+
+    fabric: Fabric
+    gravity: Float
+    """(3,) [m/s^2]"""
+    damping: float = 0.0
+    """Viscous damping per unit mass [1/s]: a -= damping v."""
+    terms: tuple[Term, ...] = ()
+    threads: int = 1
+    """Most threads a kernel may use; the result is the same to the last bit."""
+
+
+@dataclass(frozen=True)
+class StepLimit:
+    """How far a step may go.
+
+    dt [s], inf where nothing limits it; omega [1/s] largest angular frequency;
+    damping [1/s] largest rate of velocity damping.
+    """
+
+    dt: float
+    omega: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What an integrator did in a frame."""
+
+    status: Literal["ok", "diverged", "unconverged"]
+    steps: int
+    message: str = ""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """Wall time per part [s], e.g. {"forces": .., "contact": ..}, where it can be told apart."""
+    counts: Mapping[str, int] = field(default_factory=dict)
+    """E.g. skipped zero-length springs, contacts, iterations."""
+
+
+class Model(Protocol):
+    """Builds a fabric at rest."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def build(self, config: BaseModel, files: Files, seed: int) -> Fabric: ...
+
+    def count(self, config: BaseModel, files: Files) -> int:
+        """Vertices it will have, found without building it."""
+        ...
+
+
+class Force(Protocol):
+    """A force on the cloth."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def prepare(self, config: BaseModel, fabric: Fabric, seed: int) -> Term: ...
+
+
+class Contact(Protocol):
+    """Forces between cloth and bodies."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term: ...
+
+
+class Integrator(Protocol):
+    """Advances a system's state by whole steps over one frame."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+    order: ClassVar[int]
+    explicit: ClassVar[bool]
+
+    def prepare(self, config: BaseModel, system: System, state: State) -> Memory:
+        """Memory for this system; compiles nothing before the first `advance` or `limit`."""
+        ...
+
+    def limit(self, config: BaseModel, system: System, state: State) -> StepLimit: ...
+
+    def advance(
+        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None, steps: int, dt: float
+    ) -> StepReport:
+        """Advance `state` in place by `steps` steps of `dt` [s].
+
+        `poses` are the frames' poses at the start and at the end of the interval, or None
+        where nothing moves and no body exists.
+        """
+        ...
+
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
+        ...
+
+
+@dataclass(frozen=True)
+class BodyShape:
+    """A collider's primitives and frames, in the layout of Geometry (one body)."""
+
+    frames: tuple[str, ...]
+    kind: NDArray[np.int8]
+    frame: NDArray[np.int32]
+    a: Float
+    b: Float
+    radius: Float
+
+
+class Motion(Protocol):
+    """Moves frames over time."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def prepare(self, config: BaseModel, files: Files) -> Mover: ...
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A prepared motion.
+
+    `joints` and `parents` describe a skeleton at rest: names, (j,) parent index or -1, and
+    `offsets` (j, 3) [m] from the parent. A motion without skeleton has one joint.
+    `pose(t)` gives rotation (j, 4) and translation (j, 3) of every joint in the world.
+    """
+
+    joints: tuple[str, ...]
+    parents: NDArray[np.int32]
+    offsets: Float
+    pose: Callable[[float], tuple[Float, Float]]
+
+
+class Collider(Protocol):
+    """A shape on the frames of a motion."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def build(self, config: BaseModel, mover: Mover | None) -> BodyShape:
+        """Primitives; without a mover there is one frame, the world."""
+        ...
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Something to draw: vertices (n, 3) [m], faces (f, 3), colours (n, 3) float in [0, 1]
+    linear or None, uv (n, 2) and image (h, w, 3) uint8 or None."""
+
+    vertices: Float
+    faces: NDArray[np.int32]
+    colours: NDArray[np.float64] | None = None
+    uv: NDArray[np.float32] | None = None
+    image: NDArray[np.uint8] | None = None
+    two_sided: bool = True
+
+
+@dataclass(frozen=True)
+class Camera:
+    """eye, target, up (3,) [m]; vertical field of view [rad]; size (width, height) [pixels]."""
+
+    eye: Float
+    target: Float
+    up: Float
+    fov: float
+    size: tuple[int, int]
+
+
+class Renderer(Protocol):
+    """Draws meshes."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def render(self, config: BaseModel, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
+        """(height, width, 3) uint8 sRGB picture."""
+        ...
