@@ -1,0 +1,170 @@
+"""Meshes gathered into plain arrays for the kernels, checked once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from nuno_render.texture import Textures, gather_textures
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.plugin import Mesh
+
+CLOTH, BODY = "#41618f", "#cfc8bd"
+"""Colours of meshes that bring none: indigo for cloth, warm plaster for closed bodies."""
+
+FAR = 1e12
+"""Vertices farther out [m] are treated like those that are not finite."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All meshes as one, around an origin.
+
+    positions (n, 3) [m] from the origin; normals (n, 3) unit; albedo (n, 3) linear;
+    uv (n, 2); faces (f, 3) int32; mesh (f,) int32 into two_sided (m,); centre (3,) and
+    radius [m] of a sphere that holds every drawn vertex; lowest: least height along `up` [m].
+    """
+
+    positions: Float
+    normals: Float
+    albedo: Float
+    uv: Float
+    faces: Int
+    mesh: Int
+    two_sided: Bool
+    textures: Textures
+    centre: Float
+    radius: float
+    lowest: float
+
+
+def gather(meshes: list[Mesh], origin: Float, up: Float) -> Scene:
+    """One scene from several meshes. Faces with a vertex that is not finite are left out: a
+    run that diverged can still be drawn.
+
+    Raises BadInput for arrays of the wrong shape and for face indices out of range.
+    """
+    for number, mesh in enumerate(meshes):
+        _check(mesh, f"meshes[{number}]")
+    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    positions = _join([np.asarray(m.vertices, np.float64) for m in meshes], 3) - origin
+    faces = np.concatenate([np.zeros((0, 3), np.int32), *(m.faces + s for m, s in zip(meshes, starts, strict=False))])
+    owner = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(m.faces) for m in meshes])
+    finite = (np.abs(positions) <= FAR).all(axis=1)
+    kept = finite[faces].all(axis=1)
+    positions[~finite] = 0.0
+    faces = np.ascontiguousarray(faces[kept], np.int32)
+    used = np.zeros(len(positions), np.bool_)
+    used[faces] = True
+    drawn = positions[used] if len(faces) else np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
+    centre = (drawn.min(axis=0) + drawn.max(axis=0)) / 2.0
+    radius = float(np.sqrt(((drawn - centre) ** 2).sum(axis=1).max()))
+    return Scene(
+        positions,
+        vertex_normals(positions, faces, _twins(meshes, positions)),
+        _join([_albedo(m) for m in meshes], 3),
+        _join([np.zeros((len(m.vertices), 2)) if m.uv is None else np.asarray(m.uv, np.float64) for m in meshes], 2),
+        faces,
+        np.ascontiguousarray(owner[kept]),
+        np.array([m.two_sided for m in meshes], np.bool_),
+        gather_textures([m.image if m.uv is not None else None for m in meshes]),
+        centre,
+        radius if radius > 0.0 else 1.0,
+        float((drawn @ up).min()),
+    )
+
+
+def _join(parts: list[Float], width: int) -> Float:
+    return np.ascontiguousarray(np.concatenate([np.zeros((0, width)), *parts]))
+
+
+def _check(mesh: Mesh, name: str) -> None:
+    count = len(mesh.vertices)
+    shapes = {
+        "vertices": (mesh.vertices, (count, 3)),
+        "faces": (mesh.faces, (len(mesh.faces), 3)),
+        "colours": (mesh.colours, (count, 3)),
+        "uv": (mesh.uv, (count, 2)),
+    }
+    for field, (array, shape) in shapes.items():
+        if array is not None and np.shape(array) != shape:
+            raise BadInput("array of the wrong shape", field=f"{name}.{field}", value=np.shape(array), limit=str(shape))
+    if len(mesh.faces) and not (np.min(mesh.faces) >= 0 and np.max(mesh.faces) < count):
+        bad = int(np.max(mesh.faces)) if np.max(mesh.faces) >= count else int(np.min(mesh.faces))
+        raise BadInput("face index out of range", field=f"{name}.faces", value=bad, limit=f"0 to {count - 1}")
+    image = mesh.image
+    if image is not None and (image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0):
+        limit = "(h, w, 3) uint8, h and w at least 1"
+        raise BadInput("not an RGB image", field=f"{name}.image", value=(image.shape, str(image.dtype)), limit=limit)
+
+
+def _albedo(mesh: Mesh) -> Float:
+    """(n, 3) linear: the mesh's colours, white under an image, or the palette's."""
+    if mesh.colours is not None:
+        return np.clip(np.nan_to_num(np.asarray(mesh.colours, np.float64)), 0.0, 1.0)
+    if mesh.image is not None and mesh.uv is not None:
+        return np.ones((len(mesh.vertices), 3))
+    return np.tile(parse_hex(CLOTH if mesh.two_sided else BODY), (len(mesh.vertices), 1))
+
+
+def _twins(meshes: list[Mesh], positions: Float) -> Int:
+    """(n,) the vertex with which each one shares its normal.
+
+    Cloth with a texture seam has pairs of vertices at one place; were each to keep its own
+    normal, the seam would show as a crease. Bodies keep theirs: a box is made of such pairs.
+    """
+    result = np.arange(len(positions), dtype=np.int32)
+    start = 0
+    for mesh in meshes:
+        count = len(mesh.vertices)
+        if mesh.two_sided and mesh.uv is not None and count:
+            part = positions[start : start + count]
+            order = np.lexsort(part.T)
+            fresh = np.ones(count, np.bool_)
+            fresh[1:] = (part[order[1:]] != part[order[:-1]]).any(axis=1)
+            result[start + order] = start + order[np.flatnonzero(fresh)[np.cumsum(fresh) - 1]]
+        start += count
+    return result
+
+
+def vertex_normals(positions: Float, faces: Int, twins: Int) -> Float:
+    """(n, 3) unit normals: the mean of the faces around a vertex, weighted by area.
+
+    twins (n,) maps a vertex to the one that collects its faces. A vertex without faces, or
+    whose faces cancel, gets (0, 0, 1).
+    """
+    normals = np.zeros_like(positions)
+    _add_face_normals(positions, faces, twins, normals)
+    normals = normals[twins]
+    lengths = np.sqrt((normals**2).sum(axis=1))
+    safe = lengths > 0.0
+    normals[safe] /= lengths[safe, None]
+    normals[~safe] = (0.0, 0.0, 1.0)
+    return normals
+
+
+@njit(cache=True, nogil=True)
+def _add_face_normals(positions: Float, faces: Int, twins: Int, normals: NDArray[np.float64]) -> None:
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = (
+            positions[b, 0] - positions[a, 0],
+            positions[b, 1] - positions[a, 1],
+            positions[b, 2] - positions[a, 2],
+        )
+        vx, vy, vz = (
+            positions[c, 0] - positions[a, 0],
+            positions[c, 1] - positions[a, 1],
+            positions[c, 2] - positions[a, 2],
+        )
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for k in range(3):
+            i = twins[faces[f, k]]
+            normals[i, 0] += nx
+            normals[i, 1] += ny
+            normals[i, 2] += nz

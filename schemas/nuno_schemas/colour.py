@@ -1,0 +1,55 @@
+"""Colours: the map for scalars on cloth, and the sRGB transfer. One place for every picture."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+CONTROL = (
+    "#440154", "#482475", "#414487", "#355f8d", "#2a788e",
+    "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725",
+)  # fmt: skip
+"""Equally spaced points of viridis (Smith and van der Walt, 2015, CC0): perceptually uniform,
+readable in grey and with the common colour-vision deficiencies."""
+
+MISSING = "#9a9a9a"
+"""Colour of a value that is not a number."""
+
+
+def to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
+    """Linear light in [0, 1] of sRGB values in [0, 1] (IEC 61966-2-1), any shape."""
+    value = np.asarray(srgb, np.float64)
+    return np.where(value <= 0.04045, value / 12.92, ((np.maximum(value, 0.0) + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
+    """sRGB values in [0, 1] of linear light, clipped to [0, 1], any shape (IEC 61966-2-1)."""
+    value = np.clip(np.asarray(linear, np.float64), 0.0, 1.0)
+    return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
+
+
+def parse_hex(text: str) -> NDArray[np.float64]:
+    """(3,) linear light of an sRGB colour written "#rrggbb". Raises ValueError for other text."""
+    if len(text) != 7 or text[0] != "#":
+        raise ValueError(f"{text!r} is not a colour such as '#f2efe9'")
+    try:
+        channels = bytes.fromhex(text[1:])
+    except ValueError:
+        raise ValueError(f"{text!r} is not a colour such as '#f2efe9'") from None
+    return to_linear(np.frombuffer(channels, np.uint8) / 255.0)
+
+
+def colours(values: ArrayLike, low: float, high: float) -> NDArray[np.float64]:
+    """(n, 3) linear light for n values: `low` is the map's dark end, `high` its bright end.
+
+    Values outside are clipped; where low = high everything is dark; NaN is grey. The control
+    points are interpolated in sRGB, in which viridis is smooth and nearly uniform.
+    """
+    value = np.asarray(values, np.float64).reshape(-1)
+    span = high - low
+    place = np.clip((value - low) / span, 0.0, 1.0) if span > 0.0 else np.zeros_like(value)
+    table = np.array([list(bytes.fromhex(text[1:])) for text in CONTROL], np.float64) / 255.0
+    at = np.linspace(0.0, 1.0, len(CONTROL))
+    result = to_linear(np.stack([np.interp(place, at, table[:, channel]) for channel in range(3)], axis=1))
+    result[np.isnan(value)] = parse_hex(MISSING)
+    return result
