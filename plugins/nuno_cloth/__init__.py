@@ -1,0 +1,1 @@
+"""Fabrics in measured units, the garments made of them, and wind."""

@@ -1,0 +1,175 @@
+"""A raw mass-spring net from a .npz file, so that anybody can pose an exact problem."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Fabric, Float, Int, Springs
+from nuno_schemas.plugin import Config, Files
+
+# Name, shape after the leading n (vertices) or s (springs), and kind of dtype allowed.
+KEYS: dict[str, tuple[str, tuple[int, ...], str]] = {
+    "x": ("n", (3,), "fiu"),
+    "v": ("n", (3,), "fiu"),
+    "m": ("n", (), "fiu"),
+    "pinned": ("n", (), "b"),
+    "springs": ("s", (2,), "iu"),
+    "k": ("s", (), "fiu"),
+    "rest": ("s", (), "fiu"),
+    "c": ("s", (), "fiu"),
+}
+DTYPES = {"fiu": "float64", "iu": "int32", "b": "bool"}
+
+
+class NetConfig(Config):
+    """file: a .npz with x (n, 3) [m], v (n, 3) [m/s], m (n,) [kg], pinned (n,) bool,
+    springs (s, 2), k (s,) [N/m], rest (s,) [m], c (s,) [N s/m]; no other key."""
+
+    file: str
+
+
+class Net:
+    """Exactly the points and springs of the file: no faces, no hinges."""
+
+    name: ClassVar[str] = "net"
+    Config: ClassVar[type[BaseModel]] = NetConfig
+
+    def count(self, config: NetConfig, files: Files) -> int:
+        path = files.resolve(config.file)
+        with _open(path) as archive:
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            _require_keys(path, names)
+            with archive.open("x.npy") as stream:
+                shape = _header_shape(path, stream)
+        return _require_shape(path, "x", shape, None)
+
+    def build(self, config: NetConfig, files: Files, seed: int) -> Fabric:
+        """Raises BadInput that names the key, the index and the value."""
+        path = files.resolve(config.file)
+        data = load_arrays(path)
+        check_values(path, data)
+        springs = Springs.from_pairs(data["springs"], data["k"], data["rest"], data["c"])
+        return Fabric(
+            name=self.name,
+            position=data["x"],
+            velocity=data["v"],
+            mass=data["m"],
+            pinned=data["pinned"],
+            faces=np.zeros((0, 3), np.int32),
+            springs=springs if springs.number else None,
+        )
+
+
+def _open(path: Path) -> zipfile.ZipFile:
+    try:
+        return zipfile.ZipFile(path)
+    except (zipfile.BadZipFile, OSError) as error:
+        raise BadInput(
+            f"not a readable .npz file: {error}", file=str(path), remedy="write it with numpy.savez"
+        ) from None
+
+
+def _header_shape(path: Path, stream: Any) -> tuple[int, ...]:
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        return read(stream)[0]
+    except ValueError as error:
+        raise BadInput(f"not a numpy array: {error}", file=str(path), field="x") from None
+
+
+def _require_keys(path: Path, names: list[str]) -> None:
+    for name in KEYS:
+        if name not in names:
+            raise BadInput("a key is missing", file=str(path), field=name, remedy=f"the file needs {', '.join(KEYS)}")
+    for name in names:
+        if name not in KEYS:
+            raise BadInput("unknown key", file=str(path), field=name, remedy=nearest(name, KEYS))
+
+
+def _require_shape(path: Path, name: str, shape: tuple[int, ...], leading: int | None) -> int:
+    letter, rest, _ = KEYS[name]
+    if len(shape) != 1 + len(rest) or shape[1:] != rest or (leading is not None and shape[0] != leading):
+        wanted = ", ".join([letter if leading is None else str(leading), *map(str, rest)])
+        raise BadInput(
+            "wrong shape", file=str(path), field=name, value=shape, limit=f"({wanted}{',' if not rest else ''})"
+        )
+    return shape[0]
+
+
+def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The eight arrays, C-contiguous, in float64, int32 and bool; pickles are never read."""
+    arrays: dict[str, NDArray[Any]] = {}
+    sizes: dict[str, int] = {}
+    _open(path).close()
+    with np.load(path, allow_pickle=False) as archive:
+        _require_keys(path, list(archive.files))
+        for name, (letter, _, kinds) in KEYS.items():
+            try:
+                array = archive[name]
+            except (ValueError, zipfile.BadZipFile, OSError) as error:
+                raise BadInput(f"cannot be read: {error}", file=str(path), field=name) from None
+            if array.dtype.kind not in kinds and array.size:
+                wanted = DTYPES[kinds]
+                raise BadInput("wrong dtype", file=str(path), field=name, value=str(array.dtype), limit=wanted)
+            sizes[letter] = _require_shape(path, name, array.shape, sizes.get(letter))
+            arrays[name] = array
+    _require_indices(path, arrays["springs"], sizes["n"])
+    return {name: np.ascontiguousarray(array, DTYPES[KEYS[name][2]]) for name, array in arrays.items()}
+
+
+def _require_indices(path: Path, springs: NDArray[Any], number: int) -> None:
+    """Checked before the conversion to int32, which would wrap."""
+    bad = np.argwhere((springs < 0) | (springs >= number))
+    if bad.size:
+        row, col = bad[0]
+        limit = f"0 to {number - 1}" if number else "no vertex exists"
+        raise BadInput(
+            "no such vertex", file=str(path), field=f"springs[{row}, {col}]", value=int(springs[row, col]), limit=limit
+        )
+
+
+def check_values(path: Path, data: dict[str, NDArray[Any]]) -> None:
+    """Raises BadInput for the first value out of range, with its key and index."""
+    for name in ("x", "v", "m", "k", "rest", "c"):
+        _require(path, name, data[name], np.isfinite(data[name]), "finite", "not a finite number")
+    _require(path, "m", data["m"], data["m"] > 0, "> 0", "a mass must be positive, of pinned vertices too")
+    for name in ("k", "rest", "c"):
+        _require(path, name, data[name], data[name] >= 0, ">= 0", "must not be negative")
+    _require_distinct(path, data["springs"])
+
+
+def _require(path: Path, name: str, values: Float, good: NDArray[np.bool_], limit: str, problem: str) -> None:
+    bad = np.argwhere(~good)
+    if bad.size:
+        index = tuple(int(i) for i in bad[0])
+        place = ", ".join(map(str, index))
+        raise BadInput(problem, file=str(path), field=f"{name}[{place}]", value=float(values[index]), limit=limit)
+
+
+def _require_distinct(path: Path, springs: Int) -> None:
+    loops = np.flatnonzero(springs[:, 0] == springs[:, 1])
+    if loops.size:
+        row = int(loops[0])
+        raise BadInput(
+            "a spring from a vertex to itself", file=str(path), field=f"springs[{row}]", value=springs[row].tolist()
+        )
+    ordered = np.sort(springs, axis=1)
+    order = np.lexsort((ordered[:, 1], ordered[:, 0]))
+    same = np.flatnonzero((ordered[order[1:]] == ordered[order[:-1]]).all(axis=1))
+    if same.size:
+        first, second = sorted((int(order[same[0]]), int(order[same[0] + 1])))
+        raise BadInput(
+            f"the same two vertices as springs[{first}]",
+            file=str(path),
+            field=f"springs[{second}]",
+            value=springs[second].tolist(),
+            remedy="join them: add their k and c",
+        )

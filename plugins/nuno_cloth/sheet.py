@@ -1,0 +1,105 @@
+"""A rectangular sheet."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_cloth.constants import Lattice, grid_constants
+from nuno_cloth.grid import Grid, build_faces, build_hinges, build_springs
+from nuno_cloth.material import FabricChoice, resolve
+from nuno_cloth.placement import PinName, Point, Rotation, Velocity, find_texture, pin_grid
+from nuno_cloth.quantities import Length
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.plugin import Config, Files
+
+Vertices = Annotated[int, Field(ge=2, le=16384)]
+
+# Directions of columns and rows for each plane, so that their cross product rows x columns
+# is the axis that the plane lacks: that side is the outside.
+PLANES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+    "xy": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+    "xz": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "yz": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+}
+
+
+class SheetConfig(Config):
+    """size: width and height [m]; resolution: vertices across and down; centre [m].
+
+    plane xy hangs with its outside to +z, yz hangs to +x, xz lies with its outside up; rotate
+    turns it about its centre afterwards. Warp yarns run down the sheet.
+    """
+
+    size: tuple[Length, Length] = (1.0, 1.0)
+    resolution: tuple[Vertices, Vertices] = (32, 32)
+    centre: Point = (0.0, 0.0, 0.0)
+    plane: Literal["xy", "xz", "yz"] = "xy"
+    rotate: Rotation | None = None
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    pin: tuple[PinName | int, ...] = ()
+    fabric: FabricChoice = "denim"
+    texture: str | None = None
+
+
+def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:
+    """(n,) masses [kg]: each cell gives a quarter to each of its corners.
+
+    Thirds of triangles would weigh vertices by where the diagonals happen to meet.
+    """
+    mass = np.repeat(density * lattice.row_area()[:, None], grid.cols, axis=1)
+    if not grid.periodic:
+        mass[:, [0, -1]] *= 0.5
+    return np.ascontiguousarray(mass.reshape(-1))
+
+
+class Sheet:
+    """A rectangle of quads, flat and unstretched at the start."""
+
+    name: ClassVar[str] = "sheet"
+    Config: ClassVar[type[BaseModel]] = SheetConfig
+
+    def count(self, config: SheetConfig, files: Files) -> int:
+        return config.resolution[0] * config.resolution[1]
+
+    def build(self, config: SheetConfig, files: Files, seed: int) -> Fabric:
+        """Raises BadInput for a pin that does not exist, a missing texture, elongated cells."""
+        cols, rows = config.resolution
+        grid = Grid(rows, cols)
+        a, b = config.size[0] / (cols - 1), config.size[1] / (rows - 1)
+        lattice = Lattice(np.full(rows, a), np.full(rows - 1, b))
+        material = resolve(config.fabric)
+        constants = grid_constants(material, lattice)
+        return Fabric(
+            name=self.name,
+            position=place(config, rows, cols),
+            velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
+            mass=grid_mass(grid, material.density, lattice),
+            pinned=pin_grid(grid, config.pin),
+            faces=build_faces(grid),
+            springs=build_springs(grid, constants),
+            hinges=build_hinges(grid, constants),
+            uv=texture_coordinates(np.linspace(0, 1, cols), rows),
+            texture=find_texture(config.texture, files),
+        )
+
+
+def place(config: SheetConfig, rows: int, cols: int) -> Float:
+    """(n, 3) positions [m]."""
+    right, down = (np.asarray(axis) for axis in PLANES[config.plane])
+    if config.rotate is not None:
+        turn = config.rotate.matrix()
+        right, down = turn @ right, turn @ down
+    u = config.size[0] * np.linspace(-0.5, 0.5, cols)[None, :, None]
+    v = config.size[1] * np.linspace(-0.5, 0.5, rows)[:, None, None]
+    return np.ascontiguousarray((u * right + v * down + np.asarray(config.centre)).reshape(-1, 3))
+
+
+def texture_coordinates(across: Float, rows: int) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
+    """(n, 2) float32: u from `across` (cols,), v from 1 on the top row to 0 on the bottom row."""
+    uv = np.empty((rows, across.shape[0], 2), np.float32)
+    uv[..., 0] = across
+    uv[..., 1] = np.linspace(1, 0, rows)[:, None]
+    return uv.reshape(-1, 2)

@@ -1,0 +1,169 @@
+"""A skirt: a tube or cone of quads whose top row follows a body's waist.
+
+The cloth is cut as a ring: row r, at the slant distance s from the waist, is 2 pi waist_radius
+long at the waist, 2 pi hem_radius fullness at the hem, linear between. It starts on a cone from
+waist_radius to hem_radius; what the cloth is longer than the cone's circle (fullness > 1) goes into
+`pleats` folds, whose depth follows row by row from the length. So the folds are cloth that is
+really there, not a texture, and they stay when the skirt swings.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, Field, field_validator
+
+from nuno_cloth.constants import Lattice, grid_constants
+from nuno_cloth.grid import Grid, build_faces, build_hinges, build_springs
+from nuno_cloth.material import FabricChoice, resolve
+from nuno_cloth.placement import Attach, Point, Rotation, Velocity, find_texture
+from nuno_cloth.quantities import Length, Number
+from nuno_cloth.sheet import grid_mass, texture_coordinates
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Binding, Fabric, Float
+from nuno_schemas.plugin import Config, Files
+
+SAMPLES = 2048
+"""Points by which a row's curve is measured."""
+
+
+class SkirtConfig(Config):
+    """Radii and length (along the cloth, waist to hem) [m]; vertices around and down.
+
+    fullness is the cloth's length at the hem over the circle it starts on; ratio is the waist's
+    depth over its width (z over x). centre is the middle of the waist [m]; the axis points down
+    (-y) before `rotate`. Columns start at +x and run towards -z. The top row is pinned; with
+    `attach` it moves with that body's frame. Texture: u runs from 0 to 1 and back around the
+    waist, so that an image has no seam; v is 1 at the waist and 0 at the hem.
+    """
+
+    waist_radius: Length = 0.13
+    hem_radius: Length = 0.28
+    length: Length = 0.5
+    columns: Annotated[int, Field(ge=4, le=16384)] = 128
+    rows: Annotated[int, Field(ge=2, le=16384)] = 64
+    fullness: Annotated[Number, Field(ge=1, le=6)] = 1.0
+    pleats: Annotated[int, Field(ge=2, le=200)] = 12
+    ratio: Annotated[Number, Field(gt=0.2, lt=5)] = 1.0
+    centre: Point = (0.0, 0.0, 0.0)
+    rotate: Rotation | None = None
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    attach: Attach | None = None
+    fabric: FabricChoice = "denim"
+    texture: str | None = None
+
+    @field_validator("columns")
+    @classmethod
+    def _even(cls, columns: int) -> int:
+        if columns % 2:
+            raise ValueError("must be even, so that alternating diagonals close around the tube")
+        return columns
+
+
+class Skirt:
+    """A ring of cloth; unstretched at the start, but for what folds must give (a few per cent)."""
+
+    name: ClassVar[str] = "skirt"
+    Config: ClassVar[type[BaseModel]] = SkirtConfig
+
+    def count(self, config: SkirtConfig, files: Files) -> int:
+        return config.columns * config.rows
+
+    def build(self, config: SkirtConfig, files: Files, seed: int) -> Fabric:
+        """Raises BadInput for impossible measures, a missing texture, elongated cells."""
+        require_measures(config)
+        grid = Grid(config.rows, config.columns, periodic=True)
+        along = np.linspace(0, 1, config.rows)
+        circle = 2 * np.pi * (config.waist_radius + along * (config.hem_radius * config.fullness - config.waist_radius))
+        slant = np.full(config.rows - 1, config.length / (config.rows - 1))
+        lattice = Lattice(circle / config.columns, slant)
+        material = resolve(config.fabric)
+        constants = grid_constants(material, lattice)
+        waist = np.arange(config.columns, dtype=np.int32)
+        attach = config.attach
+        across = 1 - np.abs(2 * np.arange(config.columns) / config.columns - 1)
+        return Fabric(
+            name=self.name,
+            position=drape(config, circle),
+            velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
+            mass=grid_mass(grid, material.density, lattice),
+            pinned=np.repeat(np.arange(config.rows) == 0, config.columns),
+            faces=build_faces(grid),
+            springs=build_springs(grid, constants),
+            hinges=build_hinges(grid, constants),
+            uv=texture_coordinates(across, config.rows),
+            bindings=() if attach is None else (Binding(waist, attach.body, attach.frame),),
+            texture=find_texture(config.texture, files),
+        )
+
+
+def require_measures(config: SkirtConfig) -> None:
+    """Raises BadInput if the cone cannot be as wide as asked for, or has too few columns to fold."""
+    if abs(config.hem_radius - config.waist_radius) >= config.length:
+        raise BadInput(
+            "the hem lies further out than the cloth is long",
+            field="hem_radius",
+            value=config.hem_radius,
+            limit=f"less than {config.length:g} m from waist_radius {config.waist_radius:g} m",
+            remedy="make the skirt longer; for more cloth at the hem raise fullness",
+        )
+    if config.fullness > 1 and config.columns < 8 * config.pleats:
+        raise BadInput(
+            "too few columns to show the pleats",
+            field="columns",
+            value=config.columns,
+            limit=f"at least 8 for each of {config.pleats} pleats",
+            remedy=f"columns: {8 * config.pleats}, or fewer pleats",
+        )
+
+
+def drape(config: SkirtConfig, circle: Float) -> Float:
+    """(n, 3) starting positions [m] of rows that are `circle` (rows,) long."""
+    around = np.linspace(0, 2 * np.pi, SAMPLES + 1)
+    outline = np.stack([np.cos(around), config.ratio * np.sin(around)], -1)
+    outline *= 2 * np.pi / _polyline(outline)[-1]
+    flat = np.empty((config.rows, config.columns, 2))
+    radius = np.linspace(config.waist_radius, config.hem_radius, config.rows)
+    for row in range(config.rows):
+        flat[row] = _fold(outline, around * config.pleats, radius[row], circle[row], config.columns)
+    height = np.zeros((config.rows, config.columns))
+    height[1:] = np.cumsum(_fall(flat, config), axis=0)
+    position = np.stack([flat[..., 0], -height, -flat[..., 1]], -1).reshape(-1, 3)
+    turned = position if config.rotate is None else position @ config.rotate.matrix().T
+    return np.ascontiguousarray(turned + np.asarray(config.centre))
+
+
+def _polyline(points: Float) -> Float:
+    """(p,) length of a chain of points (p, 2) up to each of them."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _fold(outline: Float, phase: Float, radius: float, length: float, columns: int) -> Float:
+    """(columns, 2) points at equal steps on a wavy ring of the given length around the outline.
+
+    The depth of the waves is found by bisection: the length grows with it.
+    """
+
+    def ring(depth: float) -> Float:
+        return radius * outline * (1 + depth * np.cos(phase))[:, None]
+
+    low, high = 0.0, 0.95
+    if _polyline(ring(high))[-1] < length:
+        raise BadInput("the folds would reach the axis", field="fullness", remedy="more pleats, or less fullness")
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _polyline(ring(middle))[-1] < length else (low, middle)
+    points = ring(low)
+    reached = _polyline(points)
+    at = np.arange(columns) / columns * reached[-1]
+    return np.stack([np.interp(at, reached, points[:, axis]) for axis in (0, 1)], -1)
+
+
+def _fall(flat: Float, config: SkirtConfig) -> Float:
+    """(rows - 1, columns) how far each warp edge goes down, so that it keeps its length."""
+    step = config.length / (config.rows - 1)
+    outwards = np.square(np.diff(flat, axis=0)).sum(axis=-1)
+    down: Float = np.sqrt(np.maximum(step**2 - outwards, (0.1 * step) ** 2))
+    return down
