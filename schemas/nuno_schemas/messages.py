@@ -1,0 +1,105 @@
+"""Messages on the bus and in the recording: headers and small reports as JSON, arrays as bytes.
+
+A key is `nuno/{run}/{topic}`. The header travels as the message's attachment, so the payload is
+what the recording keeps and what generic tools read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from nuno_schemas import SCHEMA_VERSION
+
+
+class Header(BaseModel):
+    """Who sent a message, which one it is, and when in the simulation.
+
+    seq counts from 0 per topic without gaps; digest is the hash of the float64 state.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    schema_version: int = SCHEMA_VERSION
+    run: str
+    service: str
+    seq: int
+    frame: int
+    t: float
+    digest: str = ""
+
+
+class Status(BaseModel):
+    """Simulation, once a frame."""
+
+    frame: int
+    t: float
+    digest: str
+    state: Literal["running", "paused", "done", "stopped", "diverged"]
+    steps: int
+    step_seconds: float
+    """Wall time of the frame's steps [s]."""
+    energy: dict[str, float]
+    """Joules by kind: kinetic, gravitational, springs, hinges."""
+    stretch: float
+    """Largest |d| / rest - 1 over the springs."""
+    message: str = ""
+
+
+class Penetration(BaseModel):
+    """Collision service, once a frame: how deep published positions lie inside bodies."""
+
+    frame: int
+    t: float
+    depth: float
+    """Largest depth [m], 0 where nothing touches."""
+    vertex: int
+    """Vertex of the largest depth, -1 for none."""
+    inside: int
+    """Vertices inside a body."""
+    mean: float
+    """Mean depth of those inside [m]."""
+    seconds: float
+
+
+class Event(BaseModel):
+    """Something that happened to a run: control, resume, an error."""
+
+    frame: int
+    t: float
+    service: str
+    kind: Literal["control", "start", "resume", "error", "warning", "end"]
+    text: str
+    args: dict[str, Any] = {}
+
+
+class Ack(BaseModel):
+    """A service that must see every frame has handled this one."""
+
+    service: str
+    frame: int
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A kind of message: its name under the run, encoding, and whether it is recorded."""
+
+    name: str
+    encoding: Literal["json", "protobuf"]
+    schema: str
+    recorded: bool = True
+
+
+FABRIC = Topic("sim/fabric", "protobuf", "nuno.Arrays")
+STATE = Topic("sim/state", "protobuf", "foxglove.PointCloud")
+STATUS = Topic("sim/status", "json", "nuno.Status")
+CHECKPOINT = Topic("sim/checkpoint", "protobuf", "nuno.Arrays")
+GEOMETRY = Topic("collision/geometry", "protobuf", "nuno.Arrays")
+BODIES = Topic("collision/bodies", "protobuf", "nuno.Arrays")
+PENETRATION = Topic("collision/report", "json", "nuno.Penetration")
+EVENT = Topic("run/event", "json", "nuno.Event")
+REPORT = Topic("run/report", "json", "nuno.Report")
+ACK = Topic("ack", "json", "nuno.Ack", recorded=False)
+
+TOPICS = {t.name: t for t in (FABRIC, STATE, STATUS, CHECKPOINT, GEOMETRY, BODIES, PENETRATION, EVENT, REPORT, ACK)}

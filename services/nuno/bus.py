@@ -1,0 +1,279 @@
+"""The message bus: zenoh sessions that expose nothing, numbered messages, checked inboxes."""
+
+from __future__ import annotations
+
+import json
+import queue
+import socket
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import zenoh
+from nuno_schemas import SCHEMA_VERSION
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import Header, Topic
+from pydantic import ValidationError
+
+LEASE_MS = 2000
+"""A peer that stays silent this long is gone; zenoh's default of 10 s hides a dead service."""
+
+
+def free_port() -> int:
+    """A TCP port on loopback that is free now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _config(mode: str, listen: list[str], connect: list[str], extra: str | None) -> zenoh.Config:
+    config = zenoh.Config.from_file(extra) if extra else zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": mode,
+        "listen/endpoints": listen,
+        "connect/endpoints": connect,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        # Nobody is scouted for, so nothing is gained by waiting half a second for an answer.
+        "scouting/delay": 0,
+        "transport/link/tx/lease": LEASE_MS,
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+@contextmanager
+def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
+    """A session that others connect to, e.g. "tcp/127.0.0.1:7447". Raises BadInput if taken.
+
+    `extra` is a zenoh configuration file (TLS, access control) that is read first.
+    """
+    try:
+        session = zenoh.open(_config("router", [endpoint], [], extra))
+    except zenoh.ZError as error:
+        raise BadInput(f"cannot listen: {_short(error)}", value=endpoint, remedy="another program holds the port: leave --listen out for a free one") from None
+    with session:
+        yield session
+
+
+@contextmanager
+def spoke(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
+    """A session connected to a hub. Raises BadInput if there is none."""
+    try:
+        session = zenoh.open(_config("client", [], [endpoint], extra))
+    except zenoh.ZError as error:
+        raise BadInput(f"nothing answers there: {_short(error)}", value=endpoint, remedy="start the hub first (nuno serve router), or check --connect") from None
+    with session:
+        yield session
+
+
+def _short(error: Exception) -> str:
+    return str(error).split(" at /")[0].strip()
+
+
+@dataclass
+class Message:
+    """One message as it arrived."""
+
+    topic: str
+    header: Header
+    payload: bytes
+
+
+@dataclass
+class Publisher:
+    """Numbers and sends the messages of one topic; blocks rather than drops."""
+
+    bus: Bus
+    topic: Topic
+    handle: zenoh.Publisher
+    sent: int = 0
+    seconds: float = 0.0
+
+    def put(self, payload: bytes, frame: int = -1, t: float = 0.0, digest: str = "") -> None:
+        start = time.perf_counter()
+        header = Header(run=self.bus.run, service=self.bus.service, seq=self.sent, frame=frame, t=t, digest=digest)
+        self.handle.put(payload, attachment=header.model_dump_json())
+        self.sent += 1
+        self.seconds += time.perf_counter() - start
+
+
+@dataclass
+class Counts:
+    """What an inbox saw: per topic received, and what was refused."""
+
+    received: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    missing: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    refused: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+
+
+class Inbox:
+    """Messages of some topics in the order they arrived, checked and counted.
+
+    A callback only enqueues: work there would delay every message behind it in the session.
+    Malformed, foreign, repeated and out-of-order messages are dropped and counted; a gap in the
+    numbers is counted as missing. The queue is bounded by the lockstep, not by a limit here.
+    """
+
+    def __init__(self, bus: Bus, topics: list[Topic], newest_only: bool = False) -> None:
+        self.counts = Counts()
+        self._bus = bus
+        self._next: dict[str, int] = {}
+        self._queue: queue.SimpleQueue[zenoh.Sample | None] = queue.SimpleQueue()
+        self._newest_only = newest_only
+        self._subscribers = [bus.session.declare_subscriber(bus.key(t.name), self._queue.put) for t in topics]
+
+    def get(self, timeout: float) -> Message | None:
+        """The next good message, or None when the time [s] is over or the inbox was woken."""
+        end = time.monotonic() + timeout
+        while True:
+            try:
+                sample = self._queue.get(timeout=max(0.0, end - time.monotonic()))
+            except queue.Empty:
+                return None
+            if sample is None:
+                return None
+            message = self._check(sample)
+            if message is not None:
+                return message
+
+    def wake(self) -> None:
+        """Let a waiting `get` return."""
+        self._queue.put(None)
+
+    def close(self) -> None:
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+
+    def _check(self, sample: zenoh.Sample) -> Message | None:
+        topic = str(sample.key_expr).removeprefix(self._bus.key(""))
+        try:
+            if sample.attachment is None:
+                raise ValueError("no header")
+            header = Header.model_validate_json(sample.attachment.to_bytes())
+        except (ValidationError, ValueError):
+            self.counts.refused[topic] += 1
+            return None
+        expected = self._next.get(topic, header.seq if self._newest_only else 0)
+        if header.run != self._bus.run or header.schema_version != SCHEMA_VERSION or header.seq < expected:
+            self.counts.refused[topic] += 1
+            return None
+        self.counts.missing[topic] += header.seq - expected
+        self._next[topic] = header.seq + 1
+        self.counts.received[topic] += 1
+        return Message(topic, header, sample.payload.to_bytes())
+
+
+class Questions:
+    """A queryable whose questions are handled by the service's own thread."""
+
+    def __init__(self, bus: Bus, name: str) -> None:
+        self.name = name
+        self._bus = bus
+        self._queue: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
+        self._handle = bus.session.declare_queryable(bus.key(name), self._queue.put)
+
+    def get(self, timeout: float) -> Question | None:
+        try:
+            query = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
+        except queue.Empty:
+            return None
+        return Question(self._bus.key(self.name), query)
+
+
+@dataclass
+class Question:
+    """One question; answer it exactly once."""
+
+    key: str
+    query: zenoh.Query
+
+    @property
+    def payload(self) -> bytes:
+        return self.query.payload.to_bytes() if self.query.payload is not None else b""
+
+    def json(self) -> dict[str, Any]:
+        """The payload as a mapping; anything else counts as empty."""
+        try:
+            value = json.loads(self.payload)
+        except ValueError:
+            return {}
+        return value if isinstance(value, dict) else {}
+
+    def answer(self, payload: bytes) -> None:
+        self.query.reply(self.key, payload)
+        self.query.drop()
+
+    def answer_json(self, value: dict[str, Any]) -> None:
+        self.answer(json.dumps(value).encode())
+
+
+class Bus:
+    """One service's place in one run."""
+
+    def __init__(self, session: zenoh.Session, run: str, service: str) -> None:
+        self.session, self.run, self.service = session, run, service
+        self.publishers: dict[str, Publisher] = {}
+
+    def key(self, name: str) -> str:
+        return f"nuno/{self.run}/{name}"
+
+    def publisher(self, topic: Topic) -> Publisher:
+        """The one publisher of a topic in this service."""
+        if topic.name not in self.publishers:
+            handle = self.session.declare_publisher(
+                self.key(topic.name),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                reliability=zenoh.Reliability.RELIABLE,
+                encoding=f"application/{topic.encoding};{topic.schema}",
+            )
+            self.publishers[topic.name] = Publisher(self, topic, handle)
+        return self.publishers[topic.name]
+
+    def ask(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> bytes:
+        """The answer of one service's queryable. Raises RunFailed if none comes."""
+        for reply in self.session.get(self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+        raise RunFailed(f"no answer from {name} within {timeout:g} s")
+
+    def ask_json(self, name: str, value: dict[str, Any], timeout: float = 10.0) -> dict[str, Any]:
+        answer = json.loads(self.ask(name, json.dumps(value).encode(), timeout))
+        return answer if isinstance(answer, dict) else {}
+
+    def alive(self) -> zenoh.LivelinessToken:
+        """A token that disappears with this service."""
+        return self.session.liveliness().declare_token(self.key(f"alive/{self.service}"))
+
+
+class Watch:
+    """Who is alive in a run, from liveliness tokens."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._alive: set[str] = set()
+        self._changed = threading.Condition()
+        self._subscriber = bus.session.liveliness().declare_subscriber(bus.key("alive/*"), self._note, history=True)
+
+    def _note(self, sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr).rsplit("/", 1)[-1]
+        with self._changed:
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._alive.add(name)
+            else:
+                self._alive.discard(name)
+            self._changed.notify_all()
+
+    def alive(self) -> set[str]:
+        with self._changed:
+            return set(self._alive)
+
+    def wait_for(self, names: set[str], timeout: float) -> set[str]:
+        """Wait until all are alive; the ones still missing when the time [s] is over."""
+        with self._changed:
+            self._changed.wait_for(lambda: names <= self._alive, timeout)
+            return names - self._alive

@@ -1,0 +1,37 @@
+"""Files that a scene names: only inside the scene's folder or a root named by the user."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from nuno_schemas.errors import BadInput
+
+
+@dataclass
+class SceneFiles:
+    """Resolves names against the scene's folder, then the extra roots.
+
+    `used` collects what was resolved, name -> path, so that a recording can carry it along.
+    """
+
+    folder: Path
+    roots: tuple[Path, ...] = ()
+    used: dict[str, Path] = field(default_factory=dict)
+
+    def resolve(self, name: str) -> Path:
+        """The existing file `name`. Raises BadInput if it is missing or outside every root."""
+        inside = False
+        for root in (self.folder, *self.roots):
+            base = root.resolve()
+            path = (base / name).resolve()
+            if not path.is_relative_to(base):
+                continue
+            inside = True
+            if path.is_file():
+                self.used[name] = path
+                return path
+        allowed = ", ".join(str(root) for root in (self.folder, *self.roots))
+        if inside:
+            raise BadInput("no such file", value=name, limit=f"looked in {allowed}", remedy="check the name, or name its folder with --root DIR")
+        raise BadInput("the path leaves the scene's folder", value=name, limit=allowed, remedy="put the file there, or name its folder with --root DIR")

@@ -1,0 +1,119 @@
+"""What every service of a run shares: its context, its life, and how it ends.
+
+A service declares its liveliness token once it listens, works until it is asked to finish, and
+answers that question with its counts. If it raises, the error goes out as an event and the token
+disappears, which ends the run; if the supervisor disappears, it ends by itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import zenoh
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import EVENT, Event, Topic
+
+from nuno.bus import Bus, Inbox, Message, Question, Questions, Watch
+from nuno.scene_file import Loaded
+
+SUPERVISOR = "supervisor"
+MODULES = {
+    "simulation": "nuno.simulation.service",
+    "collision": "nuno.collision.service",
+    "recorder": "nuno.recording.service",
+    "viewer": "nuno.viewer.service",
+}
+"""Services by name; a module is imported only where its service runs. Each has `main(context)`."""
+
+
+@dataclass
+class Options:
+    """What the user chose for a run, beside the scene."""
+
+    record: Path | None = None
+    save: Path | None = None
+    """A rerun file to write."""
+    view: str | None = None
+    """"window" or "web": show the run live; None: do not."""
+    resume: Path | None = None
+    threads: int = 0
+    """Most threads for kernels; 0 = all."""
+    must_see: tuple[str, ...] = ()
+    """Services that acknowledge every frame before the simulation runs far ahead."""
+
+
+@dataclass
+class Context:
+    """A service's view of its run."""
+
+    loaded: Loaded
+    bus: Bus
+    options: Options
+    watch: Watch = field(init=False)
+    finish: Questions = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.watch = Watch(self.bus)
+        self.finish = Questions(self.bus, f"finish/{self.bus.service}")
+
+    def event(self, kind: str, text: str, frame: int = -1, t: float = 0.0, **args: Any) -> None:
+        """Tell the run (and its recording) that something happened."""
+        event = Event.model_validate({"frame": frame, "t": t, "service": self.bus.service, "kind": kind, "text": text, "args": args})
+        self.bus.publisher(_event_topic(self.bus.service)).put(event.model_dump_json().encode(), frame, t)
+
+    def orphaned(self) -> bool:
+        """Whether the supervisor has gone."""
+        return SUPERVISOR not in self.watch.alive()
+
+    def counts(self, inbox: Inbox | None = None) -> dict[str, Any]:
+        """What this service sent and saw, for the report."""
+        counts: dict[str, Any] = {"sent": {name: p.sent for name, p in self.bus.publishers.items()}}
+        counts["bus_seconds"] = sum(p.seconds for p in self.bus.publishers.values())
+        if inbox is not None:
+            counts |= {name: dict(getattr(inbox.counts, name)) for name in ("received", "missing", "refused")}
+        return counts
+
+
+def _event_topic(service: str) -> Topic:
+    """Every service numbers its own events."""
+    return Topic(f"{EVENT.name}/{service}", EVENT.encoding, EVENT.schema)
+
+
+def ack_topic(service: str) -> Topic:
+    return Topic(f"ack/{service}", "json", "nuno.Ack", recorded=False)
+
+
+def each_message(context: Context, inbox: Inbox, handle: Callable[[Message], None]) -> Question:
+    """Handle messages as they come until asked to finish; the question, still to be answered.
+
+    Raises RunFailed if the supervisor disappears.
+    """
+    while True:
+        message = inbox.get(timeout=0.05)
+        if message is not None:
+            handle(message)
+            continue
+        question = context.finish.get(0)
+        if question is not None:
+            return question
+        if context.orphaned():
+            raise RunFailed("the supervisor has gone")
+
+
+def run_service(name: str, loaded: Loaded, session: zenoh.Session, run: str, options: Options) -> None:
+    """Run one service until it is asked to finish. Raises what the service raised."""
+    bus = Bus(session, run, name)
+    context = Context(loaded, bus, options)
+    try:
+        importlib.import_module(MODULES[name]).main(context)
+    except (BadInput, RunFailed) as error:
+        context.event("error", str(error))
+        raise
+    except Exception as error:
+        context.event("error", f"{type(error).__name__}: {error}", trace=traceback.format_exc())
+        raise
