@@ -1,0 +1,1 @@
+"""Bodies that cloth meets: shapes, skeletons, their motions, and penalty contact."""
