@@ -112,84 +112,11 @@ class Counts:
     refused: dict[str, int] = field(default_factory=lambda: defaultdict(int))
 
 
-class Inbox:
-    """Messages of some topics in the order they arrived, checked and counted.
-
-    A callback only enqueues: work there would delay every message behind it in the session.
-    Malformed, foreign, repeated and out-of-order messages are dropped and counted; a gap in the
-    numbers is counted as missing. The queue is bounded by the lockstep, not by a limit here.
-    """
-
-    def __init__(self, bus: Bus, topics: list[Topic], newest_only: bool = False) -> None:
-        self.counts = Counts()
-        self._bus = bus
-        self._next: dict[str, int] = {}
-        self._queue: queue.SimpleQueue[zenoh.Sample | None] = queue.SimpleQueue()
-        self._newest_only = newest_only
-        self._subscribers = [bus.session.declare_subscriber(bus.key(t.name), self._queue.put) for t in topics]
-
-    def get(self, timeout: float) -> Message | None:
-        """The next good message, or None when the time [s] is over or the inbox was woken."""
-        end = time.monotonic() + timeout
-        while True:
-            try:
-                sample = self._queue.get(timeout=max(0.0, end - time.monotonic()))
-            except queue.Empty:
-                return None
-            if sample is None:
-                return None
-            message = self._check(sample)
-            if message is not None:
-                return message
-
-    def wake(self) -> None:
-        """Let a waiting `get` return."""
-        self._queue.put(None)
-
-    def close(self) -> None:
-        for subscriber in self._subscribers:
-            subscriber.undeclare()
-
-    def _check(self, sample: zenoh.Sample) -> Message | None:
-        topic = str(sample.key_expr).removeprefix(self._bus.key(""))
-        try:
-            if sample.attachment is None:
-                raise ValueError("no header")
-            header = Header.model_validate_json(sample.attachment.to_bytes())
-        except (ValidationError, ValueError):
-            self.counts.refused[topic] += 1
-            return None
-        expected = self._next.get(topic, header.seq if self._newest_only else 0)
-        if header.run != self._bus.run or header.schema_version != SCHEMA_VERSION or header.seq < expected:
-            self.counts.refused[topic] += 1
-            return None
-        self.counts.missing[topic] += header.seq - expected
-        self._next[topic] = header.seq + 1
-        self.counts.received[topic] += 1
-        return Message(topic, header, sample.payload.to_bytes())
-
-
-class Questions:
-    """A queryable whose questions are handled by the service's own thread."""
-
-    def __init__(self, bus: Bus, name: str) -> None:
-        self.name = name
-        self._bus = bus
-        self._queue: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
-        self._handle = bus.session.declare_queryable(bus.key(name), self._queue.put)
-
-    def get(self, timeout: float) -> Question | None:
-        try:
-            query = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
-        except queue.Empty:
-            return None
-        return Question(self._bus.key(self.name), query)
-
-
 @dataclass
 class Question:
-    """One question; answer it exactly once."""
+    """One question to a service; answer it exactly once."""
 
+    name: str
     key: str
     query: zenoh.Query
 
@@ -211,6 +138,64 @@ class Question:
 
     def answer_json(self, value: dict[str, Any]) -> None:
         self.answer(json.dumps(value).encode())
+
+
+class Inbox:
+    """Messages of some topics, and questions, in the order they arrived; checked and counted.
+
+    A callback only enqueues: work there would delay every message behind it in the session.
+    Malformed, foreign, repeated and out-of-order messages are dropped and counted; a gap in the
+    numbers is counted as missing. The queue is bounded by the lockstep, not by a limit here.
+    """
+
+    def __init__(self, bus: Bus, topics: list[Topic], newest_only: bool = False) -> None:
+        self.counts = Counts()
+        self._bus = bus
+        self._next: dict[str, int] = {}
+        self._queue: queue.SimpleQueue[zenoh.Sample | Question] = queue.SimpleQueue()
+        self._newest_only = newest_only
+        self._handles: list[Any] = [bus.session.declare_subscriber(bus.key(t.name), self._queue.put) for t in topics]
+
+    def answer(self, name: str) -> None:
+        """Let questions to `name` in, too."""
+        key = self._bus.key(name)
+        self._handles.append(self._bus.session.declare_queryable(key, lambda query: self._queue.put(Question(name, key, query))))
+
+    def get(self, timeout: float) -> Message | Question | None:
+        """The next question or good message, or None when the time [s] is over."""
+        end = time.monotonic() + timeout
+        while True:
+            try:
+                item = self._queue.get(timeout=max(0.0, end - time.monotonic()))
+            except queue.Empty:
+                return None
+            if isinstance(item, Question):
+                return item
+            message = self._check(item)
+            if message is not None:
+                return message
+
+    def close(self) -> None:
+        for handle in self._handles:
+            handle.undeclare()
+
+    def _check(self, sample: zenoh.Sample) -> Message | None:
+        topic = str(sample.key_expr).removeprefix(self._bus.key(""))
+        try:
+            if sample.attachment is None:
+                raise ValueError("no header")
+            header = Header.model_validate_json(sample.attachment.to_bytes())
+        except (ValidationError, ValueError):
+            self.counts.refused[topic] += 1
+            return None
+        expected = self._next.get(topic, header.seq if self._newest_only else 0)
+        if header.run != self._bus.run or header.schema_version != SCHEMA_VERSION or header.seq < expected:
+            self.counts.refused[topic] += 1
+            return None
+        self.counts.missing[topic] += header.seq - expected
+        self._next[topic] = header.seq + 1
+        self.counts.received[topic] += 1
+        return Message(topic, header, sample.payload.to_bytes())
 
 
 class Bus:

@@ -18,7 +18,7 @@ import zenoh
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, Event, Topic
 
-from nuno.bus import Bus, Inbox, Message, Question, Questions, Watch
+from nuno.bus import Bus, Inbox, Message, Question, Watch
 from nuno.scene_file import Loaded
 
 SUPERVISOR = "supervisor"
@@ -55,11 +55,9 @@ class Context:
     bus: Bus
     options: Options
     watch: Watch = field(init=False)
-    finish: Questions = field(init=False)
 
     def __post_init__(self) -> None:
         self.watch = Watch(self.bus)
-        self.finish = Questions(self.bus, f"finish/{self.bus.service}")
 
     def event(self, kind: str, text: str, frame: int = -1, t: float = 0.0, **args: Any) -> None:
         """Tell the run (and its recording) that something happened."""
@@ -88,21 +86,27 @@ def ack_topic(service: str) -> Topic:
     return Topic(f"ack/{service}", "json", "nuno.Ack", recorded=False)
 
 
-def each_message(context: Context, inbox: Inbox, handle: Callable[[Message], None]) -> Question:
-    """Handle messages as they come until asked to finish; the question, still to be answered.
+def each_message(
+    context: Context, inbox: Inbox, handle: Callable[[Message], None], answer: Callable[[Question], None] | None = None
+) -> Question:
+    """Be alive, handle messages and questions as they come, until asked to finish.
 
-    Raises RunFailed if the supervisor disappears.
+    Returns that last question, still to be answered. Raises RunFailed if the supervisor goes.
     """
-    while True:
-        message = inbox.get(timeout=0.05)
-        if message is not None:
-            handle(message)
-            continue
-        question = context.finish.get(0)
-        if question is not None:
-            return question
-        if context.orphaned():
-            raise RunFailed("the supervisor has gone")
+    finish = f"finish/{context.bus.service}"
+    inbox.answer(finish)
+    with context.bus.alive():
+        while True:
+            item = inbox.get(timeout=0.5)
+            if isinstance(item, Message):
+                handle(item)
+            elif isinstance(item, Question):
+                if item.name == finish:
+                    return item
+                if answer is not None:
+                    answer(item)
+            elif context.orphaned():
+                raise RunFailed("the supervisor has gone")
 
 
 def run_service(name: str, loaded: Loaded, session: zenoh.Session, run: str, options: Options) -> None:
