@@ -18,18 +18,25 @@ a structural constant would not be positive are refused.
 On a cone the cells are trapezoids: a is the mean width, b the height, and a weft spring takes
 half of each row of cells at it.
 
-Hinges. With diagonals that alternate, the fold angles of w = (kx x^2 + 2 t x y + ky y^2) / 2 are
-exactly a kx on warp edges (both opposite vertices are in one row, so twist does not enter),
-b ky on weft edges, and l t on diagonals (curvature does not enter). Per cell there is one edge of
-each sort, so that k = Bf b / a, Bw a / b and 2 D a b / l^2 give
+Hinges. A hinge needs an edge and two opposite vertices, but not that they are triangles of the
+drawn mesh. Three families, on w = (kx x^2 + 2 t x y + ky y^2) / 2:
+warp lines   edge (r, c)-(r, c+1), opposite (r-1, c) and (r+1, c): angle b ky, k = Bw a / b;
+weft lines   edge (r, c)-(r+1, c), opposite (r, c+1) and (r, c-1): angle a kx, k = Bf b / a;
+twist        diagonal of a cell, its other corners opposite: angle l t, k = 2 D a b / l^2.
+Each family sees one component only, so the energy per area is exactly
 
-    (Bf kx^2 + Bw ky^2 + 2 D t^2) / 2 per area,
+    (Bf kx^2 + Bw ky^2 + 2 D t^2) / 2,
 
-the orthotropic plate without Poisson coupling, exactly, and for Bf = Bw = D the isotropic one, which
-bends alike in every direction. With the usual B e^2 / (A1 + A2) on all edges the straight ones are
-the same, but the diagonals are twice as stiff in twist. D = sqrt(Bf Bw), as twist was not measured.
-A border needs nothing: the half cells beyond the last inner edge carry no moment, as a free edge
-should, which shortens a bent strip by half a cell at each end.
+the orthotropic plate without Poisson coupling; with D = sqrt(Bf Bw) (twist was not measured) and
+Bf = Bw it is the isotropic one, which bends alike in every direction. The lines on a border stand
+for half the width. A strip bent along its length has its last hinge one cell before its end: the
+half cells beyond carry no moment, as a free edge should.
+
+Rejected: hinges on the edges of the drawn triangles, with B e^2 / (A1 + A2) on straight edges and
+half of that on alternating diagonals. It gives the same energy for a smooth w, but the vertices
+with even r + c can move against the odd ones, which relieves all straight edges at once: after
+relaxation 3/4 of B is left on square cells, with a Poisson ratio of -1/3. Here that motion bends
+neighbouring lines in opposite senses and relieves nothing.
 """
 
 from __future__ import annotations
@@ -71,10 +78,10 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Constants:
-    """Per row of vertices (weft_*, hinge_weft_edge: rows) or of cells (the others: rows - 1).
+    """Per row of vertices (weft_*, hinge_warp, hinge_weft: rows) or of cells (the others: rows - 1).
 
     k [N/m], rest [m], c [N s/m]; hinges [N m]; bend_* are the papers' springs two apart;
-    border is what a warp spring on a free side has of an inner one's k and c.
+    border is what a warp line on a free side has of an inner one's constants.
     """
 
     warp_k: Float
@@ -86,9 +93,9 @@ class Constants:
     shear_k: Float
     shear_rest: Float
     shear_c: Float
-    hinge_warp_edge: Float
-    hinge_weft_edge: Float
-    hinge_diagonal: Float
+    hinge_warp: Float
+    hinge_weft: Float
+    hinge_twist: Float
     bend_warp_k: float
     bend_weft_k: float
     bend_c: float
@@ -120,9 +127,9 @@ def grid_constants(material: Material | HandSet, lattice: Lattice) -> Constants:
         shear_k=shear_k,
         shear_rest=lattice.diagonal(),
         shear_c=ratio * np.sqrt(shear_k * warp_mass),
-        hinge_warp_edge=material.bend_weft * b / a,
-        hinge_weft_edge=material.bend_warp * lattice.width / _half_sum(b),
-        hinge_diagonal=2 * twist * a * b / (a * a + b * b),
+        hinge_warp=material.bend_warp * lattice.width / _half_sum(b),
+        hinge_weft=material.bend_weft * _half_sum(b) / lattice.width,
+        hinge_twist=2 * twist * a * b / (a * a + b * b),
         bend_warp_k=0.0,
         bend_weft_k=0.0,
         bend_c=0.0,
@@ -164,9 +171,9 @@ def _by_hand(material: HandSet, lattice: Lattice) -> Constants:
         shear_k=cells * material.shear,
         shear_rest=lattice.diagonal(),
         shear_c=cells * material.damping,
-        hinge_warp_edge=cells * material.hinge,
-        hinge_weft_edge=vertices * material.hinge,
-        hinge_diagonal=cells * material.hinge,
+        hinge_warp=vertices * material.hinge,
+        hinge_weft=vertices * material.hinge,
+        hinge_twist=cells * material.hinge,
         bend_warp_k=material.bending[0],
         bend_weft_k=material.bending[1],
         bend_c=material.damping,

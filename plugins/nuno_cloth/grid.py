@@ -5,8 +5,8 @@ outside. Warp yarns run down (from row to row), weft yarns to the right (from co
 A periodic grid is a tube: its last column is joined to its first.
 
     v00 --- v01    Diagonals alternate like a chessboard: cell (r, c) is cut from v00 to v11
-     |       |     where r + c is even, from v01 to v10 where it is odd. Then the two triangles at
-    v10 --- v11    any straight edge mirror each other, which makes hinges exact (constants.py).
+     |       |     where r + c is even, from v01 to v10 where it is odd, so that the drawn surface
+    v10 --- v11    has no grain. Springs and hinges do not depend on it (constants.py).
 """
 
 from __future__ import annotations
@@ -81,10 +81,10 @@ class _Runs:
         self.count.append(count)
         self.values.append(values)
 
-    def arrays(self, stride: int) -> tuple[Int, Int, Int, Float]:
+    def arrays(self) -> tuple[Int, Int, Int, Float]:
         count = np.array(self.count, np.int32)
         values = np.ascontiguousarray(np.array(self.values, np.float64).T)
-        return np.array(self.first, np.int32), count, np.full_like(count, stride), values
+        return np.array(self.first, np.int32), count, np.ones_like(count), values
 
 
 def build_springs(grid: Grid, constants: Constants) -> Springs | None:
@@ -100,7 +100,7 @@ def build_springs(grid: Grid, constants: Constants) -> Springs | None:
         _add_bending(runs, grid, constants, row)
     if not runs.count:
         return None
-    first, count, stride, values = runs.arrays(1)
+    first, count, stride, values = runs.arrays()
     return Springs(
         first, count, stride, values[0].copy(), values[1].copy(), values[2].copy(), values[3].astype(np.int8)
     )
@@ -146,37 +146,44 @@ def _add_springs(
         runs.add((grid.at(row, low), grid.at(row + step[0], low + step[1])), high - low + 1, *spring)
 
 
-# Corners of a hinge as (row, column) offsets: edge start, edge end, opposite left, opposite
-# right, for r + c even and for r + c odd. Left of the edge is the triangle (start, end, left).
 Corners = tuple[tuple[int, int], tuple[int, int], tuple[int, int], tuple[int, int]]
-WARP_EDGE: tuple[Corners, Corners] = (((0, 0), (1, 0), (1, 1), (1, -1)), ((0, 0), (1, 0), (0, 1), (0, -1)))
-WEFT_EDGE: tuple[Corners, Corners] = (((0, 0), (0, 1), (-1, 1), (1, 1)), ((0, 0), (0, 1), (-1, 0), (1, 0)))
-DIAGONAL: tuple[Corners, Corners] = (((0, 0), (1, 1), (0, 1), (1, 0)), ((1, 0), (0, 1), (0, 0), (1, 1)))
+"""Edge start, edge end, opposite left, opposite right as (row, column) offsets; the triangle
+(start, end, left) is counter-clockwise seen from outside."""
+
+WARP_LINE: Corners = ((0, 0), (0, 1), (-1, 0), (1, 0))
+WARP_LINE_LAST: Corners = ((0, -1), (0, 0), (-1, 0), (1, 0))
+WEFT_LINE: Corners = ((0, 0), (1, 0), (0, 1), (0, -1))
+WEFT_LINE_LAST: Corners = ((-1, 0), (0, 0), (0, 1), (0, -1))
+TWIST: Corners = ((0, 0), (1, 1), (0, 1), (1, 0))
 
 
 def build_hinges(grid: Grid, constants: Constants) -> Hinges | None:
-    """Hinges as runs of stride 2 along rows, flat at rest, constants per run."""
+    """Hinges as runs along rows, flat at rest, constants per run."""
     runs = _Runs()
-    inner = (0, grid.cols - 1) if grid.periodic else (1, grid.cols - 2)
+    last_row, last = grid.rows - 1, grid.cols - 1
+    inner = (0, last) if grid.periodic else (1, last - 1)
     for row in range(grid.rows):
-        if 0 < row < grid.rows - 1:
-            _add_hinges(runs, grid, row, (0, grid.cells_across - 1), WEFT_EDGE, constants.hinge_weft_edge[row])
-        if row + 1 < grid.rows:
-            _add_hinges(runs, grid, row, inner, WARP_EDGE, constants.hinge_warp_edge[row])
-            _add_hinges(runs, grid, row, (0, grid.cells_across - 1), DIAGONAL, constants.hinge_diagonal[row])
+        if 0 < row < last_row:
+            k = constants.hinge_warp[row]
+            if grid.periodic:
+                _add_hinges(runs, grid, row, (0, last), WARP_LINE, k)
+            else:
+                _add_hinges(runs, grid, row, (0, 0), WARP_LINE, k * constants.border)
+                _add_hinges(runs, grid, row, (1, last - 1), WARP_LINE, k)
+                _add_hinges(runs, grid, row, (last, last), WARP_LINE_LAST, k * constants.border)
+        line = WEFT_LINE if row < last_row else WEFT_LINE_LAST
+        _add_hinges(runs, grid, row, inner, line, constants.hinge_weft[row])
+        if row < last_row:
+            _add_hinges(runs, grid, row, (0, grid.cells_across - 1), TWIST, constants.hinge_twist[row])
     if not runs.count:
         return None
-    first, count, stride, values = runs.arrays(2)
+    first, count, stride, values = runs.arrays()
     return Hinges(first, count, stride, values[0].copy(), np.zeros_like(values[0]))
 
 
-def _add_hinges(
-    runs: _Runs, grid: Grid, row: int, cols: tuple[int, int], kinds: tuple[Corners, Corners], k: float
-) -> None:
+def _add_hinges(runs: _Runs, grid: Grid, row: int, cols: tuple[int, int], corners: Corners, k: float) -> None:
     if k <= 0:
         return
-    offsets = [col for _, col in kinds[0] + kinds[1]]
+    offsets = [col for _, col in corners]
     for low, high in grid.segments(*cols, (min(offsets), max(offsets))):
-        for start in range(low, min(low + 1, high) + 1):
-            corners = kinds[(row + start) % 2]
-            runs.add(tuple(grid.at(row + dr, start + dc) for dr, dc in corners), (high - start) // 2 + 1, k)
+        runs.add(tuple(grid.at(row + dr, low + dc) for dr, dc in corners), high - low + 1, k)

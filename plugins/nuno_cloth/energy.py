@@ -1,0 +1,64 @@
+"""Energies and their gradients in plain NumPy: what virtual tests and checks are made with.
+
+Written for reading, not for speed; the compiled forces are in nuno_kernels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_schemas.fabric import Fabric, Float
+
+
+def spring_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
+    """Sum of k (|d| - rest)^2 / 2 [J] and its gradient (n, 3) [N]; x (n, 3) [m].
+
+    A spring whose length is 0 has no direction and gives no gradient.
+    """
+    gradient = np.zeros_like(x)
+    springs = fabric.springs
+    if springs is None:
+        return 0.0, gradient
+    pairs = springs.pairs()
+    k, rest = springs.per_spring(springs.k), springs.per_spring(springs.rest)
+    d = x[pairs[:, 1]] - x[pairs[:, 0]]
+    length = np.linalg.norm(d, axis=1)
+    pull = k * (length - rest)
+    along = d * (pull / np.where(length > 0, length, np.inf))[:, None]
+    np.add.at(gradient, pairs[:, 1], along)
+    np.add.at(gradient, pairs[:, 0], -along)
+    return float(0.5 * (pull * (length - rest)).sum()), gradient
+
+
+def hinge_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
+    """Sum of k (1 - cos(angle - rest)) [J] and its gradient (n, 3) [N]; x (n, 3) [m].
+
+    The angle is 0 when flat, positive where the triangles fold towards their normals. Its
+    gradient is n1 |e| / |n1|^2 and n2 |e| / |n2|^2 at the opposite vertices, and the reaction is
+    shared by the ends of the edge like that of a lever (Tamstorf and Grinspun 2013).
+    """
+    gradient = np.zeros_like(x)
+    hinges = fabric.hinges
+    if hinges is None:
+        return 0.0, gradient
+    quads = hinges.quads()
+    k, rest = hinges.per_hinge(hinges.k), hinges.per_hinge(hinges.rest)
+    x0, x1, x2, x3 = (x[quads[:, i]] for i in range(4))
+    e = x1 - x0
+    n1, n2 = np.cross(e, x2 - x0), np.cross(x3 - x0, e)
+    ee, q1, q2 = (np.einsum("ij,ij->i", a, a) for a in (e, n1, n2))
+    size = np.sqrt(q1 * q2)
+    angle = np.arctan2(np.einsum("ij,ij->i", n1, x3 - x0) * np.sqrt(ee) / size, np.einsum("ij,ij->i", n1, n2) / size)
+    moment = (k * np.sin(angle - rest))[:, None]
+    g2, g3 = n1 * (np.sqrt(ee) / q1)[:, None], n2 * (np.sqrt(ee) / q2)[:, None]
+    t2, t3 = (np.einsum("ij,ij->i", y - x0, e) / ee for y in (x2, x3))
+    g1 = -(t2[:, None] * g2 + t3[:, None] * g3)
+    for corner, g in enumerate((-(g1 + g2 + g3), g1, g2, g3)):
+        np.add.at(gradient, quads[:, corner], moment * g)
+    return float((k * (1 - np.cos(angle - rest))).sum()), gradient
+
+
+def elastic_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
+    """Energy of springs and hinges [J] and its gradient (n, 3) [N]."""
+    (e1, g1), (e2, g2) = spring_energy(fabric, x), hinge_energy(fabric, x)
+    return e1 + e2, g1 + g2
