@@ -101,6 +101,10 @@ class StepReport:
     """Wall time per part [s], e.g. {"forces": .., "contact": ..}, where it can be told apart."""
     counts: Mapping[str, int] = field(default_factory=dict)
     """E.g. skipped zero-length springs, contacts, iterations."""
+    energy: Mapping[str, float] = field(default_factory=dict)
+    """Energy at the end by kind [J]: kinetic, gravitational, springs, hinges."""
+    stretch: float = 0.0
+    """Largest |d| / rest - 1 over the springs at the end."""
 
 
 class Model(Protocol):
@@ -154,7 +158,7 @@ class Integrator(Protocol):
         """Advance `state` in place by `steps` steps of `dt` [s].
 
         `poses` are the frames' poses at the start and at the end of the interval, or None
-        where nothing moves and no body exists.
+        where nothing moves and no body exists. No steps at all only measure the state.
         """
         ...
 
