@@ -1,0 +1,69 @@
+"""How thick the parts of a body are, as fractions of its height.
+
+Measured on horizontal sections of a real body of 1.666 m with arms half raised (a CC0 mesh): the
+radius of the circle with the section's girth, girth/(2 pi), at the height given. Waist and pelvis
+are much wider than deep (at 0.52 of the height half widths are 0.104 and 0.071), so the pelvis is
+a capsule lying across, as thick as the body is deep, and a skirt still meets the right width.
+
+A profile lists (where along the part, 0 at its upper or inner end to 1; radius / height).
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+PELVIS_HALF_WIDTH = 0.106
+"""Half width of the hips, mean of the sections at 0.50 and 0.52."""
+
+PROFILES: dict[str, tuple[tuple[float, float], ...]] = {
+    "pelvis": ((0.0, 0.068), (1.0, 0.068)),  # half depth, mean of 0.50 to 0.56
+    "back": ((0.0, 0.0645), (0.35, 0.0655), (1.0, 0.0770)),  # 0.64; 0.67; 0.73 below the armpits
+    "neck": ((0.0, 0.0330), (1.0, 0.0306)),  # 0.85; 0.86
+    "head": ((0.0, 0.0520), (1.0, 0.0520)),  # mean of 0.90 to 0.96
+    "shoulder": ((0.0, 0.0400), (1.0, 0.0357)),  # upright sections beside the neck and at the arm
+    "arm": ((0.0, 0.0310), (1.0, 0.0240)),  # oblique sections, divided by the slant
+    "forearm": ((0.0, 0.0240), (1.0, 0.0160)),
+    "hand": ((0.0, 0.0180), (1.0, 0.0150)),
+    "thigh": ((0.0, 0.0540), (0.25, 0.0514), (0.5, 0.0466), (0.75, 0.0400), (1.0, 0.0335)),  # 0.465 to 0.29
+    "shin": ((0.0, 0.0332), (0.35, 0.0339), (0.6, 0.0270), (0.85, 0.0200), (1.0, 0.0209)),  # 0.285 to 0.05
+    "foot": ((0.0, 0.0230), (1.0, 0.0190)),
+    "toe": ((0.0, 0.0150), (1.0, 0.0120)),
+}
+
+PIECES = {"back": 2, "thigh": 3, "shin": 2}
+"""Capsules that a part is cut into (the skirt paper's numbers); one where it is not listed."""
+
+_PATTERNS = (
+    ("", r"thumb|finger|index|middle|ring|pinky"),
+    ("toe", r"toe"),
+    ("hand", r"hand|wrist"),
+    ("forearm", r"fore_?arm|lower_?arm|elbow"),
+    ("shoulder", r"shoulder|clavicle|collar"),
+    ("arm", r"arm"),
+    ("pelvis", r"hip_?joint|hips|pelvis|root|waist"),
+    ("thigh", r"up_?leg|upper_?leg|thigh|femur|hip"),
+    ("shin", r"leg|shin|calf|knee|tibia"),
+    ("foot", r"foot|ankle|heel"),
+    ("head", r"head|skull"),
+    ("neck", r"neck"),
+    ("back", r"back|spine|chest|torso|abdomen|thorax|trunk"),
+)
+
+
+def find_part(joint: str) -> str | None:
+    """The part of the body that the bone starting at `joint` belongs to, from the joint's name.
+
+    "" for fingers, which have no shape of their own; None for a name that says nothing.
+    """
+    for part, pattern in _PATTERNS:
+        if re.search(pattern, joint.lower()):
+            return part
+    return None
+
+
+def default_radius(part: str, where: float) -> float:
+    """Radius over body height at `where` in [0, 1] along a part."""
+    at, radius = zip(*PROFILES[part], strict=True)
+    return float(np.interp(where, at, radius))

@@ -1,0 +1,92 @@
+"""Meshes of primitives, so that bodies can be drawn from their Geometry alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry
+from nuno_schemas.fabric import Float, Int
+
+AROUND, RINGS = 24, 6
+"""Vertices round a capsule, and rings on each of its caps."""
+
+
+def _frame_along(direction: Float) -> Float:
+    """(3, 3) rotation whose second column is `direction` (any length, y where it is 0)."""
+    length = float(np.linalg.norm(direction))
+    y = direction / length if length > 0.0 else np.array([0.0, 1.0, 0.0])
+    helper = np.eye(3)[int(np.argmin(np.abs(y)))]
+    x = np.cross(helper, y)
+    x /= np.linalg.norm(x)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _grid_faces(rows: int, columns: int) -> Int:
+    """Triangles of a tube of `rows` rings, its columns closed, seen from outside."""
+    row, column = np.divmod(np.arange((rows - 1) * columns), columns)
+    a, b = row * columns + column, row * columns + (column + 1) % columns
+    c, d = a + columns, b + columns
+    return np.stack([a, c, b, b, c, d], axis=1).reshape(-1, 3).astype(np.int32)
+
+
+def capsule_mesh(a: Float, b: Float, radius: float) -> tuple[Float, Int]:
+    """A closed capsule (a sphere where a = b): rings from pole to pole, all vertices on it."""
+    latitude = np.concatenate([np.linspace(-0.5, 0.0, RINGS + 1), np.linspace(0.0, 0.5, RINGS + 1)])[1:-1] * np.pi
+    angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
+    ring = radius * np.cos(latitude)[:, None, None] * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=-1)
+    ring[:, :, 1] = radius * np.sin(latitude)[:, None]
+    centre = np.where((np.arange(latitude.size) <= RINGS - 1)[:, None], a, b)
+    turn = _frame_along(b - a)
+    body = (ring @ turn.T + centre[:, None]).reshape(-1, 3)
+    poles = np.stack([a - radius * turn[:, 1], b + radius * turn[:, 1]])
+    tube, n = _grid_faces(latitude.size, AROUND), body.shape[0]
+    here = np.arange(AROUND)
+    after, top = (here + 1) % AROUND, n - AROUND
+    south = np.stack([np.full(AROUND, n), here, after], axis=1)
+    north = np.stack([np.full(AROUND, n + 1), top + after, top + here], axis=1)
+    return np.concatenate([body, poles]), np.concatenate([tube, south, north]).astype(np.int32)
+
+
+def box_mesh(centre: Float, half: Float) -> tuple[Float, Int]:
+    """The eight corners and twelve triangles of a box."""
+    corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    faces = [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]  # fmt: skip
+    return centre + corner * half, np.array(faces, np.int32)
+
+
+def plane_mesh(point: Float, normal: Float, size: float) -> tuple[Float, Int]:
+    """A square patch of edge `size` [m] round a point of the plane, facing along its normal."""
+    turn = _frame_along(normal)
+    corner = 0.5 * size * np.array([[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
+    return point + corner @ turn.T, np.array([[0, 2, 1], [0, 3, 2]], np.int32)
+
+
+def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> tuple[Float, Int, Int]:
+    """Vertices (n, 3) [m] in their frames, faces (f, 3), and the frame of each vertex (n,).
+
+    Faces are counter-clockwise seen from outside. `inset` [m] draws bodies thinner by so much:
+    between its vertices cloth cuts through round bodies that its vertices rest on. Planes,
+    which have no end, are patches of `plane_size` [m]. In the world a vertex is
+    R(frame) vertex + translation(frame).
+    """
+    vertices, faces, frames = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)]
+    number = 0
+    for kind, frame, a, b, radius in zip(
+        geometry.kind, geometry.frame, geometry.a, geometry.b, geometry.radius, strict=True
+    ):
+        if kind == CAPSULE:
+            points, triangles = capsule_mesh(a, b, max(float(radius) - inset, 0.1 * float(radius)))
+        elif kind == BOX:
+            points, triangles = box_mesh(a, np.maximum(b - inset, 0.1 * b))
+        elif kind == PLANE:
+            points, triangles = plane_mesh(a - inset * b, b, plane_size)
+        else:
+            raise ValueError(f"unknown primitive kind {int(kind)}")
+        vertices.append(points)
+        faces.append(triangles + np.int32(number))
+        frames.append(np.full(points.shape[0], frame, np.int32))
+        number += points.shape[0]
+    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(frames)
