@@ -1,0 +1,207 @@
+"""Any triangle mesh as a garment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field
+
+from nuno_cloth.material import FabricChoice, HandSet, resolve
+from nuno_cloth.placement import Direction, Point, Rotation, Velocity, find_texture, vertices
+from nuno_cloth.presets import Material
+from nuno_cloth.quantities import Length
+from nuno_cloth.triangles import Edges, face_areas, find_edges, hinge_stiffness, spring_stiffness, yarn_axes
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.plugin import Config, Files
+
+STRUCTURAL, BENDING = 0, 2
+
+
+class Box(Config):
+    """Vertices inside it are pinned; corners in the world [m]."""
+
+    low: Point
+    high: Point
+
+
+class MeshConfig(Config):
+    """file: OBJ, PLY or STL; scale: metres per unit of the file; then rotate about the file's
+    origin and move by `centre`. warp: direction of the warp yarns in the file's axes, laid onto
+    each triangle. merge: join vertices at the same place (OBJ files with texture seams need it;
+    STL has no shared vertices and is always merged). pin: vertex numbers or boxes.
+    """
+
+    file: str
+    scale: Annotated[Length, Field(le=1e6)] = 1.0
+    rotate: Rotation | None = None
+    centre: Point = (0.0, 0.0, 0.0)
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    warp: Direction = (0.0, 1.0, 0.0)
+    merge: bool = False
+    pin: tuple[int | Box, ...] = ()
+    fabric: FabricChoice = "denim"
+    texture: str | None = None
+
+
+class Mesh:
+    """Springs on the edges; bends by hinges, or by the wrinkle paper's springs between the two
+    vertices opposite each inner edge where the fabric is set by hand with `bending`."""
+
+    name: ClassVar[str] = "mesh"
+    Config: ClassVar[type[BaseModel]] = MeshConfig
+
+    def count(self, config: MeshConfig, files: Files) -> int:
+        return len(load_mesh(files.resolve(config.file), config.merge)[0])
+
+    def build(self, config: MeshConfig, files: Files, seed: int) -> Fabric:
+        """Raises BadInput for a mesh that is empty, degenerate, not manifold, not oriented."""
+        path = files.resolve(config.file)
+        points, faces, uv = load_mesh(path, config.merge)
+        edges = find_edges(faces)
+        check_mesh(path, points, faces, edges)
+        turn = np.eye(3) if config.rotate is None else config.rotate.matrix()
+        x = np.ascontiguousarray(points @ turn.T * config.scale + np.asarray(config.centre))
+        area = face_areas(x, faces)
+        material = resolve(config.fabric)
+        share = np.repeat(area, 3) * material.density / 3
+        mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
+        springs, hinges = build_elements(material, x, faces, edges, mass, turn @ np.asarray(config.warp))
+        return Fabric(
+            name=self.name,
+            position=x,
+            velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
+            mass=mass,
+            pinned=pin_mesh(config.pin, x),
+            faces=faces,
+            springs=springs,
+            hinges=hinges,
+            uv=uv,
+            texture=find_texture(config.texture, files),
+        )
+
+
+def build_elements(
+    material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float
+) -> tuple[Springs, Hinges | None]:
+    """Springs on edges, and hinges or bending springs across the inner ones."""
+    pairs = edges.pairs
+    rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
+    flat = np.zeros(len(edges.inner))
+    if isinstance(material, Material):
+        axes = yarn_axes(x, faces, warp)
+        k = spring_stiffness(material, x, faces, edges, *axes)
+        reduced = mass[pairs[:, 0]] * mass[pairs[:, 1]] / (mass[pairs[:, 0]] + mass[pairs[:, 1]])
+        springs = Springs.from_pairs(pairs, k, rest, 2 * material.damping_ratio * np.sqrt(k * reduced), STRUCTURAL)
+        bending = hinge_stiffness(material, x, edges, face_areas(x, faces), *axes)
+        return springs, _hinges(edges, bending, flat)
+    k, c = np.full(len(pairs), material.structural[0]), np.full(len(pairs), material.damping)
+    springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)
+    if material.bending[0] > 0:
+        ends = np.ascontiguousarray(edges.quads[:, 2:])
+        span = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+        across = Springs.from_pairs(ends, flat + material.bending[0], span, flat + material.damping, BENDING)
+        springs = Springs.join([springs, across])
+    return springs, _hinges(edges, flat + material.hinge, flat)
+
+
+def _hinges(edges: Edges, k: Float, rest: Float) -> Hinges | None:
+    if not k.any():
+        return None
+    one = np.ones(len(k), np.int32)
+    return Hinges(edges.quads, one, one, k, rest)
+
+
+def load_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] | None]:
+    """Vertices (n, 3), faces (f, 3) and texture coordinates (n, 2) or None of a file."""
+    import trimesh
+
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("obj", "ply", "stl"):
+        raise BadInput("unknown kind of mesh", field="file", value=path.name, limit=".obj, .ply or .stl")
+    try:
+        with path.open("rb") as stream:
+            mesh: Any = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
+    except Exception as error:
+        raise BadInput(f"cannot be read as {kind.upper()}: {error}", file=str(path), field="file") from None
+    points = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64).reshape(-1, 3)
+    faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
+    if len(faces) == 0:
+        raise BadInput("the mesh has no triangles", file=str(path), field="file")
+    uv = getattr(getattr(mesh, "visual", None), "uv", None)
+    uv = None if uv is None or len(uv) != len(points) else np.ascontiguousarray(uv, np.float32)
+    if merge or kind == "stl":
+        _, kept, joined = np.unique(points, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(np.argsort(kept))
+        faces, kept = order[joined.reshape(-1)][faces], np.sort(kept)
+        points, uv = points[kept], None if uv is None else uv[kept]
+    return np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int32), uv
+
+
+def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
+    """Raises BadInput that names the first bad vertex, face or edge; nothing is mended in silence."""
+
+    def refuse(problem: str, field: str, value: object, remedy: str | None = None) -> None:
+        raise BadInput(problem, file=str(path), field=field, value=value, remedy=remedy)
+
+    bad = np.argwhere(~np.isfinite(x))
+    if bad.size:
+        refuse("not a finite position", f"vertex {bad[0, 0]}", x[bad[0, 0]].tolist())
+    _, first, count = np.unique(x, axis=0, return_index=True, return_counts=True)
+    if (count > 1).any():
+        index = int(first[count > 1].min())
+        refuse(
+            f"{int((count > 1).sum())} places hold several vertices",
+            f"vertex {index}",
+            x[index].tolist(),
+            "merge: true",
+        )
+    unused = np.setdiff1d(np.arange(len(x)), faces)
+    if unused.size:
+        refuse(
+            f"{unused.size} vertices belong to no triangle and would weigh nothing",
+            f"vertex {unused[0]}",
+            None,
+            "remove them",
+        )
+    area = face_areas(x, faces)
+    longest = np.square(x[faces] - x[np.roll(faces, 1, axis=1)]).sum(-1).max(1)
+    flat = np.flatnonzero(area <= 1e-9 * longest)
+    if flat.size:
+        refuse(
+            f"{flat.size} triangles without area",
+            f"face {flat[0]}",
+            faces[flat[0]].tolist(),
+            "remove them in a mesh editor",
+        )
+    crowded = np.flatnonzero(edges.count > 2)
+    if crowded.size:
+        refuse("an edge with more than two triangles", "edge", edges.pairs[crowded[0]].tolist(), "split the mesh there")
+    twisted = np.flatnonzero(edges.count == 2)
+    twisted = twisted[~np.isin(twisted, edges.inner)]
+    if twisted.size:
+        refuse(
+            "neighbouring triangles face opposite ways",
+            "edge",
+            edges.pairs[twisted[0]].tolist(),
+            "make the normals consistent",
+        )
+
+
+def pin_mesh(pins: tuple[int | Box, ...], x: Float) -> Bool:
+    """(n,) bool; x (n, 3) in the world."""
+    pinned = np.zeros(len(x), np.bool_)
+    for index, pin in enumerate(pins):
+        if isinstance(pin, int):
+            vertices((pin,), len(x), pinned)
+            continue
+        inside = ((x >= np.asarray(pin.low)) & (x <= np.asarray(pin.high))).all(axis=1)
+        if not inside.any():
+            raise BadInput(
+                "the box holds no vertex", field=f"pin[{index}]", remedy="corners are in the world, low before high"
+            )
+        pinned |= inside
+    return pinned
