@@ -1,0 +1,53 @@
+"""Leapfrog, or velocity Verlet: x += v dt + a dt^2/2; v += (a_old + a_new) dt/2. Order 2.
+
+The second acceleration is a(x_new, v + a_old dt): the predicted velocity keeps the order where a
+force depends on velocity. Where none does, a_new serves as the next step's a_old unchanged.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from nuno_integrators.explicit import Explicit
+from nuno_kernels import kernel
+from nuno_kernels.acceleration import add, commit, evaluate
+from nuno_schemas.fabric import Float
+
+
+@kernel
+def advance_leapfrog(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+    """`steps` steps of x, v (3, n); stages (3, 3, n)."""
+    a, b, u = stages[0], stages[1], stages[2]
+    for step in range(steps):
+        if step == 0 or p.velocity_matters:
+            evaluate(x, v, step / steps, a, p, extra)
+        add(x, x, dt, v, p.threads)
+        add(x, x, 0.5 * dt * dt, a, p.threads)
+        add(u, v, dt, a, p.threads)
+        evaluate(x, u, (step + 1) / steps, b, p, extra)
+        add(v, v, 0.5 * dt, a, p.threads)
+        add(v, v, 0.5 * dt, b, p.threads)
+        commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.threads)
+        a, b = b, a
+
+
+class Leapfrog(Explicit):
+    """Stable for omega dt < 2 undamped."""
+
+    name: ClassVar[str] = "leapfrog"
+    order: ClassVar[int] = 2
+    buffers: ClassVar[int] = 3
+    loop: ClassVar[Any] = advance_leapfrog
+
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v).
+
+        With a = (-omega^2, -damping) as a row on (x, v), so that every line below is a row.
+        """
+        x, v = np.eye(2)
+        a = -omega * omega * x - damping * v
+        moved = x + dt * v + 0.5 * dt * dt * a
+        after = -omega * omega * moved - damping * (v + dt * a)
+        return np.stack([moved, v + 0.5 * dt * (a + after)])

@@ -1,0 +1,76 @@
+"""Compiled functions that plugins share: springs, hinges, contact, the acceleration.
+
+Kernels see one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when
+only a callee in another module changes, so its folder carries a hash of all kernel sources,
+the compile flags and the versions; it is set here, before any function is decorated.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import llvmlite
+import numba
+import numpy as np
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+"""No fastmath: NaN must stay visible, and sums must not be reordered."""
+
+
+def _cache_folder() -> Path:
+    here = Path(__file__).parent
+    digest = hashlib.sha256(
+        repr(
+            (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3], sorted(FLAGS.items()))
+        ).encode()
+    )
+    for folder in (here, here.parent / "nuno_integrators"):
+        for source in sorted(folder.glob("*.py")):
+            digest.update(source.name.encode() + b"\0" + source.read_bytes())
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return root / "nuno" / "kernels" / digest.hexdigest()[:16]
+
+
+CACHE = _cache_folder()
+_COLD = not any(CACHE.glob("**/*.nbi")) if CACHE.is_dir() else True
+numba.config.CACHE_DIR = str(CACHE)
+
+
+def cache_is_cold() -> bool:
+    """Whether this version's kernels had never been compiled here when this process started."""
+    return _COLD
+
+
+def kernel(function: F) -> F:
+    """Compile `function` with the flags that all kernels share."""
+    return cast(F, numba.njit(**FLAGS)(function))
+
+
+def parallel_kernel(function: F) -> F:
+    """Compile `function` so that its `prange` loops run on several threads."""
+    return cast(F, numba.njit(parallel=True, **FLAGS)(function))
+
+
+@functools.cache
+def threads_available() -> tuple[int, str]:
+    """How many threads a kernel may use, and a word about it.
+
+    Only OpenMP and TBB will do: numba's own workqueue aborts the process when two threads of a
+    program run parallel kernels at once.
+    """
+    for layer, module in (("omp", "omppool"), ("tbb", "tbbpool")):
+        try:
+            __import__(f"numba.np.ufunc.{module}")
+        except ImportError:
+            continue
+        numba.config.THREADING_LAYER = layer
+        return int(numba.config.NUMBA_NUM_THREADS), f"threading layer {layer}"
+    return 1, "one thread: neither OpenMP nor TBB is available to numba"

@@ -1,0 +1,199 @@
+"""The whole acceleration a(x, v, t), compiled for just the terms that a scene has.
+
+A term passed as None is pruned when numba compiles. `accelerate` is called by every integrator's
+compiled loop; `evaluate` is the same in compiled code and in plain Python, where it also calls a
+force written in Python.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import prange
+from numba.extending import register_jitable
+
+from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.bindings import Bindings, place_bound
+from nuno_kernels.blocks import BLOCK, PADDING
+from nuno_kernels.contact import (
+    Contact,
+    add_contact,
+    add_contact_parallel,
+    commit_contact,
+    commit_contact_parallel,
+)
+from nuno_kernels.hinges import HingeLists, add_hinges
+from nuno_kernels.springs import SpringLists, SpringRuns, add_lists, add_runs
+from nuno_kernels.wind import ParticleWind, Wind, gather_wind, measure_wind
+from nuno_schemas.fabric import Float
+
+
+class Packed(NamedTuple):
+    """A system in the layout of the kernels; absent terms are None.
+
+    inverse_mass  (n,) [1/kg], 0 for pinned vertices
+    gravity       (3,) [m/s^2]
+    damping       [1/s], a -= damping v
+    threads       None: compiled for one thread; else how many run
+    velocity_matters  whether any force reads the velocity
+    frozen_damping    [1/s] of a method that takes it at the step's start (rk4_printed)
+    """
+
+    inverse_mass: Float
+    gravity: Float
+    damping: float
+    runs: SpringRuns | None = None
+    lists: SpringLists | None = None
+    hinges: HingeLists | None = None
+    bindings: Bindings | None = None
+    contact: Contact | None = None
+    wind: Wind | None = None
+    particle_wind: ParticleWind | None = None
+    threads: int | None = None
+    velocity_matters: bool = True
+    frozen_damping: float = 0.0
+
+
+@kernel
+def force_block(block: int, x: Any, v: Any, a: Any, runs: Any, lists: Any, hinges: Any, particle_wind: Any) -> None:
+    """Forces [N] on a block's vertices, summed in the core's cache and written to a (3, n)."""
+    origin = block * BLOCK
+    width = min(BLOCK, x.shape[1] - origin)
+    force = np.zeros((3, width + PADDING))
+    if particle_wind is not None:
+        for row in range(3):
+            force[row, :] = particle_wind.force[row]
+    if runs is not None:
+        add_runs(block, origin, x, v, force, runs.start, runs.task, runs.constants, runs.each, runs.damped)
+    if lists is not None:
+        add_lists(block, x, v, force, lists.start, lists.ends, lists.constants, lists.damped)
+    if hinges is not None:
+        add_hinges(block, x, force, hinges.start, hinges.corners, hinges.constants)
+    for row in range(3):
+        for q in range(width):
+            a[row, origin + q] = force[row, q]
+
+
+@kernel
+def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
+    """Turn a block's forces into accelerations, in place; pinned vertices get none."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, a.shape[1])
+    for row in range(3):
+        g = gravity[row]
+        for p in range(low, high):
+            w = inverse_mass[p]
+            own = g - damping * v[row, p]
+            a[row, p] = w * a[row, p] + (own if w > 0.0 else 0.0)
+
+
+@kernel
+def add_block(block: int, out: Any, y: Any, h: float, k: Any) -> None:
+    """out = y + h k on a block's vertices."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, out.shape[1])
+    for row in range(3):
+        for p in range(low, high):
+            out[row, p] = y[row, p] + h * k[row, p]
+
+
+def _force(x: Any, v: Any, a: Any, runs: Any, lists: Any, hinges: Any, particle_wind: Any) -> None:
+    """Forces [N] of all terms that go by blocks into a (3, n)."""
+    for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
+        force_block(block, x, v, a, runs, lists, hinges, particle_wind)
+
+
+def _finish(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
+    """Forces in a (3, n) become accelerations [m/s^2]."""
+    for block in prange((a.shape[1] + BLOCK - 1) // BLOCK):
+        finish_block(block, v, a, inverse_mass, gravity, damping)
+
+
+def _add(out: Any, y: Any, h: float, k: Any) -> None:
+    """out = y + h k, all (3, n)."""
+    for block in prange((out.shape[1] + BLOCK - 1) // BLOCK):
+        add_block(block, out, y, h, k)
+
+
+def _wind(x: Any, v: Any, a: Any, wind: Any) -> None:
+    """Add the wind's force [N] to a (3, n); chunks of faces, then of vertices."""
+    faces, vertices = wind.faces.shape[1], x.shape[1]
+    for chunk in prange((faces + BLOCK - 1) // BLOCK):
+        measure_wind(x, v, wind, chunk * BLOCK, min((chunk + 1) * BLOCK, faces))
+    for chunk in prange((vertices + BLOCK - 1) // BLOCK):
+        gather_wind(wind, a, chunk * BLOCK, min((chunk + 1) * BLOCK, vertices))
+
+
+def _renamed(function: Any, name: str) -> Any:
+    """A copy of a function under a name of its own: numba's cache tells functions apart by it."""
+    copy = type(function)(function.__code__, function.__globals__, name)
+    copy.__qualname__ = name
+    return copy
+
+
+force_serial, force_parallel = kernel(_force), parallel_kernel(_renamed(_force, "force_parallel"))
+finish_serial, finish_parallel = kernel(_finish), parallel_kernel(_renamed(_finish, "finish_parallel"))
+add_serial, add_parallel = kernel(_add), parallel_kernel(_renamed(_add, "add_parallel"))
+wind_serial, wind_parallel = kernel(_wind), parallel_kernel(_renamed(_wind, "wind_parallel"))
+
+
+@kernel
+def finish(v: Any, a: Any, p: Any, threads: Any) -> None:
+    """Forces in a (3, n) become accelerations [m/s^2]."""
+    if threads is None:
+        finish_serial(v, a, p.inverse_mass, p.gravity, p.damping)
+    else:
+        finish_parallel(v, a, p.inverse_mass, p.gravity, p.damping)
+
+
+@kernel
+def add(out: Any, y: Any, h: float, k: Any, threads: Any) -> None:
+    """out = y + h k, all (3, n)."""
+    if threads is None:
+        add_serial(out, y, h, k)
+    else:
+        add_parallel(out, y, h, k)
+
+
+@kernel
+def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact: Any, wind: Any, threads: Any) -> None:
+    """Forces [N] at fraction s of the frame into a (3, n); puts bound vertices in their place."""
+    if bindings is not None:
+        place_bound(x, v, s, bindings)
+    if threads is None:
+        force_serial(x, v, a, p.runs, p.lists, p.hinges, p.particle_wind)
+    else:
+        force_parallel(x, v, a, p.runs, p.lists, p.hinges, p.particle_wind)
+    if wind is not None:
+        if threads is None:
+            wind_serial(x, v, a, wind)
+        else:
+            wind_parallel(x, v, a, wind)
+    if contact is not None:
+        if threads is None:
+            add_contact(x, v, s, contact, a)
+        else:
+            add_contact_parallel(x, v, s, contact, a)
+
+
+@register_jitable
+def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
+    """a (3, n) = acceleration [m/s^2] at x, v (3, n) and fraction s of the frame.
+
+    `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
+    """
+    add_forces(x, v, s, a, p, p.bindings, p.contact, p.wind, p.threads)
+    if extra is not None:
+        extra(x, v, s, a)
+    finish(v, a, p, p.threads)
+
+
+@kernel
+def commit(x: Any, v: Any, s: float, bindings: Any, contact: Any, threads: Any) -> None:
+    """After a whole step that ends at fraction s: place bound vertices, update friction anchors."""
+    if bindings is not None:
+        place_bound(x, v, s, bindings)
+    if contact is not None:
+        if threads is None:
+            commit_contact(x, v, s, contact)
+        else:
+            commit_contact_parallel(x, v, s, contact)

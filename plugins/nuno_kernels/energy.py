@@ -1,0 +1,130 @@
+"""Energy and stretch of a fabric, measured once a frame."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from nuno_kernels import kernel
+from nuno_kernels.acceleration import Packed
+from nuno_kernels.blocks import BLOCK
+from nuno_kernels.hinges import FLAT, cross, dot
+from nuno_schemas.fabric import Float
+
+
+class Energy(NamedTuple):
+    """Energies [J] and the shape of the springs.
+
+    stretch is the largest |d| / L - 1 (0 without springs; springs of rest length 0 do not count),
+    shortest the smallest |d| > 0 [m] (inf without), zero_length the springs with |d| = 0, which
+    exert no force.
+    """
+
+    kinetic: float
+    gravitational: float
+    springs: float
+    hinges: float
+    stretch: float
+    shortest: float
+    zero_length: int
+
+    @property
+    def total(self) -> float:
+        return self.kinetic + self.gravitational + self.springs + self.hinges
+
+
+@kernel
+def measure_spring(x: Any, i: int, j: int, k: float, rest: float, stretch: float, shortest: float) -> Any:
+    """Energy of one spring, and the running stretch, shortest length and zero-length mark."""
+    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if rest > 0.0:
+        stretch = max(stretch, length / rest - 1.0)
+    if length > 0.0:
+        shortest = min(shortest, length)
+    return 0.5 * k * (length - rest) ** 2, stretch, shortest, 1 if length == 0.0 else 0
+
+
+@kernel
+def measure_springs(x: Any, runs: Any, lists: Any) -> Any:
+    """Spring energy, stretch, shortest length and number of zero-length springs.
+
+    A spring that two blocks compute counts where its i end is at home.
+    """
+    energy, stretch, shortest, zeros = 0.0, -1.0, math.inf, 0
+    if runs is not None:
+        task, constants = runs.task, runs.constants
+        for t in range(task.shape[0]):
+            i, j, at = task[t, 0], task[t, 1], task[t, 3]
+            if task[t, 4] & 1 == 0:
+                continue
+            for q in range(task[t, 2]):
+                c = at if runs.each is None else at + q
+                e, stretch, shortest, zero = measure_spring(
+                    x, i + q, j + q, constants[0, c], constants[1, c], stretch, shortest
+                )
+                energy += e
+                zeros += zero
+    if lists is not None:
+        start, ends, constants = lists.start, lists.ends, lists.constants
+        for block in range(start.shape[0] - 1):
+            width = min(BLOCK, x.shape[1] - block * BLOCK)
+            for c in range(start[block], start[block + 1]):
+                if ends[2, c] < width:
+                    e, stretch, shortest, zero = measure_spring(
+                        x, ends[0, c], ends[1, c], constants[0, c], constants[1, c], stretch, shortest
+                    )
+                    energy += e
+                    zeros += zero
+    return energy, stretch if stretch > -1.0 else 0.0, shortest, zeros
+
+
+@kernel
+def edge(x: Any, i: int, j: int) -> Any:
+    """x_j - x_i."""
+    return x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+
+
+@kernel
+def measure_hinges(x: Any, hinges: Any) -> float:
+    """Energy of all hinges, each counted where its first vertex is at home.
+
+    1 - cos(d) is taken as sin(d)^2 / (1 + cos(d)), which keeps its digits where d is small.
+    """
+    energy = 0.0
+    if hinges is not None:
+        start, corners = hinges.start, hinges.corners
+        for block in range(start.shape[0] - 1):
+            width = min(BLOCK, x.shape[1] - block * BLOCK)
+            for c in range(start[block], start[block + 1]):
+                if corners[4, c] >= width:
+                    continue
+                e = edge(x, corners[0, c], corners[1, c])
+                d2, d3 = edge(x, corners[0, c], corners[2, c]), edge(x, corners[0, c], corners[3, c])
+                n1, n2 = cross(e, d2), cross(d3, e)
+                q1, q2, ee = dot(n1, n1), dot(n2, n2), dot(e, e)
+                if q1 <= FLAT * ee * dot(d2, d2) or q2 <= FLAT * ee * dot(d3, d3):
+                    continue
+                inverse = 1.0 / math.sqrt(q1 * q2)
+                sine, cosine = dot(n1, d3) * math.sqrt(ee) * inverse, dot(n1, n2) * inverse
+                kc, ks = hinges.constants[0, c], hinges.constants[1, c]
+                k = math.sqrt(kc * kc + ks * ks)
+                s, d = kc * sine - ks * cosine, kc * cosine + ks * sine
+                energy += s * s / (k + d) if d > 0.0 else k - d
+    return energy
+
+
+@kernel
+def measure(x: Any, v: Any, mass: Any, gravity: Any, runs: Any, lists: Any, hinges: Any) -> Any:
+    """All fields of Energy, for x, v (3, n) and masses (n,) [kg]."""
+    kinetic, potential = 0.0, 0.0
+    for p in range(x.shape[1]):
+        kinetic += 0.5 * mass[p] * (v[0, p] * v[0, p] + v[1, p] * v[1, p] + v[2, p] * v[2, p])
+        potential -= mass[p] * (gravity[0] * x[0, p] + gravity[1] * x[1, p] + gravity[2] * x[2, p])
+    energy, stretch, shortest, zeros = measure_springs(x, runs, lists)
+    return kinetic, potential, energy, measure_hinges(x, hinges), stretch, shortest, zeros
+
+
+def measure_energy(x: Float, v: Float, mass: Float, packed: Packed) -> Energy:
+    """Energy and stretch of a packed system at x, v (3, n) with masses (n,) [kg]."""
+    return Energy(*measure(x, v, mass, packed.gravity, packed.runs, packed.lists, packed.hinges))

@@ -1,0 +1,121 @@
+"""From a System to the layout of the kernels, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels import threads_available
+from nuno_kernels.acceleration import Packed
+from nuno_kernels.bindings import Bindings, make_bindings
+from nuno_kernels.hinges import pack_hinges
+from nuno_kernels.springs import pack_springs
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import System
+
+PARALLEL_FROM = 8192
+"""Fewest vertices for which several threads were measured to be faster than one."""
+
+FUSED = ("contact", "wind", "particle_wind")
+
+Extra = Callable[[Float, Float, float, Float], None]
+
+
+def to_rows(array: Float, out: Float | None = None) -> Float:
+    """(n, 3) -> C-contiguous (3, n)."""
+    if out is None:
+        return np.ascontiguousarray(array.T, np.float64)
+    out[...] = array.T
+    return out
+
+
+def thread_count(system: System) -> int:
+    """Threads that this system's kernels run on."""
+    if system.fabric.number < PARALLEL_FROM:
+        return 1
+    return max(1, min(system.threads, threads_available()[0]))
+
+
+def pack(system: System) -> Packed:
+    """Kernel layout of a system. Terms of kind "python" are left to `python_terms`."""
+    fabric = system.fabric
+    runs, lists = pack_springs(fabric.springs, fabric.number)
+    free = ~fabric.pinned
+    threads = thread_count(system)
+    packed = Packed(
+        inverse_mass=np.divide(1.0, fabric.mass, out=np.zeros(fabric.number), where=free),
+        gravity=np.array(system.gravity, np.float64),
+        damping=float(system.damping),
+        runs=runs,
+        lists=lists,
+        hinges=pack_hinges(fabric.hinges, fabric.number),
+        bindings=_find_bindings(system),
+        threads=threads if threads > 1 else None,
+        **_find_fused(system),
+    )
+    python = any(term.kind == "python" for term in system.terms)
+    return packed._replace(velocity_matters=python or reads_velocity(packed))
+
+
+def reads_velocity(packed: Packed) -> bool:
+    """Whether any of the compiled forces depends on the velocity."""
+    damped = any(part is not None and part.damped is not None for part in (packed.runs, packed.lists))
+    return damped or packed.damping != 0.0 or packed.contact is not None or packed.wind is not None
+
+
+def _find_bindings(system: System) -> Bindings | None:
+    """All bound vertices: data of a "bindings" term is (vertices, local, frame)."""
+    parts = [term.data for term in system.terms if term.kind == "bindings"]
+    if not parts:
+        return None
+    vertices, local, frame = (np.concatenate([np.asarray(part[c]) for part in parts]) for c in range(3))  # type: ignore[index]
+    return make_bindings(vertices, local, frame) if vertices.size else None
+
+
+def _find_fused(system: System) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for term in system.terms:
+        if term.kind in FUSED:
+            if term.kind in found:
+                raise BadInput(
+                    f"two forces of kind {term.kind!r}",
+                    field="forces",
+                    limit="one of each kind",
+                    remedy="leave one out",
+                )
+            found[term.kind] = _own_copy(term.data)
+        elif term.kind not in ("bindings", "python"):
+            raise BadInput(
+                f"no kernel for a force of kind {term.kind!r}",
+                field="forces",
+                limit=f"one of {', '.join((*FUSED, 'bindings', 'python'))}",
+                remedy='use kind "python" with a function f(x, v, t, out)',
+            )
+    return found
+
+
+def _own_copy(data: Any) -> Any:
+    """A term's tuple with arrays of its own: anchors and scratch belong to one solver's memory."""
+    return type(data)(*(value.copy() if isinstance(value, np.ndarray) else value for value in data))
+
+
+def python_terms(system: System, start: float, end: float) -> Extra | None:
+    """One function that adds all forces written in Python to rows, or None where there are none.
+
+    They are called with x, v (n, 3), the time [s] and `out` (n, 3), to which they add newtons.
+    """
+    calls: list[Any] = [term.data for term in system.terms if term.kind == "python"]
+    if not calls:
+        return None
+
+    def extra(x: Float, v: Float, s: float, a: Float) -> None:
+        out = np.zeros((x.shape[1], 3))
+        position, velocity = np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)
+        for call in calls:
+            call(position, velocity, start + s * (end - start), out)
+        a += out.T
+
+    return extra

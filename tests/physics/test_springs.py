@@ -1,0 +1,223 @@
+"""Spring forces: the formula, its energy, its symmetries, and equal results in every layout."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from nets import (
+    accelerations,
+    grid_springs,
+    make_fabric,
+    make_system,
+    random_net,
+    reference_forces,
+    run,
+    start,
+)
+
+from nuno_integrators.symplectic_euler import SymplecticEuler
+from nuno_kernels.blocks import BLOCK
+from nuno_kernels.energy import measure_energy
+from nuno_kernels.packing import pack, to_rows
+from nuno_schemas.fabric import Fabric, Float, Springs, State
+
+
+def shaken(position: Float, size: float, seed: int = 1) -> tuple[Float, Float]:
+    rng = np.random.default_rng(seed)
+    return position + size * rng.standard_normal(position.shape), rng.standard_normal(position.shape)
+
+
+def as_pairs(springs: Springs, seed: int, spread: float = 0.0) -> Springs:
+    """The same springs as a plain list in random order and with random direction."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(springs.number)
+    pairs = springs.pairs()[order]
+    flip = rng.random(order.size) < 0.5
+    pairs[flip] = pairs[flip][:, ::-1]
+    k = springs.per_spring(springs.k)[order] * (1.0 + spread * rng.random(order.size))
+    return Springs.from_pairs(pairs, k, springs.per_spring(springs.rest)[order], springs.per_spring(springs.c)[order])
+
+
+@pytest.mark.parametrize("c", [0.0, 0.05])
+@pytest.mark.parametrize("shape", [(5, 7), (9, 40), (3, 300), (70, 90)])
+def test_runs_follow_the_formula(shape: tuple[int, int], c: float) -> None:
+    position, springs = grid_springs(*shape, 0.01, c=c)
+    x, v = shaken(position, 2e-3)
+    expected = reference_forces(x, v, springs) / 1e-3
+    a = accelerations(make_system(make_fabric(position, springs)), x, v)
+    assert np.abs(a - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("c", [0.0, 0.05])
+@pytest.mark.parametrize("spread", [0.0, 0.3])
+def test_any_net_follows_the_formula(c: float, spread: float) -> None:
+    position, springs = grid_springs(60, 90, 0.01, c=c)
+    assert position.shape[0] > BLOCK
+    listed = as_pairs(springs, 3, spread)
+    x, v = shaken(position, 2e-3)
+    expected = reference_forces(x, v, listed) / 1e-3
+    system = make_system(make_fabric(position, listed))
+    packed = pack(system)
+    assert packed.runs is not None and (packed.runs.each is not None) == (spread > 0.0)
+    assert np.abs(accelerations(system, x, v) - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("c", [0.0, 0.05])
+def test_irregular_net_follows_the_formula(c: float) -> None:
+    position, springs = random_net(150, 3000, 5, c)
+    x, v = shaken(position, 1e-2)
+    expected = reference_forces(x, v, springs) / 1e-3
+    a = accelerations(make_system(make_fabric(position, springs)), x, v)
+    assert np.abs(a - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_net_across_many_blocks_follows_the_formula() -> None:
+    rng = np.random.default_rng(7)
+    n = 2 * BLOCK + 100
+    position = rng.uniform(0.0, 1.0, (n, 3))
+    pairs = np.stack([rng.integers(0, n // 2, 4000), rng.integers(n // 2, n, 4000)], axis=1).astype(np.int32)
+    one = np.ones(4000)
+    springs = Springs.from_pairs(pairs, one, 0.3 * one, 0.1 * one)
+    v = rng.standard_normal((n, 3))
+    expected = reference_forces(position, v, springs)
+    a = accelerations(make_system(make_fabric(position, springs, mass=1.0)), position, v)
+    assert np.abs(a - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_runs_with_other_strides_and_wrapping_rows() -> None:
+    """A tube's closing springs: one per row, from the last column to the first."""
+    rows, columns = 20, 24
+    position, springs = grid_springs(rows, columns, 0.01)
+    seam = Springs(
+        np.array([[columns - 1, 0]], np.int32), np.array([rows], np.int32), np.array([columns], np.int32),
+        np.array([50.0]), np.array([0.01]), np.array([0.02]), np.zeros(1, np.int8),
+    )  # fmt: skip
+    both = Springs.join([springs, seam])
+    x, v = shaken(position, 1e-3)
+    expected = reference_forces(x, v, both) / 1e-3
+    a = accelerations(make_system(make_fabric(position, both)), x, v)
+    assert np.abs(a - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_force_is_minus_the_gradient_of_energy() -> None:
+    position, springs = random_net(12, 40, 2)
+    system = make_system(make_fabric(position, springs, mass=0.5), gravity=np.array([0.3, -9.81, 1.0]))
+    packed, mass = pack(system), system.fabric.mass
+    force = accelerations(system, position, 0 * position) * mass[:, None]
+
+    def energy(x: Float) -> float:
+        return measure_energy(to_rows(x), to_rows(0 * x), mass, packed).total
+
+    h = 1e-5
+    for vertex in range(12):
+        for axis in range(3):
+            ahead, behind = position.copy(), position.copy()
+            ahead[vertex, axis] += h
+            behind[vertex, axis] -= h
+            slope = (energy(ahead) - energy(behind)) / (2 * h)
+            assert abs(force[vertex, axis] + slope) < 1e-7 * np.abs(force).max()
+
+
+def test_forces_keep_momentum_and_angular_momentum() -> None:
+    position, springs = random_net(200, 2500, 4, c=0.2)
+    x, v = shaken(position, 0.02)
+    force = accelerations(make_system(make_fabric(position, springs, mass=1.0)), x, v)
+    scale = np.abs(force).sum()
+    assert np.abs(force.sum(axis=0)).max() < 1e-14 * scale
+    assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-14 * scale
+
+
+def test_forces_turn_with_the_net() -> None:
+    position, springs = random_net(50, 400, 6, c=0.2)
+    x, v = shaken(position, 0.02)
+    q, _ = np.linalg.qr(np.random.default_rng(8).standard_normal((3, 3)))
+    system = make_system(make_fabric(position, springs, mass=1.0))
+    there, here = accelerations(system, x @ q.T, v @ q.T), accelerations(system, x, v) @ q.T
+    assert np.abs(there - here).max() < 1e-12 * np.abs(here).max()
+
+
+def test_rigid_motion_is_not_damped() -> None:
+    """Damping along the spring sees only the rate of its length."""
+    position, springs = random_net(50, 400, 6, c=5.0)
+    exact = Springs.from_pairs(
+        springs.pairs(),
+        springs.k,
+        np.linalg.norm(np.diff(position[springs.pairs()], axis=1)[:, 0], axis=1),
+        springs.c,
+    )
+    spin = np.array([1.0, -2.0, 0.5])
+    v = np.cross(spin, position) + np.array([3.0, 2.0, 1.0])
+    a = accelerations(make_system(make_fabric(position, exact, mass=1.0)), position, v)
+    assert np.abs(a).max() < 1e-12
+
+
+def test_rest_without_gravity_is_exactly_no_motion() -> None:
+    position, springs = random_net(40, 300, 9)
+    rest = np.sqrt(((position[springs.pairs()[:, 1]] - position[springs.pairs()[:, 0]]) ** 2).sum(axis=1))
+    system = make_system(make_fabric(position, Springs.from_pairs(springs.pairs(), springs.k, rest, springs.c)))
+    state = start(system)
+    run(SymplecticEuler(), system, state, 50, 1e-3)
+    assert state.x.tobytes() == position.tobytes() and not state.v.any()
+
+
+def test_zero_length_springs_exert_no_force_and_are_counted() -> None:
+    position = np.zeros((10, 3))
+    position[8:, 0] = [0.0, 2.0]
+    pairs = np.array([(i, i + 1) for i in range(9)], np.int32)
+    one = np.ones(9)
+    system = make_system(make_fabric(position, Springs.from_pairs(pairs, one, one, one), mass=1.0))
+    a = accelerations(system, position, np.ones((10, 3)))
+    assert np.isfinite(a).all() and not a[:8].any()
+    assert a[8, 0] == 1.0 and a[9, 0] == -1.0
+    rows = to_rows(position)
+    assert measure_energy(rows, rows, system.fabric.mass, pack(system)).zero_length == 8
+    report = run(SymplecticEuler(), system, start(system), 1, 1e-3)
+    assert report.status == "ok" and report.counts["zero_length_springs"] == 7
+
+
+def test_not_a_number_stays_visible() -> None:
+    position, springs = grid_springs(6, 9, 0.01)
+    x = position.copy()
+    x[20, 1] = np.nan
+    a = accelerations(make_system(make_fabric(position, springs)), x, 0 * x)
+    assert np.isnan(a[20]).all() and np.isnan(a[21]).all()
+    system = make_system(make_fabric(x, springs))
+    report = run(SymplecticEuler(), system, start(system), 1, 1e-5)
+    assert report.status == "diverged" and "vertex" in report.message
+
+
+def result(fabric: Fabric, threads: int) -> State:
+    system = make_system(fabric, np.array([0.0, -9.81, 0.0]), 0.1, threads=threads)
+    state = start(system)
+    run(SymplecticEuler(), system, state, 20, 1e-4, frames=2)
+    return state
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+@pytest.mark.parametrize("form", ["runs", "pairs"])
+def test_equal_bytes_for_one_and_two_threads(form: str) -> None:
+    position, springs = grid_springs(130, 100, 0.01, c=0.01)
+    if form == "pairs":
+        springs = as_pairs(springs, 2, 0.1)
+    fabric = make_fabric(shaken(position, 1e-3)[0], springs)
+    assert pack(make_system(fabric, threads=2)).threads == 2
+    one, two = result(fabric, 1), result(fabric, 2)
+    assert one.x.tobytes() == two.x.tobytes() and one.v.tobytes() == two.v.tobytes()
+    assert not np.array_equal(one.x, fabric.position)
+
+
+def test_runs_and_pairs_agree_to_rounding() -> None:
+    position, springs = grid_springs(40, 50, 0.01, c=0.01)
+    x = shaken(position, 1e-3)[0]
+    one = result(make_fabric(x, springs), 1)
+    two = result(make_fabric(x, as_pairs(springs, 4)), 1)
+    assert np.abs(one.x - two.x).max() < 1e-13
+
+
+def test_stretch_is_the_largest_relative_elongation() -> None:
+    position, springs = grid_springs(8, 8, 0.01)
+    x = position * np.array([1.25, 1.0, 1.0])
+    system = make_system(make_fabric(position, springs))
+    energy = measure_energy(to_rows(x), to_rows(0 * x), system.fabric.mass, pack(system))
+    assert abs(energy.stretch - 0.25) < 1e-12
