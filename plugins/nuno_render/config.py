@@ -48,7 +48,7 @@ class RasterConfig(Config):
     ground: Literal["auto", "none"] | quantity("m") = "auto"  # type: ignore[valid-type]
     """Height of the floor along `up`; auto is the lowest vertex drawn. For an animation give
     the height, so that it does not follow the cloth."""
-    ground_colour: Colour = "#e6e1d9"
+    ground_colour: Colour = "#ebe6de"
     up: Direction = (0.0, 0.0, 1.0)
     light: Literal["auto"] | Direction = "auto"
     """Direction toward the key light; auto stands to the left of the camera, 50 degrees high."""
@@ -57,7 +57,7 @@ class RasterConfig(Config):
     shadows: bool = True
     occlusion: bool = True
     """Whether nearby cloth and bodies hide the sky (folds, the inside of a skirt)."""
-    sheen: float = Field(0.25, ge=0.0, le=1.0)
+    sheen: float = Field(0.18, ge=0.0, le=1.0)
     """Strength of the velvet-like rim of cloth."""
     caption: str = Field("", max_length=200)
     legend: Legend | None = None

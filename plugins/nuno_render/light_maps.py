@@ -8,7 +8,7 @@ from numba import njit
 # mypy: disable-error-code="no-untyped-def"
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def draw_depths(positions, faces, basis, centre, scale, nearest, farthest):
     """Parallel projection of all faces into two maps of signed distance along basis[2].
 
@@ -48,13 +48,12 @@ def draw_depths(positions, faces, basis, centre, scale, nearest, farthest):
                 if wb < -1e-9 or wc < -1e-9 or wb + wc > 1.0 + 1e-9:
                     continue
                 z = np.float32(seen[a, 2] + wb * (seen[b, 2] - seen[a, 2]) + wc * (seen[c, 2] - seen[a, 2]))
-                if z > nearest[row, column]:
-                    nearest[row, column] = z
+                nearest[row, column] = max(nearest[row, column], z)
                 if both and z < farthest[row, column]:
                     farthest[row, column] = z
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def open_part(depths, x, y, z, sign):
     """Part of a bilinear texel footprint at (x, y) that does not block a point at z.
 
@@ -79,37 +78,49 @@ def open_part(depths, x, y, z, sign):
     return result
 
 
-@njit(cache=True, nogil=True)
-def gather_openness(points, normals, basis, centre, scale, nearest, farthest, offset, open_light, all_light):
-    """Add one axis' two directions to the sky light that reaches both sides of each point.
+@njit(cache=True, nogil=True, error_model="numpy")
+def openness(px, py, pz, nx, ny, nz, skies):
+    """Part of the sky's light that reaches a point, 0 to 1.
 
-    points, normals (n, 3); basis, centre, scale and maps as in draw_depths; offset [m] lifts a
-    point off its own surface; open_light, all_light (n, 2): light of the directions that are
-    free, and of all, each times its cosine, for the side of the normal and the other side.
+    (px, py, pz) a point and (nx, ny, nz) its unit normal on the side asked for; skies: nearest
+    and farthest maps (k, r, r) of k axes, their bases (k, 3, 3), centre (3,) and scale, as in
+    draw_depths. Each axis serves the one of its two directions that the normal faces, weighted
+    by cosine and by a sky that is brighter overhead. Without maps everything is open.
     """
-    size = nearest.shape[0]
-    for i in range(points.shape[0]):
-        cosine = normals[i, 0] * basis[2, 0] + normals[i, 1] * basis[2, 1] + normals[i, 2] * basis[2, 2]
-        for side in range(2):
-            # The direction +axis lights the side it faces and -axis the other one.
-            out = 1.0 if side == 0 else -1.0
-            sign = 1.0 if out * cosine >= 0.0 else -1.0
-            x = points[i, 0] - centre[0] + out * offset * normals[i, 0]
-            y = points[i, 1] - centre[1] + out * offset * normals[i, 1]
-            z = points[i, 2] - centre[2] + out * offset * normals[i, 2]
-            u = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
-            v = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
-            w = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
-            # A steep surface rises within a texel: the slack grows with its slope, up to a limit.
-            slack = offset * (0.5 + min(np.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(abs(cosine), 0.1), 4.0))
-            light = 0.5 * (1.0 + sign * basis[2, 2]) + 0.3
-            weight = abs(cosine) * light
-            free = open_part(nearest if sign > 0.0 else farthest, u, v, w + sign * slack, sign)
-            all_light[i, side] += weight
-            open_light[i, side] += weight * free
+    nearest, farthest, bases, up, centre, scale = skies
+    size = nearest.shape[1]
+    lift = 1.5 / scale
+    x, y, z = px - centre[0] + lift * nx, py - centre[1] + lift * ny, pz - centre[2] + lift * nz
+    total, free = 0.0, 0.0
+    for k in range(nearest.shape[0]):
+        basis = bases[k]
+        cosine = nx * basis[2, 0] + ny * basis[2, 1] + nz * basis[2, 2]
+        sign = 1.0 if cosine >= 0.0 else -1.0
+        u = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
+        v = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
+        w = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
+        # A slope rises within a texel: the slack grows with it, up to a limit.
+        slope = np.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(abs(cosine), 0.1)
+        slack = lift * (0.5 + min(slope, 4.0))
+        rise = basis[2, 0] * up[0] + basis[2, 1] * up[1] + basis[2, 2] * up[2]
+        weight = abs(cosine) * (0.8 + 0.5 * sign * rise)
+        total += weight
+        free += weight * open_part(nearest[k] if sign > 0.0 else farthest[k], u, v, w + sign * slack, sign)
+    return free / total if total > 0.0 else 1.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def floor_openness(corner, across, along, normal, skies, out):
+    """Openness at corner + j across + i along, into out[i, j]; all vectors (3,) [m]."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            x = corner[0] + j * across[0] + i * along[0]
+            y = corner[1] + j * across[1] + i * along[1]
+            z = corner[2] + j * across[2] + i * along[2]
+            out[i, j] = openness(x, y, z, normal[0], normal[1], normal[2], skies)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def shadow(depths, disc, basis, centre, scale, px, py, pz, nx, ny, nz, spread):
     """Part of the key light that reaches a point, 0 to 1: percentage-closer soft shadows.
 
@@ -129,9 +140,9 @@ def shadow(depths, disc, basis, centre, scale, px, py, pz, nx, ny, nz, spread):
     gu = -(basis[0, 0] * nx + basis[0, 1] * ny + basis[0, 2] * nz) / (facing * scale)
     gv = -(basis[1, 0] * nx + basis[1, 1] * ny + basis[1, 2] * nz) / (facing * scale)
     search = 0.02 * size
-    blockers, total = 0, 0.0
+    blockers, clear, total = 0, 0, 0.0
     taps = disc.shape[0]
-    for k in range(0, taps, 2):
+    for k in range(0, taps, 4):
         du, dv = disc[k, 0] * search, disc[k, 1] * search
         column, row = int(np.floor(u + du)), int(np.floor(v + dv))
         if column < 0 or row < 0 or column >= size or row >= size:
@@ -140,8 +151,12 @@ def shadow(depths, disc, basis, centre, scale, px, py, pz, nx, ny, nz, spread):
         if above > (abs(gu) + abs(gv)):
             blockers += 1
             total += above
+        else:
+            clear += 1
     mean = total / blockers if blockers > 0 else 0.0
     radius = min(max(mean * spread * scale, 1.5), search)
+    if blockers == 0 or clear == 0:
+        taps //= 4
     result = 0.0
     for k in range(taps):
         du, dv = disc[k, 0] * radius, disc[k, 1] * radius

@@ -11,7 +11,7 @@ from nuno_render.shade import shade_point, sky
 # mypy: disable-error-code="no-untyped-def"
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _background(y, height, top, bottom, out):
     """Gradient from `top` to `bottom` over the picture's height, level at both ends."""
     s = min(max(y / height, 0.0), 1.0)
@@ -20,7 +20,7 @@ def _background(y, height, top, bottom, out):
         out[k] = top[k] + s * (bottom[k] - top[k])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def ground_point(x, y, height, ground, lights, maps, back, out):
     """Ground seen at pixel (x, y), fading into the background with distance, into out (3,)."""
     active, plane, rays, eye, normal, centre, radius, albedo, grid, grid_u, grid_v, grid_scale = ground
@@ -38,7 +38,7 @@ def ground_point(x, y, height, ground, lights, maps, back, out):
     fade = fade * fade * (3.0 - 2.0 * fade)
     if fade >= 1.0:
         return
-    light, light_colour, up, sky_light, ground_light, spread = lights
+    light, light_colour, _, sky_light, ground_light, spread = lights
     depths, disc, basis, map_centre, scale = maps
     nl = max(normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2], 0.0)
     lit = 1.0
@@ -59,20 +59,20 @@ def ground_point(x, y, height, ground, lights, maps, back, out):
         out[k] += (1.0 - fade) * (radiance - out[k])
 
 
-@njit(cache=True, nogil=True)
-def resolve(owner, offsets, clip, scene, textures, eye, lights, maps, ground, back, sheen, picture):
+@njit(cache=True, nogil=True, error_model="numpy")
+def resolve(owner, offsets, clip, scene, textures, eye, lights, maps, skies, ground, back, sheen, picture):
     """Shade every pixel into picture (h, w, 3) float64, linear light.
 
     owner (h, w, s) int32 face of each sample, -1 for none; offsets (s, 2) [1/256 pixel].
-    scene, textures, lights, maps, ground, back: tuples of arrays, made in `raster`.
+    scene, textures, lights, maps, skies, ground, back: tuples of arrays, made in `raster`.
     """
     height, width, samples = owner.shape
-    work = np.empty((8, 3))
+    work = np.empty((9, 3))
     colour = np.empty(3)
     for row in range(height):
         for column in range(width):
-            total = picture[row, column]
-            total[0] = total[1] = total[2] = 0.0
+            for k in range(3):
+                picture[row, column, k] = 0.0
             done = 0
             for s in range(samples):
                 if done >> s & 1:
@@ -89,12 +89,12 @@ def resolve(owner, offsets, clip, scene, textures, eye, lights, maps, ground, ba
                 if face < 0:
                     ground_point(px, py, height, ground, lights, maps, back, colour)
                 else:
-                    shade_point(face, px, py, clip, scene, textures, eye, lights, maps, sheen, work, colour)
+                    shade_point(face, px, py, clip, scene, textures, eye, lights, maps, skies, sheen, work, colour)
                 for k in range(3):
-                    total[k] += colour[k] * count / samples
+                    picture[row, column, k] += colour[k] * count / samples
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def encode(picture, table, out):
     """Linear light to sRGB bytes, with a shoulder above 0.8 so that highlights do not clip.
 

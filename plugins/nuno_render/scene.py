@@ -14,7 +14,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.plugin import Mesh
 
-CLOTH, BODY = "#41618f", "#cfc8bd"
+CLOTH, BODY = "#3a5a8c", "#cfc8bd"
 """Colours of meshes that bring none: indigo for cloth, warm plaster for closed bodies."""
 
 FAR = 1e12
@@ -55,7 +55,7 @@ def gather(meshes: list[Mesh], origin: Float, up: Float) -> Scene:
     positions = _join([np.asarray(m.vertices, np.float64) for m in meshes], 3) - origin
     faces = np.concatenate([np.zeros((0, 3), np.int32), *(m.faces + s for m, s in zip(meshes, starts, strict=False))])
     owner = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(m.faces) for m in meshes])
-    finite = (np.abs(positions) <= FAR).all(axis=1)
+    finite: Bool = np.logical_and.reduce(np.abs(positions) <= FAR, axis=1)
     kept = finite[faces].all(axis=1)
     positions[~finite] = 0.0
     faces = np.ascontiguousarray(faces[kept], np.int32)
@@ -148,7 +148,7 @@ def vertex_normals(positions: Float, faces: Int, twins: Int) -> Float:
     return normals
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_face_normals(positions: Float, faces: Int, twins: Int, normals: NDArray[np.float64]) -> None:
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

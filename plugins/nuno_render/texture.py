@@ -63,7 +63,7 @@ def _halve(picture: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     return np.asarray((first + second) * np.float32(0.5))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _bilinear(texels, start, height, width, u, v, weight, out):
     """Add weight times the image at (u, v): repeats beyond [0, 1], (0, 0) is the upper left corner."""
     x, y = (u - np.floor(u)) * width - 0.5, (v - np.floor(v)) * height - 0.5
@@ -77,7 +77,7 @@ def _bilinear(texels, start, height, width, u, v, weight, out):
         out[k] += weight * (above * (1.0 - fy) + below * fy)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def look_up(texels, levels, count, u, v, ux, vx, uy, vy, out):
     """Mean of an image over a pixel's footprint, into out (3,).
 

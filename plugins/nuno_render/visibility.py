@@ -34,16 +34,17 @@ def sample_offsets(samples: int) -> NDArray[np.int64]:
     return PATTERNS[samples].astype(np.int64) * 16 + 128
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _cut(source, count, target, plane, near):  # type: ignore[no-untyped-def]
     """Sutherland-Hodgman: cut polygon `source` (count, 3) by one plane into `target`."""
     made = 0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
-        da = _inside(source[i], plane, near)
-        db = _inside(source[j], plane, near)
+        da = _inside(source[i, 0], source[i, 1], source[i, 2], plane, near)
+        db = _inside(source[j, 0], source[j, 1], source[j, 2], plane, near)
         if da >= 0.0:
-            target[made] = source[i]
+            for k in range(3):
+                target[made, k] = source[i, k]
             made += 1
         if (da >= 0.0) != (db >= 0.0):
             s = da / (da - db)
@@ -53,20 +54,16 @@ def _cut(source, count, target, plane, near):  # type: ignore[no-untyped-def]
     return made
 
 
-@njit(cache=True, nogil=True)
-def _inside(p, plane, near):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _inside(x, y, w, plane, near):  # type: ignore[no-untyped-def]
+    """Signed measure of a homogeneous point against a plane: near, then left, right, top, bottom."""
     if plane == 0:
-        return p[2] - near
-    if plane == 1:
-        return p[0] + GUARD * p[2]
-    if plane == 2:
-        return GUARD * p[2] - p[0]
-    if plane == 3:
-        return p[1] + GUARD * p[2]
-    return GUARD * p[2] - p[1]
+        return w - near
+    along = x if plane < 3 else y
+    return GUARD * w + along if plane % 2 == 1 else GUARD * w - along
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fill(polygon, a, b, c, owner_id, cull, offsets, reach, depth, owner):  # type: ignore[no-untyped-def]
     """Draw one triangle of a convex polygon that needs no cutting; returns samples written."""
     height, width, samples = depth.shape
@@ -121,7 +118,7 @@ def _fill(polygon, a, b, c, owner_id, cull, offsets, reach, depth, owner):  # ty
     return written
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rasterise(clip, faces, mesh, two_sided, near, offsets, reach, depth, owner):  # type: ignore[no-untyped-def]
     """Draw all triangles; returns how many samples they covered, hidden ones included.
 
@@ -137,17 +134,15 @@ def rasterise(clip, faces, mesh, two_sided, near, offsets, reach, depth, owner):
     for f in range(faces.shape[0]):
         outside = False
         for k in range(3):
-            first[k] = clip[faces[f, k]]
-            for plane in range(5):
-                outside |= not _inside(first[k], plane, near) >= 0.0
-        cull = not two_sided[mesh[f]]
-        if not outside:
-            covered += _fill(first, 0, 1, 2, f, cull, offsets, reach, depth, owner)
-            continue
+            x, y, w = clip[faces[f, k], 0], clip[faces[f, k], 1], clip[faces[f, k], 2]
+            first[k, 0], first[k, 1], first[k, 2] = x, y, w
+            outside |= not (w >= near and abs(x) <= GUARD * w and abs(y) <= GUARD * w)
         count = 3
-        for plane in range(5):
-            count = _cut(first, count, second, plane, near)
-            first, second = second, first
+        if outside:
+            for plane in range(5):
+                count = _cut(first, count, second, plane, near)
+                first, second = second, first
+        cull = not two_sided[mesh[f]]
         for k in range(1, count - 1):
             covered += _fill(first, 0, k, k + 1, f, cull, offsets, reach, depth, owner)
     return covered
