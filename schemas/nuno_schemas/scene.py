@@ -42,7 +42,6 @@ class Object(Part):
 
     name: Name
     model: Choice
-    texture: str | None = Field(None, description="image file laid over the cloth by its texture coordinates")
     colour: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")] | None = Field(None, description="#rrggbb; stretch is shown where it is left out")
 
 

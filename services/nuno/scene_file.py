@@ -5,7 +5,7 @@ from __future__ import annotations
 import types
 import typing
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,7 @@ class Loaded:
     motions: list[Chosen | None]
     forces: list[Chosen]
     contact: Chosen | None
+    overrides: tuple[str, ...] = ()
 
     def at(self, field: str, error: BadInput) -> BadInput:
         """The same error with this scene's file, line and the field's full path."""
@@ -84,7 +85,7 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = ()) 
     data, lines = yaml_lines.parse(text, str(path))
     for item in overrides:
         apply_override(data, item)
-    return load(data, lines, str(path), SceneFiles(path.resolve().parent, tuple(roots)))
+    return replace(load(data, lines, str(path), SceneFiles(path.resolve().parent, tuple(roots))), overrides=tuple(overrides))
 
 
 def apply_override(data: dict[str, Any], item: str) -> None:

@@ -55,6 +55,7 @@ class Context:
     bus: Bus
     options: Options
     watch: Watch = field(init=False)
+    supervised: bool = False
 
     def __post_init__(self) -> None:
         self.watch = Watch(self.bus)
@@ -65,8 +66,10 @@ class Context:
         self.bus.publisher(_event_topic(self.bus.service)).put(event.model_dump_json().encode(), frame, t)
 
     def orphaned(self) -> bool:
-        """Whether the supervisor has gone."""
-        return SUPERVISOR not in self.watch.alive()
+        """Whether the supervisor was there and has gone."""
+        there = SUPERVISOR in self.watch.alive()
+        self.supervised = self.supervised or there
+        return self.supervised and not there
 
     def counts(self, inbox: Inbox | None = None) -> dict[str, Any]:
         """What this service sent and saw, for the report."""

@@ -1,0 +1,5 @@
+"""`python -m nuno` is the `nuno` command."""
+
+from nuno.cli import main
+
+raise SystemExit(main())

@@ -1,0 +1,223 @@
+"""From a loaded scene to what is simulated: one fabric, one set of bodies, one system."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import psutil
+from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Springs, State
+from nuno_schemas.plugin import BodyShape, Mover, System, Term
+
+from nuno.scene_file import Chosen, Loaded
+
+BYTES_PER_VERTEX = 700
+"""What a run takes at most per vertex; `nuno bench speed` measures it."""
+SECONDS_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Where one object's vertices lie in the joined fabric."""
+
+    name: str
+    start: int
+    stop: int
+    texture: str | None
+    colour: str | None
+
+
+def check_memory(loaded: Loaded) -> int:
+    """Vertices the scene will have. Raises BadInput if they cannot fit in memory."""
+    total = 0
+    for i, model in enumerate(loaded.models):
+        try:
+            total += model.plugin.count(model.config, loaded.files)
+        except BadInput as error:
+            raise loaded.at(f"objects[{i}].model", error) from None
+    available = psutil.virtual_memory().available
+    if total * BYTES_PER_VERTEX > available:
+        raise BadInput(
+            "the scene does not fit in memory",
+            loaded.file,
+            field="objects",
+            value=f"{total:,} vertices, about {total * BYTES_PER_VERTEX / 2**30:.1f} GiB",
+            limit=f"{available / 2**30:.1f} GiB are free",
+            remedy="lower the resolution",
+        )
+    return total
+
+
+def build_fabric(loaded: Loaded) -> tuple[Fabric, list[Piece]]:
+    """All objects as one fabric, and where each lies. Raises BadInput."""
+    check_memory(loaded)
+    fabrics, pieces, start = [], [], 0
+    for i, (model, spec) in enumerate(zip(loaded.models, loaded.scene.objects, strict=True)):
+        try:
+            fabric = model.plugin.build(model.config, loaded.files, loaded.scene.seed + i)
+        except BadInput as error:
+            raise loaded.at(f"objects[{i}].model", error) from None
+        fabrics.append(fabric)
+        pieces.append(Piece(spec.name, start, start + fabric.number, fabric.texture, spec.colour))
+        start += fabric.number
+    return _join(fabrics, loaded.scene.name), pieces
+
+
+def _join(fabrics: list[Fabric], name: str) -> Fabric:
+    if len(fabrics) == 1:
+        return fabrics[0]
+    starts = np.cumsum([0, *(f.number for f in fabrics)])
+    moved = list(zip(fabrics, starts, strict=False))
+    springs = [Springs((f.springs.first + at).astype(np.int32), f.springs.count, f.springs.stride, f.springs.k, f.springs.rest, f.springs.c, f.springs.kind) for f, at in moved if f.springs]
+    hinges = [(f.hinges, at) for f, at in moved if f.hinges]
+    empty = np.zeros((0, 3))
+    return Fabric(
+        name,
+        np.concatenate([empty, *(f.position for f in fabrics)]),
+        np.concatenate([empty, *(f.velocity for f in fabrics)]),
+        np.concatenate([np.zeros(0), *(f.mass for f in fabrics)]),
+        np.concatenate([np.zeros(0, bool), *(f.pinned for f in fabrics)]),
+        np.concatenate([np.zeros((0, 3), np.int32), *((f.faces + at).astype(np.int32) for f, at in moved)]),
+        Springs.join(springs) if springs else None,
+        _join_hinges(hinges) if hinges else None,
+        np.concatenate([np.zeros((0, 2), np.float32), *(f.uv if f.uv is not None else np.zeros((f.number, 2), np.float32) for f in fabrics)]),
+        tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
+    )
+
+
+def _join_hinges(parts: list[tuple[Hinges, int]]) -> Hinges:
+    per_run = all(h.k.shape == h.rest.shape == h.count.shape for h, _ in parts)
+    values = [(h.k, h.rest) if per_run else (h.per_hinge(h.k), h.per_hinge(h.rest)) for h, _ in parts]
+    return Hinges(
+        np.concatenate([(h.first + at).astype(np.int32) for h, at in parts]),
+        np.concatenate([h.count for h, _ in parts]),
+        np.concatenate([h.stride for h, _ in parts]),
+        np.concatenate([k for k, _ in values]),
+        np.concatenate([rest for _, rest in values]),
+    )
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """All bodies of a scene: their geometry and where they are at any time."""
+
+    geometry: Geometry
+    movers: tuple[Mover | None, ...]
+
+    def poses(self, t: float) -> Poses:
+        """Poses of all frames at time t [s]."""
+        parts = [m.pose(t) if m else (np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3))) for m in self.movers]
+        return Poses(t, np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts]))
+
+
+def build_bodies(loaded: Loaded) -> Bodies:
+    """Join a scene's bodies. Raises BadInput."""
+    shapes: list[BodyShape] = []
+    movers: list[Mover | None] = []
+    for i, (collider, motion) in enumerate(zip(loaded.colliders, loaded.motions, strict=True)):
+        field = f"bodies[{i}].motion"
+        try:
+            mover = motion.plugin.prepare(motion.config, loaded.files) if motion else None
+            field = f"bodies[{i}].collider"
+            shapes.append(collider.plugin.build(collider.config, mover))
+        except BadInput as error:
+            raise loaded.at(field, error) from None
+        movers.append(mover)
+    return Bodies(_geometry(loaded, shapes), tuple(movers))
+
+
+def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
+    bodies = loaded.scene.bodies
+    names = [f"{body.name}/{frame}" for body, shape in zip(bodies, shapes, strict=True) for frame in shape.frames]
+    starts = np.cumsum([0, *(len(s.frames) for s in shapes)])
+    return Geometry(
+        tuple(body.name for body in bodies),
+        tuple(names),
+        np.concatenate([s.kind for s in shapes]).astype(np.int8),
+        np.concatenate([s.frame + at for s, at in zip(shapes, starts, strict=False)]).astype(np.int32),
+        np.repeat(np.arange(len(shapes), dtype=np.int32), [len(s.kind) for s in shapes]),
+        np.concatenate([s.a for s in shapes]),
+        np.concatenate([s.b for s in shapes]),
+        np.concatenate([s.radius for s in shapes]),
+        np.array([np.nan if b.stiffness == "auto" else b.stiffness for b in bodies]),
+        np.array([b.damping for b in bodies]),
+        np.array([b.friction for b in bodies]),
+    )
+
+
+def bind(loaded: Loaded, fabric: Fabric, frames: tuple[str, ...], poses: Poses | None) -> list[Term]:
+    """Terms that carry bound vertices along with their frames.
+
+    Local coordinates are those of the start, so cloth is put on where the scene places it.
+    Raises BadInput for a body or frame that does not exist.
+    """
+    terms = []
+    for binding in fabric.bindings:
+        name = f"{binding.body}/{binding.frame}"
+        if poses is None or name not in frames:
+            raise BadInput("cloth is attached to a frame that no body has", loaded.file, field="attach", value=name, remedy=nearest(name, frames))
+        index = frames.index(name)
+        turn = rotation_matrices(poses.rotation[index])
+        local = (fabric.position[binding.vertices] - poses.translation[index]) @ turn
+        terms.append(Term("bindings", (binding.vertices, local, np.full(len(local), index, np.int32))))
+    return terms
+
+
+def build_system(loaded: Loaded, fabric: Fabric, geometry: Geometry | None, poses: Poses | None, threads: int) -> System:
+    """The fabric and everything that acts on it; poses are those of t = 0. Raises BadInput."""
+    gravity = np.array(loaded.scene.gravity)
+    terms = bind(loaded, fabric, geometry.frames if geometry else (), poses)
+    for i, force in enumerate(loaded.forces):
+        terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
+    if geometry is not None and loaded.contact is not None and len(geometry.kind):
+        terms.append(_prepared(loaded, "contact", loaded.contact, fabric, geometry, gravity))
+    return System(fabric, gravity, loaded.scene.damping, tuple(terms), threads)
+
+
+def _prepared(loaded: Loaded, field: str, chosen: Chosen, *args: object) -> Term:
+    prepare = partial(chosen.plugin.prepare, chosen.config)
+    try:
+        term: Term = prepare(*args)
+    except BadInput as error:
+        raise loaded.at(field, error) from None
+    return term
+
+
+def start_state(fabric: Fabric) -> State:
+    return State(np.ascontiguousarray(fabric.position, np.float64).copy(), np.ascontiguousarray(fabric.velocity, np.float64).copy(), 0.0)
+
+
+def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:
+    """Steps a frame and the step [s]: the scene's, or the largest safe one for `dt: auto`.
+
+    Auto stays at 0.7 of the limit: cloth that stretches or folds is somewhat stiffer than at its
+    start, where the limit is measured. Raises BadInput for a step that does not divide a frame or
+    exceeds the limit without allow_unstable.
+    """
+    frame = 1.0 / loaded.scene.frame_rate
+    dt = loaded.scene.solver.dt
+    if dt == "auto":
+        if limit <= 0.0:
+            raise loaded.at("solver.plugin", BadInput("no step is stable for this integrator on an undamped scene", remedy="use symplectic_euler, leapfrog or rk4, or give a dt and allow_unstable: true"))
+        steps = max(1, int(np.ceil(frame / (0.7 * limit)))) if np.isfinite(limit) else 1
+        return steps, frame / steps
+    steps = max(1, round(frame / dt))
+    if abs(frame / steps - dt) > SECONDS_TOLERANCE * dt + 1e-15:
+        near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
+        choices = " or ".join(f"{frame / n:.9g} s ({n} steps)" for n in near)
+        raise loaded.at("solver.dt", BadInput("a frame is not a whole number of steps", value=f"{dt:g} s in frames of {frame:g} s", remedy=f"nearest that divide it: {choices}"))
+    if dt > limit and not loaded.scene.allow_unstable:
+        raise loaded.at("solver.dt", BadInput("the step is above the stability limit", value=f"{dt:g} s", limit=f"{limit:.4g} s for {loaded.integrator.name}", remedy="use dt: auto, a smaller dt, softer cloth, or allow_unstable: true"))
+    return steps, frame / steps
+
+
+def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
+    """Pairs and rest lengths of the structural springs (all springs if none is), for display."""
+    if fabric.springs is None:
+        return np.zeros((0, 2), np.int32), np.zeros(0)
+    kinds = np.repeat(fabric.springs.kind, fabric.springs.count)
+    chosen = kinds == 0 if (kinds == 0).any() else np.ones(len(kinds), bool)
+    return fabric.springs.pairs()[chosen], fabric.springs.per_spring(fabric.springs.rest)[chosen]

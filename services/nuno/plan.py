@@ -1,0 +1,44 @@
+"""What a scene will run, and what is left out and why: decided before anything starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nuno.scene_file import Loaded
+from nuno.service import Options
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Services that a run needs, and what it does without."""
+
+    services: tuple[str, ...]
+    must_see: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def make_plan(loaded: Loaded, options: Options) -> Plan:
+    """Choose the services for a scene and the user's options."""
+    services, left_out = ["simulation"], []
+    scene = loaded.scene
+    if scene.bodies:
+        services.append("collision")
+    else:
+        left_out.append("collision service and contact force: the scene has no bodies")
+    if options.record is not None:
+        services.append("recorder")
+    else:
+        left_out.append("recorder: not asked for")
+    if options.view is not None or options.save is not None:
+        services.append("viewer")
+    else:
+        left_out.append("viewer: no screen, or not asked for")
+    if not scene.forces:
+        left_out.append("wind and other forces: the scene names none")
+    if not scene.damping:
+        left_out.append("viscous damping: 0")
+    if not any(scene.gravity):
+        left_out.append("gravity: 0")
+    left_out.append("dye, knit and wrinkles: the scene has none")
+    must_see = tuple(name for name in ("collision", "recorder") if name in services)
+    return Plan(tuple(services), must_see, tuple(left_out))

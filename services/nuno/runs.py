@@ -1,0 +1,57 @@
+"""Runs of this user that are going on: their names and endpoints, for `nuno control`."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+from nuno_schemas.errors import BadInput, nearest
+
+
+def folder() -> Path:
+    """Where runs are noted: readable by this user only."""
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    path = Path(base) / "nuno" if base and os.access(base, os.W_OK) else Path(tempfile.gettempdir()) / f"nuno-{os.getuid()}"
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return path
+
+
+@contextmanager
+def announced(run: str, endpoint: str) -> Iterator[None]:
+    """Note a run while it goes on."""
+    path = folder() / f"{run}.json"
+    path.write_text(json.dumps({"endpoint": endpoint, "pid": os.getpid()}))
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def running() -> dict[str, str]:
+    """Run id -> endpoint of the runs that are alive; notes of dead ones are removed."""
+    found = {}
+    for path in sorted(folder().glob("*.json")):
+        try:
+            note = json.loads(path.read_text())
+        except (OSError, ValueError):
+            continue
+        if psutil.pid_exists(note["pid"]):
+            found[path.stem] = str(note["endpoint"])
+        else:
+            path.unlink(missing_ok=True)
+    return found
+
+
+def find(run: str) -> tuple[str, str]:
+    """A running run by id, unique prefix, or "last". Raises BadInput."""
+    alive = running()
+    matches = sorted(name for name in alive if name.startswith(run)) if run != "last" else sorted(alive)[-1:]
+    if len(matches) != 1:
+        problem = "no such run is going on" if not matches else "several runs begin with that"
+        raise BadInput(problem, value=run, remedy=nearest(run, alive) if alive else "start one: nuno run SCENE")
+    return matches[0], alive[matches[0]]

@@ -1,0 +1,129 @@
+"""The simulation's work: from a scene to frames, independent of how they are sent."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Memory, State
+from nuno_schemas.plugin import StepLimit, StepReport, System
+from numpy.typing import NDArray
+
+from nuno import build
+from nuno.scene_file import Loaded, apply_override, load
+
+SETTABLE = ("gravity", "damping", "forces")
+"""Fields that `set` may change while a run goes on."""
+
+
+@dataclass
+class Frame:
+    """One finished frame."""
+
+    number: int
+    report: StepReport
+    seconds: float
+    digest: str
+
+
+class Simulation:
+    """A scene's cloth, its solver and its state."""
+
+    def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
+        self.loaded, self.geometry, self.threads = loaded, geometry, threads
+        self.fabric: Fabric
+        self.fabric, self.pieces = build.build_fabric(loaded)
+        self.start_poses = poses
+        self.state: State = build.start_state(self.fabric)
+        self.frame = 0
+        self.system: System
+        self.memory: Memory
+        self.limit: StepLimit
+        self._prepare({})
+
+    def _prepare(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """(Re)build what follows from the scene; `arrays` is memory to keep."""
+        integrator = self.loaded.integrator
+        self.system = build.build_system(self.loaded, self.fabric, self.geometry, self.start_poses, self.threads)
+        self.memory = integrator.plugin.prepare(integrator.config, self.system, self.state)
+        self._restore(arrays)
+        self.limit = integrator.plugin.limit(integrator.config, self.system, build.start_state(self.fabric))
+        self.steps, self.dt = build.choose_step(self.loaded, self.limit.dt)
+
+    def _restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        for name, values in arrays.items():
+            target = self.memory.arrays.get(name)
+            if target is None or target.shape != values.shape:
+                raise BadInput("the checkpoint does not fit this scene", value=f"memory {name} of shape {values.shape}", remedy="resume with the recording's own scene")
+            np.copyto(target, values)
+
+    @property
+    def t(self) -> float:
+        """Simulation time [s], from the frame number so that it never drifts."""
+        return self.frame / self.loaded.scene.frame_rate
+
+    def advance(self, start: Poses | None, end: Poses | None) -> Frame:
+        """Simulate one frame between two sets of poses."""
+        begin = time.perf_counter()
+        poses = (start, end) if start is not None and end is not None else None
+        self.state.t = self.t
+        report = self.loaded.integrator.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
+        self.frame += 1
+        self.state.t = self.t
+        return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
+
+    def measure(self, poses: Poses | None) -> StepReport:
+        """The present state's energy and stretch, without a step."""
+        report: StepReport = self.loaded.integrator.plugin.advance(self.system, self.state, self.memory, (poses, poses) if poses else None, 0, self.dt)
+        return report
+
+    def digest(self) -> str:
+        """Hash of the float64 state: equal digests mean equal bits."""
+        hasher = hashlib.blake2b(digest_size=16)
+        hasher.update(np.int64(self.frame).tobytes())
+        hasher.update(np.ascontiguousarray(self.state.x))
+        hasher.update(np.ascontiguousarray(self.state.v))
+        return hasher.hexdigest()
+
+    def resume(self, frame: int, x: NDArray[Any], v: NDArray[Any], memory: dict[str, NDArray[Any]]) -> None:
+        """Go on from a checkpoint. Raises BadInput if it does not fit."""
+        if x.shape != self.state.x.shape or v.shape != self.state.v.shape:
+            raise BadInput("the checkpoint does not fit this scene", value=f"{x.shape[0]} vertices", limit=f"{self.fabric.number}", remedy="resume with the recording's own scene")
+        np.copyto(self.state.x, x)
+        np.copyto(self.state.v, v)
+        self.frame = frame
+        self.state.t = self.t
+        self._restore(memory)
+
+    def set(self, item: str) -> None:
+        """Change a field of the running scene, `gravity=[0, -1.6, 0]`. Raises BadInput."""
+        field = item.partition("=")[0].split(".")[0].split("[")[0]
+        if field not in SETTABLE:
+            raise BadInput("this field cannot change while a run goes on", value=field, limit=", ".join(SETTABLE), remedy="stop, and run again with --set")
+        before, kept = self.loaded, self.memory.arrays
+        data = _copied(before.data)
+        apply_override(data, item)
+        changed = load(data, before.lines, before.file, before.files)
+        try:
+            # dt stays what it was: a recording's frames and digests must not depend on when it was set.
+            self.loaded = changed
+            step = (self.steps, self.dt)
+            self._prepare(dict(kept))
+            self.steps, self.dt = step
+            if self.dt > self.limit.dt and not before.scene.allow_unstable:
+                raise BadInput("that would make the present step unstable", value=f"{self.dt:g} s", limit=f"{self.limit.dt:.4g} s", remedy="choose a smaller change")
+        except BadInput:
+            self.loaded = before
+            self._prepare(dict(kept))
+            raise
+
+
+def _copied(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {key: _copied(value) for key, value in data.items()}
+    return [_copied(value) for value in data] if isinstance(data, list) else data

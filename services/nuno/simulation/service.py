@@ -1,0 +1,234 @@
+"""The simulation service: frames in lockstep with those that must see them, under control."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import numpy as np
+from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Ack, Status
+from nuno_schemas.plugin import StepReport
+from pydantic import ValidationError
+
+from nuno.arrays import encode_arrays, encode_points
+from nuno.build import structural_edges
+from nuno.bus import Inbox, Message, Question
+from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.collision.service import GEOMETRY_QUESTION, POSES_QUESTION
+from nuno.service import Context, ack_topic
+from nuno.simulation.run import Frame, Simulation
+
+WINDOW = 4
+"""Frames that the simulation may run ahead of a service that must see every one."""
+ACK_TIMEOUT = 60.0
+"""Silence [s] after which such a service counts as hung."""
+CONTROL = "control"
+
+
+class Driver:
+    """Runs a simulation frame by frame and answers control."""
+
+    def __init__(self, context: Context, simulation: Simulation, poses: Poses | None) -> None:
+        self.context, self.simulation, self.poses = context, simulation, poses
+        self.scene = context.loaded.scene
+        self.state = "paused"
+        self.single = 0
+        self.finish: Question | None = None
+        self.acked = dict.fromkeys(context.options.must_see, -1)
+        self.seconds = {"steps": 0.0, "bodies": 0.0, "waiting": 0.0, "encoding": 0.0}
+        self.counts: dict[str, int] = {}
+        self.energy: list[dict[str, float]] = []
+        self.stretch = 0.0
+        self.inbox = Inbox(context.bus, [ack_topic("*")])
+        self.inbox.answer(CONTROL)
+        self.inbox.answer("finish/simulation")
+
+    # One queue brings acknowledgements, control and the end of the run, in order.
+    def listen(self, timeout: float) -> None:
+        """Handle one thing from the inbox, if one comes in time."""
+        item = self.inbox.get(timeout)
+        if isinstance(item, Message):
+            try:
+                ack = Ack.model_validate_json(item.payload)
+            except ValidationError:
+                self.inbox.counts.refused[item.topic] += 1
+                return
+            if ack.service in self.acked:
+                self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
+        elif isinstance(item, Question) and item.name == CONTROL:
+            item.answer_json(self.control(item.json()))
+        elif isinstance(item, Question):
+            self.finish = item
+        elif timeout > 0 and self.context.orphaned():
+            raise RunFailed("the supervisor has gone")
+
+    def control(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out one control request; the answer says what happened."""
+        action, simulation = str(request.get("action")), self.simulation
+        before = self.state
+        if action in ("start", "resume"):
+            self.state = "running"
+        elif action == "pause":
+            self.state = "paused"
+        elif action == "step":
+            self.state, self.single = "running", int(request.get("frames", 1))
+        elif action == "stop":
+            self.state = "stopped"
+        elif action == "set":
+            try:
+                simulation.set(str(request.get("item")))
+            except BadInput as error:
+                return {"ok": False, "error": str(error)}
+        elif action != "status":
+            return {"ok": False, "error": f"unknown action {action!r}; known: pause, resume, step, stop, set, status"}
+        if action not in ("start", "status"):
+            self.context.event("control", action, simulation.frame, simulation.t, **request)
+        return {"ok": True, "state": self.state, "before": before, "frame": simulation.frame, "frames": self.scene.frames, "t": simulation.t}
+
+    def run(self) -> str:
+        """All frames; how it ended: done, stopped, diverged or (asked to finish early) failed."""
+        simulation = self.simulation
+        self.publish_fabric()
+        measured = simulation.measure(self.poses)
+        self.publish(Frame(simulation.frame, measured, 0.0, simulation.digest()), "running")
+        while simulation.frame < self.scene.frames:
+            self.listen(0)
+            while self.state == "paused" and self.finish is None:
+                self.listen(0.5)
+            if self.finish is not None:
+                return "failed"
+            if self.state == "stopped":
+                break
+            if self.one_frame().status != "ok":
+                return "diverged"
+            if self.single:
+                self.single -= 1
+                self.state = "running" if self.single else "paused"
+        self.publish_checkpoint()
+        self.wait_for(simulation.frame)
+        return "stopped" if self.state == "stopped" else "done"
+
+    def one_frame(self) -> StepReport:
+        """Ask for the bodies, step, publish."""
+        simulation = self.simulation
+        start = time.perf_counter()
+        end = ask_poses(self.context, simulation.frame + 1) if self.poses is not None else None
+        self.seconds["bodies"] += time.perf_counter() - start
+        frame = simulation.advance(self.poses, end)
+        self.poses = end
+        self.seconds["steps"] += frame.seconds
+        for name, value in frame.report.counts.items():
+            self.counts[name] = max(self.counts.get(name, 0), value)
+        ok = frame.report.status == "ok"
+        self.publish(frame, "running" if ok else "diverged")
+        every = self.scene.record.checkpoint_every
+        if ok and every is not None and frame.number % max(1, round(every * self.scene.frame_rate)) == 0 and frame.number < self.scene.frames:
+            self.publish_checkpoint()
+        self.wait_for(frame.number - WINDOW)
+        return frame.report
+
+    def publish(self, frame: Frame, state: str) -> None:
+        start = time.perf_counter()
+        simulation, bus, report = self.simulation, self.context.bus, frame.report
+        self.energy = [self.energy[0] if self.energy else dict(report.energy), dict(report.energy)]
+        self.stretch = max(self.stretch, report.stretch)
+        points = encode_points(simulation.state.x, simulation.t)
+        status = Status.model_validate(
+            {
+                "frame": frame.number,
+                "t": simulation.t,
+                "digest": frame.digest,
+                "state": state,
+                "steps": report.steps,
+                "step_seconds": frame.seconds,
+                "energy": dict(report.energy),
+                "stretch": report.stretch,
+                "message": report.message,
+            }
+        )
+        self.seconds["encoding"] += time.perf_counter() - start
+        bus.publisher(STATE).put(points, frame.number, simulation.t, frame.digest)
+        bus.publisher(STATUS).put(status.model_dump_json().encode(), frame.number, simulation.t, frame.digest)
+
+    def publish_fabric(self) -> None:
+        """What viewers and recordings need to know about the cloth, once."""
+        fabric = self.simulation.fabric
+        edges, rest = structural_edges(fabric)
+        arrays = {"faces": fabric.faces, "edges": edges.astype(np.int32), "edge_rest": rest.astype(np.float32), "pinned": fabric.pinned}
+        if fabric.uv is not None:
+            arrays["uv"] = fabric.uv
+        text = {"vertices": fabric.number, "scene": self.scene.name, "objects": [vars(piece) for piece in self.simulation.pieces]}
+        self.context.bus.publisher(FABRIC).put(encode_arrays(arrays, text), self.simulation.frame, self.simulation.t)
+
+    def publish_checkpoint(self) -> None:
+        """The whole float64 state, enough to go on from in the same bits."""
+        simulation = self.simulation
+        arrays = {"x": simulation.state.x, "v": simulation.state.v}
+        arrays |= {f"memory/{name}": values for name, values in simulation.memory.arrays.items()}
+        text = {"t": simulation.t, "frame": simulation.frame, "digest": simulation.digest(), "dt": simulation.dt, "steps": simulation.steps}
+        self.context.bus.publisher(CHECKPOINT).put(encode_arrays(arrays, text), simulation.frame, simulation.t, text["digest"])
+
+    def wait_for(self, frame: int) -> None:
+        """Wait until every service that must see `frame` has. Raises RunFailed for a hung one."""
+        start = time.perf_counter()
+        while self.finish is None and min(self.acked.values(), default=frame) < frame:
+            self.listen(0.5)
+            if time.perf_counter() - start > ACK_TIMEOUT:
+                late = [name for name, seen in self.acked.items() if seen < frame]
+                raise RunFailed(f"{', '.join(late)} has not acknowledged frame {frame} within {ACK_TIMEOUT:g} s")
+        self.seconds["waiting"] += time.perf_counter() - start
+
+
+def ask_poses(context: Context, frame: int) -> Poses:
+    return decode_poses(context.bus.ask(POSES_QUESTION, json.dumps({"frame": frame}).encode()))
+
+
+def ask_geometry(context: Context) -> Geometry:
+    missing = context.watch.wait_for({"collision"}, 30.0)
+    if missing:
+        raise RunFailed("the collision service did not start within 30 s")
+    return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
+
+
+def main(context: Context) -> None:
+    """Simulate one run: prepare, wait for the start, step through the frames, answer the end."""
+    geometry = ask_geometry(context) if context.loaded.scene.bodies else None
+    poses = ask_poses(context, 0) if geometry is not None else None
+    simulation = Simulation(context.loaded, geometry, poses, context.options.threads)
+    if context.options.resume is not None:
+        from nuno.recording.reader import open_recording
+
+        point = open_recording(context.options.resume).last_checkpoint()
+        simulation.resume(point.frame, point.x, point.v, point.memory)
+        poses = ask_poses(context, point.frame) if geometry is not None else None
+    driver = Driver(context, simulation, poses)
+    with context.bus.alive():
+        while driver.state == "paused" and driver.finish is None:
+            driver.listen(0.5)
+        begin = time.perf_counter()
+        ended = driver.run() if driver.finish is None else "failed"
+        wall = time.perf_counter() - begin
+        summary = {
+            "state": ended,
+            "frame": simulation.frame,
+            "t": simulation.t,
+            "digest": simulation.digest(),
+            "wall_seconds": wall,
+            "seconds": driver.seconds,
+            "steps_per_frame": simulation.steps,
+            "dt": simulation.dt,
+            "limit": {"dt": simulation.limit.dt, "omega": simulation.limit.omega, "damping": simulation.limit.damping},
+            "energy": driver.energy,
+            "stretch": driver.stretch,
+            "counts": driver.counts,
+            "vertices": simulation.fabric.number,
+            "springs": simulation.fabric.springs.number if simulation.fabric.springs else 0,
+            "hinges": simulation.fabric.hinges.number if simulation.fabric.hinges else 0,
+        }
+        context.event("end", ended, simulation.frame, simulation.t, summary=summary)
+        while driver.finish is None:
+            driver.listen(0.5)
+        driver.finish.answer_json(context.counts(driver.inbox) | {"summary": summary})

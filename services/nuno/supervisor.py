@@ -1,0 +1,260 @@
+"""Starts just the services that a scene needs, watches them, and ends the run in order."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import secrets
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import zenoh
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import STATUS, Event, Status, Topic
+
+from nuno import runs
+from nuno.bus import Bus, Inbox, Message, Watch, free_port, hub, spoke
+from nuno.plan import Plan, make_plan
+from nuno.scene_file import Loaded
+from nuno.service import SUPERVISOR, Options, run_service
+
+START_TIMEOUT = 120.0
+"""Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
+FINISH_TIMEOUT = 30.0
+
+Progress = Callable[[Status], None]
+
+
+@dataclass
+class Deployment:
+    """Where services run; the result is the same to the last bit."""
+
+    processes: bool = False
+    listen: str | None = None
+    """Endpoint to listen on; None: a free port on loopback."""
+    connect: str | None = None
+    """Endpoint of a hub where services started by hand wait; nothing is started here."""
+    run: str | None = None
+    config: str | None = None
+    """zenoh configuration file (TLS, access control)."""
+
+
+@dataclass
+class Outcome:
+    """How a run ended and what its services reported."""
+
+    run: str
+    state: str
+    """done, stopped, diverged or failed"""
+    error: str
+    plan: Plan
+    summary: dict[str, Any]
+    services: dict[str, dict[str, Any]] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def new_run_id(scene: str) -> str:
+    return f"{scene}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
+
+
+class Supervisor:
+    """One run, from start to report."""
+
+    def __init__(self, loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str) -> None:
+        self.loaded, self.options, self.plan, self.run = loaded, options, plan, run
+        self.bus = Bus(session, run, SUPERVISOR)
+        self.watch = Watch(self.bus)
+        self.inbox = Inbox(self.bus, [STATUS, Topic("run/event/*", "json", "nuno.Event")])
+        self.errors: dict[str, str] = {}
+        self.ended: dict[str, Any] | None = None
+        self.exited: Callable[[], dict[str, str]] = dict
+        """Services whose thread or process is over, with a reason; set by what starts them."""
+
+    def wait_until_ready(self) -> None:
+        """Wait for every service. Raises RunFailed if one dies or does not come."""
+        end = time.monotonic() + START_TIMEOUT
+        while missing := set(self.plan.services) - self.watch.alive():
+            self._drain()
+            over = self.exited()
+            if gone := missing & set(over):
+                name = min(gone)
+                raise RunFailed(self.errors.get(name) or over[name] or f"the {name} service ended before it was ready")
+            if time.monotonic() > end:
+                raise RunFailed(f"not ready within {START_TIMEOUT:g} s: {', '.join(sorted(missing))}")
+            self.watch.wait_for(missing, 0.05)
+
+    def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> None:
+        """Take in what services say."""
+        item = self.inbox.get(timeout)
+        while isinstance(item, Message):
+            if item.topic == STATUS.name:
+                if progress is not None:
+                    progress(Status.model_validate_json(item.payload))
+            else:
+                event = Event.model_validate_json(item.payload)
+                if event.kind == "error":
+                    self.errors[event.service] = event.text
+                elif event.kind == "end":
+                    self.ended = event.args["summary"]
+            item = self.inbox.get(0)
+
+    def follow(self, progress: Progress | None) -> str:
+        """Let the simulation run to its end; the error that ended it early, or ""."""
+        self.bus.ask_json("control", {"action": "start"})
+        while self.ended is None:
+            self._drain(progress, timeout=0.2)
+            if dead := [name for name in self.plan.services if name not in self.watch.alive()]:
+                self._drain(progress, timeout=0.2)
+                if self.ended is not None:
+                    break
+                name = dead[0]
+                why = self.errors.get(name) or self.exited().get(name) or "its process ended or the connection broke"
+                return f"the {name} service died: {why}"
+        return ""
+
+    def finish(self, error: str, report: Callable[[dict[str, dict[str, Any]]], dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        """Ask each service to finish, the recorder last, and collect what they counted."""
+        answers: dict[str, dict[str, Any]] = {}
+        order = [name for name in ("simulation", "collision", "viewer", "recorder") if name in self.plan.services]
+        for name in order:
+            if name not in self.watch.alive():
+                continue
+            request: dict[str, Any] = {"error": error}
+            if name == "recorder":
+                sent = {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
+                state = "failed" if error else str((self.ended or {}).get("state", "failed"))
+                request |= {"expected": sent, "state": state, "report": report(answers)}
+            try:
+                answers[name] = self.bus.ask_json(f"finish/{name}", request, FINISH_TIMEOUT)
+            except RunFailed as failure:
+                self.errors.setdefault(name, str(failure))
+        return answers
+
+
+@contextlib.contextmanager
+def _threads(loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str) -> Iterator[Callable[[], dict[str, str]]]:
+    """All services as threads of this process."""
+    over: dict[str, str] = {}
+
+    def body(name: str) -> None:
+        try:
+            run_service(name, loaded, session, run, options)
+            over[name] = ""
+        except (BadInput, RunFailed) as error:
+            over[name] = str(error)
+        except Exception as error:
+            over[name] = f"{type(error).__name__}: {error}"
+
+    threads = [threading.Thread(target=body, args=(name,), name=name, daemon=True) for name in plan.services]
+    for thread in threads:
+        thread.start()
+    yield lambda: dict(over)
+    for thread in threads:
+        thread.join(FINISH_TIMEOUT)
+
+
+@contextlib.contextmanager
+def _processes(loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str) -> Iterator[Callable[[], dict[str, str]]]:
+    """One process per service."""
+    children = {name: subprocess.Popen(serve_command(name, loaded, options, endpoint, run), stdin=subprocess.DEVNULL) for name in plan.services}
+    try:
+        yield lambda: {name: f"exit code {code}" for name, child in children.items() if (code := child.poll()) is not None}
+        for child in children.values():
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.wait(FINISH_TIMEOUT)
+    finally:
+        for child in children.values():
+            if child.poll() is None:
+                child.kill()
+            child.wait()
+
+
+def serve_command(name: str, loaded: Loaded, options: Options, endpoint: str, run: str) -> list[str]:
+    """The command line that runs one service."""
+    command = [sys.executable, "-m", "nuno", "serve", name, loaded.file, "--run", run, "--connect", endpoint]
+    for flag, values in (("--set", loaded.overrides), ("--root", loaded.files.roots), ("--must-see", options.must_see)):
+        for value in values:
+            command += [flag, str(value)]
+    for flag, value in (("--record", options.record), ("--save", options.save), ("--view", options.view), ("--resume", options.resume)):
+        if value is not None:
+            command += [flag, str(value)]
+    return [*command, "--threads", str(options.threads)]
+
+
+def supervise(
+    loaded: Loaded,
+    options: Options,
+    deployment: Deployment | None = None,
+    progress: Progress | None = None,
+    report: Callable[[Outcome], dict[str, Any]] | None = None,
+) -> Outcome:
+    """Run a scene from start to end. Raises BadInput for what is wrong before it starts.
+
+    `report` turns the outcome into what the recording keeps. A run that fails has its state and
+    error in the outcome; its recording is kept.
+    """
+    deployment = deployment or Deployment()
+    plan = make_plan(loaded, options)
+    options = replace(options, must_see=plan.must_see)
+    run = deployment.run or new_run_id(loaded.scene.name)
+    began = time.perf_counter()
+    with contextlib.ExitStack() as stack:
+        endpoint = deployment.connect or deployment.listen or f"tcp/127.0.0.1:{free_port()}"
+        session = stack.enter_context((spoke if deployment.connect else hub)(endpoint, deployment.config))
+        supervisor = Supervisor(loaded, options, plan, session, run)
+        stack.enter_context(supervisor.bus.alive())
+        stack.enter_context(runs.announced(run, endpoint))
+        if deployment.processes:
+            supervisor.exited = stack.enter_context(_processes(loaded, options, plan, endpoint, run))
+        elif not deployment.connect:
+            supervisor.exited = stack.enter_context(_threads(loaded, options, plan, session, run))
+        return _conduct(supervisor, began, progress, report)
+
+
+def _conduct(supervisor: Supervisor, began: float, progress: Progress | None, report: Callable[[Outcome], dict[str, Any]] | None) -> Outcome:
+    try:
+        supervisor.wait_until_ready()
+        ready = time.perf_counter()
+        error = supervisor.follow(progress)
+    except RunFailed as failure:
+        ready, error = time.perf_counter(), str(failure)
+    except KeyboardInterrupt:
+        ready, error = time.perf_counter(), "interrupted"
+    ended = time.perf_counter()
+
+    def outcome(answers: dict[str, dict[str, Any]]) -> Outcome:
+        summary = supervisor.ended or {}
+        state = "failed" if error else str(summary["state"])
+        seconds = {"prepare": ready - began, "run": ended - ready}
+        return Outcome(supervisor.run, state, error, supervisor.plan, summary, answers, seconds)
+
+    answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {})
+    result = outcome(answers)
+    lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.plan.services]
+    if not result.error and lost:
+        result.state, result.error = "failed", "; ".join(lost)
+    return result
+
+
+def control(run: str, endpoint: str, request: dict[str, Any]) -> dict[str, Any]:
+    """Send one control request to a running run. Raises BadInput or RunFailed."""
+    with spoke(endpoint) as session:
+        return Bus(session, run, "control").ask_json("control", request)
+
+
+def record_path(folder: Path, run: str) -> Path:
+    """Where a run's recording goes. Raises BadInput if the folder cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".{run}.probe"
+        probe.write_text(json.dumps(run))
+        probe.unlink()
+    except OSError as error:
+        raise BadInput(f"the recordings folder cannot be written: {error.strerror}", value=str(folder), remedy="name another file with --record FILE, or use --no-record") from None
+    return folder / f"{run}.mcap"
