@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from nuno_schemas.camera import Axes
-from nuno_schemas.colour import parse_hex
-from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera
 from numpy.typing import NDArray
 
 from nuno_render.config import RasterConfig
 from nuno_render.light_maps import floor_openness
 from nuno_render.lighting import tangents
 from nuno_render.scene import Scene
+from nuno_schemas.camera import Axes
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Camera
 
 GRID, REACH = 96, 3.0
 """Points along each side of the grid of openness, and half its width in radii of the scene."""
@@ -81,4 +81,5 @@ def floor_depth(floor: tuple[object, ...], size: tuple[int, int], offsets: NDArr
     x = np.arange(size[0])[:, None] + offsets[:, 0] / 256.0
     y = np.arange(size[1])[:, None] + offsets[:, 1] / 256.0
     rows, columns = (plane[1] * y + plane[2]).astype(np.float32), (plane[0] * x).astype(np.float32)
-    return np.maximum(rows[:, None, :] + columns[None, :, :], np.float32(0.0))
+    depth: NDArray[np.float32] = np.maximum(rows[:, None, :] + columns[None, :, :], np.float32(0.0))
+    return depth

@@ -7,11 +7,6 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from nuno_schemas.camera import Axes, axes
-from nuno_schemas.colour import parse_hex, to_srgb
-from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera, Mesh
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
@@ -22,6 +17,11 @@ from nuno_render.lighting import GROUND, KEY, SKY, key_direction, shadow_maps, s
 from nuno_render.resolve import encode, resolve
 from nuno_render.scene import gather
 from nuno_render.visibility import rasterise, sample_offsets
+from nuno_schemas.camera import Axes, axes
+from nuno_schemas.colour import parse_hex, to_srgb
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Camera, Mesh
 
 NEAR = 1e-3
 """Distance of the near plane, relative to that of the target."""

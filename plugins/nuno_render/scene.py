@@ -85,7 +85,7 @@ def _join(parts: list[Float], width: int) -> Float:
 
 def _check(mesh: Mesh, name: str) -> None:
     count = len(mesh.vertices)
-    shapes = {
+    shapes: dict[str, tuple[NDArray[np.generic] | None, tuple[int, int]]] = {
         "vertices": (mesh.vertices, (count, 3)),
         "faces": (mesh.faces, (len(mesh.faces), 3)),
         "colours": (mesh.colours, (count, 3)),
@@ -149,22 +149,15 @@ def vertex_normals(positions: Float, faces: Int, twins: Int) -> Float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_face_normals(positions: Float, faces: Int, twins: Int, normals: NDArray[np.float64]) -> None:
+def _add_face_normals(positions, faces, twins, normals):  # type: ignore[no-untyped-def]
+    """Add each face's normal, twice its area long, to its corners' twins."""
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = (
-            positions[b, 0] - positions[a, 0],
-            positions[b, 1] - positions[a, 1],
-            positions[b, 2] - positions[a, 2],
-        )
-        vx, vy, vz = (
-            positions[c, 0] - positions[a, 0],
-            positions[c, 1] - positions[a, 1],
-            positions[c, 2] - positions[a, 2],
-        )
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        ux, uy = positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1]
+        vx, vy = positions[c, 0] - positions[a, 0], positions[c, 1] - positions[a, 1]
+        uz, vz = positions[b, 2] - positions[a, 2], positions[c, 2] - positions[a, 2]
         for k in range(3):
             i = twins[faces[f, k]]
-            normals[i, 0] += nx
-            normals[i, 1] += ny
-            normals[i, 2] += nz
+            normals[i, 0] += uy * vz - uz * vy
+            normals[i, 1] += uz * vx - ux * vz
+            normals[i, 2] += ux * vy - uy * vx

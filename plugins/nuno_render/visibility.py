@@ -96,19 +96,13 @@ def _fill(polygon, a, b, c, owner_id, cull, offsets, reach, depth, owner):  # ty
         for column in range(left, right + 1):
             px, py = column << 8, row << 8
             mx, my = px + 128, py + 128
-            if x0 * (my - ay) - y0 * (mx - ax) + m0 < 0:
-                continue
-            if x1 * (my - by) - y1 * (mx - bx) + m1 < 0:
-                continue
-            if x2 * (my - cy) - y2 * (mx - cx) + m2 < 0:
+            miss = x0 * (my - ay) - y0 * (mx - ax) + m0 < 0 or x1 * (my - by) - y1 * (mx - bx) + m1 < 0
+            if miss or x2 * (my - cy) - y2 * (mx - cx) + m2 < 0:
                 continue
             for s in range(samples):
                 rx, ry = px + offsets[s, 0], py + offsets[s, 1]
-                if x0 * (ry - ay) - y0 * (rx - ax) < t0:
-                    continue
-                if x1 * (ry - by) - y1 * (rx - bx) < t1:
-                    continue
-                if x2 * (ry - cy) - y2 * (rx - cx) < t2:
+                miss = x0 * (ry - ay) - y0 * (rx - ax) < t0 or x1 * (ry - by) - y1 * (rx - bx) < t1
+                if miss or x2 * (ry - cy) - y2 * (rx - cx) < t2:
                     continue
                 written += 1
                 iw = np.float32(min(max(ia + gx * (rx - ax) + gy * (ry - ay), low), high))

@@ -1,0 +1,201 @@
+"""Laws of light: radiance, shadows, textures and background against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from nuno_render.config import Legend, RasterConfig
+from nuno_render.lighting import GROUND, KEY, SKY
+from nuno_render.raster import Raster, radiance
+from nuno_schemas.camera import axes, frame
+from nuno_schemas.colour import colours, parse_hex, to_srgb
+from nuno_schemas.plugin import Camera, Mesh
+
+PLAIN = {"ground": "none", "sheen": 0.0, "samples": 1}
+
+
+def grid(n, half, normal=(0.0, 0.0, 1.0), white=True):
+    """A square sheet of n x n vertices around the origin, and its uv."""
+    normal = np.array(normal) / np.linalg.norm(normal)
+    u = np.cross([0.0, 1.0, 0.0], normal)
+    u /= np.linalg.norm(u)
+    v = np.cross(normal, u)
+    s, t = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n))
+    i, j = np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij")
+    a = (i * n + j).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + n], 1), np.stack([a + 1, a + n + 1, a + n], 1)]).astype(np.int32)
+    points = half * (s[..., None] * u + t[..., None] * v).reshape(-1, 3)
+    return Mesh(points, faces, colours=np.ones((n * n, 3)) if white else None)
+
+
+def sphere(centre, radius, rows=48, columns=96):
+    """A closed sphere, its corners on the true surface."""
+    latitude = np.linspace(-math.pi / 2, math.pi / 2, rows)[:, None]
+    longitude = (np.arange(columns) * 2 * math.pi / columns)[None]
+    x, y = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
+    points = np.stack([x, y, np.sin(latitude) + 0 * longitude], -1).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
+    a, b = (i * columns + j).ravel(), (i * columns + (j + 1) % columns).ravel()
+    faces = np.concatenate([np.stack([a, b, a + columns], 1), np.stack([b, b + columns, a + columns], 1)])
+    return Mesh(np.array(centre) + radius * points, faces.astype(np.int32), two_sided=False)
+
+
+def above(height=10.0, size=(160, 160), half=1.0):
+    """A camera that looks straight down on [-half, half]^2."""
+    fov = 2 * math.atan(half / height)
+    return Camera(np.array([0.0, 0.0, height]), np.zeros(3), np.array([0.0, 1.0, 0.0]), fov, size)
+
+
+def sky(up):
+    return (SKY + GROUND) / 2 + (SKY - GROUND) * up / 3
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.5, 1.0, 1.3])
+@pytest.mark.parametrize("n", [2, 40])
+def test_white_plane_has_the_radiance_of_its_tilt(tilt, n):
+    # Lambert: the key light times the cosine, plus the sky's integral; and neither the shadow nor
+    # the occlusion of the plane by itself, at any slope.
+    light = (math.sin(tilt), 0.0, math.cos(tilt))
+    picture = radiance(RasterConfig(light=light, **PLAIN), [grid(n, 2.0)], above())
+    expected = KEY * math.cos(tilt) + sky(1.0)
+    assert np.abs(picture / expected - 1).max() < 1e-5
+
+
+def test_plane_that_faces_away_has_sky_light_alone():
+    picture = radiance(RasterConfig(light=(0.3, 0.0, -1.0), **PLAIN), [grid(2, 2.0)], above())
+    assert np.abs(picture / sky(1.0) - 1).max() < 1e-5
+
+
+def test_bytes_are_the_radiance_through_shoulder_and_srgb():
+    config = RasterConfig(light=(0.0, 0.0, 1.0), **PLAIN)
+    grey = grid(2, 2.0)
+    grey = Mesh(grey.vertices, grey.faces, colours=np.tile([0.1, 0.4, 1.0], (4, 1)))
+    value = (KEY + sky(1.0)) * [0.1, 0.4, 1.0]
+    value = np.where(value > 0.8, 1 - 0.2 * np.exp((0.8 - value) / 0.2), value)
+    picture = Raster().render(config, [grey], above())
+    assert np.abs(picture.astype(int) - np.rint(255 * to_srgb(value))).max() <= 1
+
+
+@pytest.mark.parametrize("elevation", [90.0, 60.0, 40.0])
+def test_shadow_of_a_sphere_is_the_predicted_ellipse(elevation):
+    # Parallel light at elevation e: semi-axes r across and r / sin e along, centre moved by h / tan e.
+    # Pixels in which the camera above sees the sphere itself are left out.
+    radius, height, e = 0.25, 0.5, math.radians(elevation)
+    light = (math.cos(e), 0.0, math.sin(e))
+    start = height / math.tan(e)
+    size, half = 200, 1.2
+    camera = above(40.0, (size, size), half)
+    ball = sphere((start, 0.0, height), radius)
+    config = RasterConfig(light=light, light_size=0.0, occlusion=False, **PLAIN)
+    picture = radiance(config, [grid(30, half), ball], camera)
+    lit = (picture - sky(1.0))[..., 0] / (KEY[0] * math.sin(e))
+    y, x = np.mgrid[size:0:-1, :size] - np.array([0.5, -0.5]).reshape(2, 1, 1)
+    x, y = (x / size * 2 - 1) * half, (y / size * 2 - 1) * half
+    place = np.hypot(x * math.sin(e), y) / radius
+    free = np.hypot(x - start, y) > radius * 1.05
+    edge = 4 * (2.02 * half * math.sqrt(2) / 1024) / radius + 0.01
+    inside, outside = free & (place < 1 - edge), free & (place > 1 + edge)
+    if elevation < 90.0:
+        assert inside.sum() > 200
+        assert np.abs(lit[inside]).max() < 1e-5
+    assert np.abs(lit[outside] - 1).max() < 1e-5
+
+
+def test_checker_floor_is_perspective_correct():
+    # A floor of two triangles, far longer than wide on the screen: affine interpolation of uv would
+    # bend the checker at the diagonal. The pixel's ray meets z = 0 in closed form.
+    cells, half = 8, 4.0
+    image = np.zeros((256, 256, 3), np.uint8)
+    image[(np.add.outer(np.arange(256) // 32, np.arange(256) // 32) % 2) == 0] = 255
+    floor = grid(2, half)
+    uv = (floor.vertices[:, :2] / (2 * half) + 0.5).astype(np.float32)
+    camera = Camera(np.array([0.3, -6.5, 1.6]), np.array([0.0, 0.0, 0.2]), np.array([0.0, 0.0, 1.0]), 0.9, (240, 180))
+    config = RasterConfig(light=(0.0, 0.0, 1.0), shadows=False, occlusion=False, **PLAIN)
+    picture = radiance(config, [Mesh(floor.vertices, floor.faces, uv=uv, image=image)], camera)
+    right, up, forward = axes(camera)
+    y, x = np.mgrid[:180, :240] + 0.5
+    focal = 90.0 / math.tan(camera.fov / 2)
+    ray = forward + ((x - 120) / focal)[..., None] * right - ((y - 90) / focal)[..., None] * up
+    with np.errstate(divide="ignore"):
+        distance = -camera.eye[2] / ray[..., 2]
+    place = (camera.eye + distance[..., None] * ray)[..., :2] / (2 * half) + 0.5
+    on = (distance > 0) & (np.abs(place - 0.5).max(axis=-1) < 0.49)
+    cell = place * cells
+    footprint = np.maximum(np.abs(np.gradient(cell[..., 1], axis=0)), np.abs(np.gradient(cell[..., 0], axis=1)))
+    margin = np.abs(cell - np.rint(cell)).min(axis=-1)
+    sure = on & (footprint < 0.3) & (margin > 1.5 * footprint + 0.05)
+    white = (np.floor(cell).astype(int).sum(axis=-1) % 2) == 0
+    value = picture[..., 0] / (KEY[0] + sky(1.0)[0])
+    assert sure.sum() > 4000
+    assert np.abs(value - white)[sure].max() < 0.01
+
+
+def test_distant_texture_tends_to_its_mean():
+    # A checker finer than a pixel must become its mean in linear light, one half, not moire.
+    image = np.zeros((256, 256, 3), np.uint8)
+    image[(np.add.outer(np.arange(256), np.arange(256)) % 2) == 0] = 255
+    sheet = grid(2, 1.0)
+    uv = (sheet.vertices[:, :2] / 2 + 0.5).astype(np.float32)
+    config = RasterConfig(light=(0.0, 0.0, 1.0), **PLAIN)
+    picture = radiance(config, [Mesh(sheet.vertices, sheet.faces, uv=uv, image=image)], above(size=(61, 61)))
+    assert np.abs(picture / (0.5 * (KEY + sky(1.0))) - 1).max() < 0.01
+
+
+def test_background_is_the_gradient():
+    config = RasterConfig()
+    s = ((np.arange(60) + 0.5) / 60)[:, None]
+    s = s * s * (3 - 2 * s)
+    top, bottom = (parse_hex(colour) for colour in config.background)
+    picture = radiance(config, [], above(size=(40, 60)))
+    # Samples of a pixel are shaded together, at their mean place.
+    assert np.abs(picture - (top + s * (bottom - top))[:, None]).max() < 1e-3
+
+
+def test_enclosed_point_sees_no_sky_and_an_open_one_all_of_it():
+    inner, outer = grid(30, 0.2), sphere((0.0, 0.0, 0.0), 1.0)
+    shell = Mesh(outer.vertices, outer.faces, colours=np.ones((len(outer.vertices), 3)), two_sided=False)
+    dark = Mesh(inner.vertices, inner.faces, colours=np.zeros((900, 3)) + 0.5)
+    camera = above(0.5, (40, 40), 0.1)
+    config = RasterConfig(light=(0.0, 0.0, 1.0), **PLAIN)
+    assert radiance(config, [dark, shell], camera).max() < 1e-6
+    free = radiance(config, [dark], camera)
+    assert np.abs(free / (0.5 * (KEY + sky(1.0))) - 1).max() < 1e-5
+
+
+def test_faces_that_are_not_finite_are_left_out():
+    sheet, ball = grid(12, 1.0), sphere((0.0, 0.0, 0.6), 0.2)
+    broken = sheet.vertices.copy()
+    broken[5] = np.nan
+    broken[77, 0] = np.inf
+    kept = np.isfinite(broken).all(axis=1)[sheet.faces].all(axis=1)
+    camera = frame([sheet, ball], size=(120, 90))
+    config = RasterConfig()
+    picture = Raster().render(config, [Mesh(broken, sheet.faces), ball], camera)
+    expected = Raster().render(config, [Mesh(sheet.vertices, sheet.faces[kept]), ball], camera)
+    assert (picture == expected).all()
+
+
+def test_place_in_the_world_does_not_matter():
+    sheet, ball = grid(12, 1.0), sphere((0.0, 0.0, 0.6), 0.2)
+    camera = frame([sheet, ball], size=(120, 90))
+    far = np.array([1e6, -2e6, 5e5])
+    moved = [Mesh(m.vertices + far, m.faces, m.colours, two_sided=m.two_sided) for m in (sheet, ball)]
+    there = Camera(camera.eye + far, camera.target + far, camera.up, camera.fov, camera.size)
+    here, away = (Raster().render(RasterConfig(), *x).astype(int) for x in (([sheet, ball], camera), (moved, there)))
+    assert np.mean(here != away) < 1e-3
+
+
+def test_colour_bar_shows_the_map_itself():
+    # The bar's pixels, left to right, are the colours that cloth of those values would be given.
+    legend = Legend(label="stretch", low=0.0, high=0.05, format="percent")
+    camera = above(size=(480, 360))
+    plain = Raster().render(RasterConfig(), [], camera)
+    marked = Raster().render(RasterConfig(legend=legend), [], camera)
+    bar = np.rint(255 * to_srgb(colours(np.linspace(0.0, 0.05, 120), 0.0, 0.05)))
+    rows = [row for row in marked if any((row[x : x + 120] == bar).all() for x in range(360))]
+    assert len(rows) == 6
+    changed = (plain != marked).any(axis=-1)
+    assert not changed[:250].any() and not changed[:, :300].any()
