@@ -1,0 +1,181 @@
+"""One indexed MCAP file, written without copying payloads.
+
+The mcap library's writer copies a message into its chunk and the chunk into a record: at a
+checkpoint that is 144 bytes a vertex beside the 48 of the payload. Here a chunk is a list of
+references to payloads until it is written; the small records are the library's own.
+Chunks are not compressed: mantissas of moving vertices do not shrink, and the solver needs the
+cores. Format: https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+MAGIC = b"\x89MCAP0\r\n"
+BINARY = "application/octet-stream"
+CHUNK_BYTES = 4 * 2**20
+_MESSAGE = struct.Struct("<BQHIQQ")
+_CHUNK = struct.Struct("<BQQQQIIQ")
+MESSAGE_HEAD = _MESSAGE.size - 9
+"""Bytes of a message record before its payload."""
+CHUNK_HEAD = _CHUNK.size - 9
+"""Bytes of an uncompressed chunk record before its records."""
+
+
+def record_bytes(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+@dataclass
+class _OpenChunk:
+    """Records waiting to be written, by reference."""
+
+    pieces: list[bytes] = field(default_factory=list)
+    size: int = 0
+    crc: int = 0
+    start: int = 0
+    end: int = 0
+    places: dict[int, list[tuple[int, int]]] = field(default_factory=lambda: defaultdict(list))
+    """Per channel: (log time, offset in the chunk) of each message."""
+
+    def add(self, piece: bytes) -> None:
+        self.pieces.append(piece)
+        self.size += len(piece)
+        self.crc = zlib.crc32(piece, self.crc)
+
+    def add_message(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+        self.start = min(self.start, log_time) if self.places else log_time
+        self.end = max(self.end, log_time)
+        self.places[channel].append((log_time, self.size))
+        length = MESSAGE_HEAD + len(payload)
+        self.add(_MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time))
+        self.add(payload)
+
+
+class McapFile:
+    """Writes to a stream that can seek. Any method may raise the stream's OSError."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._chunk = _OpenChunk()
+        self._schemas: dict[str, Schema] = {}
+        self._channels: list[Channel] = []
+        self._chunk_indexes: list[McapRecord] = []
+        self._attachment_indexes: list[McapRecord] = []
+        self._metadata_indexes: list[McapRecord] = []
+        self._counts: dict[int, int] = defaultdict(int)
+        self._span: tuple[int, int] | None = None
+        stream.write(MAGIC + record_bytes(Header("nuno", "nuno")))
+
+    def add_channel(self, topic: str, encoding: str, schema: str, schema_encoding: str, schema_data: bytes) -> int:
+        """The id of a new channel; a schema is written once."""
+        if schema not in self._schemas:
+            self._schemas[schema] = Schema(len(self._schemas) + 1, schema_data, schema_encoding, schema)
+            self._chunk.add(record_bytes(self._schemas[schema]))
+        channel = Channel(len(self._channels) + 1, topic, encoding, {}, self._schemas[schema].id)
+        self._channels.append(channel)
+        self._chunk.add(record_bytes(channel))
+        return len(self._channels)
+
+    def add_message(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+        """Queue a message; times in ns. The payload must not change before `flush`."""
+        self._chunk.add_message(channel, sequence, log_time, publish_time, payload)
+        self._counts[channel] += 1
+        start, end = self._span or (log_time, log_time)
+        self._span = min(start, log_time), max(end, log_time)
+
+    @property
+    def pending(self) -> int:
+        """Bytes that wait for `flush`; best called at CHUNK_BYTES."""
+        return self._chunk.size
+
+    def add_metadata(self, name: str, data: dict[str, str]) -> None:
+        offset = self._stream.tell()
+        length = self._stream.write(record_bytes(Metadata(name, data)))
+        self._metadata_indexes.append(MetadataIndex(offset, length, name))
+
+    def add_attachment(self, name: str, data: bytes) -> None:
+        offset = self._stream.tell()
+        length = self._stream.write(record_bytes(Attachment(0, 0, name, BINARY, data)))
+        self._attachment_indexes.append(AttachmentIndex(offset, length, 0, 0, len(data), name, BINARY))
+
+    def flush(self) -> None:
+        """Write the chunk in progress and its message indexes, and hand all to the system."""
+        chunk, stream = self._chunk, self._stream
+        if chunk.places:
+            offset, size, times = stream.tell(), chunk.size, (chunk.start, chunk.end)
+            stream.write(_CHUNK.pack(Opcode.CHUNK, CHUNK_HEAD + size, *times, size, chunk.crc, 0, size))
+            stream.writelines(chunk.pieces)
+            place = after = stream.tell()
+            index_places: dict[int, int] = {}
+            for channel, places in chunk.places.items():
+                index_places[channel] = place
+                place += stream.write(record_bytes(MessageIndex(channel, places)))
+            length = after - offset
+            index = ChunkIndex(length, offset, "", size, chunk.end, place - after, index_places, chunk.start, size)
+            self._chunk_indexes.append(index)
+            self._chunk = _OpenChunk()
+        stream.flush()
+
+    def finish(self) -> None:
+        """Write the last chunk, the summary and the footer."""
+        self.flush()
+        self._stream.write(record_bytes(DataEnd(0)))
+        start = self._stream.tell()
+        groups: list[tuple[Opcode, list[McapRecord]]] = [
+            (Opcode.SCHEMA, list(self._schemas.values())),
+            (Opcode.CHANNEL, list(self._channels)),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, self._chunk_indexes),
+            (Opcode.ATTACHMENT_INDEX, self._attachment_indexes),
+            (Opcode.METADATA_INDEX, self._metadata_indexes),
+        ]
+        summary, offsets = b"", b""
+        for opcode, records in groups:
+            data = b"".join(map(record_bytes, records))
+            if data:
+                offsets += record_bytes(SummaryOffset(opcode, start + len(summary), len(data)))
+            summary += data
+        footer = record_bytes(Footer(start, start + len(summary), 0))[:-4]
+        crc = zlib.crc32(summary + offsets + footer)
+        self._stream.write(summary + offsets + footer + struct.pack("<I", crc) + MAGIC)
+        self._stream.flush()
+
+    def _statistics(self) -> Statistics:
+        start, end = self._span or (0, 0)
+        return Statistics(
+            attachment_count=len(self._attachment_indexes),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunk_indexes),
+            message_count=sum(self._counts.values()),
+            message_end_time=end,
+            message_start_time=start,
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(self._schemas),
+        )

@@ -1,0 +1,74 @@
+"""What a recording says about where it comes from, so that it can be run again from itself."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import platform
+from collections.abc import Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from nuno import registry
+from nuno.scene_file import Chosen, Loaded
+from nuno_schemas import SCHEMA_VERSION
+from nuno_schemas.errors import BadInput
+
+PACKAGES = ("nuno", "numpy", "numba", "pydantic", "eclipse-zenoh", "mcap", "foxglove-sdk")
+
+
+def describe_run(loaded: Loaded, run: str) -> dict[str, dict[str, str]]:
+    """The opening metadata: run, scene, versions, plugins."""
+    scene = loaded.scene
+    return {
+        "run": {"id": run, "scene": scene.name, "seed": str(scene.seed), "schema_version": str(SCHEMA_VERSION)},
+        "scene": {"json": json.dumps(loaded.data), "file": Path(loaded.file).name},
+        "versions": versions(),
+        "plugins": plugins(loaded),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of what can change a result."""
+    found = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def plugins(loaded: Loaded) -> dict[str, str]:
+    """`group/name` of every plugin in the scene -> package and version that provides it."""
+    return {f"{c.group}/{c.name}": registry.package_version(c.group, c.name) for c in _chosen(loaded)}
+
+
+def assets(loaded: Loaded) -> dict[str, Path]:
+    """The files that the scene uses, by the names it gives them.
+
+    These are the existing files among the strings of all plugin configurations. Building the
+    models would tell exactly, but costs their memory a second time; a string that happens to
+    name a file beside the scene only adds that file.
+    """
+    for chosen in _chosen(loaded):
+        for text in _strings(chosen.config.model_dump()):
+            with contextlib.suppress(BadInput, OSError, ValueError):
+                loaded.files.resolve(text)
+    return dict(loaded.files.used)
+
+
+def _strings(value: object) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from _strings(item)
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _strings(item)
+
+
+def _chosen(loaded: Loaded) -> list[Chosen]:
+    optional = [c for c in (*loaded.motions, loaded.contact) if c is not None]
+    return [*loaded.models, loaded.integrator, *loaded.colliders, *loaded.forces, *optional]

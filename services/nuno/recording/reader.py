@@ -1,0 +1,292 @@
+"""Reads recordings: finished ones by their index, cut ones up to their last whole chunk."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno.arrays import BadMessage, decode_arrays, decode_points
+from nuno.recording.layout import ChunkPlace, Damaged, Layout, attachment, chunk_messages, read_at, read_layout
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, State
+from nuno_schemas.messages import BODIES, CHECKPOINT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS
+
+Arrays = dict[str, NDArray[Any]]
+END = "end"
+"""Name of the closing metadata: present only where the recorder was asked to finish."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One message: log time is simulation time [ns], publish time wall time [ns]."""
+
+    topic: str
+    seq: int
+    log_time: int
+    publish_time: int
+    payload: bytes
+
+    @property
+    def t(self) -> float:
+        """Simulation time [s], to the nanosecond."""
+        return self.log_time * 1e-9
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Published positions x (n, 3) [m] at time t [s]: float32 precision in float64."""
+
+    number: int
+    t: float
+    digest: str
+    x: Float
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The float64 state after a frame, with all solver memory: what a run resumes from."""
+
+    frame: int
+    t: float
+    digest: str
+    x: Float
+    v: Float
+    memory: Arrays
+    text: dict[str, Any]
+    """What the simulation wrote beside the arrays: dt, steps."""
+
+    @property
+    def state(self) -> State:
+        """A copy that may be changed."""
+        return State(self.x.copy(), self.v.copy(), self.t)
+
+
+class Recording:
+    """A recording on disk. Close it, or use it in a `with`.
+
+    Raises BadInput where the file is missing, no recording, or (while reading) damaged.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        try:
+            self._stream: BinaryIO = self.path.open("rb")
+        except OSError as error:
+            remedy = "give the name of a recording (.mcap)"
+            raise BadInput(f"cannot be read: {error.strerror}", str(path), remedy=remedy) from None
+        try:
+            self.layout: Layout = read_layout(self._stream, self.path)
+            if "run" not in self.layout.metadata:
+                limits = f"{self.layout.readable} of {self.layout.size} bytes could be read"
+                raise BadInput("no recording by nuno, or cut before its first record", str(path), limit=limits)
+        except BadInput:
+            self._stream.close()
+            raise
+        self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._stream.close()
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Everything by name: run, scene, versions, plugins and, where it was finished, end."""
+        return self.layout.metadata
+
+    @property
+    def recovered(self) -> bool:
+        """Whether the file was not finished, and is read up to its last whole chunk."""
+        return not self.layout.indexed
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file was finished and every message that was sent is in it."""
+        return self.layout.indexed and self.metadata.get(END, {}).get("complete") == "true"
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages per topic."""
+        return {topic: self.layout.counts.get(id, 0) for id, topic in self._topics.items()}
+
+    @property
+    def missing(self) -> dict[str, int]:
+        """Messages per topic that were sent but never arrived, as the recorder counted them."""
+        missing = self._json(self.metadata.get(END, {}).get("missing", "{}"))
+        return {str(topic): int(number) for topic, number in missing.items()}
+
+    @property
+    def scene(self) -> dict[str, Any]:
+        """The scene's data, as read and overridden."""
+        return self._json(self.metadata.get("scene", {}).get("json", "{}"))
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the files that the scene used."""
+        return tuple(self.layout.attachments)
+
+    def attachment(self, name: str) -> bytes:
+        with self._damage_reported():
+            return attachment(read_at(self._stream, self.layout.attachments[name], self.layout.size))[1]
+
+    def messages(
+        self, topics: Iterable[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[Recorded]:
+        """Messages in the order they were written, with start <= t < end [s].
+
+        A topic that ends in "/*" stands for all that begin so.
+        """
+        wanted = self._channels(topics)
+        first = -1 if start is None else round(start * 1e9)
+        last = 2**64 if end is None else round(end * 1e9)
+        for chunk in self.layout.chunks:
+            if chunk.channels & wanted and chunk.end >= first and chunk.start < last:
+                for message in self._in_chunk(chunk, wanted):
+                    if first <= message.log_time < last:
+                        yield message
+
+    def last(self, topic: str, before: float | None = None) -> Recorded | None:
+        """The last message of a topic with t <= before [s], read from the end."""
+        wanted = self._channels([topic])
+        limit = 2**64 if before is None else round(before * 1e9)
+        for chunk in reversed(self.layout.chunks):
+            if chunk.channels & wanted and chunk.start <= limit:
+                found = [m for m in self._in_chunk(chunk, wanted) if m.log_time <= limit]
+                if found:
+                    return found[-1]
+        return None
+
+    def frames(self, start: float | None = None, end: float | None = None) -> Iterator[Frame]:
+        """Published positions with start <= t < end [s]."""
+        marks = self.marks()
+        for message in self.messages([STATE.name], start, end):
+            number, digest = marks.get(message.log_time, (message.seq, ""))
+            with self._damage_reported(message):
+                yield Frame(number, message.t, digest, decode_points(message.payload))
+
+    def marks(self) -> dict[int, tuple[int, str]]:
+        """Frame number and digest by log time [ns]: the simulation's status of each frame."""
+        statuses = ((m.log_time, self._json(m.payload)) for m in self.messages([STATUS.name]))
+        return {time: (int(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses}
+
+    def fabric(self) -> tuple[Arrays, dict[str, Any]]:
+        """Arrays of the cloth that do not change (faces, uv, edges, ...) and their text."""
+        return self._arrays(self.last(FABRIC.name))
+
+    def geometry(self) -> tuple[Arrays, dict[str, Any]]:
+        """Arrays of the bodies that do not change and their text; empty where there are none."""
+        return self._arrays(self.last(GEOMETRY.name))
+
+    def poses(self, t: float | None = None) -> tuple[Arrays, dict[str, Any]]:
+        """Rotation (f, 4) and translation (f, 3) [m] of the bodies' frames, at t [s] or last."""
+        return self._arrays(self.last(BODIES.name, t))
+
+    def checkpoints(self) -> Iterator[Checkpoint]:
+        for message in self.messages([CHECKPOINT.name]):
+            yield self._checkpoint(message)
+
+    def last_checkpoint(self, before: float | None = None) -> Checkpoint:
+        """The last checkpoint with t <= before [s]. Raises BadInput where there is none."""
+        message = self.last(CHECKPOINT.name, before)
+        if message is None:
+            remedy = "record with record: {checkpoint_every: 1 s}"
+            raise BadInput("the recording holds no checkpoint", str(self.path), remedy=remedy)
+        return self._checkpoint(message)
+
+    def series(self) -> dict[str, NDArray[Any]]:
+        """Columns over the frames: frame, t [s], steps, step_seconds [s], energy_* [J], stretch,
+        and from the collision service depth [m], inside, mean [m]; NaN where one is missing.
+        """
+        rows: dict[int, dict[str, Any]] = {}
+        for message in self.messages([STATUS.name]):
+            value = self._json(message.payload)
+            row = {name: value.get(name) for name in ("frame", "t", "steps", "step_seconds", "stretch")}
+            energy = value.get("energy")
+            row |= {f"energy_{kind}": joules for kind, joules in energy.items()} if isinstance(energy, dict) else {}
+            rows[int(value.get("frame", -1))] = row
+        for message in self.messages([PENETRATION.name]):
+            value = self._json(message.payload)
+            rows.setdefault(int(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}).update(
+                {name: value.get(name) for name in ("depth", "inside", "mean")}
+            )
+        names = list(dict.fromkeys(name for row in rows.values() for name in row))
+        return {name: _column([rows[frame].get(name) for frame in sorted(rows)]) for name in names}
+
+    def report(self) -> dict[str, Any]:
+        """The closing report; empty where the run did not end by itself."""
+        message = self.last(REPORT.name)
+        return self._json(message.payload) if message else {}
+
+    def _channels(self, topics: Iterable[str] | None) -> frozenset[int]:
+        if topics is None:
+            return frozenset(self._topics)
+        names = tuple(topics)
+        return frozenset(
+            id for id, topic in self._topics.items()
+            if any(topic.startswith(n[:-1]) if n.endswith("/*") else topic == n for n in names)
+        )  # fmt: skip
+
+    def _in_chunk(self, chunk: ChunkPlace, wanted: frozenset[int]) -> Iterator[Recorded]:
+        with self._damage_reported():
+            body = read_at(self._stream, chunk, self.layout.size)
+            for m in chunk_messages(body, wanted):
+                yield Recorded(self._topics[m.channel], m.sequence, m.log_time, m.publish_time, bytes(m.payload))
+
+    def _arrays(self, message: Recorded | None) -> tuple[Arrays, dict[str, Any]]:
+        if message is None:
+            return {}, {}
+        with self._damage_reported(message):
+            return decode_arrays(message.payload)
+
+    def _checkpoint(self, message: Recorded) -> Checkpoint:
+        arrays, text = self._arrays(message)
+        try:
+            x, v = (np.asarray(arrays[name], np.float64) for name in ("x", "v"))
+            if not (x.ndim == 2 and x.shape[1] == 3 and v.shape == x.shape):
+                raise ValueError(f"x has shape {x.shape} and v {v.shape}")
+            memory = {name.removeprefix("memory/"): a for name, a in arrays.items() if name.startswith("memory/")}
+            return Checkpoint(int(text["frame"]), float(text["t"]), str(text.get("digest", "")), x, v, memory, text)
+        except (KeyError, ValueError, TypeError) as error:
+            raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(self.path)) from None
+
+    def _json(self, payload: bytes | str) -> dict[str, Any]:
+        try:
+            value = json.loads(payload)
+        except ValueError as error:
+            raise BadInput(f"a message is damaged: {error}", str(self.path)) from None
+        return value if isinstance(value, dict) else {}
+
+    @contextmanager
+    def _damage_reported(self, message: Recorded | None = None) -> Iterator[None]:
+        place = f"{message.topic} {message.seq} at {message.t:g} s: " if message else ""
+        try:
+            yield
+        except (Damaged, BadMessage) as error:
+            remedy = "the disk or a copy changed it: take another copy"
+            raise BadInput(f"the recording is damaged: {place}{error}", str(self.path), remedy=remedy) from None
+
+
+def _column(values: list[Any]) -> NDArray[Any]:
+    """Whole numbers where all are, else float64 with NaN for what is missing."""
+    if all(isinstance(value, int) for value in values):
+        return np.array(values, np.int64)
+    return np.array([np.nan if value is None else value for value in values], np.float64)
+
+
+def open_recording(path: Path | str) -> Recording:
+    """Open a recording, finished or not. Raises BadInput."""
+    return Recording(path)

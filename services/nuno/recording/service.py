@@ -1,0 +1,133 @@
+"""The recorder: writes every recorded message of a run and acknowledges each frame."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+from nuno.arrays import BadMessage
+from nuno.bus import Inbox, Message, Question
+from nuno.recording.provenance import assets, describe_run
+from nuno.recording.reader import END
+from nuno.recording.writer import RecordingWriter, topic_of
+from nuno.service import Context, ack_topic, each_message
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import EVENT, REPORT, STATE, TOPICS, Ack, Header, Topic
+
+DRAIN_SECONDS = 10.0
+"""How long messages that were sent but have not arrived are waited for at the end."""
+
+
+def main(context: Context) -> None:
+    """Record until asked to finish.
+
+    The finishing question holds `expected` (messages sent per topic), `report` and `state`; the
+    answer holds the file, its counts and what is missing. If the supervisor goes, the file is
+    closed as incomplete and kept. Raises BadInput where the file cannot be created, RunFailed
+    when the disk is full.
+    """
+    path = context.options.record
+    if path is None:
+        raise BadInput("the recorder needs a file", field="--record", remedy="name one: --record FILE")
+    events = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
+    inbox = Inbox(context.bus, [events, *(t for t in TOPICS.values() if t.recorded and t not in (EVENT, REPORT))])
+    files = {name: file.read_bytes() for name, file in assets(context.loaded).items()}
+    writer = RecordingWriter(path, describe_run(context.loaded, context.bus.run), files)
+    files.clear()
+    recorder = Recorder(context, inbox, writer)
+    try:
+        question = each_message(context, inbox, recorder.handle)
+        answer = recorder.finish(question)
+    except RunFailed:
+        if not writer.closed:
+            recorder.close("failed", {})
+        raise
+    except BaseException:
+        writer.abort()
+        raise
+    finally:
+        inbox.close()
+    question.answer_json(answer)
+
+
+class Recorder:
+    """A writer fed by an inbox."""
+
+    def __init__(self, context: Context, inbox: Inbox, writer: RecordingWriter) -> None:
+        self._context, self._inbox, self._writer = context, inbox, writer
+        self._acks = context.bus.publisher(ack_topic(context.bus.service))
+        self._digest = ""
+
+    def handle(self, message: Message) -> None:
+        """Write one message; acknowledge a frame once the writer has it."""
+        header = message.header
+        try:
+            self._writer.write(message.topic, header, message.payload)
+        except BadMessage:
+            self._inbox.counts.refused[message.topic] += 1
+            return
+        if message.topic == STATE.name:
+            self._digest = header.digest or self._digest
+            ack = Ack(service=self._context.bus.service, frame=header.frame)
+            self._acks.put(ack.model_dump_json().encode(), header.frame, header.t)
+
+    def finish(self, question: Question) -> dict[str, Any]:
+        """Wait for what was sent, add the report, close the file; counts for the answer."""
+        wanted = question.json()
+        sent = wanted.get("expected", {})
+        expected = {str(topic): int(number) for topic, number in sent.items() if topic_of(topic) is not None}
+        self._drain(expected)
+        report = wanted.get("report")
+        if report is not None:
+            header = Header(run=self._context.bus.run, service=self._context.bus.service, seq=0, frame=-1, t=0.0)
+            self._writer.write(REPORT.name, header, json.dumps(report).encode())
+        return self.close(str(wanted.get("state", "done")), expected)
+
+    def close(self, state: str, expected: dict[str, int]) -> dict[str, Any]:
+        """Write the closing metadata and finish the file.
+
+        Only a run that was asked to finish and lost nothing is complete: without the expected
+        counts, nobody knows what was sent.
+        """
+        counts, missing = self._writer.counts, self._missing(expected)
+        end = {
+            "state": state,
+            "digest": self._digest,
+            "counts": json.dumps(counts),
+            "missing": json.dumps(missing),
+            "refused": json.dumps(self._inbox.counts.refused),
+            "complete": "true" if expected and not missing and state != "failed" else "false",
+        }
+        path = self._writer.finish({END: end})
+        size = path.stat().st_size
+        return {
+            "file": str(path),
+            "messages": sum(counts.values()),
+            "counts": dict(counts),
+            "payload_bytes": self._writer.bytes,
+            "bytes": size,
+            "seconds": self._writer.seconds,
+            "missing": missing,
+            "complete": end["complete"] == "true",
+        }
+
+    def _drain(self, expected: dict[str, int]) -> None:
+        end = time.monotonic() + DRAIN_SECONDS
+        while time.monotonic() < end and any(self._seen(topic) < number for topic, number in expected.items()):
+            item = self._inbox.get(timeout=0.1)
+            if isinstance(item, Message):
+                self.handle(item)
+
+    def _seen(self, topic: str) -> int:
+        """Messages that came, or never will because later ones came."""
+        return self._inbox.counts.received[topic] + self._inbox.counts.missing[topic]
+
+    def _missing(self, expected: dict[str, int]) -> dict[str, int]:
+        """What is not in the file, per topic: lost on the way, or refused by the writer."""
+        topics = {*expected, *self._inbox.counts.missing}
+        lost = {
+            topic: max(expected.get(topic, 0) - self._writer.counts[topic], self._inbox.counts.missing[topic])
+            for topic in sorted(topics)
+        }
+        return {topic: number for topic, number in lost.items() if number > 0}

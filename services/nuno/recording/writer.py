@@ -1,0 +1,194 @@
+"""Writes a run's recording: crash-safe while it grows, renamed when it is whole."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import BinaryIO
+
+from pydantic import BaseModel
+
+from nuno.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, points_schema
+from nuno.recording.mcap_file import CHUNK_BYTES, MAGIC, McapFile
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import EVENT, TOPICS, Event, Header, Penetration, Status, Topic
+
+FLUSH_SECONDS = 0.5
+"""At most this much wall time is lost when the process is killed."""
+
+
+def topic_of(name: str) -> Topic | None:
+    """The topic of a recorded message; each service has an event topic of its own."""
+    if name.startswith(EVENT.name + "/"):
+        return Topic(name, EVENT.encoding, EVENT.schema)
+    topic = TOPICS.get(name)
+    return topic if topic is not None and topic.recorded else None
+
+
+def schema_of(topic: Topic) -> tuple[str, bytes]:
+    """Encoding and text of a topic's schema."""
+    if topic.encoding == "protobuf":
+        return "protobuf", arrays_schema() if topic.schema == ARRAYS_SCHEMA else points_schema()
+    models: dict[str, type[BaseModel]] = {"nuno.Status": Status, "nuno.Penetration": Penetration, "nuno.Event": Event}
+    model = models.get(topic.schema)
+    schema = model.model_json_schema() if model else {"title": topic.schema, "type": "object"}
+    return "jsonschema", json.dumps(schema).encode()
+
+
+def part_of(path: Path) -> Path:
+    """Where a recording is written until it is whole."""
+    return path.with_name(path.name + ".part")
+
+
+def check_target(path: Path) -> None:
+    """Raises BadInput where a recording could not be written, and leaves nothing behind."""
+    _open(path).close()
+    part_of(path).unlink()
+
+
+def _open(path: Path) -> BinaryIO:
+    part = part_of(path)
+    if path.suffix != ".mcap":
+        problem = "a recording's name ends in .mcap"
+        raise BadInput(problem, field="--record", value=str(path), remedy=f"{path}.mcap")
+    try:
+        if path.exists() and not _is_mcap(path):
+            problem = "what is there is no recording and would be lost"
+            raise BadInput(problem, field="--record", value=str(path), remedy="choose another name")
+        return part.open("xb")
+    except FileExistsError:
+        remedy = "it is being written, or its run was killed: choose another name, or recover or remove it"
+        raise BadInput("an unfinished recording is there", field="--record", value=str(part), remedy=remedy) from None
+    except OSError as error:
+        remedy = "choose a folder that exists and can be written, with --record FILE"
+        problem = f"cannot write there: {error.strerror}"
+        raise BadInput(problem, field="--record", value=str(path), remedy=remedy) from None
+
+
+def _is_mcap(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return stream.read(len(MAGIC)) == MAGIC
+
+
+class RecordingWriter:
+    """One MCAP file of a run: `path` + ".part" until `finish`, then `path`.
+
+    metadata     name -> fields, written first
+    attachments  name -> bytes, the files that the scene used
+
+    Raises BadInput where the file cannot be created, RunFailed when writing fails later (disk
+    full): the ".part" then ends with its last whole chunk and reads up to there.
+    """
+
+    def __init__(self, path: Path, metadata: dict[str, dict[str, str]], attachments: dict[str, bytes]) -> None:
+        self.path = path
+        self.counts: dict[str, int] = defaultdict(int)
+        self.seconds = 0.0
+        self.bytes = 0
+        self._stream = _open(path)
+        self._whole = 0
+        self._channels: dict[str, int] = {}
+        self._latest = 0
+        try:
+            self._file = McapFile(self._stream)
+            for name, fields in metadata.items():
+                self._file.add_metadata(name, fields)
+            for name, data in attachments.items():
+                self._file.add_attachment(name, data)
+            self._flush()
+        except OSError as error:
+            raise self._failed(error) from None
+
+    def write(self, topic: str, header: Header, payload: bytes) -> None:
+        """Add a message; what is older than half a second of wall time is flushed.
+
+        The MCAP sequence is the header's, the log time is simulation time [ns] and the publish
+        time wall time [ns]. Messages outside any frame take the latest simulation time, so that
+        they stand where they happened. Raises BadMessage for a topic or header that cannot be
+        recorded, RunFailed when the disk is full.
+        """
+        start = time.perf_counter()
+        kind = topic_of(topic)
+        if kind is None or not (math.isfinite(header.t) and 0 <= header.t < 2**62 * 1e-9 and 0 <= header.seq < 2**32):
+            raise BadMessage(f"cannot be recorded: topic {topic!r}, number {header.seq}, time {header.t} s")
+        log_time = round(header.t * 1e9)
+        if header.frame < 0:
+            log_time = max(log_time, self._latest)
+        self._latest = max(self._latest, log_time)
+        urgent = topic.startswith(EVENT.name)
+        try:
+            self._file.add_message(self._channel(kind), header.seq, log_time, time.time_ns(), payload)
+            # An event may be the last message for a while (pause) or for good (an error).
+            if urgent or self._file.pending >= CHUNK_BYTES or time.monotonic() - self._flushed > FLUSH_SECONDS:
+                self._flush()
+        except OSError as error:
+            raise self._failed(error) from None
+        self.counts[topic] += 1
+        self.bytes += len(payload)
+        self.seconds += time.perf_counter() - start
+
+    def finish(self, metadata: dict[str, dict[str, str]]) -> Path:
+        """Write closing metadata and the index, make it durable, give it its name."""
+        try:
+            # The last messages come before the closing metadata, also in a file cut in between.
+            self._flush()
+            for name, fields in metadata.items():
+                self._file.add_metadata(name, fields)
+            self._file.finish()
+            os.fsync(self._stream.fileno())
+            self._stream.close()
+            part_of(self.path).replace(self.path)
+            _sync_folder(self.path.parent)
+        except OSError as error:
+            raise self._failed(error) from None
+        return self.path
+
+    @property
+    def closed(self) -> bool:
+        return self._stream.closed
+
+    def abort(self) -> None:
+        """Leave the unfinished file, cut after its last whole chunk."""
+        if not self.closed:
+            _close_cut(self._stream, self._whole)
+
+    def _channel(self, topic: Topic) -> int:
+        if topic.name not in self._channels:
+            self._channels[topic.name] = self._file.add_channel(
+                topic.name, topic.encoding, topic.schema, *schema_of(topic)
+            )
+        return self._channels[topic.name]
+
+    def _flush(self) -> None:
+        self._file.flush()
+        self._whole = self._stream.tell()
+        self._flushed = time.monotonic()
+
+    def _failed(self, error: OSError) -> RunFailed:
+        part, whole = part_of(self.path), self._whole
+        self.abort()
+        return RunFailed(f"recording stopped: {error.strerror or error}; {part} reads up to byte {whole}")
+
+
+def _close_cut(stream: BinaryIO, size: int) -> None:
+    """Close and cut to `size`: closing writes what is buffered, and on a full disk fails again."""
+    path = stream.name
+    with contextlib.suppress(OSError):
+        stream.close()
+    if os.path.exists(path):
+        os.truncate(path, size)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a rename durable, where the system lets a folder be opened."""
+    if hasattr(os, "O_DIRECTORY"):
+        handle = os.open(folder, os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
