@@ -124,7 +124,9 @@ def load_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] 
         raise BadInput("unknown kind of mesh", field="file", value=path.name, limit=".obj, .ply or .stl")
     try:
         with path.open("rb") as stream:
-            mesh: Any = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
+            mesh: Any = trimesh.load(
+                stream, file_type=kind, force="mesh", process=False, maintain_order=True, skip_materials=True
+            )
     except Exception as error:
         raise BadInput(f"cannot be read as {kind.upper()}: {error}", file=str(path), field="file") from None
     points = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64).reshape(-1, 3)

@@ -27,6 +27,8 @@ from nuno_schemas.plugin import Config, Files
 SAMPLES = 2048
 """Points by which a row's curve is measured."""
 
+ROUNDS = 4
+
 
 class SkirtConfig(Config):
     """Radii and length (along the cloth, waist to hem) [m]; vertices around and down.
@@ -62,7 +64,8 @@ class SkirtConfig(Config):
 
 
 class Skirt:
-    """A ring of cloth; unstretched at the start, but for what folds must give (a few per cent)."""
+    """A ring of cloth; unstretched at the start, but for some per cent of shear that folds, and an
+    elliptic waist, need."""
 
     name: ClassVar[str] = "skirt"
     Config: ClassVar[type[BaseModel]] = SkirtConfig
@@ -119,46 +122,53 @@ def require_measures(config: SkirtConfig) -> None:
 
 
 def drape(config: SkirtConfig, circle: Float) -> Float:
-    """(n, 3) starting positions [m] of rows that are `circle` (rows,) long."""
+    """(n, 3) starting positions [m] of rows that are `circle` (rows,) long.
+
+    Waves, heights and steps around depend on each other: chords are shorter than the curve they
+    span, and rise and fall along a row add to its length. A few rounds make the steps of
+    each row equal and as long together as its cloth.
+    """
     around = np.linspace(0, 2 * np.pi, SAMPLES + 1)
     outline = np.stack([np.cos(around), config.ratio * np.sin(around)], -1)
-    outline *= 2 * np.pi / _polyline(outline)[-1]
-    flat = np.empty((config.rows, config.columns, 2))
+    outline *= 2 * np.pi / _reached(outline)[-1]
+    phase = _reached(outline) * config.pleats
     radius = np.linspace(config.waist_radius, config.hem_radius, config.rows)
-    for row in range(config.rows):
-        flat[row] = _fold(outline, around * config.pleats, radius[row], circle[row], config.columns)
-    height = np.zeros((config.rows, config.columns))
-    height[1:] = np.cumsum(_fall(flat, config), axis=0)
-    position = np.stack([flat[..., 0], -height, -flat[..., 1]], -1).reshape(-1, 3)
-    turned = position if config.rotate is None else position @ config.rotate.matrix().T
+    depths, lengths = _wave_depths(outline, phase)
+    if circle[-1] / radius[-1] > lengths[-1]:
+        raise BadInput("the folds would reach the axis", field="fullness", remedy="more pleats, or less fullness")
+    steps = np.tile(np.arange(config.columns + 1) / config.columns, (config.rows, 1))
+    even = steps[0].copy()
+    aim = circle.copy()
+    position = np.empty((config.rows, config.columns, 3))
+    for _ in range(ROUNDS):
+        for row in range(config.rows):
+            depth = np.interp(aim[row] / radius[row], lengths, depths) if config.fullness > 1 else 0.0
+            ring = radius[row] * outline * (1 + depth * np.cos(phase))[:, None]
+            reached = _reached(ring)
+            at = steps[row, :-1] * reached[-1]
+            position[row, :, 0] = np.interp(at, reached, ring[:, 0])
+            position[row, :, 2] = -np.interp(at, reached, ring[:, 1])
+        position[0, :, 1] = 0.0
+        position[1:, :, 1] = -np.cumsum(_fall(position[..., [0, 2]], config), axis=0)
+        for row in range(config.rows):
+            reached = _reached(np.concatenate([position[row], position[row, :1]]))
+            steps[row] = np.interp(even, reached / reached[-1], steps[row])
+            aim[row] *= circle[row] / reached[-1]
+    points = position.reshape(-1, 3)
+    turned = points if config.rotate is None else points @ config.rotate.matrix().T
     return np.ascontiguousarray(turned + np.asarray(config.centre))
 
 
-def _polyline(points: Float) -> Float:
-    """(p,) length of a chain of points (p, 2) up to each of them."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+def _reached(points: Float) -> Float:
+    """(p,) length of a chain of points (p, d) up to each of them."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def _fold(outline: Float, phase: Float, radius: float, length: float, columns: int) -> Float:
-    """(columns, 2) points at equal steps on a wavy ring of the given length around the outline.
-
-    The depth of the waves is found by bisection: the length grows with it.
-    """
-
-    def ring(depth: float) -> Float:
-        return radius * outline * (1 + depth * np.cos(phase))[:, None]
-
-    low, high = 0.0, 0.95
-    if _polyline(ring(high))[-1] < length:
-        raise BadInput("the folds would reach the axis", field="fullness", remedy="more pleats, or less fullness")
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _polyline(ring(middle))[-1] < length else (low, middle)
-    points = ring(low)
-    reached = _polyline(points)
-    at = np.arange(columns) / columns * reached[-1]
-    return np.stack([np.interp(at, reached, points[:, axis]) for axis in (0, 1)], -1)
+def _wave_depths(outline: Float, phase: Float) -> tuple[Float, Float]:
+    """Depths of waves on a ring, as parts of its radius, and the lengths that they give it per
+    radius. The length grows with the square of small depths, and so do the table's steps."""
+    depths = 0.95 * np.linspace(0, 1, 256) ** 2
+    return depths, np.array([_reached(outline * (1 + depth * np.cos(phase))[:, None])[-1] for depth in depths])
 
 
 def _fall(flat: Float, config: SkirtConfig) -> Float:

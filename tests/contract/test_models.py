@@ -1,0 +1,422 @@
+"""What every model owes: counts, orientation, mass, springs, texture, and refusals by name."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from nuno_cloth.mesh import Mesh, MeshConfig
+from nuno_cloth.net import Net, NetConfig
+from nuno_cloth.presets import PRESETS
+from nuno_cloth.sheet import Sheet
+from nuno_cloth.skirt import Skirt
+from nuno_cloth.triangles import affine_stiffness
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float
+
+
+class Folder:
+    """Files in one folder."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def resolve(self, name: str) -> Path:
+        path = self.root / name
+        if not path.is_file():
+            raise BadInput("no such file", field="file", value=name)
+        return path
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Folder:
+    write_obj(tmp_path / "sheet.obj", build(Sheet(), {"resolution": (5, 6), "size": (0.4, 0.5)}, Folder(tmp_path)))
+    np.savez(tmp_path / "net.npz", **net_arrays())  # type: ignore[arg-type]
+    (tmp_path / "image.png").write_bytes(b"")
+    return Folder(tmp_path)
+
+
+def build(model: Any, config: dict[str, Any], files: Folder) -> Fabric:
+    fabric: Fabric = model.build(model.Config.model_validate(config), files, 0)
+    return fabric
+
+
+def write_obj(path: Path, fabric: Fabric, order: slice = slice(None)) -> None:
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in fabric.position.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (fabric.faces[:, order] + 1).tolist()]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def net_arrays() -> dict[str, np.ndarray[Any, Any]]:
+    return {
+        "x": np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]),
+        "v": np.zeros((3, 3)),
+        "m": np.array([1.0, 2.0, 3.0]),
+        "pinned": np.array([True, False, False]),
+        "springs": np.array([[0, 1], [1, 2]]),
+        "k": np.array([10.0, 20.0]),
+        "rest": np.array([1.0, 1.5]),
+        "c": np.array([0.0, 0.1]),
+    }
+
+
+EXAMPLES: list[tuple[Any, dict[str, Any]]] = [
+    (Sheet(), {"resolution": (7, 5), "size": ("60 cm", 0.4), "pin": ["top-row", 20]}),
+    (Sheet(), {"resolution": (2, 2), "fabric": {"density": 0.2, "structural": 30, "shear": 5, "bending": [2, 3]}}),
+    (Skirt(), {"columns": 64, "rows": 24, "fullness": 1.3, "pleats": 8, "attach": {"body": "b", "frame": "hips"}}),
+    (Mesh(), {"file": "sheet.obj", "fabric": "jacket", "pin": [0]}),
+    (Net(), {"file": "net.npz"}),
+]
+
+
+@pytest.mark.parametrize(("model", "config"), EXAMPLES)
+def test_models_keep_the_contract(model: Any, config: dict[str, Any], files: Folder) -> None:
+    fabric = build(model, config, files)
+    n = fabric.number
+    assert n == model.count(model.Config.model_validate(config), files)
+    for array, width in ((fabric.position, 3), (fabric.velocity, 3)):
+        assert array.shape == (n, width) and array.dtype == np.float64 and array.flags.c_contiguous
+    assert fabric.mass.shape == (n,) and fabric.mass.dtype == np.float64 and fabric.mass.min() > 0
+    assert fabric.pinned.shape == (n,) and fabric.pinned.dtype == np.bool_
+    assert fabric.faces.shape[1:] == (3,) and fabric.faces.dtype == np.int32
+    for elements in (fabric.springs, fabric.hinges):
+        if elements is None:
+            continue
+        for field in ("first", "count", "stride"):
+            assert getattr(elements, field).dtype == np.int32
+        indices = elements.pairs() if elements is fabric.springs else elements.quads()  # type: ignore[union-attr]
+        assert indices.min() >= 0 and indices.max() < n
+        corners = np.sort(indices, axis=1)
+        assert (np.diff(corners, axis=1) > 0).all(), "a corner occurs twice"
+        assert len(np.unique(indices, axis=0)) == len(indices)
+    assert fabric.springs is not None
+    pairs = np.sort(fabric.springs.pairs(), axis=1)
+    assert len(np.unique(pairs, axis=0)) == len(pairs), "two springs between the same vertices"
+
+
+@pytest.mark.parametrize(("model", "config"), EXAMPLES)
+def test_models_are_deterministic(model: Any, config: dict[str, Any], files: Folder) -> None:
+    first, second = build(model, config, files), build(model, config, files)
+    for field in fields(first):
+        a, b = getattr(first, field.name), getattr(second, field.name)
+        if isinstance(a, np.ndarray):
+            assert a.tobytes() == b.tobytes(), field.name
+
+
+@pytest.mark.parametrize("model", [Sheet(), Skirt(), Mesh(), Net()])
+def test_unknown_fields_are_refused_by_name(model: Any) -> None:
+    with pytest.raises(ValidationError, match="colour"):
+        model.Config.model_validate({"file": "net.npz", "colour": "red"})
+
+
+@pytest.mark.parametrize(("plane", "normal"), [("xy", (0, 0, 1)), ("xz", (0, 1, 0)), ("yz", (1, 0, 0))])
+def test_sheets_face_where_they_say(plane: str, normal: tuple[int, int, int], files: Folder) -> None:
+    fabric = build(Sheet(), {"plane": plane, "resolution": (4, 5), "centre": (1, 2, 3)}, files)
+    assert face_normals(fabric) == pytest.approx(np.tile(normal, (24, 1)), abs=1e-12)
+    assert fabric.position.mean(axis=0) == pytest.approx([1, 2, 3])
+    if plane != "xz":
+        assert fabric.position[0, 1] > fabric.position[-1, 1], "the first row is the top"
+
+
+def face_normals(fabric: Fabric) -> Float:
+    corner = fabric.position[fabric.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    unit: Float = normal / np.linalg.norm(normal, axis=1)[:, None]
+    return unit
+
+
+def test_rotation_turns_about_the_centre(files: Folder) -> None:
+    flat = build(Sheet(), {"centre": (1, 2, 3)}, files)
+    turned = build(Sheet(), {"centre": (1, 2, 3), "rotate": {"axis": (1, 0, 0), "angle": "90 deg"}}, files)
+    x, y = (flat.position - [1, 2, 3])[:, 0], (flat.position - [1, 2, 3])[:, 1]
+    assert turned.position - [1, 2, 3] == pytest.approx(np.stack([x, 0 * y, y], 1), abs=1e-12)
+
+
+def test_sheet_counts_and_mass(files: Folder) -> None:
+    rows, cols = 5, 7
+    fabric = build(Sheet(), {"resolution": (cols, rows), "size": (0.6, 0.4), "fabric": "trousers"}, files)
+    assert fabric.springs is not None and fabric.hinges is not None
+    assert fabric.springs.number == rows * (cols - 1) + (rows - 1) * cols + 2 * (rows - 1) * (cols - 1)
+    assert fabric.hinges.number == (rows - 2) * cols + rows * (cols - 2) + (rows - 1) * (cols - 1)
+    assert fabric.mass.sum() == pytest.approx(0.220 * 0.24, rel=1e-12)
+    assert fabric.faces.shape == (2 * (rows - 1) * (cols - 1), 3)
+    lengths = np.linalg.norm(np.diff(fabric.position[fabric.springs.pairs()], axis=1)[:, 0], axis=1)
+    assert lengths == pytest.approx(fabric.springs.per_spring(fabric.springs.rest), rel=1e-12)
+
+
+def test_papers_grid_has_twelve_springs_a_vertex(files: Folder) -> None:
+    rows, cols = 6, 8
+    by_hand = {"density": 0.1, "structural": 50, "shear": 20, "bending": 5}
+    fabric = build(Sheet(), {"resolution": (cols, rows), "fabric": by_hand}, files)
+    assert fabric.springs is not None
+    inner = np.bincount(fabric.springs.pairs().ravel())[2 * cols + 2 : 2 * cols + cols - 2]
+    assert (inner == 12).all()
+    assert fabric.hinges is None
+
+
+def test_runs_stay_few(files: Folder) -> None:
+    """Memory of springs and hinges grows with the rows, not with the vertices."""
+    fabric = build(Sheet(), {"resolution": (200, 100)}, files)
+    assert fabric.springs is not None and fabric.hinges is not None
+    assert len(fabric.springs.count) < 7 * 100 and len(fabric.hinges.count) < 6 * 100
+    assert fabric.springs.k.shape == fabric.springs.count.shape
+
+
+@pytest.mark.parametrize("config", [{}, {"fullness": 1.4, "pleats": 8}, {"ratio": 0.75}, {"hem_radius": 0.13}])
+def test_skirts_are_closed_and_face_outward(config: dict[str, Any], files: Folder) -> None:
+    fabric = build(Skirt(), {"columns": 64, "rows": 12, **config}, files)
+    normal, middle = face_normals(fabric), fabric.position[fabric.faces].mean(axis=1)
+    assert (normal[:, [0, 2]] * middle[:, [0, 2]]).sum(axis=1).min() > 0
+    edges = np.sort(np.concatenate([fabric.faces[:, [0, 1]], fabric.faces[:, [1, 2]], fabric.faces[:, [2, 0]]]), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert (count == 1).sum() == 2 * 64, "only waist and hem are open"
+    assert fabric.pinned.sum() == 64 and fabric.pinned[:64].all()
+    assert fabric.springs is not None
+    assert fabric.springs.number == 64 * (12 + 3 * 11)
+
+
+def test_a_plain_skirt_starts_unstretched(files: Folder) -> None:
+    """But for chords against arcs: 1 - cos(pi / columns)."""
+    fabric = build(Skirt(), {"columns": 64, "rows": 12}, files)
+    assert np.abs(strains(fabric)).max() < 1.01 * (1 - np.cos(np.pi / 64))
+
+
+def test_pleats_start_unstretched_but_for_shear(files: Folder) -> None:
+    fabric = build(Skirt(), {"columns": 128, "rows": 24, "fullness": 1.4, "pleats": 12}, files)
+    assert fabric.springs is not None
+    structural = np.repeat(fabric.springs.kind, fabric.springs.count) == 0
+    strain = np.abs(strains(fabric))
+    assert strain[structural].max() < 1e-3 and strain.max() < 0.02
+    hem = fabric.position[-128:]
+    radius = np.hypot(hem[:, 0], hem[:, 2])
+    folds = np.flatnonzero((radius > np.roll(radius, 1)) & (radius >= np.roll(radius, -1)))
+    assert len(folds) == 12 and np.ptp(radius) > 0.03
+
+
+def strains(fabric: Fabric) -> Float:
+    assert fabric.springs is not None
+    lengths = np.linalg.norm(np.diff(fabric.position[fabric.springs.pairs()], axis=1)[:, 0], axis=1)
+    strain: Float = lengths / fabric.springs.per_spring(fabric.springs.rest) - 1
+    return strain
+
+
+def test_the_waist_is_bound(files: Folder) -> None:
+    fabric = build(Skirt(), {"columns": 32, "attach": {"body": "dancer", "frame": "hips"}}, files)
+    (binding,) = fabric.bindings
+    assert (binding.body, binding.frame) == ("dancer", "hips")
+    assert binding.vertices.dtype == np.int32 and binding.vertices.tolist() == list(range(32))
+
+
+@pytest.mark.parametrize("model", [Sheet(), Skirt()])
+def test_texture_coordinates(model: Any, files: Folder) -> None:
+    fabric = build(model, {"texture": "image.png"}, files)
+    assert fabric.uv is not None and fabric.uv.dtype == np.float32 and fabric.uv.shape == (fabric.number, 2)
+    assert fabric.uv.min(axis=0).tolist() == [0, 0] and fabric.uv.max(axis=0).tolist() == [1, 1]
+    assert fabric.uv[0, 1] == 1 and fabric.uv[-1, 1] == 0
+    widest = np.ptp(fabric.uv[fabric.faces], axis=1).max()
+    assert widest < 0.05, "no triangle spans the whole image (a seam would)"
+    assert fabric.texture == str(files.root / "image.png")
+    with pytest.raises(BadInput):
+        build(model, {"texture": "missing.png"}, files)
+
+
+@pytest.mark.parametrize(
+    ("pin", "expected"),
+    [
+        (["top-row"], [0, 1, 2]),
+        (["left-edge"], [0, 3, 6, 9]),
+        (["corners"], [0, 2, 9, 11]),
+        (["top-corners"], [0, 2]),
+        (["bottom-right", 4], [4, 11]),
+        (["all-rim"], [0, 1, 2, 3, 5, 6, 8, 9, 10, 11]),
+    ],
+)
+def test_pins_by_name(pin: list[str | int], expected: list[int], files: Folder) -> None:
+    assert np.flatnonzero(build(Sheet(), {"resolution": (3, 4), "pin": pin}, files).pinned).tolist() == expected
+
+
+@pytest.mark.parametrize("vertex", [-1, 12])
+def test_pins_that_do_not_exist_are_refused(vertex: int, files: Folder) -> None:
+    with pytest.raises(BadInput) as caught:
+        build(Sheet(), {"resolution": (3, 4), "pin": ["top-row", vertex]}, files)
+    assert caught.value.field == "pin[1]" and caught.value.value == vertex
+
+
+@pytest.mark.parametrize(
+    ("model", "config", "text"),
+    [
+        (Sheet(), {"fabric": "denym"}, "did you mean 'denim'"),
+        (Sheet(), {"fabric": {"preset": "denim", "density": "3 s"}}, "cannot be converted"),
+        (Sheet(), {"fabric": {"density": 0.2, "warp": 100}}, "missing: weft, shear, bend_warp, bend_weft"),
+        (Sheet(), {"size": (1, -1)}, "greater than 0"),
+        (Sheet(), {"resolution": (1, 5)}, "greater than or equal to 2"),
+        (Sheet(), {"rotate": {"axis": (0, 0, 0), "angle": 1}}, "zero vector"),
+        (Skirt(), {"columns": 33}, "must be even"),
+    ],
+)
+def test_bad_configuration_is_refused(model: Any, config: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValidationError, match=text):
+        model.Config.model_validate(config)
+
+
+@pytest.mark.parametrize(
+    ("model", "config", "field"),
+    [
+        (Sheet(), {"resolution": (5, 50), "fabric": "interlock"}, "resolution"),
+        (Skirt(), {"hem_radius": 0.8}, "hem_radius"),
+        (Skirt(), {"fullness": 1.5, "columns": 64, "pleats": 12}, "columns"),
+    ],
+)
+def test_impossible_cloth_is_refused(model: Any, config: dict[str, Any], field: str, files: Folder) -> None:
+    with pytest.raises(BadInput) as caught:
+        build(model, config, files)
+    assert caught.value.field == field and caught.value.limit and caught.value.remedy
+
+
+def test_overrides_of_a_preset(files: Folder) -> None:
+    fabric = build(Sheet(), {"size": (1, 1), "fabric": {"preset": "denim", "density": "100 g/m^2"}}, files)
+    assert fabric.mass.sum() == pytest.approx(0.1)
+    assert all(material.source for material in PRESETS.values())
+
+
+NET_FAULTS: dict[str, tuple[dict[str, Any], str, object]] = {
+    "missing key": ({"k": None}, "k", None),
+    "unknown key": ({"stiffness": np.zeros(2)}, "stiffness", None),
+    "shape of x": ({"x": np.zeros((3, 2))}, "x", (3, 2)),
+    "lengths differ": ({"m": np.ones(2)}, "m", (2,)),
+    "spring lengths differ": ({"rest": np.ones(3)}, "rest", (3,)),
+    "dtype of springs": ({"springs": np.array([[0.0, 1], [1, 2]])}, "springs", "float64"),
+    "dtype of pinned": ({"pinned": np.array([0.0, 1, 0])}, "pinned", "float64"),
+    "text": ({"m": np.array(["a", "b", "c"])}, "m", "<U1"),
+    "infinite position": ({"x": np.array([[0.0, 0, 0], [1, np.inf, 0], [0, 1, 0]])}, "x[1, 1]", np.inf),
+    "zero mass": ({"m": np.array([1.0, 0, 1])}, "m[1]", 0.0),
+    "negative mass where pinned": ({"m": np.array([-1.0, 1, 1])}, "m[0]", -1.0),
+    "spring to itself": ({"springs": np.array([[0, 1], [2, 2]])}, "springs[1]", [2, 2]),
+    "negative index": ({"springs": np.array([[0, 1], [-1, 2]])}, "springs[1, 0]", -1),
+    "index too large": ({"springs": np.array([[0, 3], [1, 2]])}, "springs[0, 1]", 3),
+    "index that wraps": ({"springs": np.array([[0, 1], [1, 2**32]])}, "springs[1, 1]", 2**32),
+    "duplicate, other order": ({"springs": np.array([[0, 1], [1, 0]])}, "springs[1]", [1, 0]),
+    "negative k": ({"k": np.array([1.0, -2])}, "k[1]", -2.0),
+    "negative rest": ({"rest": np.array([-1.0, 2])}, "rest[0]", -1.0),
+    "negative c": ({"c": np.array([0.0, -2])}, "c[1]", -2.0),
+}
+
+
+@pytest.mark.parametrize("fault", NET_FAULTS)
+def test_bad_nets_are_refused_by_name(fault: str, files: Folder) -> None:
+    change, field, value = NET_FAULTS[fault]
+    arrays = {name: array for name, array in (net_arrays() | change).items() if array is not None}
+    np.savez(files.root / "bad.npz", **arrays)
+    with pytest.raises(BadInput) as caught:
+        build(Net(), {"file": "bad.npz"}, files)
+    assert caught.value.field == field
+    assert caught.value.value == value
+    assert str(files.root / "bad.npz") in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["x", "v", "m", "k", "rest", "c"])
+def test_nan_in_a_net_is_refused(key: str, files: Folder) -> None:
+    arrays = net_arrays()
+    arrays[key].flat[1] = np.nan
+    np.savez(files.root / "bad.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(BadInput) as caught:
+        build(Net(), {"file": "bad.npz"}, files)
+    assert caught.value.field is not None and caught.value.field.startswith(f"{key}[")
+
+
+def test_files_that_are_no_nets(files: Folder) -> None:
+    (files.root / "text.npz").write_text("not a zip")
+    np.savez(files.root / "pickle.npz", **(net_arrays() | {"m": np.array([1, "x", None], object)}))
+    for name in ("text.npz", "pickle.npz"):
+        with pytest.raises(BadInput, match=r"read|dtype"):
+            build(Net(), {"file": name}, files)
+    with pytest.raises(BadInput):
+        Net().count(NetConfig(file="text.npz"), files)
+
+
+@pytest.mark.parametrize("points", [0, 2])
+def test_nets_without_springs_or_points_are_legal(points: int, files: Folder) -> None:
+    kept = {"x": points, "v": points, "m": points, "pinned": points}
+    arrays = {name: array[: kept.get(name, 0)] for name, array in net_arrays().items()}
+    np.savez(files.root / "bare.npz", **arrays)  # type: ignore[arg-type]
+    fabric = build(Net(), {"file": "bare.npz"}, files)
+    assert fabric.number == points == Net().count(NetConfig(file="bare.npz"), files)
+    assert fabric.springs is None and fabric.hinges is None
+
+
+def test_a_net_holds_the_files_numbers(files: Folder) -> None:
+    fabric, arrays = build(Net(), {"file": "net.npz"}, files), net_arrays()
+    assert fabric.springs is not None
+    assert np.array_equal(fabric.position, arrays["x"]) and np.array_equal(fabric.pinned, arrays["pinned"])
+    assert np.array_equal(fabric.springs.pairs(), arrays["springs"])
+    for name in ("k", "rest", "c"):
+        assert np.array_equal(getattr(fabric.springs, name), arrays[name])
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_meshes_of_right_triangles_keep_the_measures(preset: str, files: Folder) -> None:
+    fabric, material = build(Mesh(), {"file": "sheet.obj", "fabric": preset}, files), PRESETS[preset]
+    got = affine_stiffness(fabric, np.array([0.0, 1, 0]), np.array([1.0, 0, 0]))
+    assert (got.warp, got.weft, got.shear) == pytest.approx((material.warp, material.weft, material.shear), rel=1e-6)
+    assert fabric.mass.sum() == pytest.approx(material.density * 0.2, rel=1e-12)
+
+
+def test_mesh_placement_and_pins(files: Folder) -> None:
+    box = {"low": (-10, 1.2, -10), "high": (10, 10, 10)}
+    config = {"file": "sheet.obj", "scale": 2, "centre": (0, 1, 0), "pin": [box, 3]}
+    fabric = build(Mesh(), config, files)
+    assert np.ptp(fabric.position, axis=0) == pytest.approx([0.8, 1.0, 0.0])
+    assert fabric.pinned.sum() == (fabric.position[:, 1] >= 1.2).sum()
+    with pytest.raises(BadInput, match="no vertex"):
+        build(Mesh(), config | {"pin": [{"low": (5, 5, 5), "high": (6, 6, 6)}]}, files)
+
+
+def test_wrinkle_papers_bending_springs(files: Folder) -> None:
+    """One spring for each edge that is not on the rim: 4 x 5 cells, two triangles each."""
+    by_hand = {"density": 0.1, "structural": 50, "bending": 5}
+    fabric = build(Mesh(), {"file": "sheet.obj", "fabric": by_hand}, files)
+    assert fabric.springs is not None and fabric.hinges is None
+    assert int((fabric.springs.kind == 2).sum()) == 4 * 5 + 3 * 5 + 4 * 4
+
+
+def test_bad_meshes_are_refused_by_name(files: Folder) -> None:
+    good = build(Sheet(), {"resolution": (3, 3)}, files)
+    flat = replace(good, faces=np.concatenate([good.faces, [[0, 1, 2]]]).astype(np.int32))
+    flipped = replace(good, faces=np.concatenate([good.faces[:1, ::-1], good.faces[1:]]))
+    lonely = replace(good, position=np.concatenate([good.position, [[9.0, 9, 9]]]))
+    torn = np.concatenate([np.where(good.faces[:1] == 0, 9, good.faces[:1]), good.faces[1:]]).astype(np.int32)
+    double = replace(good, position=np.concatenate([good.position, good.position[:1]]), faces=torn)
+    finned = np.concatenate([good.faces, [[0, 4, 9]]]).astype(np.int32)
+    fin = replace(good, position=np.concatenate([good.position, [[0.0, 0, 1]]]), faces=finned)
+    cases = {"without area": flat, "opposite ways": flipped, "no triangle": lonely, "several vertices": double}
+    for text, fabric in (cases | {"more than two": fin}).items():
+        write_obj(files.root / "bad.obj", fabric)
+        with pytest.raises(BadInput, match=text):
+            build(Mesh(), {"file": "bad.obj"}, files)
+    (files.root / "empty.obj").write_text("# nothing\n")
+    (files.root / "bad.stl").write_bytes(b"solid nonsense")
+    for name in ("empty.obj", "bad.stl", "image.png"):
+        with pytest.raises(BadInput):
+            build(Mesh(), {"file": name}, files)
+
+
+def test_merging_joins_vertices_at_one_place(files: Folder) -> None:
+    import trimesh
+
+    good = build(Sheet(), {"resolution": (4, 5)}, files)
+    apart = np.arange(good.faces.size, dtype=np.int32).reshape(-1, 3)
+    soup = replace(good, position=good.position[good.faces.ravel()], faces=apart)
+    write_obj(files.root / "soup.obj", soup)
+    trimesh.Trimesh(good.position, good.faces, process=False).export(files.root / "sheet.stl")
+    for config in ({"file": "soup.obj", "merge": True}, {"file": "sheet.stl"}):
+        fabric = build(Mesh(), config, files)
+        assert fabric.number == 20 == Mesh().count(MeshConfig.model_validate(config), files)
+        assert fabric.springs is not None and fabric.springs.number == 4 * 4 + 3 * 5 + 3 * 4
+    with pytest.raises(BadInput, match="several vertices") as caught:
+        build(Mesh(), {"file": "soup.obj"}, files)
+    assert caught.value.remedy == "merge: true"
