@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from pathlib import Path
 from typing import Any, ClassVar
@@ -44,11 +45,7 @@ class Net:
     def count(self, config: NetConfig, files: Files) -> int:
         path = files.resolve(config.file)
         with _open(path) as archive:
-            names = [name.removesuffix(".npy") for name in archive.namelist()]
-            _require_keys(path, names)
-            with archive.open("x.npy") as stream:
-                shape = _header_shape(path, stream)
-        return _require_shape(path, "x", shape, None)
+            return read_sizes(path, archive)["n"]
 
     def build(self, config: NetConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput that names the key, the index and the value."""
@@ -76,15 +73,6 @@ def _open(path: Path) -> zipfile.ZipFile:
         ) from None
 
 
-def _header_shape(path: Path, stream: Any) -> tuple[int, ...]:
-    try:
-        version = np.lib.format.read_magic(stream)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        return read(stream)[0]
-    except ValueError as error:
-        raise BadInput(f"not a numpy array: {error}", file=str(path), field="x") from None
-
-
 def _require_keys(path: Path, names: list[str]) -> None:
     for name in KEYS:
         if name not in names:
@@ -94,33 +82,55 @@ def _require_keys(path: Path, names: list[str]) -> None:
             raise BadInput("unknown key", file=str(path), field=name, remedy=nearest(name, KEYS))
 
 
-def _require_shape(path: Path, name: str, shape: tuple[int, ...], leading: int | None) -> int:
-    letter, rest, _ = KEYS[name]
-    if len(shape) != 1 + len(rest) or shape[1:] != rest or (leading is not None and shape[0] != leading):
-        wanted = ", ".join([letter if leading is None else str(leading), *map(str, rest)])
-        raise BadInput(
-            "wrong shape", file=str(path), field=name, value=shape, limit=f"({wanted}{',' if not rest else ''})"
-        )
-    return shape[0]
+def read_sizes(path: Path, archive: zipfile.ZipFile) -> dict[str, int]:
+    """Numbers of vertices "n" and springs "s", from the headers alone.
+
+    Raises BadInput for a missing or unknown key, a wrong dtype or shape, and a header that
+    announces more than the file holds: nothing is allocated for a lie.
+    """
+    _require_keys(path, [name.removesuffix(".npy") for name in archive.namelist()])
+    sizes: dict[str, int] = {}
+    for name, (letter, rest, kinds) in KEYS.items():
+        shape, dtype, start = _read_header(path, archive, name)
+        if dtype.kind not in kinds and 0 not in shape:
+            raise BadInput("wrong dtype", file=str(path), field=name, value=str(dtype), limit=DTYPES[kinds])
+        leading = sizes.get(letter)
+        if len(shape) != 1 + len(rest) or shape[1:] != rest or leading not in (None, shape[0]):
+            wanted = ", ".join([letter if leading is None else str(leading), *map(str, rest)])
+            limit = f"({wanted}{',' if not rest else ''})"
+            raise BadInput("wrong shape", file=str(path), field=name, value=shape, limit=limit)
+        held = archive.getinfo(f"{name}.npy").file_size - start
+        if math.prod(shape) * dtype.itemsize > held:
+            raise BadInput(
+                "holds less than its header says", file=str(path), field=name, value=shape, limit=f"{held} bytes"
+            )
+        sizes[letter] = shape[0]
+    return sizes
+
+
+def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any], int]:
+    """Shape, dtype and length of the header of one array."""
+    try:
+        with archive.open(f"{name}.npy") as stream:
+            version = np.lib.format.read_magic(stream)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(stream)
+            return shape, dtype, stream.tell()
+    except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
+        raise BadInput(f"not a numpy array: {error}", file=str(path), field=name) from None
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """The eight arrays, C-contiguous, in float64, int32 and bool; pickles are never read."""
+    with _open(path) as archive:
+        sizes = read_sizes(path, archive)
     arrays: dict[str, NDArray[Any]] = {}
-    sizes: dict[str, int] = {}
-    _open(path).close()
-    with np.load(path, allow_pickle=False) as archive:
-        _require_keys(path, list(archive.files))
-        for name, (letter, _, kinds) in KEYS.items():
+    with np.load(path, allow_pickle=False) as file:
+        for name in KEYS:
             try:
-                array = archive[name]
-            except (ValueError, zipfile.BadZipFile, OSError) as error:
+                arrays[name] = file[name]
+            except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
                 raise BadInput(f"cannot be read: {error}", file=str(path), field=name) from None
-            if array.dtype.kind not in kinds and array.size:
-                wanted = DTYPES[kinds]
-                raise BadInput("wrong dtype", file=str(path), field=name, value=str(array.dtype), limit=wanted)
-            sizes[letter] = _require_shape(path, name, array.shape, sizes.get(letter))
-            arrays[name] = array
     _require_indices(path, arrays["springs"], sizes["n"])
     return {name: np.ascontiguousarray(array, DTYPES[KEYS[name][2]]) for name, array in arrays.items()}
 

@@ -2,71 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from pathlib import Path
+import json
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
+from model_files import Folder, build, files
 from pydantic import ValidationError
 
-from nuno_cloth.mesh import Mesh, MeshConfig
-from nuno_cloth.net import Net, NetConfig
+from nuno_cloth.mesh import Mesh
+from nuno_cloth.net import Net
 from nuno_cloth.presets import PRESETS
 from nuno_cloth.sheet import Sheet
 from nuno_cloth.skirt import Skirt
-from nuno_cloth.triangles import affine_stiffness
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 
-
-class Folder:
-    """Files in one folder."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-
-    def resolve(self, name: str) -> Path:
-        path = self.root / name
-        if not path.is_file():
-            raise BadInput("no such file", field="file", value=name)
-        return path
-
-
-@pytest.fixture
-def files(tmp_path: Path) -> Folder:
-    write_obj(tmp_path / "sheet.obj", build(Sheet(), {"resolution": (5, 6), "size": (0.4, 0.5)}, Folder(tmp_path)))
-    np.savez(tmp_path / "net.npz", **net_arrays())  # type: ignore[arg-type]
-    (tmp_path / "image.png").write_bytes(b"")
-    return Folder(tmp_path)
-
-
-def build(model: Any, config: dict[str, Any], files: Folder) -> Fabric:
-    fabric: Fabric = model.build(model.Config.model_validate(config), files, 0)
-    return fabric
-
-
-def write_obj(path: Path, fabric: Fabric, order: slice = slice(None)) -> None:
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in fabric.position.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (fabric.faces[:, order] + 1).tolist()]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def net_arrays() -> dict[str, np.ndarray[Any, Any]]:
-    return {
-        "x": np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]),
-        "v": np.zeros((3, 3)),
-        "m": np.array([1.0, 2.0, 3.0]),
-        "pinned": np.array([True, False, False]),
-        "springs": np.array([[0, 1], [1, 2]]),
-        "k": np.array([10.0, 20.0]),
-        "rest": np.array([1.0, 1.5]),
-        "c": np.array([0.0, 0.1]),
-    }
+__all__ = ["files"]
 
 
 EXAMPLES: list[tuple[Any, dict[str, Any]]] = [
     (Sheet(), {"resolution": (7, 5), "size": ("60 cm", 0.4), "pin": ["top-row", 20]}),
+    (Sheet(), {"resolution": (2, 2)}),
+    (Sheet(), {"resolution": (2, 4), "size": (0.1, 0.3), "pin": ["all-rim"]}),
+    (Sheet(), {"resolution": (3, 3)}),
+    (Skirt(), {"columns": 4, "rows": 2, "fabric": {"density": 0.2, "structural": 30, "bending": 2, "hinge": 1e-6}}),
     (Sheet(), {"resolution": (2, 2), "fabric": {"density": 0.2, "structural": 30, "shear": 5, "bending": [2, 3]}}),
     (Skirt(), {"columns": 64, "rows": 24, "fullness": 1.3, "pleats": 8, "attach": {"body": "b", "frame": "hips"}}),
     (Mesh(), {"file": "sheet.obj", "fabric": "jacket", "pin": [0]}),
@@ -112,6 +73,13 @@ def test_models_are_deterministic(model: Any, config: dict[str, Any], files: Fol
 def test_unknown_fields_are_refused_by_name(model: Any) -> None:
     with pytest.raises(ValidationError, match="colour"):
         model.Config.model_validate({"file": "net.npz", "colour": "red"})
+
+
+@pytest.mark.parametrize("model", [Sheet(), Skirt(), Mesh(), Net()])
+def test_configurations_have_a_json_schema(model: Any) -> None:
+    schema = json.loads(json.dumps(model.Config.model_json_schema()))
+    assert schema["additionalProperties"] is False
+    assert set(schema["properties"]) == set(model.Config.model_fields)
 
 
 @pytest.mark.parametrize(("plane", "normal"), [("xy", (0, 0, 1)), ("xz", (0, 1, 0)), ("yz", (1, 0, 0))])
@@ -282,141 +250,3 @@ def test_overrides_of_a_preset(files: Folder) -> None:
     fabric = build(Sheet(), {"size": (1, 1), "fabric": {"preset": "denim", "density": "100 g/m^2"}}, files)
     assert fabric.mass.sum() == pytest.approx(0.1)
     assert all(material.source for material in PRESETS.values())
-
-
-NET_FAULTS: dict[str, tuple[dict[str, Any], str, object]] = {
-    "missing key": ({"k": None}, "k", None),
-    "unknown key": ({"stiffness": np.zeros(2)}, "stiffness", None),
-    "shape of x": ({"x": np.zeros((3, 2))}, "x", (3, 2)),
-    "lengths differ": ({"m": np.ones(2)}, "m", (2,)),
-    "spring lengths differ": ({"rest": np.ones(3)}, "rest", (3,)),
-    "dtype of springs": ({"springs": np.array([[0.0, 1], [1, 2]])}, "springs", "float64"),
-    "dtype of pinned": ({"pinned": np.array([0.0, 1, 0])}, "pinned", "float64"),
-    "text": ({"m": np.array(["a", "b", "c"])}, "m", "<U1"),
-    "infinite position": ({"x": np.array([[0.0, 0, 0], [1, np.inf, 0], [0, 1, 0]])}, "x[1, 1]", np.inf),
-    "zero mass": ({"m": np.array([1.0, 0, 1])}, "m[1]", 0.0),
-    "negative mass where pinned": ({"m": np.array([-1.0, 1, 1])}, "m[0]", -1.0),
-    "spring to itself": ({"springs": np.array([[0, 1], [2, 2]])}, "springs[1]", [2, 2]),
-    "negative index": ({"springs": np.array([[0, 1], [-1, 2]])}, "springs[1, 0]", -1),
-    "index too large": ({"springs": np.array([[0, 3], [1, 2]])}, "springs[0, 1]", 3),
-    "index that wraps": ({"springs": np.array([[0, 1], [1, 2**32]])}, "springs[1, 1]", 2**32),
-    "duplicate, other order": ({"springs": np.array([[0, 1], [1, 0]])}, "springs[1]", [1, 0]),
-    "negative k": ({"k": np.array([1.0, -2])}, "k[1]", -2.0),
-    "negative rest": ({"rest": np.array([-1.0, 2])}, "rest[0]", -1.0),
-    "negative c": ({"c": np.array([0.0, -2])}, "c[1]", -2.0),
-}
-
-
-@pytest.mark.parametrize("fault", NET_FAULTS)
-def test_bad_nets_are_refused_by_name(fault: str, files: Folder) -> None:
-    change, field, value = NET_FAULTS[fault]
-    arrays = {name: array for name, array in (net_arrays() | change).items() if array is not None}
-    np.savez(files.root / "bad.npz", **arrays)
-    with pytest.raises(BadInput) as caught:
-        build(Net(), {"file": "bad.npz"}, files)
-    assert caught.value.field == field
-    assert caught.value.value == value
-    assert str(files.root / "bad.npz") in str(caught.value)
-
-
-@pytest.mark.parametrize("key", ["x", "v", "m", "k", "rest", "c"])
-def test_nan_in_a_net_is_refused(key: str, files: Folder) -> None:
-    arrays = net_arrays()
-    arrays[key].flat[1] = np.nan
-    np.savez(files.root / "bad.npz", **arrays)  # type: ignore[arg-type]
-    with pytest.raises(BadInput) as caught:
-        build(Net(), {"file": "bad.npz"}, files)
-    assert caught.value.field is not None and caught.value.field.startswith(f"{key}[")
-
-
-def test_files_that_are_no_nets(files: Folder) -> None:
-    (files.root / "text.npz").write_text("not a zip")
-    np.savez(files.root / "pickle.npz", **(net_arrays() | {"m": np.array([1, "x", None], object)}))
-    for name in ("text.npz", "pickle.npz"):
-        with pytest.raises(BadInput, match=r"read|dtype"):
-            build(Net(), {"file": name}, files)
-    with pytest.raises(BadInput):
-        Net().count(NetConfig(file="text.npz"), files)
-
-
-@pytest.mark.parametrize("points", [0, 2])
-def test_nets_without_springs_or_points_are_legal(points: int, files: Folder) -> None:
-    kept = {"x": points, "v": points, "m": points, "pinned": points}
-    arrays = {name: array[: kept.get(name, 0)] for name, array in net_arrays().items()}
-    np.savez(files.root / "bare.npz", **arrays)  # type: ignore[arg-type]
-    fabric = build(Net(), {"file": "bare.npz"}, files)
-    assert fabric.number == points == Net().count(NetConfig(file="bare.npz"), files)
-    assert fabric.springs is None and fabric.hinges is None
-
-
-def test_a_net_holds_the_files_numbers(files: Folder) -> None:
-    fabric, arrays = build(Net(), {"file": "net.npz"}, files), net_arrays()
-    assert fabric.springs is not None
-    assert np.array_equal(fabric.position, arrays["x"]) and np.array_equal(fabric.pinned, arrays["pinned"])
-    assert np.array_equal(fabric.springs.pairs(), arrays["springs"])
-    for name in ("k", "rest", "c"):
-        assert np.array_equal(getattr(fabric.springs, name), arrays[name])
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-def test_meshes_of_right_triangles_keep_the_measures(preset: str, files: Folder) -> None:
-    fabric, material = build(Mesh(), {"file": "sheet.obj", "fabric": preset}, files), PRESETS[preset]
-    got = affine_stiffness(fabric, np.array([0.0, 1, 0]), np.array([1.0, 0, 0]))
-    assert (got.warp, got.weft, got.shear) == pytest.approx((material.warp, material.weft, material.shear), rel=1e-6)
-    assert fabric.mass.sum() == pytest.approx(material.density * 0.2, rel=1e-12)
-
-
-def test_mesh_placement_and_pins(files: Folder) -> None:
-    box = {"low": (-10, 1.2, -10), "high": (10, 10, 10)}
-    config = {"file": "sheet.obj", "scale": 2, "centre": (0, 1, 0), "pin": [box, 3]}
-    fabric = build(Mesh(), config, files)
-    assert np.ptp(fabric.position, axis=0) == pytest.approx([0.8, 1.0, 0.0])
-    assert fabric.pinned.sum() == (fabric.position[:, 1] >= 1.2).sum()
-    with pytest.raises(BadInput, match="no vertex"):
-        build(Mesh(), config | {"pin": [{"low": (5, 5, 5), "high": (6, 6, 6)}]}, files)
-
-
-def test_wrinkle_papers_bending_springs(files: Folder) -> None:
-    """One spring for each edge that is not on the rim: 4 x 5 cells, two triangles each."""
-    by_hand = {"density": 0.1, "structural": 50, "bending": 5}
-    fabric = build(Mesh(), {"file": "sheet.obj", "fabric": by_hand}, files)
-    assert fabric.springs is not None and fabric.hinges is None
-    assert int((fabric.springs.kind == 2).sum()) == 4 * 5 + 3 * 5 + 4 * 4
-
-
-def test_bad_meshes_are_refused_by_name(files: Folder) -> None:
-    good = build(Sheet(), {"resolution": (3, 3)}, files)
-    flat = replace(good, faces=np.concatenate([good.faces, [[0, 1, 2]]]).astype(np.int32))
-    flipped = replace(good, faces=np.concatenate([good.faces[:1, ::-1], good.faces[1:]]))
-    lonely = replace(good, position=np.concatenate([good.position, [[9.0, 9, 9]]]))
-    torn = np.concatenate([np.where(good.faces[:1] == 0, 9, good.faces[:1]), good.faces[1:]]).astype(np.int32)
-    double = replace(good, position=np.concatenate([good.position, good.position[:1]]), faces=torn)
-    finned = np.concatenate([good.faces, [[0, 4, 9]]]).astype(np.int32)
-    fin = replace(good, position=np.concatenate([good.position, [[0.0, 0, 1]]]), faces=finned)
-    cases = {"without area": flat, "opposite ways": flipped, "no triangle": lonely, "several vertices": double}
-    for text, fabric in (cases | {"more than two": fin}).items():
-        write_obj(files.root / "bad.obj", fabric)
-        with pytest.raises(BadInput, match=text):
-            build(Mesh(), {"file": "bad.obj"}, files)
-    (files.root / "empty.obj").write_text("# nothing\n")
-    (files.root / "bad.stl").write_bytes(b"solid nonsense")
-    for name in ("empty.obj", "bad.stl", "image.png"):
-        with pytest.raises(BadInput):
-            build(Mesh(), {"file": name}, files)
-
-
-def test_merging_joins_vertices_at_one_place(files: Folder) -> None:
-    import trimesh
-
-    good = build(Sheet(), {"resolution": (4, 5)}, files)
-    apart = np.arange(good.faces.size, dtype=np.int32).reshape(-1, 3)
-    soup = replace(good, position=good.position[good.faces.ravel()], faces=apart)
-    write_obj(files.root / "soup.obj", soup)
-    trimesh.Trimesh(good.position, good.faces, process=False).export(files.root / "sheet.stl")
-    for config in ({"file": "soup.obj", "merge": True}, {"file": "sheet.stl"}):
-        fabric = build(Mesh(), config, files)
-        assert fabric.number == 20 == Mesh().count(MeshConfig.model_validate(config), files)
-        assert fabric.springs is not None and fabric.springs.number == 4 * 4 + 3 * 5 + 3 * 4
-    with pytest.raises(BadInput, match="several vertices") as caught:
-        build(Mesh(), {"file": "soup.obj"}, files)
-    assert caught.value.remedy == "merge: true"
