@@ -15,7 +15,7 @@ from nuno_kernels.acceleration import Packed
 from nuno_kernels.bindings import set_binding_poses
 from nuno_kernels.contact import count_contacts, set_poses
 from nuno_kernels.energy import measure_energy
-from nuno_kernels.packing import pack, python_terms, to_rows
+from nuno_kernels.packing import pack, python_terms, silence_bodies, to_rows
 from nuno_kernels.stability import measure_rates, stable_step
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Memory, State
@@ -97,9 +97,9 @@ class Explicit(ABC):
 
 
 def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
-    """Write the interval into contact and bindings; without poses, bound vertices stay where they are."""
+    """Write the interval into contact and bindings; without poses there is nothing to meet or to follow."""
     if poses is None:
-        return packed._replace(bindings=None)
+        return silence_bodies(packed)
     if packed.contact is not None:
         set_poses(packed.contact, *poses)
     if packed.bindings is not None:
@@ -122,8 +122,9 @@ def _report(system: System, work: Work, packed: Packed, steps: int, seconds: flo
     if packed.contact is not None:
         counts |= count_contacts(packed.contact)
     finite = np.isfinite(work.x).all(axis=0) & np.isfinite(work.v).all(axis=0)
+    told = {"kinetic": energy.kinetic, "gravitational": energy.gravitational, "springs": energy.springs, "hinges": energy.hinges}
     if finite.all():
-        return StepReport("ok", steps, seconds={"steps": seconds}, counts=counts)
+        return StepReport("ok", steps, "", {"steps": seconds}, counts, told, energy.stretch)
     first, total = int(np.argmin(finite)), int((~finite).sum())
     message = f"vertex {first} has no finite position or velocity ({total} of {finite.shape[0]} vertices)"
-    return StepReport("diverged", steps, message, {"steps": seconds}, counts)
+    return StepReport("diverged", steps, message, {"steps": seconds}, counts, told, energy.stretch)

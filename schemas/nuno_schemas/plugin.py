@@ -61,6 +61,8 @@ class Term:
     at the start (contact); terms active at the start leave 0 and are measured."""
     damping_rate: float = 0.0
     """Likewise for the damping rate c/m [1/s]."""
+    facts: Mapping[str, float] = field(default_factory=dict)
+    """Numbers for the report, e.g. the depth m g / k at which a contact rests ("rest_depth", [m])."""
 
 
 @dataclass(frozen=True)

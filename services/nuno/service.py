@@ -118,7 +118,10 @@ def run_service(name: str, loaded: Loaded, session: zenoh.Session, run: str, opt
     context = Context(loaded, bus, options)
     try:
         importlib.import_module(MODULES[name]).main(context)
-    except (BadInput, RunFailed) as error:
+    except BadInput as error:
+        context.event("error", str(error), bad_input=True)
+        raise
+    except RunFailed as error:
         context.event("error", str(error))
         raise
     except Exception as error:

@@ -72,15 +72,18 @@ class Supervisor:
         self.watch = Watch(self.bus)
         self.inbox = Inbox(self.bus, [STATUS, Topic("run/event/*", "json", "nuno.Event")])
         self.errors: dict[str, str] = {}
+        self.bad_input: BadInput | None = None
         self.ended: dict[str, Any] | None = None
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
 
     def wait_until_ready(self) -> None:
-        """Wait for every service. Raises RunFailed if one dies or does not come."""
+        """Wait for every service. Raises BadInput if one refuses the scene, RunFailed if one dies or does not come."""
         end = time.monotonic() + START_TIMEOUT
         while missing := set(self.plan.services) - self.watch.alive():
             self._drain()
+            if self.bad_input is not None:
+                raise self.bad_input
             over = self.exited()
             if gone := missing & set(over):
                 name = min(gone)
@@ -100,6 +103,8 @@ class Supervisor:
                 event = Event.model_validate_json(item.payload)
                 if event.kind == "error":
                     self.errors[event.service] = event.text
+                    if event.args.get("bad_input"):
+                        self.bad_input = BadInput(event.text)
                 elif event.kind == "end":
                     self.ended = event.args["summary"]
             item = self.inbox.get(0)
@@ -222,6 +227,9 @@ def _conduct(supervisor: Supervisor, began: float, progress: Progress | None, re
         supervisor.wait_until_ready()
         ready = time.perf_counter()
         error = supervisor.follow(progress)
+    except BadInput:
+        supervisor.finish("refused", lambda answers: {})
+        raise
     except RunFailed as failure:
         ready, error = time.perf_counter(), str(failure)
     except KeyboardInterrupt:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from nuno_schemas.bodies import Poses
 from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Penetration
 
 from nuno.arrays import BadMessage, decode_points
@@ -27,6 +28,7 @@ class Collision:
         self.seconds = 0.0
         self.deepest = 0.0
         self.published = -1
+        self.ready: tuple[int, Poses] = (0, bodies.poses(0.0))
 
     def answer(self, question: Question) -> None:
         """The geometry, or the poses of a frame; what was answered is published too."""
@@ -36,12 +38,20 @@ class Collision:
             question.answer(payload)
             return
         frame = int(question.json().get("frame", 0))
-        poses = self.bodies.poses(frame / self.rate)
+        poses = self.poses(frame)
         payload = encode_poses(poses, frame)
         question.answer(payload)
         if frame > self.published:
             self.published = frame
             self.context.bus.publisher(BODIES).put(payload, frame, poses.t)
+        # While the simulation steps with these, get ready what it will ask next.
+        self.poses(frame + 1)
+
+    def poses(self, frame: int) -> Poses:
+        """Poses of a frame, computed once if frames are asked for in order."""
+        if self.ready[0] != frame:
+            self.ready = (frame, self.bodies.poses(frame / self.rate))
+        return self.ready[1]
 
     def measure(self, message: Message) -> None:
         """Measure one published frame, report it and acknowledge it."""

@@ -1,0 +1,77 @@
+"""The `nuno` command. Exit codes: 0 done, 1 the run failed or diverged, 2 bad input."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from nuno_schemas.errors import BadInput, RunFailed, nearest
+
+COMMANDS = {
+    "run": ("nuno.cli.run", "simulate a scene, record it, show it, report on it"),
+    "plan": ("nuno.cli.plan", "what a scene will run, what is left out, cost and stable step"),
+    "replay": ("nuno.cli.replay", "publish a recording again, show it, or re-simulate and compare"),
+    "info": ("nuno.cli.info", "what a recording holds"),
+    "export": ("nuno.cli.export", "meshes, arrays, tables, pictures and animations of a recording"),
+    "control": ("nuno.cli.control", "pause, resume, step, stop or change a run that goes on"),
+    "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
+    "bench": ("nuno_bench.cli", "speed, and the skirt paper's comparison of integrators"),
+    "plugins": ("nuno.cli.plugins", "which plugins are installed"),
+    "scenes": ("nuno.cli.scenes", "the scenes that come with nuno"),
+    "schema": ("nuno.cli.schema", "JSON Schema of scenes, for editors"),
+    "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
+}
+"""Module and summary of each command; a module has `add_arguments(parser)` and `main(args)`.
+It is imported only when its command is given, so that `nuno run` does not pay for the rest."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise BadInput(message, remedy=f"{self.prog} --help")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _dispatch(arguments)
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except RunFailed as error:
+        print(f"failed: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_help())
+        return 0
+    if arguments[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"nuno {version('nuno')}")
+        return 0
+    name, rest = arguments[0], arguments[1:]
+    if name not in COMMANDS:
+        raise BadInput(f"no command {name!r}", remedy=nearest(name, COMMANDS))
+    path, summary = COMMANDS[name]
+    module = importlib.import_module(path)
+    parser = _Parser(prog=f"nuno {name}", description=summary[0].upper() + summary[1:] + ".", formatter_class=argparse.RawDescriptionHelpFormatter)
+    module.add_arguments(parser)
+    return int(module.main(parser.parse_args(rest)))
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    rows = [f"  {name:{width}}  {summary}" for name, (_, summary) in COMMANDS.items()]
+    return "nuno: textile simulation as services\n\nusage: nuno COMMAND ...\n\n" + "\n".join(rows) + "\n\n`nuno COMMAND --help` says more; start with `nuno run skirt-hula`."

@@ -1,0 +1,50 @@
+"""A progress line: simulated time, real-time factor, what is left."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+
+from nuno_schemas.messages import Status
+from nuno_schemas.scene import Scene
+
+
+class ProgressLine:
+    """A bar on a terminal; elsewhere a line at the start and at each tenth."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.start = 0.0
+        self.first = 0.0
+        self.tenth = -1
+        self._terminal = sys.stderr.isatty()
+        self._bar: object = None
+
+    def __enter__(self) -> ProgressLine:
+        if self._terminal:
+            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+            self._bar = Progress(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task("preparing", total=self.scene.duration, rate="")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        if self._bar is not None:
+            self._bar.stop()  # type: ignore[attr-defined]
+
+    def update(self, status: Status) -> None:
+        """Show one frame's status."""
+        now = time.perf_counter()
+        if not self.start:
+            self.start, self.first = now, status.t
+        factor = (status.t - self.first) / max(now - self.start, 1e-9)
+        rate = f"{factor:.1f}x real time" if status.t > self.first else ""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=status.t, description=f"{status.t:.2f} of {self.scene.duration:g} s", rate=rate)  # type: ignore[attr-defined]
+            return
+        tenth = int(10 * status.t / self.scene.duration + 1e-9)
+        if tenth > self.tenth:
+            self.tenth = tenth
+            print(f"{status.t:.2f} of {self.scene.duration:g} s  {rate}", file=sys.stderr)

@@ -1,0 +1,18 @@
+"""`nuno scenes`: the scenes that come with nuno."""
+
+from __future__ import annotations
+
+import argparse
+
+from nuno import scene_file, yaml_lines
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--paths", action="store_true", help="print where they are")
+
+
+def main(args: argparse.Namespace) -> int:
+    for name, path in scene_file.shipped().items():
+        data, _ = yaml_lines.parse(path.read_text(), str(path))
+        print(path if args.paths else f"{name:20} {data.get('description', '')}")
+    return 0

@@ -1,0 +1,53 @@
+"""`nuno serve`: one service, to run services by hand or in containers."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import threading
+from pathlib import Path
+
+from nuno_schemas.errors import BadInput
+
+from nuno import bus, scene_file
+from nuno.service import MODULES, Options, run_service
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("service", choices=["router", *MODULES])
+    parser.add_argument("scene", nargs="?", help="the run's scene (not for the router)")
+    parser.add_argument("--run", metavar="ID", help="the run that this service belongs to")
+    parser.add_argument("--connect", metavar="ENDPOINT", help="the hub, e.g. tcp/127.0.0.1:7447")
+    parser.add_argument("--listen", metavar="ENDPOINT", default="tcp/127.0.0.1:7447", help="where the router listens (default: %(default)s)")
+    parser.add_argument("--config", metavar="FILE", help="zenoh configuration: TLS, access control")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
+    parser.add_argument("--root", action="append", default=[], type=Path, metavar="DIR")
+    parser.add_argument("--must-see", action="append", default=[], metavar="SERVICE", help="simulation: a service that acknowledges every frame")
+    parser.add_argument("--record", type=Path, metavar="FILE")
+    parser.add_argument("--save", type=Path, metavar="FILE.rrd")
+    parser.add_argument("--view", choices=["window", "web"])
+    parser.add_argument("--resume", type=Path, metavar="FILE")
+    parser.add_argument("--threads", type=int, default=0, metavar="N")
+
+
+def main(args: argparse.Namespace) -> int:
+    if args.service == "router":
+        return _route(args)
+    for name in ("scene", "run", "connect"):
+        if getattr(args, name) is None:
+            raise BadInput(f"the {args.service} service needs {'a scene' if name == 'scene' else '--' + name}", remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447")
+    loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root)
+    options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
+    with bus.spoke(args.connect, args.config) as session:
+        run_service(args.service, loaded, session, args.run, options)
+    return 0
+
+
+def _route(args: argparse.Namespace) -> int:
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with bus.hub(args.listen, args.config):
+        print(f"router at {args.listen}", flush=True)
+        stop.wait()
+    return 0

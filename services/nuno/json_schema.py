@@ -1,0 +1,46 @@
+"""JSON Schema of a scene: the contract's, with each plugin's own fields under its name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nuno_schemas.scene import Scene
+
+from nuno import registry
+
+_PLACES = {
+    ("Object", "model"): "nuno.models",
+    ("Body", "collider"): "nuno.colliders",
+    ("Body", "motion"): "nuno.motions",
+    ("Scene", "solver"): "nuno.integrators",
+    ("Scene", "contact"): "nuno.contacts",
+    ("Scene", "forces"): "nuno.forces",
+}
+"""Where a scene names a plugin of which group."""
+
+
+def scene_schema() -> dict[str, Any]:
+    """The whole schema; imports every installed plugin."""
+    schema = Scene.model_json_schema()
+    definitions = schema["$defs"]
+    for (part, field), group in _PLACES.items():
+        owner = schema if part == "Scene" else definitions[part]
+        place = owner["properties"][field]
+        choices = [_choice(group, name, definitions, field) for name in sorted(registry.installed(group))]
+        if place.get("type") == "array":
+            place["items"] = {"oneOf": choices}
+        else:
+            for key in ("$ref", "anyOf", "default"):
+                place.pop(key, None)
+            place["oneOf"] = choices
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _choice(group: str, name: str, definitions: dict[str, Any], field: str) -> dict[str, Any]:
+    """One plugin's fields, with `plugin` fixed to its name."""
+    own = registry.load(group, name).Config.model_json_schema(ref_template="#/$defs/{model}")
+    definitions |= own.pop("$defs", {})
+    properties = {"plugin": {"const": name}, **own.get("properties", {})}
+    if field == "solver":
+        properties["dt"] = definitions["Solver"]["properties"]["dt"]
+    return {"title": name, "type": "object", "properties": properties, "required": ["plugin", *own.get("required", [])], "additionalProperties": False}

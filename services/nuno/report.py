@@ -1,0 +1,118 @@
+"""The report at the end of a run: how fast, how accurate, how far from the limit, what was left out."""
+
+from __future__ import annotations
+
+from typing import Any, TextIO
+
+from nuno.scene_file import Loaded
+from nuno.supervisor import Outcome
+
+Report = dict[str, Any]
+
+
+def make_report(loaded: Loaded, outcome: Outcome) -> Report:
+    """What a run's services counted, in one mapping that JSON can hold."""
+    summary, services = outcome.summary, outcome.services
+    simulated = float(summary.get("t", 0.0))
+    wall = float(summary.get("wall_seconds", 0.0))
+    parts = dict(summary.get("seconds", {}))
+    recorder, collision, viewer = (services.get(name, {}) for name in ("recorder", "collision", "viewer"))
+    return {
+        "run": outcome.run,
+        "scene": loaded.scene.name,
+        "state": outcome.state,
+        "error": outcome.error,
+        "digest": summary.get("digest", ""),
+        "simulated_seconds": simulated,
+        "wall_seconds": wall,
+        "real_time_factor": simulated / wall if wall else 0.0,
+        "prepare_seconds": outcome.seconds.get("prepare", 0.0),
+        "parts_seconds": parts
+        | {"bus": sum(float(s.get("bus_seconds", 0.0)) for s in services.values())}
+        | {name: float(s["seconds"]) for name, s in services.items() if "seconds" in s},
+        "solver": loaded.integrator.name,
+        "dt": summary.get("dt"),
+        "dt_limit": (summary.get("limit") or {}).get("dt"),
+        "omega": (summary.get("limit") or {}).get("omega"),
+        "steps_per_frame": summary.get("steps_per_frame"),
+        "size": {name: summary.get(name, 0) for name in ("vertices", "springs", "hinges")},
+        "threads": summary.get("threads", ""),
+        "energy": summary.get("energy", []),
+        "stretch": summary.get("stretch", 0.0),
+        "penetration": collision.get("deepest"),
+        "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
+        "counts": summary.get("counts", {}),
+        "frames": {
+            "sent": (services.get("simulation", {}).get("sent") or {}).get("sim/state", 0),
+            "recorded": (recorder.get("counts") or {}).get("sim/state", 0),
+            "shown": viewer.get("shown", 0),
+        },
+        "missing": sum(n for s in services.values() for n in (s.get("missing") or {}).values()),
+        "refused": sum(n for s in services.values() for n in (s.get("refused") or {}).values()),
+        "recorded_bytes": recorder.get("bytes", 0),
+        "services": list(outcome.plan.services),
+        "left_out": list(outcome.plan.left_out),
+    }
+
+
+def show_report(report: Report, out: TextIO) -> None:
+    """Print a report for a person."""
+    for name, text in lines(report):
+        print(f"{name:11} {text}", file=out)
+
+
+def lines(report: Report) -> list[tuple[str, str]]:
+    """The report as (heading, text) rows."""
+    rows = [("run", f"{report['run']}: {report['state']}")]
+    rows.append(("size", ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)))
+    rows.append(("time", f"{report['simulated_seconds']:.3g} s simulated in {report['wall_seconds']:.3g} s: {report['real_time_factor']:.2f}x real time (prepared in {report['prepare_seconds']:.2g} s)"))
+    rows.append(("parts", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005)))
+    rows.append(("step", _step(report)))
+    rows += _physics(report)
+    frames = report["frames"]
+    text = f"{frames['sent']} sent"
+    if "recorder" in report["services"]:
+        text += f", {frames['recorded']} recorded ({report['recorded_bytes'] / 1e6:.1f} MB)"
+    if "viewer" in report["services"]:
+        text += f", {frames['shown']} shown"
+    rows.append(("frames", f"{text}, {report['missing']} missing, {report['refused']} refused"))
+    rows.append(("digest", str(report["digest"])))
+    rows += [("left out" if i == 0 else "", text) for i, text in enumerate(report["left_out"])]
+    return rows
+
+
+def _step(report: Report) -> str:
+    dt, limit = report["dt"], report["dt_limit"]
+    if dt is None:
+        return "none was taken"
+    text = f"{report['solver']}, dt {dt * 1e3:.4g} ms, {report['steps_per_frame']} a frame"
+    if limit is None or limit == float("inf"):
+        return f"{text}; nothing limits it"
+    if limit <= 0.0:
+        return f"{text}; never stable without damping"
+    above = "  ABOVE THE LIMIT" if dt > limit else ""
+    return f"{text}; limit {limit * 1e3:.4g} ms, so at {dt / limit:.0%} of it{above}"
+
+
+def _physics(report: Report) -> list[tuple[str, str]]:
+    rows = []
+    if report["energy"]:
+        first, last = report["energy"][0], report["energy"][-1]
+        kinds = [kind for kind in last if first.get(kind) or last.get(kind)]
+        rows.append(("energy", ", ".join(f"{kind} {_joules(first.get(kind, 0.0))} -> {_joules(last[kind])}" for kind in kinds) or "0 J"))
+        total = [sum(energy.values()) for energy in (first, last)]
+        rows.append(("balance", f"{_joules(total[0])} -> {_joules(total[1])}: {_joules(total[1] - total[0])} by damping, friction, wind and moving bodies"))
+    rows.append(("stretch", f"at most {report['stretch']:.2%}"))
+    if report["penetration"] is not None:
+        text = f"at most {report['penetration'] * 1e3:.3g} mm"
+        if report["rest_depth"] is not None:
+            text += f"; resting contact is expected to sink m g / k = {report['rest_depth'] * 1e3:.3g} mm"
+        rows.append(("penetration", text))
+    warnings = {name: n for name, n in report["counts"].items() if n and name != "contacts"}
+    if warnings:
+        rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))
+    return rows
+
+
+def _joules(value: float | None) -> str:
+    return "not finite" if value is None else f"{value:.4g} J"
