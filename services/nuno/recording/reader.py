@@ -124,6 +124,12 @@ class Recording:
         return {topic: self.layout.counts.get(id, 0) for id, topic in self._topics.items()}
 
     @property
+    def span(self) -> tuple[float, float]:
+        """Simulation time [s] of the earliest and the latest message."""
+        chunks = self.layout.chunks
+        return min((c.start for c in chunks), default=0) * 1e-9, max((c.end for c in chunks), default=0) * 1e-9
+
+    @property
     def missing(self) -> dict[str, int]:
         """Messages per topic that were sent but never arrived, as the recorder counted them."""
         missing = self._json(self.metadata.get(END, {}).get("missing", "{}"))

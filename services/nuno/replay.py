@@ -1,0 +1,138 @@
+"""Publishes a recording again, on the topics and in the order of the run it holds."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from nuno.bus import Bus, Inbox, Message, Watch
+from nuno.recording.reader import Recorded, Recording
+from nuno.recording.writer import topic_of
+from nuno.service import ack_topic
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import BODIES, CHECKPOINT, FABRIC, GEOMETRY, STATE, STATUS, Topic
+
+WINDOW = 4
+"""Frames that may be out before they are acknowledged."""
+ACK_TIMEOUT = 60.0
+"""Silence [s] after which a service that must see every frame counts as hung."""
+DIGESTED = (STATE.name, STATUS.name, CHECKPOINT.name)
+"""Topics whose headers carry the digest of the float64 state."""
+
+Progress = Callable[[float], None]
+
+
+@dataclass
+class Replay:
+    """How to replay.
+
+    rate      simulated seconds a second of wall time; None: as fast as the subscribers take it
+    start     simulation time [s] to begin at; what a viewer must know (cloth, bodies) comes first
+    loop      begin again at `start` when the end is reached
+    must_see  services that acknowledge every frame; nothing is sent far ahead of them
+    """
+
+    rate: float | None = 1.0
+    start: float = 0.0
+    loop: bool = False
+    must_see: tuple[str, ...] = ()
+    stop: threading.Event = field(default_factory=threading.Event)
+    """Set it (from any thread) to end the replay after the present message."""
+    sent: dict[str, int] = field(default_factory=dict)
+    """Messages sent per topic."""
+
+    def run(self, bus: Bus, recording: Recording, progress: Progress | None = None) -> None:
+        """Publish `recording` as the run of `bus`, until its end or `stop`.
+
+        Headers are new: the run is the bus's, numbers count from 0 on, frame and digest come
+        from the simulation's status. `progress` is told each frame's time [s]. Raises BadInput
+        for a rate or start out of range, RunFailed where a service that must see every frame
+        dies or hangs.
+        """
+        span = self._check(recording)
+        marks = recording.marks()
+        acks = _Acks(bus, self.must_see)
+        try:
+            while not self.stop.is_set():
+                begin = time.perf_counter()
+                for message in _from(recording, self.start):
+                    self._wait(message.t - max(self.start, span[0]), begin)
+                    if self.stop.is_set():
+                        return
+                    self._publish(bus, message, marks)
+                    if message.topic == STATE.name:
+                        acks.wait(self.sent[STATE.name] - WINDOW, self.stop)
+                        if progress is not None:
+                            progress(message.t)
+                if not self.loop:
+                    break
+            acks.wait(self.sent.get(STATE.name, 0), self.stop)
+        finally:
+            acks.close()
+
+    def _check(self, recording: Recording) -> tuple[float, float]:
+        if self.rate is not None and not 1e-6 <= self.rate <= 1e6:
+            limit, remedy = "1e-6 to 1e6", "1 is real time"
+            raise BadInput("no such rate", field="--rate", value=self.rate, limit=limit, remedy=remedy)
+        span = recording.span
+        if not self.start <= span[1]:
+            limit = f"the recording ends at {span[1]:g} s"
+            raise BadInput("nothing to replay there", field="--start", value=self.start, limit=limit)
+        return span
+
+    def _wait(self, elapsed: float, begin: float) -> None:
+        """Sleep until `elapsed` simulated seconds are due; late messages go out at once."""
+        if self.rate is not None:
+            due = begin + max(elapsed, 0.0) / self.rate - time.perf_counter()
+            if due > 0:
+                self.stop.wait(due)
+
+    def _publish(self, bus: Bus, message: Recorded, marks: dict[int, tuple[int, str]]) -> None:
+        topic = topic_of(message.topic) or Topic(message.topic, "json", "")
+        frame, digest = marks.get(message.log_time, (-1, ""))
+        bus.publisher(topic).put(message.payload, frame, message.t, digest if message.topic in DIGESTED else "")
+        self.sent[message.topic] = self.sent.get(message.topic, 0) + 1
+
+
+def _from(recording: Recording, start: float) -> Iterator[Recorded]:
+    """All messages from `start` [s] on, after the last of each kind that a viewer needs."""
+    if start > recording.span[0]:
+        for name in (FABRIC.name, GEOMETRY.name, BODIES.name):
+            message = recording.last(name, before=start - 1e-9)
+            if message is not None:
+                yield message
+        yield from recording.messages(start=start)
+    else:
+        yield from recording.messages()
+
+
+class _Acks:
+    """Counts acknowledgements; a count, not a frame number, since a loop sends frames again."""
+
+    def __init__(self, bus: Bus, services: tuple[str, ...]) -> None:
+        self._inbox = Inbox(bus, [ack_topic(name) for name in services])
+        self._seen = {ack_topic(name).name: 0 for name in services}
+        self._watch = Watch(bus)
+        missing = self._watch.wait_for(set(services), ACK_TIMEOUT)
+        if missing:
+            raise RunFailed(f"not ready within {ACK_TIMEOUT:g} s: {', '.join(sorted(missing))}")
+
+    def wait(self, frames: int, stop: threading.Event) -> None:
+        """Until every service has acknowledged this many frames, or `stop`."""
+        quiet = time.monotonic()
+        while min(self._seen.values(), default=frames) < frames and not stop.is_set():
+            item = self._inbox.get(timeout=0.2)
+            if isinstance(item, Message):
+                self._seen[item.topic] += 1
+                quiet = time.monotonic()
+                continue
+            late = sorted(topic.removeprefix("ack/") for topic, seen in self._seen.items() if seen < frames)
+            if gone := [name for name in late if name not in self._watch.alive()]:
+                raise RunFailed(f"the {gone[0]} service died during the replay")
+            if time.monotonic() - quiet > ACK_TIMEOUT:
+                raise RunFailed(f"{', '.join(late)} has not acknowledged a frame within {ACK_TIMEOUT:g} s")
+
+    def close(self) -> None:
+        self._inbox.close()

@@ -1,0 +1,250 @@
+"""A cut or damaged recording reads up to its last whole chunk, and never reads wrong."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import pytest
+from recorded_sheet import Item, Sheet, items, metadata, write
+
+from nuno.recording import writer as writer_module
+from nuno.recording.mcap_file import MAGIC
+from nuno.recording.reader import END, Recording, open_recording
+from nuno.recording.recover import recover
+from nuno.recording.writer import RecordingWriter, part_of
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import STATE
+
+SHEET = Sheet(3, 2)
+FRAMES = 12
+
+CHILD = """
+import sys, time
+from pathlib import Path
+from recorded_sheet import Sheet, items, metadata
+from nuno.recording import writer
+writer.FLUSH_SECONDS = float("inf")
+recording = writer.RecordingWriter(Path(sys.argv[1]), metadata(), {"f": b"attached"})
+messages = [m for m in items(Sheet(3, 2), 12) if m[0] != "run/report"]
+for message in messages:
+    recording.write(*message)
+for message in messages[:20]:
+    recording.write(*message)
+print("written", flush=True)
+time.sleep(60)
+"""
+
+
+def found(recording: Recording) -> list[tuple[str, int, bytes]]:
+    return [(m.topic, m.seq, m.payload) for m in recording.messages()]
+
+
+def plain(written: list[Item]) -> list[tuple[str, int, bytes]]:
+    return [(topic, header.seq, payload) for topic, header, payload in written]
+
+
+@pytest.fixture
+def many_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, list[tuple[str, int, bytes]]]:
+    """A finished file in which every message is a chunk."""
+    monkeypatch.setattr(writer_module, "FLUSH_SECONDS", -1.0)
+    written = write(tmp_path / "whole.mcap", SHEET, FRAMES, {"f": b"attached"})
+    return tmp_path / "whole.mcap", plain(written)
+
+
+def test_a_killed_writer_leaves_what_it_flushed(tmp_path: Path) -> None:
+    """The closing event flushes; the twenty messages after it wait in memory and are lost."""
+    path = tmp_path / "a.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-c", CHILD, str(path)], stdout=subprocess.PIPE, cwd=Path(__file__).parent, text=True
+    ) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "written\n"
+        child.send_signal(signal.SIGKILL)
+    assert not path.exists()
+    expected = plain([m for m in items(SHEET, FRAMES) if m[0] != "run/report"])
+    with open_recording(part_of(path)) as recording:
+        assert found(recording) == expected
+        assert recording.recovered
+        assert not recording.complete
+        assert recording.attachment("f") == b"attached"
+
+
+def test_truncation_anywhere_reads_a_prefix(many_chunks: tuple[Path, list[tuple[str, int, bytes]]]) -> None:
+    path, whole = many_chunks
+    data = path.read_bytes()
+    cut = path.with_name("cut.mcap")
+    numbers = []
+    for size in sorted({*range(0, len(data), 17), *range(len(data) - 120, len(data))}):
+        cut.write_bytes(data[:size])
+        try:
+            with open_recording(cut) as recording:
+                messages = found(recording)
+                assert recording.recovered
+                assert not recording.complete
+        except BadInput as error:
+            assert str(cut) in str(error)
+            messages = []
+        assert messages == whole[: len(messages)]
+        numbers.append(len(messages))
+    assert numbers == sorted(numbers)
+    assert numbers[-1] == len(whole)
+    assert len(set(numbers)) > 0.9 * len(whole)
+
+
+def test_a_changed_byte_never_reads_as_a_wrong_message(many_chunks: tuple[Path, list[tuple[str, int, bytes]]]) -> None:
+    path, whole = many_chunks
+    data = path.read_bytes()
+    changed, known = path.with_name("changed.mcap"), set(whole)
+    silent = 0
+    for place in range(0, len(data), 19):
+        changed.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
+        try:
+            with open_recording(changed) as recording:
+                messages = found(recording)
+                silent += messages == whole
+        except BadInput:
+            continue
+        assert set(messages) <= known
+        assert messages == whole[: len(messages)]
+    # The index of single messages, names and versions are not needed to read them all.
+    assert silent > 0
+
+
+@pytest.mark.parametrize(
+    "tail",
+    [
+        struct.pack("<BQ", 6, 2**64 - 1) + bytes(100),
+        struct.pack("<BQ", 6, 2**62) + bytes(100),
+        struct.pack("<BQ", 12, 12) + struct.pack("<III", 2**32 - 1, 2**32 - 1, 0),
+        struct.pack("<BQ", 9, 40) + struct.pack("<QQIIQ", 0, 0, 2**32 - 1, 0, 2**63) + bytes(8),
+        struct.pack("<BQ", 6, 48) + struct.pack("<QQQIIQ", 0, 0, 2**60, 0, 0, 2**60) + bytes(8),
+        bytes(4096),
+        b"\xff" * 4096,
+    ],
+)
+def test_lengths_are_not_believed(tmp_path: Path, tail: bytes) -> None:
+    """Records that promise more than the file holds allocate nothing and end the file."""
+    start = _unfinished(tmp_path)
+    path = tmp_path / "long.mcap.part"
+    path.write_bytes(start + tail)
+    with open_recording(tmp_path / "start.mcap.part") as recording:
+        expected = found(recording)
+    tracemalloc.start()
+    with open_recording(path) as recording:
+        assert found(recording) == expected
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2_000_000
+
+
+def _unfinished(folder: Path) -> bytes:
+    writer = RecordingWriter(folder / "start.mcap", metadata(), {})
+    for item in items(SHEET, 3):
+        writer.write(*item)
+    writer.abort()
+    return part_of(folder / "start.mcap").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x89", MAGIC, MAGIC + MAGIC, b"hello world" * 100, MAGIC + os.urandom(5000)]
+)
+def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BadInput) as caught:
+        open_recording(path)
+    assert "bytes" in str(caught.value)
+
+
+def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "missing.mcap", tmp_path):
+        with pytest.raises(BadInput, match="cannot be read"):
+            open_recording(path)
+
+
+def test_recover_copies_the_whole_chunks(many_chunks: tuple[Path, list[tuple[str, int, bytes]]]) -> None:
+    path, whole = many_chunks
+    data = path.read_bytes()
+    part = path.with_name("killed.mcap.part")
+    part.write_bytes(data[: len(data) // 2])
+    with open_recording(part) as cut:
+        expected = found(cut)
+    target = recover(part)
+    assert target == path.with_name("killed.mcap")
+    with open_recording(target) as recording:
+        assert found(recording) == expected == whole[: len(expected)]
+        assert not recording.recovered
+        assert not recording.complete
+        assert recording.metadata[END]["state"] == "recovered"
+        assert recording.attachment("f") == b"attached"
+    assert len(expected) > 5
+    with pytest.raises(BadInput, match="exists"):
+        recover(part)
+    with pytest.raises(BadInput, match="nothing to recover"):
+        recover(target)
+
+
+class SmallDisk(io.FileIO):
+    """A file on a disk with room for `left` bytes."""
+
+    left = 0
+
+    def write(self, data: bytes | memoryview) -> int:  # type: ignore[override]
+        if self.left <= 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        piece = memoryview(data)[: self.left]
+        self.left -= len(piece)
+        return super().write(piece)
+
+
+def test_a_full_disk_fails_plainly_and_keeps_what_was_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer_module, "FLUSH_SECONDS", -1.0)
+    whole = list(items(SHEET, 4))
+    size = write_on(tmp_path / "free.mcap", 10**9, whole, monkeypatch)
+    written = []
+    for room in range(0, size, 97):
+        path = tmp_path / f"{room}.mcap"
+        with pytest.raises(RunFailed, match="No space left"):
+            write_on(path, room, whole, monkeypatch)
+        assert not path.exists()
+        try:
+            with open_recording(part_of(path)) as recording:
+                messages = found(recording)
+        except BadInput:
+            messages = []
+        assert messages == plain(whole)[: len(messages)]
+        written.append(len(messages))
+        # Nothing but whole records is left behind.
+        assert part_of(path).stat().st_size <= room
+    assert written == sorted(written)
+    assert written[-1] == len(whole)
+
+
+def write_on(path: Path, room: int, messages: list[Item], monkeypatch: pytest.MonkeyPatch) -> int:
+    def small_disk(target: Path) -> io.BufferedWriter:
+        raw = SmallDisk(part_of(target), "xb")
+        raw.left = room
+        return io.BufferedWriter(raw)
+
+    monkeypatch.setattr(writer_module, "_open", small_disk)
+    writer = RecordingWriter(path, metadata(), {})
+    for item in messages:
+        writer.write(*item)
+    return writer.finish({END: {"complete": "true"}}).stat().st_size
+
+
+def test_frames_of_a_cut_file_keep_their_numbers(many_chunks: tuple[Path, list[tuple[str, int, bytes]]]) -> None:
+    path, _ = many_chunks
+    cut = path.with_name("cut.mcap.part")
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with open_recording(cut) as recording:
+        numbers = [frame.number for frame in recording.frames()]
+        assert numbers == list(range(recording.counts[STATE.name]))
