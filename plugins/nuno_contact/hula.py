@@ -12,22 +12,22 @@ import math
 from typing import ClassVar, cast
 
 import numpy as np
-from nuno_schemas.bodies import rotation_matrices
-from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Config, Files, Mover
-from nuno_schemas.units import quantity
 from pydantic import BaseModel
 
-from nuno_contact.rotations import AXES, from_axis_angle, from_euler, from_matrix, multiply
+from nuno_contact.rotations import AXES, from_axis_angle, from_euler, from_matrices, invert, multiply, pose_skeleton
+from nuno_schemas.bodies import rotation_matrices
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.plugin import Config, Files, Mover
+from nuno_schemas.units import quantity
 
 _SPINE = [
     ("hips", "", (0.0, 0.55, 0.0)),
     ("spine", "hips", (0.0, 0.08, 0.0)),
     ("chest", "spine", (0.0, 0.10, 0.0)),
     ("neck", "chest", (0.0, 0.095, 0.0)),
-    ("head", "neck", (0.0, 0.055, 0.01)),
-    ("head_end", "head", (0.0, 0.115, 0.0)),
+    ("head", "neck", (0.0, 0.065, 0.01)),
+    ("head_end", "head", (0.0, 0.095, 0.0)),
 ]
 _SIDE = [
     ("arm", "chest", (0.105, 0.065, 0.0)),
@@ -39,6 +39,7 @@ _SIDE = [
     ("foot", "{}_shin", (0.0, -0.24, 0.0)),
     ("foot_end", "{}_foot", (0.0, -0.025, 0.115)),
 ]
+STILL = np.array([1.0, 0.0, 0.0, 0.0])
 SIDES = (("left", 1.0), ("right", -1.0))
 ANKLE = 0.045
 STANCE = 0.065
@@ -48,14 +49,14 @@ BEND = 0.022
 stay bent wherever the hips go."""
 
 
-def build_skeleton(height: float) -> tuple[list[str], list[int], Float]:
+def build_skeleton(height: float) -> tuple[list[str], Int, Float]:
     """Names, parents and offsets [m] of a dancer's joints; parents come first."""
     rows = list(_SPINE)
     for side, sign in SIDES:
         rows += [(f"{side}_{name}", parent.format(side), (sign * x, y, z)) for name, parent, (x, y, z) in _SIDE]
     names = [name for name, _, _ in rows]
     parents = [names.index(parent) if parent else -1 for _, parent, _ in rows]
-    return names, parents, height * np.array([offset for _, _, offset in rows])
+    return names, np.array(parents, np.int32), height * np.array([offset for _, _, offset in rows])
 
 
 class HulaConfig(Config):
@@ -87,15 +88,12 @@ def grow(t: float, ramp: float) -> float:
     return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
-def aim(direction: Float, front: Float, along: Float) -> Float:
-    """(4,) rotation that turns the bone axis `along` (a unit coordinate axis other than z) to
-    `direction` and keeps z as near to `front` as that allows."""
-    y = direction / np.linalg.norm(direction)
+def aim(direction: Float, front: Float) -> Float:
+    """(4,) rotation that turns -y to `direction` and keeps z as near to `front` as that allows."""
+    y = -direction / np.linalg.norm(direction)
     z = front - (front @ y) * y
     z /= np.linalg.norm(z)
-    world = np.stack([np.cross(y, z), y, z], axis=1)
-    rest = np.stack([np.cross(along, AXES[2]), along, AXES[2]], axis=1)
-    return from_matrix(world @ rest.T)
+    return from_matrices(np.stack([np.cross(y, z), y, z], axis=1))
 
 
 def bend_leg(hip: Float, ankle: Float, thigh: float, shin: float, front: Float) -> Float:
@@ -124,7 +122,8 @@ class _Dancer:
 
     def circle(self, level: float, phase: float) -> Float:
         """(3,) where the hips are from their middle [m]; flatter to the front than to the side."""
-        return level * self.config.amplitude * np.array([math.cos(phase), 0.0, 0.75 * math.sin(phase)])
+        place: Float = level * self.config.amplitude * np.array([math.cos(phase), 0.0, 0.75 * math.sin(phase)])
+        return place
 
     def turns(self, level: float, phase: float) -> dict[str, Float]:
         """Rotation of the upper joints against their parents, at a level of the dance in [0, 1].
@@ -145,13 +144,16 @@ class _Dancer:
         for side, sign in SIDES:
             raise_arm = from_axis_angle(AXES[2], sign * (0.12 + sign * wave))
             found[f"{side}_arm"] = multiply(from_axis_angle(AXES[1], -0.35 * sign), raise_arm)
-            bend = multiply(from_axis_angle(AXES[1], -0.5 * sign), from_axis_angle(AXES[2], sign * (0.25 - sign * wave)))
-            found[f"{side}_forearm"] = bend
+            bend = from_axis_angle(AXES[2], sign * (0.25 - sign * wave))
+            found[f"{side}_forearm"] = multiply(from_axis_angle(AXES[1], -0.5 * sign), bend)
             found[f"{side}_hand"] = from_axis_angle(AXES[2], -sign * 0.25 + 1.2 * wave)
         return found
 
     def legs(self, hips: Float, rotation: Float, place: Float) -> dict[str, Float]:
-        """World rotations of thighs, shins and feet: ankles stay on the floor."""
+        """Rotation of thighs, shins and feet against their parents: ankles stay on the floor.
+
+        `hips` (3,) and `rotation` (4,) are the hips' place and rotation in the world.
+        """
         height, turn = self.config.height, rotation_matrices(rotation[None])[0]
         found = {}
         for side, sign in SIDES:
@@ -160,9 +162,10 @@ class _Dancer:
             hip = hips + turn @ joint["thigh"]
             ankle = place + height * np.array([sign * STANCE, ANKLE, 0.0])
             knee = bend_leg(hip, ankle, -float(joint["shin"][1]), -float(joint["foot"][1]), front)
-            found[f"{side}_thigh"] = aim(knee - hip, front, -AXES[1])
-            found[f"{side}_shin"] = aim(ankle - knee, front, -AXES[1])
-            found[f"{side}_foot"] = from_axis_angle(AXES[1], 0.3 * sign)
+            thigh, shin = aim(knee - hip, front), aim(ankle - knee, front)
+            found[f"{side}_thigh"] = multiply(invert(rotation), thigh)
+            found[f"{side}_shin"] = multiply(invert(thigh), shin)
+            found[f"{side}_foot"] = multiply(invert(shin), from_axis_angle(AXES[1], 0.3 * sign))
         return found
 
     def stretch(self) -> float:
@@ -184,15 +187,9 @@ class _Dancer:
         place = np.array(c.position)
         hips = place + np.array([0.0, c.height * (0.55 - BEND), 0.0]) + self.circle(level, phase)
         turns = self.turns(level, phase)
-        legs = self.legs(hips, turns["hips"], place)
-        rotation, translation = np.zeros((len(self.names), 4)), np.zeros((len(self.names), 3))
-        still = np.array([1.0, 0.0, 0.0, 0.0])
-        for j, (name, parent) in enumerate(zip(self.names, self.parents, strict=True)):
-            own = turns.get(name, still)
-            rotation[j] = legs[name] if name in legs else own if parent < 0 else multiply(rotation[parent], own)
-            turn = rotation_matrices(rotation[parent][None])[0]
-            translation[j] = hips if parent < 0 else translation[parent] + turn @ self.offsets[j]
-        return rotation, translation
+        turns |= self.legs(hips, turns["hips"], place)
+        local = np.array([turns.get(name, STILL) for name in self.names])
+        return pose_skeleton(self.parents, self.offsets, local, hips)
 
 
 class Hula:
@@ -209,5 +206,4 @@ class Hula:
                 "the hips go further than the legs reach", field="amplitude", value=dancer.config.amplitude,
                 limit=f"legs stretched to {dancer.stretch():.3f} of their length", remedy="lower amplitude or sway",
             )  # fmt: skip
-        parents = np.array(dancer.parents, np.int32)
-        return Mover(tuple(dancer.names), parents, dancer.offsets, dancer.pose)
+        return Mover(tuple(dancer.names), dancer.parents, dancer.offsets, dancer.pose)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
+from pydantic import BaseModel
+
 from nuno_kernels.contact import make_contact
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config, Term
 from nuno_schemas.units import quantity
-from pydantic import BaseModel
 
 Stiffness = quantity("N/m", gt=0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.fabric import Float, Int
 
@@ -24,6 +25,12 @@ def multiply(p: Float, q: Float) -> Float:
     )
 
 
+def invert(q: Float) -> Float:
+    """The turn back, of unit quaternions."""
+    inverse: Float = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
+
+
 def from_axis_angle(axis: Float, angle: float) -> Float:
     """(4,) turn by `angle` [rad] about `axis` (3,), which may have any length but 0."""
     half = 0.5 * angle
@@ -32,25 +39,28 @@ def from_axis_angle(axis: Float, angle: float) -> Float:
 
 def from_euler(angles: Float) -> Float:
     """(4,) turn by angles[0] about world x, then angles[1] about world y, then angles[2] about
-    world z [rad]: R = Rz Ry Rx."""
+    world z [rad]: R = Rz Ry Rx.
+    """
     x, y, z = (from_axis_angle(axis, float(angle)) for axis, angle in zip(AXES, angles, strict=True))
     return multiply(z, multiply(y, x))
 
 
-def from_matrix(m: Float) -> Float:
-    """(4,) unit quaternion of a rotation matrix (3, 3), from its largest component (Shepperd)."""
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    square = np.array([trace, m[0, 0], m[1, 1], m[2, 2]])
-    k = int(np.argmax(square))
-    if k == 0:
-        q = np.array([1.0 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-    elif k == 1:
-        q = np.array([m[2, 1] - m[1, 2], 1.0 + 2 * m[0, 0] - trace, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]])
-    elif k == 2:
-        q = np.array([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1.0 + 2 * m[1, 1] - trace, m[1, 2] + m[2, 1]])
-    else:
-        q = np.array([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1.0 + 2 * m[2, 2] - trace])
-    unit: Float = q / np.linalg.norm(q)
+def from_matrices(m: Float) -> Float:
+    """(..., 4) unit quaternions q of rotation matrices (..., 3, 3).
+
+    4 q q^T is linear in the matrix; its row with the largest diagonal, normalised, is q (Shepperd).
+    """
+    outer = np.empty((*m.shape[:-2], 4, 4))
+    trace = np.trace(m, axis1=-2, axis2=-1)
+    outer[..., 0, 0] = 1.0 + trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        outer[..., i + 1, i + 1] = 1.0 + 2.0 * m[..., i, i] - trace
+        outer[..., 0, i + 1] = outer[..., i + 1, 0] = m[..., k, j] - m[..., j, k]
+        outer[..., i + 1, j + 1] = outer[..., j + 1, i + 1] = m[..., i, j] + m[..., j, i]
+    row = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(outer, row[..., None, None], axis=-2)[..., 0, :]
+    unit: Float = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return unit
 
 
@@ -62,7 +72,9 @@ def slerp(p: Float, q: Float, s: float) -> Float:
     sine = np.sin(angle)
     near = sine < 1e-6
     safe = np.where(near, 1.0, sine)
-    mixed = np.where(near, 1.0 - s, np.sin((1.0 - s) * angle) / safe) * p + np.where(near, s, np.sin(s * angle) / safe) * q
+    left = np.where(near, 1.0 - s, np.sin((1.0 - s) * angle) / safe)
+    right = np.where(near, s, np.sin(s * angle) / safe)
+    mixed = left * p + right * q
     unit: Float = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
     return unit
 
@@ -72,11 +84,11 @@ def pose_skeleton(parents: Int, offsets: Float, local: Float, root: Float) -> tu
 
     Parents come before their children; `root` (3,) [m] is where the first joint is.
     """
-    rotation, translation = local.copy(), np.zeros_like(offsets)
+    matrix, translation = rotation_matrices(local), np.zeros_like(offsets)
     for j, parent in enumerate(parents):
         if parent < 0:
             translation[j] = root
             continue
-        rotation[j] = multiply(rotation[parent], local[j])
-        translation[j] = translation[parent] + rotation_matrices(rotation[parent : parent + 1])[0] @ offsets[j]
-    return rotation, translation
+        translation[j] = translation[parent] + matrix[parent] @ offsets[j]
+        matrix[j] = matrix[parent] @ matrix[j]
+    return from_matrices(matrix), translation

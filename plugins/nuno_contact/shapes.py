@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import ClassVar, cast
 
 import numpy as np
+from pydantic import BaseModel
+
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE
 from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import BodyShape, Config, Mover
 from nuno_schemas.units import quantity
-from pydantic import BaseModel
 
 Length = quantity("m")
 Size = quantity("m", gt=0)
@@ -30,14 +32,14 @@ class CapsuleConfig(OnJoint):
 
     a: Point
     b: Point
-    radius: Size
+    radius: Size  # type: ignore[valid-type]
 
 
 class SphereConfig(OnJoint):
     """All points within `radius` [m] of `centre`, in the joint's frame [m]."""
 
     centre: Point = ORIGIN
-    radius: Size
+    radius: Size  # type: ignore[valid-type]
 
 
 class PlaneConfig(OnJoint):
@@ -110,7 +112,7 @@ class Plane:
 
     def build(self, config: BaseModel, mover: Mover | None) -> BodyShape:
         c = cast(PlaneConfig, config)
-        normal = np.array(c.normal)
+        normal: Float = np.array(c.normal, np.float64)
         length = float(np.linalg.norm(normal))
         if length == 0.0:
             raise BadInput("a plane needs a normal", field="normal", value=c.normal, limit="not all zero")

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_contact.radii import PELVIS_HALF_WIDTH, PIECES, PROFILES, default_radius, find_part
 from nuno_schemas.bodies import CAPSULE
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import BodyShape, Config, Mover
 from nuno_schemas.units import quantity
-from pydantic import BaseModel
-
-from nuno_contact.radii import PELVIS_HALF_WIDTH, PIECES, PROFILES, default_radius, find_part
 
 Size = quantity("m", gt=0)
 
@@ -35,7 +35,7 @@ class SkeletonConfig(Config):
 
     split: bool = True
     height: Size | None = None  # type: ignore[valid-type]
-    radii: dict[str, Size | list[Size]] = {}  # type: ignore[valid-type]
+    radii: dict[str, Size | list[Size]] = Field(default_factory=dict)  # type: ignore[valid-type]
     bones: tuple[str, ...] | None = None
 
 
@@ -72,8 +72,13 @@ def rest_positions(mover: Mover) -> Float:
 
 
 def find_height(mover: Mover) -> float:
-    """Largest extent of the skeleton at rest [m]; for a standing or T-posed one its height."""
-    return float(np.ptp(rest_positions(mover), axis=0).max())
+    """Extent of the skeleton at rest [m] along the axis in which its head lies from its root (the
+    widest, where no joint is called head or neck); for a standing or T-posed one its height.
+    """
+    rest = rest_positions(mover)
+    extent = np.ptp(rest, axis=0)
+    tops = [j for j, joint in enumerate(mover.joints) if find_part(joint) in ("head", "neck")]
+    return float(extent[np.argmax(np.abs(rest[tops[-1]] - rest[0]))] if tops else extent.max())
 
 
 def name_parts(mover: Mover, named: Collection[str]) -> list[str]:
@@ -148,10 +153,10 @@ def choose_radii(bone: Bone, own: float | list[float] | None, height: float, spl
     """Radii [m] of a bone's pieces, from its inner end to its outer; one if it is not `split`."""
     if own is None:
         whole = bone.before + bone.length + bone.after
-        share = bone.length / whole if whole > 0.0 else 1.0
+        share = bone.length / whole if whole > 0.0 else 0.0
         pieces = max(1, round(PIECES.get(bone.part, 1) * share))
-        middles = [(bone.before + (i + 0.5) / pieces * bone.length) / whole if whole > 0.0 else 0.5 for i in range(pieces)]
-        radii = [height * default_radius(bone.part, middle) for middle in middles]
+        middles = (bone.before + (np.arange(pieces) + 0.5) / pieces * bone.length) / (whole or 1.0)
+        radii = [height * default_radius(bone.part, float(middle)) for middle in middles]
     else:
         radii = own if isinstance(own, list) else [own]
     return radii if split else [sum(radii) / len(radii)]
@@ -159,7 +164,8 @@ def choose_radii(bone: Bone, own: float | list[float] | None, height: float, spl
 
 def cut(bone: Bone, radii: list[float]) -> list[tuple[Float, Float, float]]:
     """(a, b, radius) of pieces of equal length, end to end. A bone that `ends` gives up as much of
-    its last piece as the round cap adds."""
+    its last piece as the round cap adds.
+    """
     pieces = []
     for i, radius in enumerate(radii):
         s0, s1 = i / len(radii), (i + 1) / len(radii)

@@ -30,8 +30,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
-from nuno_schemas.bodies import Geometry
-from nuno_schemas.fabric import Float, Int
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.contact_distance import (
@@ -47,6 +45,8 @@ from nuno_kernels.contact_distance import (
     primitive_distance,
 )
 from nuno_kernels.contact_poses import pose_bodies, set_poses
+from nuno_schemas.bodies import Geometry
+from nuno_schemas.fabric import Float, Int
 
 __all__ = [
     "Contact", "add_contact", "add_contact_parallel", "commit_contact", "commit_contact_parallel",
@@ -163,7 +163,8 @@ def respond(x, v, i, body, p, kind, f, k, c, posed, frames, anchor, anchor_frame
 @inlined
 def place_anchor(x, i, body, f, ex, ey, ez, stretch, limit, frames, anchor, anchor_frame):
     """Anchor of a touching vertex after a step: left alone while it sticks, else dragged along
-    until the spring's force `stretch` [N] is `limit` [N]."""
+    until the spring's force `stretch` [N] is `limit` [N].
+    """
     if anchor_frame[body, i] == f and stretch <= limit:
         return
     share = limit / stretch if stretch > limit else 1.0

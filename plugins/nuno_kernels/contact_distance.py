@@ -46,10 +46,13 @@ where its computed distance cannot be negative, so that skipping changes no bit.
 @kernel
 def across(dx, dy, dz):
     """A unit vector perpendicular to (dx, dy, dz): its cross product with the coordinate axis
-    that it leans on least; +y for a null vector, so that a point at a sphere's centre goes up."""
+    that it leans on least; +y for a null vector, so that a point at a sphere's centre goes up.
+    """
     ax, ay, az = abs(dx), abs(dy), abs(dz)
-    if ax + ay + az == 0.0:
+    longest = max(ax, ay, az)
+    if longest == 0.0:
         return 0.0, 1.0, 0.0
+    dx, dy, dz = dx / longest, dy / longest, dz / longest
     if ay <= ax and ay <= az:
         nx, ny, nz = -dz, 0.0, dx
     elif ax <= az:

@@ -12,11 +12,14 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from nuno_schemas.bodies import Poses, rotation_matrices
-from nuno_schemas.fabric import Float
 
 from nuno_kernels import kernel
 from nuno_kernels.contact_distance import BOX, CAPSULE
+from nuno_schemas.bodies import Poses, rotation_matrices
+from nuno_schemas.fabric import Float
+
+SHORTEST = 1e-300
+"""A capsule whose squared length [m^2] is no more is a sphere: the reciprocal would overflow."""
 
 if TYPE_CHECKING:
     from nuno_kernels.contact import Contact
@@ -85,7 +88,7 @@ def pose_primitive(p, kind, f, a, b, radius, frames, posed):
             along = m0 * b[p, 0] + m1 * b[p, 1] + m2 * b[p, 2]
             low, high = -math.inf, math.inf
         posed[p, c], posed[p, 3 + c], posed[p, 8 + c], posed[p, 11 + c] = start, along, low, high
-    posed[p, 6] = 1.0 / square if square > 0.0 else 0.0
+    posed[p, 6] = 1.0 / square if square > SHORTEST else 0.0
     posed[p, 7] = radius[p]
 
 

@@ -1,0 +1,125 @@
+"""Signed distances and normals against meshes, closed forms and finite differences."""
+
+import numpy as np
+import pytest
+import trimesh
+from contact_world import box, capsule, contact_for, geometry, move, plane
+
+from nuno_kernels.contact_distance import primitive_distance
+from nuno_kernels.contact_poses import pose_bodies
+from nuno_schemas.bodies import rotation_matrices
+from nuno_schemas.surface import surface
+
+TURN = np.array([0.8, 0.2, -0.5, 0.26])
+TURN /= np.linalg.norm(TURN)
+PLACE = np.array([0.3, -0.7, 1.1])
+
+SHAPES = {
+    "capsule": capsule((0.1, -0.3, 0.2), (-0.2, 0.5, 0.1), 0.25),
+    "sphere": capsule((0.1, -0.3, 0.2), (0.1, -0.3, 0.2), 0.4),
+    "box": box((0.1, 0.2, -0.1), (0.3, 0.5, 0.2)),
+}
+
+
+def posed(shape):
+    contact = contact_for(geometry(shape), np.ones(1), 1.0)
+    move(contact, 1.0, turn0=TURN, start=PLACE)
+    pose_bodies(0.0, contact)
+    return contact
+
+
+def measure(contact, points):
+    return np.array([primitive_distance(*p, contact.kind[0], contact.posed, 0, contact.frames, 0) for p in points])
+
+
+def cloud(number=300, seed=1):
+    return PLACE + np.random.default_rng(seed).uniform(-0.8, 0.8, (number, 3))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_distance_is_that_to_a_fine_mesh(name):
+    _, _, _, a, b, radius = SHAPES[name]
+    if name == "box":
+        mesh = trimesh.creation.box(extents=2.0 * np.array(b))
+        mesh.apply_translation(a)
+    elif name == "sphere":
+        mesh = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+        mesh.apply_translation(a)
+    else:
+        along = np.array(b) - np.array(a)
+        length = np.linalg.norm(along)
+        mesh = trimesh.creation.capsule(height=length, radius=radius, count=[96, 96])
+        mesh.apply_translation([0.0, 0.0, 0.5 * length - mesh.bounds.mean(axis=0)[2]])
+        mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], along / length))
+        mesh.apply_translation(a)
+    local = np.array(a) + np.random.default_rng(2).uniform(-0.45, 0.45, (80, 3))
+    points = local @ rotation_matrices(TURN[None])[0].T + PLACE
+    _, expected, _ = trimesh.proximity.closest_point_naive(mesh, local)
+    found = measure(posed(SHAPES[name]), points)[:, 0]
+    facet = 1e-12 if name == "box" else 0.4 * (1.0 - np.cos(np.pi / 96)) * 2.0
+    np.testing.assert_allclose(np.abs(found), expected, atol=facet)
+    inside = found < -facet
+    assert 5 < inside.sum() < 75
+    normals, origins = mesh.face_normals, mesh.triangles_center
+    below = np.array([(np.sum((p - origins) * normals, axis=1) < 0.0).all() for p in local])
+    np.testing.assert_array_equal(below[np.abs(found) > facet], inside[np.abs(found) > facet])
+
+
+def test_plane_distance_is_the_height_above_it():
+    normal = np.array([0.48, 0.6, 0.64])
+    contact = posed(plane((0.2, 0.1, 0.3), normal))
+    matrix = rotation_matrices(TURN[None])[0]
+    points = cloud()
+    height = (points - (matrix @ [0.2, 0.1, 0.3] + PLACE)) @ (matrix @ normal)
+    np.testing.assert_allclose(measure(contact, points)[:, 0], height, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", [*SHAPES, "plane"])
+def test_normal_is_the_gradient_of_the_distance(name):
+    contact = posed(SHAPES.get(name) or plane((0.2, 0.1, 0.3), (0.48, 0.6, 0.64)))
+    points, h = cloud(), 1e-6
+    found = measure(contact, points)
+    ahead, behind = ([measure(contact, points + s * h * e)[:, 0] for e in np.eye(3)] for s in (1.0, -1.0))
+    slope = (np.array(ahead) - np.array(behind)).T / (2.0 * h)
+    np.testing.assert_allclose(np.linalg.norm(found[:, 1:4], axis=1), 1.0, atol=1e-14)
+    smooth = np.linalg.norm(slope, axis=1) > 1.0 - 1e-6  # off the edges where two faces are equally near
+    assert smooth.sum() > 290
+    np.testing.assert_allclose(found[smooth, 1:4], slope[smooth], atol=1e-8)
+
+
+def test_box_is_round_outside_its_corner():
+    contact = contact_for(geometry(box((0, 0, 0), (1, 1, 1))), np.ones(1), 1.0)
+    pose_bodies(0.0, contact)
+    distance, *normal, _ = measure(contact, [(2.0, 2.0, 2.0)])[0]
+    assert distance == pytest.approx(np.sqrt(3.0), rel=1e-15)
+    np.testing.assert_allclose(normal, np.full(3, 1.0 / np.sqrt(3.0)), rtol=1e-15)
+
+
+@pytest.mark.parametrize("end", [(0, 0, 0), (1, 0, 0), (0, 2, 0), (0.3, -0.4, 0.5), (0, 0, 1e-200), (0, 0, 1e-155)])
+def test_a_point_on_the_axis_has_a_normal_across_it(end):
+    contact = contact_for(geometry(capsule((0, 0, 0), end, 0.2)), np.ones(1), 1.0)
+    pose_bodies(0.0, contact)
+    distance, *normal, on_axis = measure(contact, [(0.0, 0.0, 0.0)])[0]
+    assert (distance, on_axis) == (-0.2, 1)
+    assert np.linalg.norm(normal) == pytest.approx(1.0, rel=1e-15)
+    assert abs(np.dot(normal, end)) <= 1e-16 * np.linalg.norm(end)
+
+
+def test_surface_vertices_lie_on_their_primitives_and_close():
+    shape = geometry(SHAPES["capsule"], SHAPES["sphere"], SHAPES["box"])
+    vertices, faces, frame = surface(shape)
+    assert (frame == 0).all()
+    assert faces.dtype == np.int32
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    volume = 0.0
+    for _, _, _, a, b, radius in (SHAPES["capsule"], SHAPES["sphere"]):
+        volume += np.pi * radius**2 * np.linalg.norm(np.subtract(b, a)) + 4.0 / 3.0 * np.pi * radius**3
+    volume += 8.0 * np.prod(SHAPES["box"][4])
+    assert 0.95 * volume < mesh.volume < volume
+    round_ones = (vertices.shape[0] - 8) // 2
+    for name, part in zip(SHAPES, np.split(vertices, [round_ones, 2 * round_ones]), strict=True):
+        contact = contact_for(geometry(SHAPES[name]), np.ones(1), 1.0)
+        pose_bodies(0.0, contact)
+        np.testing.assert_allclose(measure(contact, part)[:, 0], 0.0, atol=1e-15)

@@ -1,0 +1,256 @@
+"""Penalty contact: depth at rest, restitution, unions of primitives, equal bytes."""
+
+import numba
+import numpy as np
+import pytest
+from contact_world import STILL, G, box, capsule, contact_for, fall, geometry, move, plane, points
+
+from nuno_contact.penalty import Penalty, PenaltyConfig
+from nuno_kernels.contact import (
+    add_contact,
+    add_contact_parallel,
+    commit_contact,
+    commit_contact_parallel,
+    count_contacts,
+)
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric
+
+DOWN = np.array([0.0, -G, 0.0])
+
+
+def force_on(contact, x, v=None, s=0.0):
+    force = np.zeros_like(x)
+    add_contact(x, np.zeros_like(x) if v is None else v, s, contact, force)
+    return force
+
+
+@pytest.mark.parametrize(
+    ("shape", "height"),
+    [
+        (plane((0, 0.5, 0)), 0.5),
+        (capsule((0, 0, 0), (0, 0, 0), 0.5), 0.5),
+        (capsule((-1, 0.1, 0), (1, 0.1, 0), 0.4), 0.5),
+        (box((0, 0, 0), (1, 0.5, 1)), 0.5),
+    ],
+    ids=["plane", "sphere", "capsule", "box"],
+)
+def test_rest_depth_is_weight_over_stiffness(shape, height):
+    mass, k = np.array([2e-3]), 40.0
+    contact = contact_for(geometry(shape), mass, k)
+    x, v = points((0.0, height + 1e-3, 0.0)), np.zeros((3, 1))
+    fall(x, v, mass, DOWN, contact, 0.0, 1.0, 20000, 1e-4, np.zeros((3, 1)))
+    assert height - x[1, 0] == pytest.approx(mass[0] * G / k, rel=1e-9)
+    assert np.abs(v).max() < 1e-12
+    assert count_contacts(contact)["touching"] == 1
+
+
+def restitution(zeta):
+    """Of a point on a damped spring that cannot pull (Schwager & Poeschel 2007, zeta < 1/sqrt 2):
+    e = exp(-zeta (pi - atan(2 zeta w / (1 - 2 zeta^2))) / w), w = sqrt(1 - zeta^2); it leaves where
+    k depth = c speed, before the depth is 0.
+    """
+    w = np.sqrt(1.0 - zeta**2)
+    return np.exp(-zeta / w * (np.pi - np.arctan2(2.0 * zeta * w, 1.0 - 2.0 * zeta**2)))
+
+
+@pytest.mark.parametrize("speed", [1.0, 100.0])
+@pytest.mark.parametrize("zeta", [0.1, 0.3, 0.6])
+@pytest.mark.parametrize("body_moves", [False, True])
+def test_impact_keeps_the_closed_form_share_of_its_speed(speed, zeta, body_moves):
+    mass, k, duration = np.array([1e-3]), 1000.0, 0.02
+    contact = contact_for(geometry(plane(), damping=zeta), mass, k)
+    gap = 1e-3 * speed
+    x, v = points((0.0, gap, 0.0)), np.zeros((3, 1))
+    if body_moves:
+        move(contact, duration, shift=(0.0, speed * duration, 0.0))
+    else:
+        v[1] = -speed
+    fall(x, v, mass, np.zeros(3), contact, 0.0, 1.0, 40000, duration / 40000, np.zeros((3, 1)))
+    relative = v[1, 0] - (speed if body_moves else 0.0)
+    assert relative == pytest.approx(restitution(zeta) * speed, rel=2e-3)
+
+
+def test_contact_never_pulls():
+    mass = np.ones(1)
+    contact = contact_for(geometry(plane(), friction=1.0, damping=2.0), mass, 100.0)
+    x, v = points((0.0, -0.01, 0.0)), points((3.0, 50.0, 0.0))
+    np.testing.assert_array_equal(force_on(contact, x, v), 0.0)
+
+
+def test_overlapping_primitives_of_a_body_act_as_their_deepest():
+    mass, shapes = np.ones(1), [capsule((0, 0, 0), (1, 0, 0), 0.5), capsule((0.4, -0.1, 0), (0.5, -0.1, 0), 0.55)]
+    x = points((0.45, 0.42, 0.1))
+    alone = [force_on(contact_for(geometry(shape), mass, 10.0), x) for shape in shapes]
+    assert np.linalg.norm(alone[0]) > np.linalg.norm(alone[1]) > 0.0
+    for order in (shapes, shapes[::-1]):
+        np.testing.assert_array_equal(force_on(contact_for(geometry(*order), mass, 10.0), x), alone[0])
+
+
+def test_different_bodies_add_up():
+    mass = np.ones(1)
+    shapes = [plane(), plane((0, 0, 0), (1, 0, 0))]
+    x = points((-0.01, -0.02, 0.0))
+    both = geometry(shapes[0], (*shapes[1][:2], 1, *shapes[1][3:]))
+    np.testing.assert_allclose(force_on(contact_for(both, mass, 100.0), x)[:, 0], [1.0, 2.0, 0.0], rtol=1e-15)
+
+
+def test_points_on_the_axis_are_pushed_out_and_counted():
+    contact = contact_for(
+        geometry(capsule((0, 0, 0), (1, 0, 0), 0.1), capsule((5, 0, 0), (5, 0, 0), 0.1)), np.ones(3), 7.0
+    )
+    force = force_on(contact, points((0.5, 0, 0), (5, 0, 0), (0.5, 0.05, 0)))
+    np.testing.assert_allclose(np.linalg.norm(force, axis=0), [0.7, 0.7, 0.35], rtol=1e-12)
+    assert count_contacts(contact)["on_capsule_axis"] == 2
+
+
+def crowd(n, seed=0):
+    """Vertices in and round a small body of every kind of primitive, which moves and turns."""
+    rng = np.random.default_rng(seed)
+    mass = rng.uniform(0.5, 2.0, n)
+    shape = geometry(
+        capsule((-1, 0, 0), (1, 0.2, 0), 0.4), capsule((0, 0, 0.8), (0, 0, 0.8), 0.3, frame=1),
+        box((0.5, -0.6, 0), (0.4, 0.2, 0.5), frame=1, body=1), plane((0, -1, 0), (0.1, 1, 0), frame=0, body=1),
+        friction=0.4,
+    )  # fmt: skip
+    contact = contact_for(shape, mass, 50.0 * mass)
+    turn = np.array([[0.99, 0.1, 0.0, 0.05], [0.98, 0.0, -0.1, 0.1]])
+    move(contact, 0.1, turn / np.linalg.norm(turn, axis=1, keepdims=True), shift=rng.normal(size=(2, 3)) * 0.1)
+    x = rng.uniform(-1.5, 1.5, (3, n))
+    return contact, x[:, np.argsort(x[0])].copy(), rng.normal(size=(3, n)), mass
+
+
+def test_skipping_distant_primitives_changes_no_bit():
+    """Sorted vertices make tight blocks, most of them skipped; shuffled ones make blocks as wide as
+    the scene, none of them skipped: every vertex must get the same bits.
+    """
+    n = 1000
+    contact, x, v, _ = crowd(n)
+    order = np.random.default_rng(3).permutation(n)
+    shuffled, *_ = crowd(n)
+    shuffled.stiffness[:], shuffled.damping[:] = contact.stiffness[:, order], contact.damping[:, order]
+    y, w = x[:, order].copy(), v[:, order].copy()
+    for _ in range(3):
+        force, other = force_on(contact, x, v, 0.5), force_on(shuffled, y, w, 0.5)
+        assert force[:, order].tobytes() == other.tobytes()
+        assert (np.abs(force).sum(axis=0) > 0.0).sum() > 200
+        commit_contact(x, v, 0.5, contact)
+        commit_contact(y, w, 0.5, shuffled)
+        assert contact.anchor_frame[:, order].tobytes() == shuffled.anchor_frame.tobytes()
+        x += 0.01 * v
+        y += 0.01 * w
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_any_number_of_threads_gives_equal_bytes(threads):
+    if threads > numba.config.NUMBA_NUM_THREADS:
+        pytest.skip(f"numba was started with fewer than {threads} threads")
+    serial, x, v, _ = crowd(700)
+    parallel, *_ = crowd(700)
+    before = numba.get_num_threads()
+    numba.set_num_threads(threads)
+    try:
+        for s in (0.1, 0.6, 1.0):
+            force = force_on(serial, x, v, s)
+            other = np.zeros_like(x)
+            add_contact_parallel(x, v, s, parallel, other)
+            assert np.abs(force).max() > 0.0
+            assert force.tobytes() == other.tobytes()
+            commit_contact(x, v, s, serial)
+            commit_contact_parallel(x, v, s, parallel)
+            assert serial.anchor.tobytes() == parallel.anchor.tobytes()
+            assert serial.anchor_frame.tobytes() == parallel.anchor_frame.tobytes()
+            x += 0.02 * v
+    finally:
+        numba.set_num_threads(before)
+
+
+def test_resuming_from_stored_anchors_ends_in_the_same_bits():
+    def steps(contact, x, v, mass, s0, s1):
+        fall(x, v, mass, DOWN, contact, s0, s1, 50, 1e-3, np.zeros_like(x))
+
+    contact, x, v, mass = crowd(300)
+    steps(contact, x, v, mass, 0.0, 0.5)
+    stored = [a.copy() for a in (x, v, contact.anchor, contact.anchor_frame)]
+    assert (contact.anchor_frame >= 0).sum() > 30
+    steps(contact, x, v, mass, 0.5, 1.0)
+    resumed, *_ = crowd(300)
+    y, w, resumed.anchor[:], resumed.anchor_frame[:] = stored
+    steps(resumed, y, w, mass, 0.5, 1.0)
+    assert (x.tobytes(), v.tobytes()) == (y.tobytes(), w.tobytes())
+    bare, *_ = crowd(300)
+    y, w = stored[0].copy(), stored[1].copy()
+    steps(bare, y, w, mass, 0.5, 1.0)
+    assert x.tobytes() != y.tobytes()
+
+
+def test_no_vertices_and_far_from_the_origin():
+    contact = contact_for(geometry(plane()), np.zeros(0), 1.0)
+    assert force_on(contact, np.zeros((3, 0))).shape == (3, 0)
+    commit_contact(np.zeros((3, 0)), np.zeros((3, 0)), 1.0, contact)
+    assert count_contacts(contact) == {"touching": 0, "on_capsule_axis": 0}
+    far = contact_for(geometry(capsule((1e6, 0, 0), (1e6, 1, 0), 0.1)), np.ones(1), 10.0)
+    np.testing.assert_allclose(force_on(far, points((1e6 + 0.05, 0.5, 0)))[:, 0], [0.5, 0.0, 0.0], atol=1e-8)
+
+
+def fabric(mass, springs=None, pinned=None):
+    n = mass.shape[0]
+    return Fabric(
+        "cloth", np.zeros((n, 3)), np.zeros((n, 3)), mass, np.zeros(n, bool) if pinned is None else pinned,
+        np.zeros((0, 3), np.int32), springs,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("gravity", [DOWN, np.zeros(3)])
+def test_auto_stiffness_stops_an_arrival_and_rests_shallow(gravity):
+    mass = np.array([1e-5, 4e-5])
+    term = Penalty().prepare(PenaltyConfig(), fabric(mass), geometry(plane()), gravity)
+    k = term.data.stiffness[0]
+    assert (mass * G / k).max() <= 5e-4
+    assert (1.0 * np.sqrt(mass / k)).max() <= 1e-3  # largest depth of an undamped stop from 1 m/s
+    assert term.omega_squared == pytest.approx((k / mass).max(), rel=1e-15)
+    assert term.damping_rate == pytest.approx(2 * 0.3 * np.sqrt((k / mass).max()), rel=1e-15)
+
+
+def test_limits_add_over_bodies_and_leave_pinned_vertices_out():
+    mass, pinned = np.array([1.0, 1e-3]), np.array([False, True])
+    shape = geometry(plane(), plane(body=1), stiffness=100.0, damping=0.5)
+    term = Penalty().prepare(PenaltyConfig(), fabric(mass, pinned=pinned), shape, DOWN)
+    assert term.omega_squared == 200.0
+    assert term.damping_rate == 20.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("stiffness", 0.0), ("damping", -0.1), ("friction", -1.0), ("friction", np.nan)]
+)
+def test_constants_without_sense_are_refused(field, value):
+    shape = geometry(plane(), **{field: value})
+    with pytest.raises(BadInput, match=field):
+        Penalty().prepare(PenaltyConfig(), fabric(np.ones(1)), shape, DOWN)
+
+
+def test_poses_turn_at_constant_rate_with_the_velocity_of_that_motion():
+    """A material point's velocity by differences of its pose is what damping sees: a point that
+    moves with the body feels no damping.
+    """
+    mass, axis = np.ones(1), np.array([1.0, 2.0, -2.0]) / 3.0
+    turn = np.concatenate([[np.cos(0.6)], np.sin(0.6) * axis])
+    contact = contact_for(geometry(box((0, 0, 0), (1, 1, 1)), friction=1.0, damping=0.5), mass, 10.0)
+    move(contact, 0.25, turn, shift=(0.3, 0.1, -0.2), turn0=STILL)
+
+    def place(s):
+        force_on(contact, np.zeros((3, 1)), s=s)
+        f = contact.frames[0]
+        return f[:9].reshape(3, 3) @ [0.9, 0.5, 0.4] + f[9:12], f[:9].reshape(3, 3)
+
+    h, s = 1e-5, 0.37
+    v = ((place(s + h)[0] - place(s - h)[0]) / (2 * h * 0.25))[:, None]
+    x, matrix = place(s)
+    np.testing.assert_allclose(force_on(contact, x[:, None].copy(), v, s)[:, 0], matrix @ [1.0, 0, 0], atol=1e-8)
+    half = np.concatenate([[np.cos(0.3)], np.sin(0.3) * axis])
+    _, matrix = place(0.5)
+    np.testing.assert_allclose(matrix, np.stack([_rotate(half, e) for e in np.eye(3)], axis=1), atol=1e-15)
+
+
+def _rotate(q, vector):
+    return vector + 2.0 * np.cross(q[1:], np.cross(q[1:], vector) + q[0] * vector)
