@@ -40,10 +40,10 @@ class Status(BaseModel):
     steps: int
     step_seconds: float
     """Wall time of the frame's steps [s]."""
-    energy: dict[str, float]
-    """Joules by kind: kinetic, gravitational, springs, hinges."""
-    stretch: float
-    """Largest |d| / rest - 1 over the springs."""
+    energy: dict[str, float | None]
+    """Joules by kind: kinetic, gravitational, springs, hinges. None: not finite, which JSON cannot say."""
+    stretch: float | None
+    """Largest |d| / rest - 1 over the springs. None: not finite."""
     message: str = ""
 
 

@@ -95,7 +95,8 @@ def encode_points(x: NDArray[np.float64], t: float) -> bytes:
     from foxglove import messages
 
     origin = np.round(x[0]) if len(x) and np.isfinite(x[0]).all() else np.zeros(3)
-    points = np.ascontiguousarray(x - origin, dtype=np.float32)
+    with np.errstate(over="ignore"):  # a diverging run's last frame may not fit; it is kept as inf
+        points = np.ascontiguousarray(x - origin, dtype=np.float32)
     seconds, nanos = divmod(round(t * 1e9), 10**9)
     pose = messages.Pose(
         position=messages.Vector3(x=float(origin[0]), y=float(origin[1]), z=float(origin[2])),

@@ -12,13 +12,18 @@ from nuno_schemas.fabric import Float
 
 
 def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
-    """(n,) distance [m] of (n, 3) points to the union of all bodies, negative inside."""
+    """(n,) distance [m] of (n, 3) points to the union of all bodies, negative inside.
+
+    Points that are not finite, as in the last frame of a diverged run, are outside of everything.
+    """
     nearest = np.full(len(points), np.inf)
+    finite = np.isfinite(points).all(axis=1)
+    points = np.where(finite[:, None], points, 0.0)
     turns = rotation_matrices(poses.rotation)
     for i, frame in enumerate(geometry.frame):
         local = (points - poses.translation[frame]) @ turns[frame]
         nearest = np.minimum(nearest, _primitive(local, int(geometry.kind[i]), geometry.a[i], geometry.b[i], float(geometry.radius[i])))
-    return nearest
+    return np.where(finite, nearest, np.inf)
 
 
 def _primitive(p: Float, kind: int, a: Float, b: Float, radius: float) -> Float:

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 from nuno_schemas.bodies import Poses
-from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Penetration
+from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Header, Penetration
 
 from nuno.arrays import BadMessage, decode_points
 from nuno.build import Bodies, build_bodies
@@ -17,6 +17,8 @@ from nuno.service import Context, ack_topic, each_message
 
 GEOMETRY_QUESTION = "collision/ask/geometry"
 POSES_QUESTION = "collision/ask/poses"
+KEPT = 16
+"""Frames whose poses are kept: more than the simulation runs ahead."""
 
 
 class Collision:
@@ -27,38 +29,42 @@ class Collision:
         self.rate = context.loaded.scene.frame_rate
         self.seconds = 0.0
         self.deepest = 0.0
-        self.published = -1
-        self.ready: tuple[int, Poses] = (0, bodies.poses(0.0))
+        self.cache: dict[int, Poses] = {}
 
     def answer(self, question: Question) -> None:
-        """The geometry, or the poses of a frame; what was answered is published too."""
+        """The geometry, or the poses of a frame."""
         if question.name == GEOMETRY_QUESTION:
-            payload = encode_geometry(self.bodies.geometry)
-            self.context.bus.publisher(GEOMETRY).put(payload)
-            question.answer(payload)
+            question.answer(encode_geometry(self.bodies.geometry))
             return
         frame = int(question.json().get("frame", 0))
-        poses = self.poses(frame)
-        payload = encode_poses(poses, frame)
-        question.answer(payload)
-        if frame > self.published:
-            self.published = frame
-            self.context.bus.publisher(BODIES).put(payload, frame, poses.t)
+        question.answer(encode_poses(self.poses(frame), frame))
         # While the simulation steps with these, get ready what it will ask next.
         self.poses(frame + 1)
 
     def poses(self, frame: int) -> Poses:
-        """Poses of a frame, computed once if frames are asked for in order."""
-        if self.ready[0] != frame:
-            self.ready = (frame, self.bodies.poses(frame / self.rate))
-        return self.ready[1]
+        """Poses of a frame; the last few are kept."""
+        if frame not in self.cache:
+            self.cache[frame] = self.bodies.poses(frame / self.rate)
+            while len(self.cache) > KEPT:
+                del self.cache[min(self.cache)]
+        return self.cache[frame]
+
+    def publish(self, header: Header) -> None:
+        """Where the bodies are in a published frame; at the first one also what they are.
+
+        Not before: until the first frame some services may still be starting.
+        """
+        if GEOMETRY.name not in self.context.bus.publishers:
+            self.context.bus.publisher(GEOMETRY).put(encode_geometry(self.bodies.geometry), header.frame, header.t)
+        self.context.bus.publisher(BODIES).put(encode_poses(self.poses(header.frame), header.frame), header.frame, header.t)
 
     def measure(self, message: Message) -> None:
-        """Measure one published frame, report it and acknowledge it."""
-        start = time.perf_counter()
+        """Measure one published frame, report it and acknowledge it. Raises BadMessage."""
         header = message.header
         points = decode_points(message.payload)
-        distance = signed_distance(points, self.bodies.geometry, self.bodies.poses(header.t))
+        self.publish(header)
+        start = time.perf_counter()
+        distance = signed_distance(points, self.bodies.geometry, self.poses(header.frame))
         inside = distance < 0.0
         deepest = int(np.argmin(distance)) if inside.any() else -1
         report = Penetration(

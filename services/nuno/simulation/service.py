@@ -204,6 +204,7 @@ def main(context: Context) -> None:
         point = open_recording(context.options.resume).last_checkpoint()
         simulation.resume(point.frame, point.x, point.v, point.memory)
         poses = ask_poses(context, point.frame) if geometry is not None else None
+    simulation.measure(poses)  # compiles what the steps need, so that the run itself is timed without it
     driver = Driver(context, simulation, poses)
     with context.bus.alive():
         while driver.state == "paused" and driver.finish is None:
