@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,9 +115,9 @@ class Model(Protocol):
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
-    def build(self, config: BaseModel, files: Files, seed: int) -> Fabric: ...
+    def build(self, config: Any, files: Files, seed: int) -> Fabric: ...
 
-    def count(self, config: BaseModel, files: Files) -> int:
+    def count(self, config: Any, files: Files) -> int:
         """Vertices it will have, found without building it."""
         ...
 
@@ -128,7 +128,7 @@ class Force(Protocol):
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
-    def prepare(self, config: BaseModel, fabric: Fabric, seed: int) -> Term: ...
+    def prepare(self, config: Any, fabric: Fabric, seed: int) -> Term: ...
 
 
 class Contact(Protocol):
@@ -137,7 +137,7 @@ class Contact(Protocol):
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
-    def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term: ...
+    def prepare(self, config: Any, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term: ...
 
 
 class Integrator(Protocol):
@@ -148,11 +148,11 @@ class Integrator(Protocol):
     order: ClassVar[int]
     explicit: ClassVar[bool]
 
-    def prepare(self, config: BaseModel, system: System, state: State) -> Memory:
+    def prepare(self, config: Any, system: System, state: State) -> Memory:
         """Memory for this system; compiles nothing before the first `advance` or `limit`."""
         ...
 
-    def limit(self, config: BaseModel, system: System, state: State) -> StepLimit: ...
+    def limit(self, config: Any, system: System, state: State) -> StepLimit: ...
 
     def advance(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None, steps: int, dt: float
@@ -187,7 +187,7 @@ class Motion(Protocol):
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
-    def prepare(self, config: BaseModel, files: Files) -> Mover: ...
+    def prepare(self, config: Any, files: Files) -> Mover: ...
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ class Collider(Protocol):
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
-    def build(self, config: BaseModel, mover: Mover | None) -> BodyShape:
+    def build(self, config: Any, mover: Mover | None) -> BodyShape:
         """Primitives; without a mover there is one frame, the world."""
         ...
 
@@ -246,6 +246,6 @@ class Renderer(Protocol):
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
-    def render(self, config: BaseModel, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
+    def render(self, config: Any, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
         """(height, width, 3) uint8 sRGB picture."""
         ...
