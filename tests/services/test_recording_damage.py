@@ -89,8 +89,8 @@ def test_truncation_anywhere_reads_a_prefix(many_chunks: tuple[Path, list[tuple[
                 messages = found(recording)
                 assert recording.recovered
                 assert not recording.complete
-        except BadInput as error:
-            assert str(cut) in str(error)
+                assert recording.layout.readable <= size
+        except BadInput:
             messages = []
         assert messages == whole[: len(messages)]
         numbers.append(len(messages))
@@ -154,7 +154,7 @@ def _unfinished(folder: Path) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"\x89", MAGIC, MAGIC + MAGIC, b"hello world" * 100, MAGIC + os.urandom(5000)]
+    "content", [b"", b"\x89", MAGIC, MAGIC + MAGIC, b"hello world" * 100, MAGIC + bytes(range(256)) * 20]
 )
 def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "other.mcap"
@@ -218,12 +218,12 @@ def test_a_full_disk_fails_plainly_and_keeps_what_was_whole(tmp_path: Path, monk
         try:
             with open_recording(part_of(path)) as recording:
                 messages = found(recording)
+                # Nothing but whole records is left behind.
+                assert recording.layout.readable == recording.layout.size
         except BadInput:
             messages = []
         assert messages == plain(whole)[: len(messages)]
         written.append(len(messages))
-        # Nothing but whole records is left behind.
-        assert part_of(path).stat().st_size <= room
     assert written == sorted(written)
     assert written[-1] == len(whole)
 

@@ -13,8 +13,10 @@ from nuno.recording.reader import END
 from nuno.recording.writer import RecordingWriter, topic_of
 from nuno.service import Context, ack_topic, each_message
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import EVENT, REPORT, STATE, TOPICS, Ack, Header, Topic
+from nuno_schemas.messages import REPORT, STATE, Ack, Header, Topic
 
+ALL = Topic("**", "json", "")
+"""One subscription to all topics: between several, messages overtake each other."""
 DRAIN_SECONDS = 10.0
 """How long messages that were sent but have not arrived are waited for at the end."""
 
@@ -30,8 +32,7 @@ def main(context: Context) -> None:
     path = context.options.record
     if path is None:
         raise BadInput("the recorder needs a file", field="--record", remedy="name one: --record FILE")
-    events = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
-    inbox = Inbox(context.bus, [events, *(t for t in TOPICS.values() if t.recorded and t not in (EVENT, REPORT))])
+    inbox = Inbox(context.bus, [ALL])
     files = {name: file.read_bytes() for name, file in assets(context.loaded).items()}
     writer = RecordingWriter(path, describe_run(context.loaded, context.bus.run), files)
     files.clear()
@@ -62,6 +63,8 @@ class Recorder:
     def handle(self, message: Message) -> None:
         """Write one message; acknowledge a frame once the writer has it."""
         header = message.header
+        if topic_of(message.topic) is None:
+            return
         try:
             self._writer.write(message.topic, header, message.payload)
         except BadMessage:
@@ -96,7 +99,7 @@ class Recorder:
             "digest": self._digest,
             "counts": json.dumps(counts),
             "missing": json.dumps(missing),
-            "refused": json.dumps(self._inbox.counts.refused),
+            "refused": json.dumps({topic: number for topic, number in self._inbox.counts.refused.items() if number}),
             "complete": "true" if expected and not missing and state != "failed" else "false",
         }
         path = self._writer.finish({END: end})
@@ -125,7 +128,7 @@ class Recorder:
 
     def _missing(self, expected: dict[str, int]) -> dict[str, int]:
         """What is not in the file, per topic: lost on the way, or refused by the writer."""
-        topics = {*expected, *self._inbox.counts.missing}
+        topics = {*expected, *(topic for topic in self._inbox.counts.missing if topic_of(topic) is not None)}
         lost = {
             topic: max(expected.get(topic, 0) - self._writer.counts[topic], self._inbox.counts.missing[topic])
             for topic in sorted(topics)

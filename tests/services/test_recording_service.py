@@ -1,0 +1,206 @@
+"""The recorder service: everything that was sent is in the file, or the file says what is not."""
+
+from __future__ import annotations
+
+import errno
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from recorded_sheet import REPORT_TEXT, Item, Sheet, items
+
+from nuno import scene_file
+from nuno.bus import Bus, Inbox, Message, Watch, free_port, hub
+from nuno.recording import service
+from nuno.recording.mcap_file import McapFile
+from nuno.recording.reader import END, open_recording
+from nuno.recording.writer import part_of, topic_of
+from nuno.service import SUPERVISOR, Context, Options, ack_topic
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import REPORT, STATE, Ack, Header
+
+RUN = "waving-run"
+
+
+@pytest.fixture(scope="module")
+def loaded() -> scene_file.Loaded:
+    return scene_file.read(scene_file.find("hanging-sheet"))
+
+
+@dataclass
+class Recorder:
+    """The service in a thread, a supervisor, and the buses of those that talk to it."""
+
+    session: zenoh.Session
+    context: Context
+    supervisor: Bus
+    simulation: Bus
+    acks: Inbox
+    errors: list[Exception] = field(default_factory=list)
+    thread: threading.Thread = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.thread = threading.Thread(target=self._main, daemon=True)
+        self.thread.start()
+
+    def _main(self) -> None:
+        try:
+            service.main(self.context)
+        except (BadInput, RunFailed) as error:
+            self.errors.append(error)
+
+    def publish(self, messages: list[Item]) -> dict[str, int]:
+        """Send messages; how many of each topic."""
+        for name, header, payload in messages:
+            topic = topic_of(name)
+            assert topic is not None
+            self.simulation.publisher(topic).put(payload, header.frame, header.t, header.digest)
+        return {name: p.sent for name, p in self.simulation.publishers.items()}
+
+    def finish(self, expected: dict[str, int]) -> dict[str, Any]:
+        question = {"expected": expected, "state": "done", "report": REPORT_TEXT}
+        answer = self.supervisor.ask_json("finish/recorder", question, 20.0)
+        self.thread.join(10.0)
+        return answer
+
+
+@contextmanager
+def recorder(loaded: scene_file.Loaded, path: Path) -> Iterator[tuple[Recorder, zenoh.LivelinessToken]]:
+    """A recorder that is ready, and the token that keeps it running."""
+    with hub(f"tcp/127.0.0.1:{free_port()}") as session:
+        supervisor = Bus(session, RUN, SUPERVISOR)
+        token = supervisor.alive()
+        acks = Inbox(supervisor, [ack_topic("recorder")])
+        context = Context(loaded, Bus(session, RUN, "recorder"), Options(record=path))
+        running = Recorder(session, context, supervisor, Bus(session, RUN, "simulation"), acks)
+        assert Watch(supervisor).wait_for({"recorder"}, 20.0) == set()
+        yield running, token
+        assert not running.thread.is_alive()
+
+
+def sent_items(frames: int = 20) -> list[Item]:
+    return [item for item in items(Sheet(), frames) if item[0] != REPORT.name]
+
+
+def test_records_and_acknowledges_all(tmp_path: Path, loaded: scene_file.Loaded) -> None:
+    sent = sent_items()
+    with recorder(loaded, tmp_path / "a.mcap") as (running, _):
+        expected = running.publish(sent)
+        answer = running.finish(expected | {"ack/collision": 20})
+        acked = [running.acks.get(timeout=5.0) for _ in range(20)]
+    assert answer["complete"]
+    assert answer["missing"] == {}
+    assert answer["messages"] == len(sent) + 1
+    assert answer["bytes"] == (tmp_path / "a.mcap").stat().st_size
+    assert all(isinstance(ack, Message) for ack in acked)
+    assert [Ack.model_validate_json(a.payload).frame for a in acked if isinstance(a, Message)] == list(range(20))
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert [(m.topic, m.payload) for m in recording.messages()][:-1] == [(t, p) for t, _, p in sent]
+        assert recording.complete
+        assert recording.report() == REPORT_TEXT
+        assert recording.scene == loaded.data
+        assert recording.metadata[END]["digest"] == "digest-19"
+        assert recording.metadata["run"]["seed"] == str(loaded.scene.seed)
+        assert "nuno.models/sheet" in recording.metadata["plugins"]
+        assert recording.metadata["versions"]["numpy"]
+
+
+def test_a_lost_message_makes_the_recording_incomplete(tmp_path: Path, loaded: scene_file.Loaded) -> None:
+    with recorder(loaded, tmp_path / "a.mcap") as (running, _):
+        sent = sent_items()
+        running.publish(sent[:30])
+        running.simulation.publishers[STATE.name].sent += 2
+        answer = running.finish(running.publish(sent[30:]))
+    assert answer["missing"] == {STATE.name: 2}
+    assert not answer["complete"]
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert not recording.complete
+        assert not recording.recovered
+        assert recording.missing == {STATE.name: 2}
+        assert recording.counts[STATE.name] == 20
+
+
+def test_messages_that_never_come_are_not_waited_for_forever(
+    tmp_path: Path, loaded: scene_file.Loaded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "DRAIN_SECONDS", 0.2)
+    with recorder(loaded, tmp_path / "a.mcap") as (running, _):
+        expected = running.publish(sent_items())
+        answer = running.finish(expected | {STATE.name: expected[STATE.name] + 3})
+    assert answer["missing"] == {STATE.name: 3}
+    assert not answer["complete"]
+
+
+def test_bad_messages_are_dropped_and_counted(tmp_path: Path, loaded: scene_file.Loaded) -> None:
+    sent = sent_items()
+    with recorder(loaded, tmp_path / "a.mcap") as (running, _):
+        expected = running.publish(sent)
+        put = running.session.put
+        key = running.simulation.key(STATE.name)
+        good = Header(run=RUN, service="simulation", seq=20, frame=20, t=0.4)
+        put(key, b"no header")
+        put(key, b"not json", attachment=b"\xff\xfe")
+        put(key, b"foreign", attachment=good.model_copy(update={"run": "other"}).model_dump_json())
+        put(key, b"again", attachment=good.model_copy(update={"seq": 3}).model_dump_json())
+        put(key, b"no time", attachment=good.model_dump_json().replace("0.4", "NaN"))
+        answer = running.finish(expected)
+    assert answer["counts"][STATE.name] == 20
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert [m.payload for m in recording.messages([STATE.name])] == [p for t, _, p in sent if t == STATE.name]
+        assert '"sim/state": 5' in recording.metadata[END]["refused"]
+
+
+def test_without_a_supervisor_the_file_is_closed_as_failed(tmp_path: Path, loaded: scene_file.Loaded) -> None:
+    sent = sent_items()
+    with recorder(loaded, tmp_path / "a.mcap") as (running, token):
+        running.publish(sent)
+        for _ in range(20):
+            assert running.acks.get(timeout=5.0) is not None
+        assert not running.context.orphaned()
+        token.undeclare()
+        running.thread.join(10.0)
+    assert [type(error) for error in running.errors] == [RunFailed]
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert recording.metadata[END]["state"] == "failed"
+        assert not recording.complete
+        assert recording.counts[STATE.name] == 20
+
+
+def test_a_full_disk_ends_the_service(
+    tmp_path: Path, loaded: scene_file.Loaded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = McapFile.flush
+
+    def full(file: McapFile) -> None:
+        if file.pending > 10_000:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(file)
+
+    monkeypatch.setattr(McapFile, "flush", full)
+    with recorder(loaded, tmp_path / "a.mcap") as (running, _):
+        running.publish(sent_items())
+        running.thread.join(10.0)
+    assert [str(error).split(";")[0] for error in running.errors] == ["recording stopped: No space left on device"]
+    assert not (tmp_path / "a.mcap").exists()
+    with open_recording(part_of(tmp_path / "a.mcap")) as recording:
+        assert recording.recovered
+
+
+def test_files_of_the_scene_travel_with_it(tmp_path: Path) -> None:
+    """Any string of a configuration that names a file beside the scene is attached."""
+    (tmp_path / "check.png").write_bytes(b"picture")
+    (tmp_path / "secret.txt").write_bytes(b"not named")
+    text = scene_file.find("hanging-sheet").read_text()
+    (tmp_path / "scene.yaml").write_text(text)
+    override = "objects.0.model.texture=check.png"
+    loaded = scene_file.read(tmp_path / "scene.yaml", [override])
+    with recorder(loaded, tmp_path / "a.mcap") as (running, _):
+        running.finish(running.publish(sent_items(3)))
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert recording.attachments == ("check.png",)
+        assert recording.attachment("check.png") == b"picture"
