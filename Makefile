@@ -1,0 +1,39 @@
+# Everything makes its own .venv and installs what it needs; nothing has to be prepared by hand.
+PYTHON ?= python3
+BIN := .venv/bin
+SCENE ?= skirt-hula
+ARGS ?=
+
+.PHONY: run test lint bench clean
+
+run: .venv/run.stamp  ## simulate the default scene: record it, show it, report on it
+	@$(BIN)/nuno run $(SCENE) $(ARGS)
+
+test: .venv/dev.stamp  ## all tests; those that need a missing system package skip by name
+	$(BIN)/pytest -n auto $(ARGS)
+
+lint: .venv/dev.stamp  ## ruff and mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: .venv/dev.stamp  ## speed against the measured bars, and the skirt paper's experiment
+	$(BIN)/nuno bench speed $(ARGS)
+	$(BIN)/nuno bench integrators skirt-paper
+
+.venv/bin/python:
+	@echo "making .venv with $$($(PYTHON) --version)"
+	$(PYTHON) -m venv .venv
+
+.venv/run.stamp: pyproject.toml | .venv/bin/python
+	@echo "installing nuno and what it needs (about 200 MB, once)"
+	$(BIN)/python -m pip install --disable-pip-version-check -e ".[view,video]"
+	@touch $@
+
+.venv/dev.stamp: pyproject.toml | .venv/bin/python
+	@echo "installing nuno and what its tests need (about 300 MB, once)"
+	$(BIN)/python -m pip install --disable-pip-version-check -e ".[dev]"
+	@touch $@ .venv/run.stamp
+
+clean:  ## remove the environment and caches, keep recordings
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache dist build
