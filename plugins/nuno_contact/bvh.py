@@ -71,10 +71,11 @@ def read_bvh(path: Path) -> Any:
     return found
 
 
-def read_tree(found: Any) -> tuple[tuple[str, ...], Int, Float, Int]:
+def read_tree(found: Any, path: Path) -> tuple[tuple[str, ...], Int, Float, Int]:
     """Names, parents and offsets (j, 3) of all nodes, and for each its row of channels or -1.
 
     End sites become joints named after their parent, so that a bone ends where the file says.
+    Raises BadInput for two joints of one name.
     """
     nodes, names, parents = found.nodes, [], []
     rows: list[int] = []
@@ -83,7 +84,7 @@ def read_tree(found: Any) -> tuple[tuple[str, ...], Int, Float, Int]:
         ending = node.is_end_site()
         name = f"{node.parent.name}_end" if ending else node.name
         if name in names:
-            raise BadInput("two joints have the same name", field="file", value=name)
+            raise BadInput("two joints have the same name", file=str(path), value=name)
         names.append(name)
         parents.append(place[id(node.parent)] if node.parent is not None else -1)
         rows.append(-1 if ending else sum(row >= 0 for row in rows))
@@ -180,7 +181,7 @@ class BVH:
         c = cast(BvhConfig, config)
         path = files.resolve(c.file)
         found = read_bvh(path)
-        names, parents, offsets, rows = read_tree(found)
+        names, parents, offsets, rows = read_tree(found, path)
         dt = 1.0 / c.frame_rate if c.frame_rate else float(found.frame_time)
         part = cut_frames(c, found.frame_count, dt, path)
         upright = from_axis_angle(AXES[0], -0.5 * math.pi if c.up == "z" else 0.0)

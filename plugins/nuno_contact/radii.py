@@ -27,7 +27,10 @@ PROFILES: dict[str, tuple[tuple[float, float], ...]] = {
     "forearm": ((0.0, 0.0240), (1.0, 0.0160)),
     "hand": ((0.0, 0.0180), (1.0, 0.0150)),
     "thigh": ((0.0, 0.0540), (0.25, 0.0514), (0.5, 0.0466), (0.75, 0.0400), (1.0, 0.0335)),  # 0.465 to 0.29
-    "shin": ((0.0, 0.0332), (0.35, 0.0339), (0.6, 0.0270), (0.85, 0.0200), (1.0, 0.0209)),  # 0.285 to 0.05
+    "shin": (  # 0.285, 0.20, 0.165, 0.14, 0.105, 0.075, 0.05
+        *((0.0, 0.0332), (0.35, 0.0339), (0.5, 0.0302), (0.6, 0.0257)),
+        *((0.75, 0.0214), (0.88, 0.0196), (1.0, 0.0209)),
+    ),
     "foot": ((0.0, 0.0230), (1.0, 0.0190)),
     "toe": ((0.0, 0.0150), (1.0, 0.0120)),
 }
@@ -63,7 +66,7 @@ def find_part(joint: str) -> str | None:
     return None
 
 
-def default_radius(part: str, where: float) -> float:
-    """Radius over body height at `where` in [0, 1] along a part."""
+def default_radius(part: str, first: float, last: float) -> float:
+    """Mean radius over body height between two places in [0, 1] along a part."""
     at, radius = zip(*PROFILES[part], strict=True)
-    return float(np.interp(where, at, radius))
+    return float(np.interp(np.linspace(first, last, 17), at, radius).mean())

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import ClassVar, cast
+from typing import Annotated, ClassVar, cast
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -35,7 +36,7 @@ class SkeletonConfig(Config):
 
     split: bool = True
     height: Size | None = None  # type: ignore[valid-type]
-    radii: dict[str, Size | list[Size]] = Field(default_factory=dict)  # type: ignore[valid-type]
+    radii: dict[str, Size | Annotated[list[Size], Field(min_length=1)]] = Field(default_factory=dict)  # type: ignore[valid-type]
     bones: tuple[str, ...] | None = None
 
 
@@ -155,8 +156,8 @@ def choose_radii(bone: Bone, own: float | list[float] | None, height: float, spl
         whole = bone.before + bone.length + bone.after
         share = bone.length / whole if whole > 0.0 else 0.0
         pieces = max(1, round(PIECES.get(bone.part, 1) * share))
-        middles = (bone.before + (np.arange(pieces) + 0.5) / pieces * bone.length) / (whole or 1.0)
-        radii = [height * default_radius(bone.part, float(middle)) for middle in middles]
+        cuts = (bone.before + np.linspace(0.0, bone.length, pieces + 1)) / (whole or 1.0)
+        radii = [height * default_radius(bone.part, *ends) for ends in itertools.pairwise(cuts)]
     else:
         radii = own if isinstance(own, list) else [own]
     return radii if split else [sum(radii) / len(radii)]
@@ -196,7 +197,7 @@ class Skeleton:
         check_names("radii", c.radii, mover)
         check_names("bones", c.bones or (), mover)
         height = c.height or find_height(mover)
-        girdle = c.radii.get("pelvis", height * default_radius("pelvis", 0.5))
+        girdle = c.radii.get("pelvis", height * default_radius("pelvis", 0.0, 1.0))
         half_width = max(0.0, height * PELVIS_HALF_WIDTH - float(np.max(girdle)))
         frames, pieces = [], []
         for bone in find_bones(mover, c.radii, half_width):

@@ -114,7 +114,21 @@ def count_contacts(contact: Contact) -> dict[str, int]:
 
 
 @kernel
-def find_deepest(x, low, high, first, last, kind, frame, posed, frames, bounds, block, distance, deepest):
+def find_deepest(
+    x: Float,
+    low: int,
+    high: int,
+    first: int,
+    last: int,
+    kind: NDArray[np.int8],
+    frame: Int,
+    posed: Float,
+    frames: Float,
+    bounds: Float,
+    block: int,
+    distance: Float,
+    deepest: NDArray[np.int64],
+) -> bool:
     """Deepest of primitives [first, last) for vertices [low, high); False if none can be inside."""
     near = False
     for p in range(first, last):
@@ -134,7 +148,21 @@ def find_deepest(x, low, high, first, last, kind, frame, posed, frames, bounds, 
 
 
 @inlined
-def respond(x, v, i, body, p, kind, f, k, c, posed, frames, anchor, anchor_frame):
+def respond(
+    x: Float,
+    v: Float,
+    i: int,
+    body: int,
+    p: int,
+    kind: int,
+    f: int,
+    k: float,
+    c: float,
+    posed: Float,
+    frames: Float,
+    anchor: Float,
+    anchor_frame: Int,
+) -> tuple[float, float, float, float, float, float, float, float, float, float, int]:
     """Contact of vertex i with primitive p, which moves with frame f.
 
     Returns the normal, N [N], the elongation of the friction spring in the tangent plane [m], the
@@ -161,7 +189,20 @@ def respond(x, v, i, body, p, kind, f, k, c, posed, frames, anchor, anchor_frame
 
 
 @inlined
-def place_anchor(x, i, body, f, ex, ey, ez, stretch, limit, frames, anchor, anchor_frame):
+def place_anchor(
+    x: Float,
+    i: int,
+    body: int,
+    f: int,
+    ex: float,
+    ey: float,
+    ez: float,
+    stretch: float,
+    limit: float,
+    frames: Float,
+    anchor: Float,
+    anchor_frame: Int,
+) -> None:
     """Anchor of a touching vertex after a step: left alone while it sticks, else dragged along
     until the spring's force `stretch` [N] is `limit` [N].
     """
@@ -177,7 +218,7 @@ def place_anchor(x, i, body, f, ex, ey, ez, stretch, limit, frames, anchor, anch
 
 
 @kernel
-def add_block(block, x, v, contact, force):
+def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) -> None:
     """Add the contact force [N] on the vertices of one block; bodies are posed already."""
     q = contact
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
@@ -206,7 +247,7 @@ def add_block(block, x, v, contact, force):
 
 
 @kernel
-def commit_block(block, x, v, contact):
+def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
     """Set, drag along or drop the friction anchors of one block; bodies are posed already."""
     q = contact
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
@@ -233,7 +274,7 @@ def commit_block(block, x, v, contact):
 
 
 @kernel
-def add_contact(x, v, s, contact, force):
+def add_contact(x: Float, v: Float, s: float, contact: Contact, force: Float) -> None:
     """Add the contact force [N] on vertices x, v (3, n) at fraction s of the interval to force."""
     pose_bodies(s, contact)
     for block in range(contact.bounds.shape[0]):
@@ -241,7 +282,7 @@ def add_contact(x, v, s, contact, force):
 
 
 @kernel
-def commit_contact(x, v, s, contact):
+def commit_contact(x: Float, v: Float, s: float, contact: Contact) -> None:
     """Update the friction anchors after a completed step that ends at fraction s."""
     pose_bodies(s, contact)
     for block in range(contact.bounds.shape[0]):
@@ -249,7 +290,7 @@ def commit_contact(x, v, s, contact):
 
 
 @parallel_kernel
-def add_contact_parallel(x, v, s, contact, force):
+def add_contact_parallel(x: Float, v: Float, s: float, contact: Contact, force: Float) -> None:
     """add_contact on several threads: the same bits."""
     pose_bodies(s, contact)
     for block in prange(contact.bounds.shape[0]):
@@ -257,7 +298,7 @@ def add_contact_parallel(x, v, s, contact, force):
 
 
 @parallel_kernel
-def commit_contact_parallel(x, v, s, contact):
+def commit_contact_parallel(x: Float, v: Float, s: float, contact: Contact) -> None:
     """commit_contact on several threads: the same bits."""
     pose_bodies(s, contact)
     for block in prange(contact.bounds.shape[0]):

@@ -54,7 +54,7 @@ def set_poses(contact: Contact, poses0: Poses, poses1: Poses) -> None:
 
 
 @kernel
-def pose_frame(s, f, rotation0, origin0, spin, shift, frames):
+def pose_frame(s: float, f: int, rotation0: Float, origin0: Float, spin: Float, shift: Float, frames: Float) -> None:
     """Fill rotation and origin of frames[f]: exp(s spin) rotation0 by Rodrigues' formula."""
     angle = math.sqrt(spin[f, 0] * spin[f, 0] + spin[f, 1] * spin[f, 1] + spin[f, 2] * spin[f, 2])
     scale = 1.0 / angle if angle > 0.0 else 0.0
@@ -70,7 +70,7 @@ def pose_frame(s, f, rotation0, origin0, spin, shift, frames):
 
 
 @kernel
-def pose_primitive(p, kind, f, a, b, radius, frames, posed):
+def pose_primitive(p: int, kind: int, f: int, a: Float, b: Float, radius: Float, frames: Float, posed: Float) -> None:
     """Fill row p of `posed` (see contact_distance) from the primitive in its frame."""
     square = 0.0
     for c in range(3):
@@ -93,7 +93,7 @@ def pose_primitive(p, kind, f, a, b, radius, frames, posed):
 
 
 @kernel
-def pose_bodies(s, contact):
+def pose_bodies(s: float, contact: Contact) -> None:
     """Pose all frames and primitives at fraction s in [0, 1] of the interval."""
     for f in range(contact.frames.shape[0]):
         pose_frame(s, f, contact.rotation0, contact.origin0, contact.spin, contact.shift, contact.frames)

@@ -1,0 +1,238 @@
+"""BVH: joint positions against forward kinematics of the file's own numbers, written anew."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nuno_contact.bvh import BVH, BvhConfig
+from nuno_schemas.errors import BadInput
+
+WALK = Path(__file__).parents[3] / "shared" / "data" / "cmu_12_01_walk.bvh"
+
+TINY = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0.5 0.0 0.0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Spine
+  {
+    OFFSET 0.0 2.0 0.0
+    CHANNELS 3 Yrotation Zrotation Xrotation
+    End Site
+    {
+      OFFSET 0.0 1.0 0.5
+    }
+  }
+  JOINT LeftUpLeg
+  {
+    OFFSET 0.3 -1.0 0.0
+    CHANNELS 3 Xrotation Yrotation Zrotation
+    End Site
+    {
+      OFFSET 0.0 -3.0 0.0
+    }
+  }
+}
+MOTION
+Frames: 5
+Frame Time: 0.25
+0 4 0   0 0 0     0 0 0      0 0 0
+1 4 0   10 20 30  5 10 15    40 0 10
+2 4.5 1  20 30 40  10 20 30   30 5 20
+3 4 1   30 20 50  15 30 45   20 10 30
+4 4 2   40 10 60  20 40 60   10 15 40
+"""
+
+
+class Anywhere:
+    def resolve(self, name):
+        return Path(name)
+
+
+def prepare(path, **config):
+    return BVH().prepare(BvhConfig(file=str(path), **config), Anywhere())
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    path = tmp_path / "tiny.bvh"
+    path.write_text(TINY)
+    return path
+
+
+def parse(text):
+    """Nodes (name, parent, offset, channels) and frames, read token by token."""
+    tokens = iter(text.split())
+    nodes, stack, name = [], [], ""
+    for token in tokens:
+        if token in ("ROOT", "JOINT"):
+            name = next(tokens)
+        elif token == "End":
+            name = nodes[stack[-1]][0] + "_end"
+            next(tokens)
+        elif token == "{":
+            nodes.append([name, stack[-1] if stack else -1, None, []])
+            stack.append(len(nodes) - 1)
+        elif token == "}":
+            stack.pop()
+        elif token == "OFFSET":
+            nodes[stack[-1]][2] = np.array([float(next(tokens)) for _ in range(3)])
+        elif token == "CHANNELS":
+            nodes[stack[-1]][3] = [next(tokens) for _ in range(int(next(tokens)))]
+        elif token == "Frames:":
+            number = int(next(tokens))
+        elif token == "Time:":
+            break
+    float(next(tokens))
+    return nodes, np.array([float(token) for token in tokens]).reshape(number, -1)
+
+
+def turn(axis, degrees):
+    """4x4 turn about a coordinate axis."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    m, (i, j) = np.eye(4), {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}[axis]
+    m[i, i], m[i, j], m[j, i], m[j, j] = c, -s, s, c
+    return m
+
+
+def kinematics(nodes, row):
+    """World positions of all nodes: homogeneous matrices, channels applied in the file's order.
+    Channels of the root's position replace its offset.
+    """
+    values, world, found = iter(row), [], []
+    for _, parent, offset, channels in nodes:
+        local = np.eye(4)
+        local[:3, 3] = 0.0 if parent < 0 else offset
+        for channel in channels:
+            value = next(values)
+            step = np.eye(4)
+            if channel.endswith("position"):
+                step["XYZ".index(channel[0]), 3] = value
+            else:
+                step = turn(channel[0], value)
+            local = local @ step
+        world.append(local if parent < 0 else world[parent] @ local)
+        found.append(world[-1][:3, 3])
+    return np.array(found)
+
+
+def assert_shape_agrees(path, frame_time, frames):
+    """Joint positions relative to the root agree in shape with the independent calculation."""
+    nodes, motion = parse(path.read_text())
+    mover = prepare(path, scale=1.0)
+    assert mover.joints == tuple(name for name, *_ in nodes)
+    shift = None
+    for k in frames:
+        expected, found = kinematics(nodes, motion[k]), mover.pose(k * frame_time)[1]
+        shift = found[0] - expected[0] if shift is None else shift
+        np.testing.assert_allclose(found, expected + shift, atol=1e-9)
+    return mover
+
+
+def test_tiny_file_agrees_with_forward_kinematics(tiny):
+    assert_shape_agrees(tiny, 0.25, range(5))
+
+
+@pytest.mark.skipif(not WALK.exists(), reason="shared data cmu_12_01_walk.bvh is not there")
+def test_captured_walk_agrees_and_bones_keep_their_length():
+    mover = assert_shape_agrees(WALK, 1.0 / 120.0, range(0, 524, 40))
+    assert sum(not joint.endswith("_end") for joint in mover.joints) == 31
+    lengths = np.linalg.norm(mover.offsets[1:], axis=1)
+    for t in np.linspace(0.0, 4.3, 23):
+        x = mover.pose(t)[1]
+        np.testing.assert_allclose(
+            np.linalg.norm(x[1:] - x[mover.parents[1:]], axis=1), lengths, rtol=1e-12, atol=1e-12
+        )
+
+
+def test_body_is_scaled_and_put_where_the_scene_says(tiny):
+    mover = prepare(tiny, height="1.75 m", position=(1, 2, 3))
+    rest = np.ptp(np.stack([[0, 0, 0], [0, 3, 0.5], [0.3, -4, 0]]), axis=0)[1]
+    x = np.array([mover.pose(t)[1] for t in (0.0, 0.25, 0.5, 0.75, 1.0)])
+    np.testing.assert_allclose(x[0, 0, [0, 2]], [1.0, 3.0], atol=1e-15)
+    assert x[:, :, 1].min() == pytest.approx(2.0, abs=1e-12)
+    assert np.linalg.norm(x[2, 1] - x[2, 0]) == pytest.approx(2.0 * 1.75 / rest, rel=1e-12)
+
+
+def test_travel_can_be_taken_out(tiny):
+    kept, still = prepare(tiny, scale=1), prepare(tiny, scale=1, travel=False)
+    np.testing.assert_allclose((kept.pose(1.0)[1] - kept.pose(0.0)[1])[0], [4.0, 0.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose((still.pose(1.0)[1] - still.pose(0.0)[1])[0], 0.0, atol=1e-12)
+
+
+def test_z_up_files_are_set_upright(tiny, tmp_path):
+    """The same motion written with z up (x, y, z -> x, -z, y) gives the same body."""
+    other = tmp_path / "z.bvh"
+    text = TINY.replace("OFFSET 0.0 2.0 0.0", "OFFSET 0.0 0.0 2.0").replace("OFFSET 0.0 1.0 0.5", "OFFSET 0.0 -0.5 1.0")
+    text = text.replace("OFFSET 0.3 -1.0 0.0", "OFFSET 0.3 0.0 -1.0").replace(
+        "OFFSET 0.0 -3.0 0.0", "OFFSET 0.0 0.0 -3.0"
+    )
+    head, rows = text.split("Frame Time: 0.25\n")
+    changed = [f"{x} {-float(z)} {y} {rest}" for x, y, z, rest in (row.split(maxsplit=3) for row in rows.splitlines())]
+    head = head.replace("Zrotation Xrotation Yrotation", "Yrotation Xrotation Zrotation")
+    head = head.replace("Yrotation Zrotation Xrotation", "Zrotation Yrotation Xrotation")
+    head = head.replace("CHANNELS 3 Xrotation Yrotation Zrotation", "CHANNELS 3 Xrotation Zrotation Yrotation")
+    signs = np.array([1, 1, 1, -1, 1, 1, 1, -1, 1, 1, 1, -1])  # about y here is about -z there
+    values = np.array([[float(token) for token in row.split()] for row in changed]) * signs
+    other.write_text(head + "Frame Time: 0.25\n" + "\n".join(" ".join(map(str, row)) for row in values))
+    expected, found = prepare(tiny, height=1.7), prepare(other, height=1.7, up="z")
+    for t in (0.0, 0.3, 0.75):
+        np.testing.assert_allclose(found.pose(t)[1], expected.pose(t)[1], atol=1e-12)
+
+
+def test_time_range_frame_rate_and_hold(tiny):
+    whole, part, fast = prepare(tiny, scale=1), prepare(tiny, scale=1, start=0.25, stop="750 ms"), None
+    fast = prepare(tiny, scale=1, frame_rate="40 Hz")
+    for t in (0.0, 0.25, 0.4, 0.5):
+        shape = part.pose(t)[1] - part.pose(t)[1][0]
+        np.testing.assert_allclose(shape, whole.pose(t + 0.25)[1] - whole.pose(t + 0.25)[1][0], atol=1e-12)
+    np.testing.assert_array_equal(part.pose(0.5)[1], part.pose(7.0)[1])
+    np.testing.assert_allclose(fast.pose(0.05)[1], whole.pose(0.5)[1], atol=1e-12)
+
+
+@pytest.mark.parametrize("travel", [True, False])
+def test_a_loop_goes_on_without_a_jump(tiny, travel):
+    mover, h = prepare(tiny, scale=1, end="loop", travel=travel), 1e-4
+    period = 1.0 - 0.25
+    for seam in (period, period + 0.25, 2.0 * period, 3.0 * period):
+        x = np.array([mover.pose(t)[1] for t in seam + h * np.arange(-20, 20)])
+        assert np.abs(np.diff(x, axis=0)).max() < 40.0 * h  # the fastest bone of this file: no jump
+    there, later = mover.pose(1.2)[1], mover.pose(1.2 + 2 * period)[1]
+    way = (later - there)[0]
+    np.testing.assert_allclose(later - there, np.tile(way, (len(there), 1)), atol=1e-12)
+    assert way[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_ramp_starts_from_rest_and_then_lags_by_half_of_it(tiny):
+    plain, ramped = prepare(tiny, scale=1), prepare(tiny, scale=1, ramp="0.4 s")
+    assert np.abs(ramped.pose(1e-4)[1] - ramped.pose(0.0)[1]).max() < 1e-5
+    for t in (0.5, 0.9):
+        np.testing.assert_allclose(ramped.pose(t)[1], plain.pose(t - 0.2)[1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "empty"),
+        (TINY[:400], "read as BVH"),
+        (TINY[:-60], "read as BVH"),
+        (TINY.replace("4.5", "nan"), "not finite"),
+        (TINY.replace("OFFSET 0.0 2.0 0.0", "OFFSET 0.0 inf 0.0"), "not finite"),
+        ("not a motion\n", "read as BVH"),
+        (TINY.replace("JOINT LeftUpLeg", "JOINT Spine"), "same name"),
+        (TINY.replace("Frame Time: 0.25", "Frame Time: -1"), "frame_time"),
+    ],
+    ids=["empty", "no motion", "truncated", "nan", "inf", "text", "twice", "backwards"],
+)
+def test_a_bad_file_is_refused_by_name(tmp_path, text, words):
+    path = tmp_path / "bad.bvh"
+    path.write_text(text)
+    with pytest.raises(BadInput, match=words) as caught:
+        prepare(path, scale=1)
+    assert "bad.bvh" in str(caught.value)
+
+
+def test_a_part_without_frames_is_refused(tiny):
+    with pytest.raises(BadInput, match="no frame"):
+        prepare(tiny, start=3.0)
