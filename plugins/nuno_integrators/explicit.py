@@ -122,7 +122,12 @@ def _report(system: System, work: Work, packed: Packed, steps: int, seconds: flo
     if packed.contact is not None:
         counts |= count_contacts(packed.contact)
     finite = np.isfinite(work.x).all(axis=0) & np.isfinite(work.v).all(axis=0)
-    told = {"kinetic": energy.kinetic, "gravitational": energy.gravitational, "springs": energy.springs, "hinges": energy.hinges}
+    told = {
+        "kinetic": energy.kinetic,
+        "gravitational": energy.gravitational,
+        "springs": energy.springs,
+        "hinges": energy.hinges,
+    }
     if finite.all():
         return StepReport("ok", steps, "", {"steps": seconds}, counts, told, energy.stretch)
     first, total = int(np.argmin(finite)), int((~finite).sum())

@@ -12,22 +12,25 @@ import numpy as np
 
 from nuno_integrators.explicit import Explicit
 from nuno_kernels import kernel
-from nuno_kernels.acceleration import add, commit, evaluate
+from nuno_kernels.acceleration import commit, evaluate
+from nuno_kernels.updates import add, add_twice
 from nuno_schemas.fabric import Float
 
 
 @kernel
 def advance_leapfrog(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
-    """`steps` steps of x, v (3, n); stages (3, 3, n)."""
+    """`steps` steps of x, v (3, n); stages (3, 3, n).
+
+    Half a kick comes first: x + v dt + a dt^2/2 is x + (v + a dt/2) dt, one update less.
+    """
     a, b, u = stages[0], stages[1], stages[2]
     for step in range(steps):
         if step == 0 or p.velocity_matters:
             evaluate(x, v, step / steps, a, p, extra)
-        add(x, x, dt, v, p.threads)
-        add(x, x, 0.5 * dt * dt, a, p.threads)
-        add(u, v, dt, a, p.threads)
-        evaluate(x, u, (step + 1) / steps, b, p, extra)
-        add(v, v, 0.5 * dt, a, p.threads)
+        add_twice(v, v, 0.5 * dt, a, x, x, dt, v, p.threads)
+        if p.velocity_matters:
+            add(u, v, 0.5 * dt, a, p.threads)
+        evaluate(x, u if p.velocity_matters else v, (step + 1) / steps, b, p, extra)
         add(v, v, 0.5 * dt, b, p.threads)
         commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.threads)
         a, b = b, a

@@ -7,9 +7,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from nuno_integrators.explicit import Explicit
-from nuno_kernels import kernel
-from nuno_kernels.acceleration import Packed, add, commit, evaluate
+from nuno_kernels import kernel, shared_source
+from nuno_kernels.acceleration import Packed, commit, evaluate
+from nuno_kernels.updates import add, add_twice
 from nuno_schemas.fabric import Float
+
+
+@shared_source
+def evaluate_stage(y: Any, u: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
+    """a = acceleration at the stage (y, u); damping frozen at the step's start acts on its v."""
+    evaluate(y, u, s, a, p, extra)
+    if p.frozen_damping != 0.0:
+        add(a, a, -p.frozen_damping, v, p.threads)
 
 
 @kernel
@@ -21,27 +30,18 @@ def advance_rk4(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extr
     """
     a, y, u, nx, nv = stages[0], stages[1], stages[2], stages[3], stages[4]
     for step in range(steps):
-        evaluate(x, v, step / steps, a, p, extra)
-        if p.frozen_damping != 0.0:
-            add(a, a, -p.frozen_damping, v, p.threads)
-        add(nx, x, dt / 6.0, v, p.threads)
-        add(nv, v, dt / 6.0, a, p.threads)
-        add(y, x, 0.5 * dt, v, p.threads)
-        add(u, v, 0.5 * dt, a, p.threads)
+        evaluate_stage(x, v, v, step / steps, a, p, extra)
+        add_twice(nx, x, dt / 6.0, v, nv, v, dt / 6.0, a, p.threads)
+        add_twice(y, x, 0.5 * dt, v, u, v, 0.5 * dt, a, p.threads)
         for stage in range(1, 4):
             ahead = 0.5 if stage < 3 else 1.0
-            evaluate(y, u, (step + ahead) / steps, a, p, extra)
-            if p.frozen_damping != 0.0:
-                add(a, a, -p.frozen_damping, v, p.threads)
-            weight = dt / 3.0 if stage < 3 else dt / 6.0
-            add(nx, nx, weight, u, p.threads)
-            add(nv, nv, weight, a, p.threads)
+            evaluate_stage(y, u, v, (step + ahead) / steps, a, p, extra)
             if stage < 3:
+                add_twice(nx, nx, dt / 3.0, u, nv, nv, dt / 3.0, a, p.threads)
                 onward = 0.5 * dt if stage == 1 else dt
-                add(y, x, onward, u, p.threads)
-                add(u, v, onward, a, p.threads)
-        x[...] = nx
-        v[...] = nv
+                add_twice(y, x, onward, u, u, v, onward, a, p.threads)
+            else:
+                add_twice(x, nx, dt / 6.0, u, v, nv, dt / 6.0, a, p.threads)
         commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.threads)
 
 

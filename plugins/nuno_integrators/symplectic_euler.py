@@ -8,7 +8,8 @@ import numpy as np
 
 from nuno_integrators.explicit import Explicit
 from nuno_kernels import kernel
-from nuno_kernels.acceleration import add, commit, evaluate
+from nuno_kernels.acceleration import commit, evaluate
+from nuno_kernels.updates import add_twice
 from nuno_schemas.fabric import Float
 
 
@@ -18,8 +19,7 @@ def advance_symplectic_euler(x: Any, v: Any, stages: Any, steps: int, dt: float,
     a = stages[0]
     for step in range(steps):
         evaluate(x, v, step / steps, a, p, extra)
-        add(v, v, dt, a, p.threads)
-        add(x, x, dt, v, p.threads)
+        add_twice(v, v, dt, a, x, x, dt, v, p.threads)
         commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.threads)
 
 

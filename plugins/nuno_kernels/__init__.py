@@ -11,6 +11,7 @@ import functools
 import hashlib
 import os
 import sys
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -18,6 +19,7 @@ from typing import Any, TypeVar, cast
 import llvmlite
 import numba
 import numpy as np
+from numba.extending import register_jitable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -57,6 +59,22 @@ def kernel(function: F) -> F:
 def parallel_kernel(function: F) -> F:
     """Compile `function` so that its `prange` loops run on several threads."""
     return cast(F, numba.njit(parallel=True, **FLAGS)(function))
+
+
+def shared_source(function: F) -> F:
+    """A function that compiled code compiles and Python interprets."""
+    return cast(F, register_jitable(function))
+
+
+def both_kernels(function: F) -> tuple[F, F]:
+    """`function` compiled for one thread and for several, each only when it is called.
+
+    Numba's cache tells functions apart by name, not by flags, so the second gets one of its own.
+    """
+    name = function.__name__ + "_parallel"
+    copy = types.FunctionType(function.__code__, function.__globals__, name)
+    copy.__qualname__ = name
+    return kernel(function), parallel_kernel(cast(F, copy))
 
 
 @functools.cache

@@ -1,8 +1,7 @@
 """The whole acceleration a(x, v, t), compiled for just the terms that a scene has.
 
-A term passed as None is pruned when numba compiles. `accelerate` is called by every integrator's
-compiled loop; `evaluate` is the same in compiled code and in plain Python, where it also calls a
-force written in Python.
+A term passed as None is pruned when numba compiles. `evaluate` is what every integrator's loop
+calls: the same source runs compiled, and in plain Python where a force is written in Python.
 """
 
 from __future__ import annotations
@@ -11,9 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
-from numba.extending import register_jitable
 
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import both_kernels, kernel, shared_source
 from nuno_kernels.bindings import Bindings, place_bound
 from nuno_kernels.blocks import BLOCK, PADDING
 from nuno_kernels.contact import (
@@ -36,6 +34,8 @@ class Packed(NamedTuple):
     gravity       (3,) [m/s^2]
     damping       [1/s], a -= damping v
     threads       None: compiled for one thread; else how many run
+    late          None: all forces go by blocks, and a block is finished while it is in the core's
+                  cache; True: contact, wind or Python adds to the forces afterwards
     velocity_matters  whether any force reads the velocity
     frozen_damping    [1/s] of a method that takes it at the step's start (rk4_printed)
     """
@@ -51,6 +51,7 @@ class Packed(NamedTuple):
     wind: Wind | None = None
     particle_wind: ParticleWind | None = None
     threads: int | None = None
+    late: bool | None = None
     velocity_matters: bool = True
     frozen_damping: float = 0.0
 
@@ -63,7 +64,8 @@ def force_block(block: int, x: Any, v: Any, a: Any, runs: Any, lists: Any, hinge
     force = np.zeros((3, width + PADDING))
     if particle_wind is not None:
         for row in range(3):
-            force[row, :] = particle_wind.force[row]
+            for q in range(width):
+                force[row, q] = particle_wind.force[row]
     if runs is not None:
         add_runs(block, origin, x, v, force, runs.start, runs.task, runs.constants, runs.each, runs.damped)
     if lists is not None:
@@ -87,31 +89,21 @@ def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, da
             a[row, p] = w * a[row, p] + (own if w > 0.0 else 0.0)
 
 
-@kernel
-def add_block(block: int, out: Any, y: Any, h: float, k: Any) -> None:
-    """out = y + h k on a block's vertices."""
-    low, high = block * BLOCK, min((block + 1) * BLOCK, out.shape[1])
-    for row in range(3):
-        for p in range(low, high):
-            out[row, p] = y[row, p] + h * k[row, p]
-
-
-def _force(x: Any, v: Any, a: Any, runs: Any, lists: Any, hinges: Any, particle_wind: Any) -> None:
-    """Forces [N] of all terms that go by blocks into a (3, n)."""
+def _force(
+    x: Any, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float,
+    runs: Any, lists: Any, hinges: Any, particle_wind: Any, late: Any,
+) -> None:  # fmt: skip
+    """All terms that go by blocks: forces [N] into a (3, n), or accelerations where nothing follows."""
     for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
         force_block(block, x, v, a, runs, lists, hinges, particle_wind)
+        if late is None:
+            finish_block(block, v, a, inverse_mass, gravity, damping)
 
 
 def _finish(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
     """Forces in a (3, n) become accelerations [m/s^2]."""
     for block in prange((a.shape[1] + BLOCK - 1) // BLOCK):
         finish_block(block, v, a, inverse_mass, gravity, damping)
-
-
-def _add(out: Any, y: Any, h: float, k: Any) -> None:
-    """out = y + h k, all (3, n)."""
-    for block in prange((out.shape[1] + BLOCK - 1) // BLOCK):
-        add_block(block, out, y, h, k)
 
 
 def _wind(x: Any, v: Any, a: Any, wind: Any) -> None:
@@ -123,46 +115,25 @@ def _wind(x: Any, v: Any, a: Any, wind: Any) -> None:
         gather_wind(wind, a, chunk * BLOCK, min((chunk + 1) * BLOCK, vertices))
 
 
-def _renamed(function: Any, name: str) -> Any:
-    """A copy of a function under a name of its own: numba's cache tells functions apart by it."""
-    copy = type(function)(function.__code__, function.__globals__, name)
-    copy.__qualname__ = name
-    return copy
-
-
-force_serial, force_parallel = kernel(_force), parallel_kernel(_renamed(_force, "force_parallel"))
-finish_serial, finish_parallel = kernel(_finish), parallel_kernel(_renamed(_finish, "finish_parallel"))
-add_serial, add_parallel = kernel(_add), parallel_kernel(_renamed(_add, "add_parallel"))
-wind_serial, wind_parallel = kernel(_wind), parallel_kernel(_renamed(_wind, "wind_parallel"))
-
-
-@kernel
-def finish(v: Any, a: Any, p: Any, threads: Any) -> None:
-    """Forces in a (3, n) become accelerations [m/s^2]."""
-    if threads is None:
-        finish_serial(v, a, p.inverse_mass, p.gravity, p.damping)
-    else:
-        finish_parallel(v, a, p.inverse_mass, p.gravity, p.damping)
-
-
-@kernel
-def add(out: Any, y: Any, h: float, k: Any, threads: Any) -> None:
-    """out = y + h k, all (3, n)."""
-    if threads is None:
-        add_serial(out, y, h, k)
-    else:
-        add_parallel(out, y, h, k)
+force_serial, force_parallel = both_kernels(_force)
+finish_serial, finish_parallel = both_kernels(_finish)
+wind_serial, wind_parallel = both_kernels(_wind)
 
 
 @kernel
 def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact: Any, wind: Any, threads: Any) -> None:
-    """Forces [N] at fraction s of the frame into a (3, n); puts bound vertices in their place."""
+    """Forces [N] at fraction s of the frame into a (3, n), or accelerations unless p.late.
+
+    Puts bound vertices in their place first.
+    """
     if bindings is not None:
         place_bound(x, v, s, bindings)
     if threads is None:
-        force_serial(x, v, a, p.runs, p.lists, p.hinges, p.particle_wind)
+        force_serial(x, v, a, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinges, p.particle_wind, p.late)
     else:
-        force_parallel(x, v, a, p.runs, p.lists, p.hinges, p.particle_wind)
+        force_parallel(
+            x, v, a, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinges, p.particle_wind, p.late
+        )
     if wind is not None:
         if threads is None:
             wind_serial(x, v, a, wind)
@@ -175,7 +146,17 @@ def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact:
             add_contact_parallel(x, v, s, contact, a)
 
 
-@register_jitable
+@kernel
+def finish(v: Any, a: Any, p: Any, late: Any, threads: Any) -> None:
+    """Forces in a (3, n) become accelerations [m/s^2] where they did not at once."""
+    if late is not None:
+        if threads is None:
+            finish_serial(v, a, p.inverse_mass, p.gravity, p.damping)
+        else:
+            finish_parallel(v, a, p.inverse_mass, p.gravity, p.damping)
+
+
+@shared_source
 def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
     """a (3, n) = acceleration [m/s^2] at x, v (3, n) and fraction s of the frame.
 
@@ -184,7 +165,7 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
     add_forces(x, v, s, a, p, p.bindings, p.contact, p.wind, p.threads)
     if extra is not None:
         extra(x, v, s, a)
-    finish(v, a, p, p.threads)
+    finish(v, a, p, p.late, p.threads)
 
 
 @kernel

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
+from nuno_kernels.blocks import Long
 from nuno_kernels.contact_poses import pose_frame, set_poses
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
@@ -25,8 +26,8 @@ class Bindings(NamedTuple):
     angular velocity of the frames as last posed.
     """
 
-    vertices: Int
-    frame: Int
+    vertices: Long
+    frame: Long
     local: Float
     rotation0: Float
     origin0: Float
@@ -70,4 +71,5 @@ def set_binding_poses(bindings: Bindings, start: Poses, end: Poses) -> None:
     """Write the interval into `bindings`; one without duration stands still at its start."""
     used = bindings.frames.shape[0]
     first, last = (Poses(p.t, p.rotation[:used], p.translation[:used]) for p in (start, end))
-    set_poses(bindings, first, last)
+    moved: Any = bindings
+    set_poses(moved, first, last)

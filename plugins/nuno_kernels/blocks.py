@@ -9,8 +9,11 @@ the same to the last bit for any number of threads.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Int
+
+Long = NDArray[np.int64]
 
 BLOCK = 4096
 """Vertices of a block. Forces of a block (98 kB) stay in a core's second-level cache."""
@@ -24,7 +27,7 @@ def block_count(vertices: int) -> int:
     return -(-vertices // BLOCK)
 
 
-def owned_copies(indices: Int, blocks: int) -> tuple[Int, Int]:
+def owned_copies(indices: Long, blocks: int) -> tuple[Long, Long]:
     """Elements each block has to compute, for (w, m) vertices of m elements.
 
     Returns (p,) element numbers, grouped by block, and (blocks + 1,) bounds: an element appears
@@ -38,10 +41,10 @@ def owned_copies(indices: Int, blocks: int) -> tuple[Int, Int]:
     block = home[which, element]
     order = np.lexsort((element, block))
     bounds = np.searchsorted(block[order], np.arange(blocks + 1))
-    return element[order], bounds.astype(np.int64)
+    return element[order].astype(np.int64), bounds.astype(np.int64)
 
 
-def pad_lists(element: Int, bounds: Int, width: int) -> tuple[Int, Int]:
+def pad_lists(element: Long, bounds: Long, width: int) -> tuple[Long, Long]:
     """Make every block's list a whole number of vectors; the added places hold -1."""
     length = np.diff(bounds)
     padded = -(-length // width) * width
@@ -52,7 +55,7 @@ def pad_lists(element: Int, bounds: Int, width: int) -> tuple[Int, Int]:
     return out, start
 
 
-def local_targets(indices: Int, start: Int, vertices: int) -> Int:
+def local_targets(indices: Long, start: Long, vertices: int) -> Int:
     """(w, p) columns in the block's own forces; others' vertices, and -1, go to the padding."""
     origin = BLOCK * np.repeat(np.arange(start.shape[0] - 1), np.diff(start))
     width = np.minimum(BLOCK, vertices - origin)
@@ -61,7 +64,7 @@ def local_targets(indices: Int, start: Int, vertices: int) -> Int:
     return np.ascontiguousarray(np.where(own, local, width), np.int32)
 
 
-def cut_runs(runs: Int, longest: int) -> Int:
+def cut_runs(runs: Long, longest: int) -> Long:
     """Cut runs so that each end of a piece lies in one block.
 
     runs (m, 4): first vertex of either end, springs, column of the constants. Returns (p, 5):

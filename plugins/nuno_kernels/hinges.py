@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.blocks import block_count, local_targets, owned_copies, pad_lists
+from nuno_kernels.blocks import Long, block_count, local_targets, owned_copies, pad_lists
 from nuno_kernels.simd import WIDTH, add_at, gather, load, root, where_greater, where_not_zero
 from nuno_schemas.fabric import Float, Hinges, Int
 
@@ -43,7 +43,7 @@ class HingeLists(NamedTuple):
     constants (2, p) float64       k cos(rest) and k sin(rest) [N m]
     """
 
-    start: Int
+    start: Long
     corners: Int
     constants: Float
 

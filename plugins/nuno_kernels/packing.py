@@ -57,7 +57,21 @@ def pack(system: System) -> Packed:
         **_find_fused(system),
     )
     python = any(term.kind == "python" for term in system.terms)
-    return packed._replace(velocity_matters=python or reads_velocity(packed))
+    late = True if python or packed.contact is not None or packed.wind is not None else None
+    return packed._replace(velocity_matters=python or reads_velocity(packed), late=late)
+
+
+def silence_bodies(packed: Packed) -> Packed:
+    """The same system, of the same types, whose contact and bindings do nothing.
+
+    Being of the same types, it runs the kernels that are compiled already.
+    """
+    contact, bindings = packed.contact, packed.bindings
+    if contact is not None:
+        contact = contact._replace(bounds=contact.bounds[:0], frames=contact.frames[:0], posed=contact.posed[:0])
+    if bindings is not None:
+        bindings = bindings._replace(vertices=bindings.vertices[:0], frames=bindings.frames[:0])
+    return packed._replace(contact=contact, bindings=bindings)
 
 
 def reads_velocity(packed: Packed) -> bool:

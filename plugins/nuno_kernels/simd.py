@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -35,7 +35,7 @@ vector = _VectorType()
 
 
 @register_model(_VectorType)
-class _VectorModel(models.PrimitiveModel):
+class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, frontend: Any) -> None:
         super().__init__(manager, frontend, _LANES)
 
@@ -49,8 +49,8 @@ def _splat(builder: Any, value: Any, of: Any = _LANES) -> Any:
 def _define(op: Callable[..., Any], method: str) -> None:
     """Give vectors the operator `op`, between vectors or a vector and a number."""
 
-    class Template(ConcreteTemplate):
-        cases = [
+    class Template(ConcreteTemplate):  # type: ignore[misc]
+        cases: ClassVar[list[Any]] = [
             signature(vector, vector, vector),
             signature(vector, vector, types.float64),
             signature(vector, types.float64, vector),
@@ -75,6 +75,11 @@ for _op, _method in (
     _define(_op, _method)
 
 
+def _instruction(function: Callable[..., Any]) -> Any:
+    """A function that compiled code calls without the leading typing context."""
+    return intrinsic(function)
+
+
 def _address(context: Any, builder: Any, kind: Any, array: Any, row: Any, column: Any) -> Any:
     """Pointer to array[row, column] of a C-contiguous 2-D array."""
     view = context.make_array(kind)(context, builder, array)
@@ -92,7 +97,7 @@ def _plane(array: Any) -> bool:
     return isinstance(array, types.Array) and array.ndim == 2 and array.layout == "C" and array.dtype == types.float64
 
 
-@intrinsic
+@_instruction
 def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
     """Eight values from array[row, column] on."""
     if not _plane(array):
@@ -105,7 +110,7 @@ def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
     return vector(array, types.int64, types.int64), build
 
 
-@intrinsic
+@_instruction
 def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
     """Write eight values to array[row, column] and on."""
     if not _plane(array):
@@ -119,7 +124,7 @@ def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
     return types.void(array, types.int64, types.int64, vector), build
 
 
-@intrinsic
+@_instruction
 def load_first(typing: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
     """The first `count` of eight values, zeros in the other lanes; reads nothing else."""
     if not _plane(array):
@@ -135,7 +140,7 @@ def load_first(typing: Any, array: Any, row: Any, column: Any, count: Any) -> An
     return vector(array, types.int64, types.int64, types.int64), build
 
 
-@intrinsic
+@_instruction
 def store_first(typing: Any, array: Any, row: Any, column: Any, count: Any, value: Any) -> Any:
     """Write the first `count` of eight values and nothing else."""
     if not _plane(array):
@@ -152,7 +157,7 @@ def store_first(typing: Any, array: Any, row: Any, column: Any, count: Any, valu
     return types.void(array, types.int64, types.int64, types.int64, vector), build
 
 
-@intrinsic
+@_instruction
 def gather(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any) -> Any:
     """array[row, index[which, start + lane]] for eight lanes; index is (w, m) int32."""
     if not _plane(array):
@@ -171,7 +176,7 @@ def gather(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any
     return vector(array, types.int64, index, types.int64, types.int64), build
 
 
-@intrinsic
+@_instruction
 def add_at(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any, value: Any) -> Any:
     """array[row, index[which, start + lane]] += value[lane], lane after lane."""
     if not _plane(array):
@@ -190,13 +195,13 @@ def add_at(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any
     return types.void(array, types.int64, index, types.int64, types.int64, vector), build
 
 
-@intrinsic
+@_instruction
 def splat(typing: Any, value: Any) -> Any:
     """The same number in all lanes."""
     return vector(types.float64), lambda context, builder, sig, args: _splat(builder, args[0])
 
 
-@intrinsic
+@_instruction
 def root(typing: Any, value: Any) -> Any:
     """Square root of every lane."""
     if value != vector:
@@ -209,7 +214,7 @@ def root(typing: Any, value: Any) -> Any:
     return vector(vector), build
 
 
-@intrinsic
+@_instruction
 def where_not_zero(typing: Any, test: Any, value: Any) -> Any:
     """`value` where `test` is not 0, NaN included, and 0 elsewhere."""
     if test != vector or value != vector:
@@ -222,7 +227,7 @@ def where_not_zero(typing: Any, test: Any, value: Any) -> Any:
     return vector(vector, vector), build
 
 
-@intrinsic
+@_instruction
 def where_greater(typing: Any, test: Any, limit: Any, value: Any) -> Any:
     """0 where `test` <= `limit`, `value` elsewhere (also where either is NaN)."""
     if test != vector or limit != vector or value != vector:

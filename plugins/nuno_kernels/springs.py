@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.blocks import BLOCK, block_count, cut_runs, local_targets, owned_copies, pad_lists
+from nuno_kernels.blocks import BLOCK, Long, block_count, cut_runs, local_targets, owned_copies, pad_lists
 from nuno_kernels.simd import WIDTH, add_at, gather, load, load_first, root, splat, store, store_first, where_not_zero
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
@@ -38,8 +38,8 @@ class SpringRuns(NamedTuple):
     damped    True where any c is not 0, else None
     """
 
-    start: Int
-    task: Int
+    start: Long
+    task: Long
     constants: Float
     each: bool | None
     damped: bool | None
@@ -54,7 +54,7 @@ class SpringLists(NamedTuple):
     damped    as in SpringRuns
     """
 
-    start: Int
+    start: Long
     ends: Int
     constants: Float
     damped: bool | None
@@ -100,19 +100,12 @@ def run_forces(x: Any, v: Any, i: int, j: int, m: int, at: int, constants: Any, 
     dx = read(x, 0, j, m) - read(x, 0, i, m)
     dy = read(x, 1, j, m) - read(x, 1, i, m)
     dz = read(x, 2, j, m) - read(x, 2, i, m)
-    if each is None:
-        k = splat(constants[0, at])
-        rest = splat(constants[1, at])
-    else:
-        k = read(constants, 0, at, m)
-        rest = read(constants, 1, at, m)
+    k = splat(constants[0, at]) if each is None else read(constants, 0, at, m)
+    rest = splat(constants[1, at]) if each is None else read(constants, 1, at, m)
     if damped is None:
         w = pull(dx, dy, dz, k, rest)
     else:
-        if each is None:
-            c = splat(constants[2, at])
-        else:
-            c = read(constants, 2, at, m)
+        c = splat(constants[2, at]) if each is None else read(constants, 2, at, m)
         approach = (
             (read(v, 0, j, m) - read(v, 0, i, m)) * dx
             + (read(v, 1, j, m) - read(v, 1, i, m)) * dy
@@ -123,7 +116,10 @@ def run_forces(x: Any, v: Any, i: int, j: int, m: int, at: int, constants: Any, 
 
 
 @kernel
-def add_runs(block: int, origin: int, x: Any, v: Any, force: Any, start: Any, task: Any, constants: Any, each: Any, damped: Any) -> None:  # fmt: skip
+def add_runs(
+    block: int, origin: int, x: Any, v: Any, force: Any,
+    start: Any, task: Any, constants: Any, each: Any, damped: Any,
+) -> None:  # fmt: skip
     """Add a block's runs to its forces (3, w); `origin` is the block's first vertex."""
     wait = np.empty((3, LONGEST + WIDTH))
     for t in range(start[block], start[block + 1]):
@@ -200,7 +196,9 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | N
     return _pack_pairs(pairs[order], each, runs, constants, vertices)
 
 
-def _pack_pairs(pairs: Int, each: Float, runs: Int, constants: Float, vertices: int) -> tuple[SpringRuns | None, SpringLists | None]:  # fmt: skip
+def _pack_pairs(
+    pairs: Long, each: Float, runs: Long, constants: Float, vertices: int
+) -> tuple[SpringRuns | None, SpringLists | None]:
     """Find the runs in sorted pairs (s, 2) with constants (3, s); join them to the `runs` there are.
 
     Constants per spring are kept only where runs of equal constants would cover much less.
@@ -224,10 +222,10 @@ def _long_share(follows: Bool) -> float:
     """Share of springs that lie in runs of at least SHORTEST."""
     first = np.flatnonzero(np.concatenate([[True], ~follows]))
     count = np.diff(np.concatenate([first, [follows.shape[0] + 1]]))
-    return float(count[count >= SHORTEST].sum()) / (follows.shape[0] + 1)
+    return float(count[count >= SHORTEST].sum() / (follows.shape[0] + 1))
 
 
-def _pack_runs(runs: Int, constants: Float, each: bool, blocks: int) -> SpringRuns:
+def _pack_runs(runs: Long, constants: Float, each: bool, blocks: int) -> SpringRuns:
     """Cut (m, 4) runs at the blocks' borders; one task per block that owns an end.
 
     A block's tasks go by vertex, so that all springs of a row find it in the nearest cache.
@@ -249,7 +247,7 @@ def _pack_runs(runs: Int, constants: Float, each: bool, blocks: int) -> SpringRu
     return SpringRuns(start, np.ascontiguousarray(task[order]), np.ascontiguousarray(constants), each or None, damped)
 
 
-def _pack_lists(pairs: Int, constants: Float, vertices: int) -> SpringLists:
+def _pack_lists(pairs: Long, constants: Float, vertices: int) -> SpringLists:
     """Lists per block of (s, 2) springs in the order of their vertices."""
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
     ends, constants = pairs[order].T, constants[:, order]

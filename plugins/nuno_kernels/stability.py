@@ -20,7 +20,7 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed, evaluate
 from nuno_kernels.energy import measure_energy
-from nuno_kernels.packing import Extra, pack, python_terms, reads_velocity, to_rows
+from nuno_kernels.packing import Extra, pack, python_terms, reads_velocity, silence_bodies, to_rows
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.plugin import System
 
@@ -101,7 +101,7 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
         return difference(still, width * u, width)
 
     squared = largest_eigenvalue(stiffness, mass) + sum(term.omega_squared for term in system.terms)
-    uniform = extra is None and not reads_velocity(packed._replace(damping=0.0))
+    uniform = extra is None and not reads_velocity(packed._replace(damping=0.0, contact=None))
     rate = packed.damping if uniform else largest_eigenvalue(friction, mass)
     return float(np.sqrt(squared)), rate + sum(term.damping_rate for term in system.terms)
 
@@ -113,14 +113,14 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra | None, Float,
     1e-11 R/L, for which positions are taken from their middle where no force depends on the place.
     """
     extra = python_terms(system, state.t, state.t)
-    packed = pack(system)._replace(contact=None, bindings=None)
+    packed = silence_bodies(pack(system))
     x, v = to_rows(state.x), to_rows(state.v)
     if extra is None and x.shape[1]:
         x -= 0.5 * (x.min(axis=1, keepdims=True) + x.max(axis=1, keepdims=True))
     energy = measure_energy(x, v, system.fabric.mass, packed)
     if energy.zero_length:
         fabric = _with_loose_springs(system.fabric, state.x)
-        packed = pack(replace(system, fabric=fabric))._replace(contact=None, bindings=None)
+        packed = silence_bodies(pack(replace(system, fabric=fabric)))
     extent = float(np.abs(x).max(initial=0.0)) or 1.0
     return packed, extra, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)
 

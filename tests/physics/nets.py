@@ -36,7 +36,13 @@ def make_fabric(
     )
 
 
-def make_system(fabric: Fabric, gravity: Float = NO_GRAVITY, damping: float = 0.0, terms: tuple[Term, ...] = (), threads: int = 1) -> System:  # fmt: skip
+def make_system(
+    fabric: Fabric,
+    gravity: Float = NO_GRAVITY,
+    damping: float = 0.0,
+    terms: tuple[Term, ...] = (),
+    threads: int = 1,
+) -> System:
     return System(fabric, np.asarray(gravity, float), damping, terms, threads)
 
 
@@ -127,7 +133,8 @@ def find_hinges(faces: Int) -> Int:
     for a, b, c in faces.tolist():
         for i, j, k in ((a, b, c), (b, c, a), (c, a, b)):
             opposite[i, j] = k
-    return np.array([(i, j, k, opposite[j, i]) for (i, j), k in opposite.items() if i < j and (j, i) in opposite], np.int32)  # fmt: skip
+    shared = [(i, j, k, opposite[j, i]) for (i, j), k in opposite.items() if i < j and (j, i) in opposite]
+    return np.array(shared, np.int32)
 
 
 def make_hinges(quads: Int, k: Float, rest: Float) -> Hinges:

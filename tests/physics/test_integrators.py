@@ -45,7 +45,8 @@ def test_one_step_is_the_stated_matrix(plugin: Any, damping: float) -> None:
     expected = plugin.amplification(omega, damping, dt) @ np.stack([x, v])
     assert np.abs(state.x[1] - expected[0]).max() < 4e-16 * 4
     assert np.abs(state.v[1] - expected[1]).max() < 4e-16 * 12
-    assert not state.x[0].any() and not state.v[0].any()
+    assert not state.x[0].any()
+    assert not state.v[0].any()
 
 
 @pytest.mark.parametrize(
@@ -140,12 +141,12 @@ def test_printed_slips_of_rk4_cost_three_orders_and_double_gravity() -> None:
     assert abs(state.v[0, 1] + 2 * 9.81) < 1e-12
 
 
-def pinned_net(n: int) -> tuple[System, float, Float]:
+def pinned_net(n: int) -> tuple[System, float]:
     """n x n free vertices inside a pinned frame, springs of rest length 0 to the 4 neighbours.
 
     Linear, with modes sin(p pi i/(n + 1)) sin(q pi j/(n + 1)) and squared frequencies
     4 k/m (sin^2(p pi/(2 n + 2)) + sin^2(q pi/(2 n + 2))), in each coordinate alike. Returns the
-    system displaced along its fastest mode, that frequency and the mode.
+    system displaced along its fastest mode, and that frequency.
     """
     k, m, side = 3.0, 0.01, n + 2
     position, springs = grid_springs(side, side, 1.0, k)
@@ -159,7 +160,7 @@ def pinned_net(n: int) -> tuple[System, float, Float]:
     mode = np.sin(n * np.pi * row / (n + 1)) * np.sin(n * np.pi * column / (n + 1)) * ~pinned
     position[:, 2] = 1e-3 * mode
     omega = np.sqrt(8.0 * k / m) * np.sin(n * np.pi / (2 * n + 2))
-    return make_system(make_fabric(position, pairs, mass=m, pinned=pinned)), float(omega), mode
+    return make_system(make_fabric(position, pairs, mass=m, pinned=pinned)), float(omega)
 
 
 @pytest.mark.parametrize(
@@ -169,13 +170,14 @@ def pinned_net(n: int) -> tuple[System, float, Float]:
 )
 def test_normal_modes_are_bounded_below_the_critical_step_and_grow_above(plugin: Any, limit: float) -> None:
     for share, grows in ((0.999, False), (1.001, True)):
-        system, omega, mode = pinned_net(7)
+        system, omega = pinned_net(7)
         state = start(system)
         run(plugin, system, state, 500, share * limit / omega, frames=4)
         amplitude = np.abs(state.x[:, 2]).max() / 1e-3
         assert amplitude > 1e3 if grows else amplitude < 30.0
         measured = plugin.limit(plugin.Config(), system, start(system))
-        assert omega <= measured.omega <= 1.05 * omega and 0.95 * limit / omega <= measured.dt <= limit / omega
+        assert omega <= measured.omega <= 1.05 * omega
+        assert 0.95 * limit / omega <= measured.dt <= limit / omega
 
 
 @pytest.mark.parametrize("plugin", METHODS, ids=name)
@@ -187,14 +189,16 @@ def test_projectile(plugin: Any) -> None:
     run(plugin, system, state, count, dt)
     lag = {"euler": 0.5, "symplectic_euler": -0.5}.get(plugin.name, 0.0)
     assert np.abs(state.x[:, 1] - (2.0 - 0.5 * g + lag * g * dt)).max() < 1e-13
-    assert np.abs(state.x[:, 0] - 1.0).max() < 1e-14 and not state.x[:, 2].any()
+    assert np.abs(state.x[:, 0] - 1.0).max() < 1e-14
+    assert not state.x[:, 2].any()
     assert abs(state.t - 1.0) < 1e-12
 
 
 @pytest.mark.parametrize("plugin", METHODS, ids=name)
 def test_free_net_keeps_momentum_and_angular_momentum(plugin: Any) -> None:
     """All keep momentum to rounding. Symplectic Euler keeps angular momentum too, and leapfrog
-    where no force depends on velocity: kicks and drifts by central forces. Others to their order."""
+    where no force depends on velocity: kicks and drifts by central forces. Others to their order.
+    """
     position, springs = random_net(30, 150, 3)
     velocity = np.random.default_rng(1).standard_normal((30, 3))
     mass = np.random.default_rng(2).uniform(0.5, 2.0, 30)
@@ -239,7 +243,8 @@ def test_interpreted_steps_equal_compiled_ones(plugin: Any, damping: float) -> N
         run(plugin, system, state, 4, 0.01, frames=2)
         ends.append(state.x.tobytes() + state.v.tobytes())
     assert ends[0] == ends[1]
-    assert 0.0 in times and max(times) <= 0.08 + 1e-12
+    assert 0.0 in times
+    assert max(times) <= 0.08 + 1e-12
 
 
 def test_force_in_python_acts_in_newtons() -> None:
@@ -249,7 +254,8 @@ def test_force_in_python_acts_in_newtons() -> None:
     system = make_system(make_fabric(np.zeros((2, 3)), mass=0.5), terms=(Term("python", push),))
     state = start(system)
     run(RK4(), system, state, 10, 0.02, frames=5)
-    assert np.abs(state.x[:, 0] - 1.0).max() < 1e-12 and np.abs(state.v[:, 0] - 3.0).max() < 1e-12
+    assert np.abs(state.x[:, 0] - 1.0).max() < 1e-12
+    assert np.abs(state.v[:, 0] - 3.0).max() < 1e-12
 
 
 @pytest.mark.parametrize("plugin", ALL, ids=name)
@@ -258,7 +264,8 @@ def test_one_particle_and_nothing_at_all(plugin: Any, n: int) -> None:
     system = make_system(make_fabric(np.zeros((n, 3))))
     state = start(system)
     assert run(plugin, system, state, 3, 0.1).status == "ok"
-    assert state.x.shape == (n, 3) and not state.x.any()
+    assert state.x.shape == (n, 3)
+    assert not state.x.any()
 
 
 @pytest.mark.parametrize("plugin", METHODS, ids=name)
@@ -282,11 +289,14 @@ def test_divergence_is_said(plugin: Any) -> None:
     position[:, 2] += 1e-3 * np.random.default_rng(1).standard_normal(36)
     system = make_system(make_fabric(position, springs))
     report = run(plugin, system, start(system), 4000, 1.0)
-    assert report.status == "diverged" and report.message.startswith("vertex ")
+    assert report.status == "diverged"
+    assert report.message.startswith("vertex ")
 
 
 def test_unknown_and_doubled_terms_are_refused() -> None:
     fabric = make_fabric(np.zeros((1, 3)))
-    with pytest.raises(BadInput, match="magnets"):
-        system = make_system(fabric, terms=(Term("magnets", None),))
-        RK4().prepare(RK4.Config(), system, start(system))
+    for terms, word in (((Term("magnets", None),), "magnets"), ((Term("wind", ()), Term("wind", ())), "wind")):
+        system = make_system(fabric, terms=terms)
+        state = start(system)
+        with pytest.raises(BadInput, match=word):
+            RK4().prepare(RK4.Config(), system, state)

@@ -59,7 +59,8 @@ def test_any_net_follows_the_formula(c: float, spread: float) -> None:
     expected = reference_forces(x, v, listed) / 1e-3
     system = make_system(make_fabric(position, listed))
     packed = pack(system)
-    assert packed.runs is not None and (packed.runs.each is not None) == (spread > 0.0)
+    assert packed.runs is not None
+    assert (packed.runs.each is not None) == (spread > 0.0)
     assert np.abs(accelerations(system, x, v) - expected).max() < 1e-12 * np.abs(expected).max()
 
 
@@ -158,7 +159,8 @@ def test_rest_without_gravity_is_exactly_no_motion() -> None:
     system = make_system(make_fabric(position, Springs.from_pairs(springs.pairs(), springs.k, rest, springs.c)))
     state = start(system)
     run(SymplecticEuler(), system, state, 50, 1e-3)
-    assert state.x.tobytes() == position.tobytes() and not state.v.any()
+    assert state.x.tobytes() == position.tobytes()
+    assert not state.v.any()
 
 
 def test_zero_length_springs_exert_no_force_and_are_counted() -> None:
@@ -168,12 +170,15 @@ def test_zero_length_springs_exert_no_force_and_are_counted() -> None:
     one = np.ones(9)
     system = make_system(make_fabric(position, Springs.from_pairs(pairs, one, one, one), mass=1.0))
     a = accelerations(system, position, np.ones((10, 3)))
-    assert np.isfinite(a).all() and not a[:8].any()
-    assert a[8, 0] == 1.0 and a[9, 0] == -1.0
+    assert np.isfinite(a).all()
+    assert not a[:8].any()
+    assert a[8, 0] == 1.0
+    assert a[9, 0] == -1.0
     rows = to_rows(position)
     assert measure_energy(rows, rows, system.fabric.mass, pack(system)).zero_length == 8
     report = run(SymplecticEuler(), system, start(system), 1, 1e-3)
-    assert report.status == "ok" and report.counts["zero_length_springs"] == 7
+    assert report.status == "ok"
+    assert report.counts["zero_length_springs"] == 7
 
 
 def test_not_a_number_stays_visible() -> None:
@@ -181,10 +186,12 @@ def test_not_a_number_stays_visible() -> None:
     x = position.copy()
     x[20, 1] = np.nan
     a = accelerations(make_system(make_fabric(position, springs)), x, 0 * x)
-    assert np.isnan(a[20]).all() and np.isnan(a[21]).all()
+    assert np.isnan(a[20]).all()
+    assert np.isnan(a[21]).all()
     system = make_system(make_fabric(x, springs))
     report = run(SymplecticEuler(), system, start(system), 1, 1e-5)
-    assert report.status == "diverged" and "vertex" in report.message
+    assert report.status == "diverged"
+    assert "vertex" in report.message
 
 
 def result(fabric: Fabric, threads: int) -> State:
@@ -203,7 +210,8 @@ def test_equal_bytes_for_one_and_two_threads(form: str) -> None:
     fabric = make_fabric(shaken(position, 1e-3)[0], springs)
     assert pack(make_system(fabric, threads=2)).threads == 2
     one, two = result(fabric, 1), result(fabric, 2)
-    assert one.x.tobytes() == two.x.tobytes() and one.v.tobytes() == two.v.tobytes()
+    assert one.x.tobytes() == two.x.tobytes()
+    assert one.v.tobytes() == two.v.tobytes()
     assert not np.array_equal(one.x, fabric.position)
 
 

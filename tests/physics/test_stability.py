@@ -149,7 +149,8 @@ def test_uniform_damping_is_exact_and_terms_add() -> None:
     omega, rate = measure_rates(plain, start(plain))
     assert rate == 0.3
     more, faster = measure_rates(loaded, start(loaded))
-    assert abs(more**2 - omega**2 - 1e9) < 1e-3 * omega**2 and 7.3 <= faster <= 7.31
+    assert abs(more**2 - omega**2 - 1e9) < 1e-3 * omega**2
+    assert 7.3 <= faster <= 7.31
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])
@@ -157,7 +158,9 @@ def test_nothing_to_oscillate(n: int) -> None:
     system = make_system(make_fabric(np.zeros((n, 3))), np.array([0.0, -9.81, 0.0]))
     for plugin in PLUGINS:
         limit = plugin.limit(plugin.Config(), system, start(system))
-        assert limit.omega == 0.0 and limit.damping == 0.0 and limit.dt == np.inf
+        assert limit.omega == 0.0
+        assert limit.damping == 0.0
+        assert limit.dt == np.inf
 
 
 def test_springs_of_zero_length_count_with_their_stiffness() -> None:

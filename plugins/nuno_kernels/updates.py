@@ -1,0 +1,57 @@
+"""Updates y + h k of positions and velocities, two in one pass over the blocks.
+
+A parallel region costs its threads a meeting; two updates that follow each other share one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import prange
+
+from nuno_kernels import both_kernels, kernel
+from nuno_kernels.blocks import BLOCK
+
+
+@kernel
+def add_block(block: int, out: Any, y: Any, h: float, k: Any) -> None:
+    """out = y + h k on a block's vertices."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, out.shape[1])
+    for row in range(3):
+        for p in range(low, high):
+            out[row, p] = y[row, p] + h * k[row, p]
+
+
+def _add_twice(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any) -> None:
+    """first = y + h k, then second = z + g m, block by block."""
+    for block in prange((first.shape[1] + BLOCK - 1) // BLOCK):
+        add_block(block, first, y, h, k)
+        add_block(block, second, z, g, m)
+
+
+def _add(out: Any, y: Any, h: float, k: Any) -> None:
+    """out = y + h k, block by block."""
+    for block in prange((out.shape[1] + BLOCK - 1) // BLOCK):
+        add_block(block, out, y, h, k)
+
+
+add_serial, add_parallel = both_kernels(_add)
+add_twice_serial, add_twice_parallel = both_kernels(_add_twice)
+
+
+@kernel
+def add(out: Any, y: Any, h: float, k: Any, threads: Any) -> None:
+    """out = y + h k, all (3, n)."""
+    if threads is None:
+        add_serial(out, y, h, k)
+    else:
+        add_parallel(out, y, h, k)
+
+
+@kernel
+def add_twice(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any, threads: Any) -> None:
+    """first = y + h k, then second = z + g m, all (3, n); the second may use the first."""
+    if threads is None:
+        add_twice_serial(first, y, h, k, second, z, g, m)
+    else:
+        add_twice_parallel(first, y, h, k, second, z, g, m)
