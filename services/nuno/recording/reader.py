@@ -90,6 +90,7 @@ class Recording:
         except BadInput:
             self._stream.close()
             raise
+        self._marks: dict[int, tuple[int, str]] | None = None
         self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
 
     def __enter__(self) -> Recording:
@@ -186,8 +187,10 @@ class Recording:
 
     def marks(self) -> dict[int, tuple[int, str]]:
         """Frame number and digest by log time [ns]: the simulation's status of each frame."""
-        statuses = ((m.log_time, self._json(m.payload)) for m in self.messages([STATUS.name]))
-        return {time: (int(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses}
+        if self._marks is None:
+            statuses = ((m.log_time, self._json(m.payload)) for m in self.messages([STATUS.name]))
+            self._marks = {time: (int(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses}
+        return self._marks
 
     def fabric(self) -> tuple[Arrays, dict[str, Any]]:
         """Arrays of the cloth that do not change (faces, uv, edges, ...) and their text."""

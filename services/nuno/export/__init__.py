@@ -1,0 +1,1 @@
+"""Turns a recording into files that other programs read: arrays, meshes, tables, pictures."""

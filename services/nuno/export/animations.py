@@ -1,0 +1,95 @@
+"""GIF and MP4 animations of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nuno.export.pictures import Picture, choose_frames, draw_frames
+from nuno.export.target import Progress, check_target, opened, writing
+from nuno.recording.reader import Recording
+from nuno_schemas.errors import BadInput, RunFailed
+
+GIF_RATES = (50.0, 25.0, 20.0, 12.5, 10.0, 5.0)
+"""Pictures a second that a GIF's hundredths of a second give exactly."""
+SIZE = (640, 480)
+
+
+def export_animation(
+    source: Recording | Path | str,
+    path: Path,
+    size: tuple[int, int] | None = None,
+    fps: float = 25.0,
+    start: float | None = None,
+    end: float | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Draw a recording as .gif or .mp4, in real time, from `start` to `end` [s].
+
+    A GIF's rate is the nearest of 50, 25, 20, 12.5, 10 and 5 pictures a second; an MP4's sides
+    are rounded down to even. Raises BadInput for a name that ends otherwise, a size or rate out
+    of range, nothing to show, or (MP4) where imageio-ffmpeg is not installed; RunFailed where
+    the encoder fails.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        remedy = "change the ending"
+        raise BadInput("no such kind of animation", value=str(path), limit=".gif or .mp4", remedy=remedy)
+    if not 1.0 <= fps <= 240.0:
+        raise BadInput("no such rate", field="--fps", value=fps, limit="1 to 240 pictures a second")
+    width, height = size or SIZE
+    if not (16 <= width <= 8192 and 16 <= height <= 8192):
+        raise BadInput("no such size", field="--size", value=size, limit="16 to 8192 pixels a side")
+    check_target(path, suffix)
+    encoder = _ffmpeg() if suffix == ".mp4" else None
+    with opened(source) as recording:
+        if encoder is None:
+            rate = min(GIF_RATES, key=lambda known: abs(known - fps))
+            numbers = choose_frames(recording, rate, start, end)
+            with writing(path, suffix) as new:
+                _write_gif(new, draw_frames(recording, numbers, (width, height), progress), rate)
+        else:
+            even = width // 2 * 2, height // 2 * 2
+            numbers = choose_frames(recording, fps, start, end)
+            with writing(path, suffix) as new:
+                _write_mp4(encoder, new, draw_frames(recording, numbers, even, progress), even, fps)
+    return path
+
+
+def _write_gif(path: Path, pictures: Iterator[Picture], rate: float) -> None:
+    """One palette for all pictures: with one each, still areas flicker."""
+    from PIL import Image
+
+    first = next(pictures)
+    palette = Image.fromarray(first).quantize(256, Image.Quantize.MEDIANCUT)
+
+    def indexed(picture: Picture) -> Image.Image:
+        return Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
+
+    rest = map(indexed, pictures)
+    # Pillow joins equal pictures into one that lasts longer, so that the timing stays.
+    indexed(first).save(path, save_all=True, append_images=rest, duration=round(1000.0 / rate), loop=0)
+
+
+def _ffmpeg() -> Any:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        remedy = 'install it: pip install "nuno[video]"; or export a .gif'
+        raise BadInput("MP4 needs imageio-ffmpeg, which is not installed", remedy=remedy) from None
+    return imageio_ffmpeg
+
+
+def _write_mp4(encoder: Any, path: Path, pictures: Iterator[Picture], size: tuple[int, int], fps: float) -> None:
+    sink = encoder.write_frames(str(path), size, fps=fps, macro_block_size=2, ffmpeg_log_level="error")
+    try:
+        sink.send(None)
+        for picture in pictures:
+            sink.send(np.ascontiguousarray(picture))
+    except (OSError, RuntimeError) as error:
+        raise RunFailed(f"the MP4 encoder failed: {error}") from None
+    finally:
+        sink.close()

@@ -1,0 +1,191 @@
+"""What a recording shows at one frame: pieces of cloth and bodies, as arrays."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from dataclasses import dataclass
+from pathlib import PurePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno.arrays import BadMessage, decode_points
+from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.recording.reader import Frame, Recording
+from nuno_schemas.bodies import PLANE, Geometry, rotation_matrices
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.messages import BODIES, GEOMETRY, STATE
+from nuno_schemas.surface import surface
+
+INSET = 0.002
+"""Bodies are drawn thinner by this much [m]: cloth at rest on them sinks in by about as much."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One object of the scene: vertices start to stop of all; indices count from start.
+
+    faces (f, 3), edges (e, 2) int32; rest (e,) [m]; uv (n, 2) with v up, or None;
+    image (h, w, 3) uint8 sRGB or None; colour "#rrggbb" or None.
+    """
+
+    name: str
+    start: int
+    stop: int
+    faces: Int
+    edges: Int
+    rest: Float
+    uv: NDArray[np.float32] | None
+    image: NDArray[np.uint8] | None
+    colour: str | None
+
+    def stretch(self, x: Float) -> Float:
+        """(n,) largest |d| / rest - 1 of each vertex's springs, for x (n, 3) [m] of this piece."""
+        d = x[self.edges[:, 1]] - x[self.edges[:, 0]]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = np.sqrt((d * d).sum(axis=1)) / self.rest - 1.0
+        most = np.full(len(x), -1.0)
+        for end in (0, 1):
+            np.maximum.at(most, self.edges[:, end], value)
+        return most
+
+
+def read_pieces(recording: Recording) -> list[Piece]:
+    """The cloth of a recording. Raises BadInput where its description is missing or damaged."""
+    arrays, text = recording.fabric()
+    try:
+        faces, edges = (np.asarray(arrays[name], np.int32).reshape(-1, w) for name, w in (("faces", 3), ("edges", 2)))
+        rest, number = np.asarray(arrays["edge_rest"], np.float64), int(text["vertices"])
+        pieces = []
+        for item in text["objects"]:
+            start, stop = int(item["start"]), int(item["stop"])
+            if not 0 <= start <= stop <= number or len(rest) != len(edges):
+                raise ValueError(f"vertices {start} to {stop} of {number}, {len(rest)} lengths of {len(edges)} springs")
+            uv = arrays["uv"][start:stop] if "uv" in arrays else None
+            image = read_texture(recording, item.get("texture")) if uv is not None else None
+            mine = _inside(edges, start, stop)
+            pieces.append(
+                Piece(
+                    str(item["name"]), start, stop, faces[_inside(faces, start, stop)] - start, edges[mine] - start,
+                    rest[mine], uv, image, item.get("colour"),
+                )
+            )  # fmt: skip
+    except (KeyError, ValueError, TypeError) as error:
+        raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
+    return pieces
+
+
+def _inside(indices: Int, start: int, stop: int) -> NDArray[np.bool_]:
+    return np.asarray(((indices >= start) & (indices < stop)).all(axis=1))
+
+
+def read_texture(recording: Recording, texture: str | None) -> NDArray[np.uint8] | None:
+    """(h, w, 3) sRGB of an image that travels in the recording, or None.
+
+    Only attachments are read: a path in a file from somewhere else must not pick files here.
+    """
+    from PIL import Image
+
+    parts = PurePath(texture).parts if texture else ()
+    names = [n for n in recording.attachments if parts and parts[-len(PurePath(n).parts) :] == PurePath(n).parts]
+    if not names:
+        return None
+    try:
+        with warnings.catch_warnings():
+            # Pillow only warns of an image that would unpack to gigabytes.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(recording.attachment(names[0]))) as image:
+                return np.asarray(image.convert("RGB"))
+    except (OSError, ValueError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise BadInput(f"the texture cannot be read: {error}", str(recording.path), value=names[0]) from None
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Surfaces of all bodies in their frames: vertices (n, 3) [m], faces (f, 3), frame (n,).
+
+    Level floors are left out: `floor` is the height of the highest [m], or None.
+    """
+
+    vertices: Float
+    faces: Int
+    frame: Int
+    floor: float | None
+
+    def at(self, rotation: Float, translation: Float) -> Float:
+        """(n, 3) vertices in the world."""
+        turned = np.einsum("nij,nj->ni", rotation_matrices(rotation)[self.frame], self.vertices)
+        return np.asarray(turned + translation[self.frame])
+
+
+def read_bodies(recording: Recording) -> Bodies | None:
+    """The bodies of a recording, or None where it has none. Raises BadInput."""
+    message = recording.last(GEOMETRY.name)
+    if message is None:
+        return None
+    try:
+        geometry = decode_geometry(message.payload)
+        # A floor that stands still: what the first poses say holds for the whole run.
+        first = next(recording.messages([BODIES.name]), None)
+        level = _level(geometry, decode_poses(first.payload).rotation) if first else np.zeros(len(geometry.kind), bool)
+        moved = decode_poses(first.payload).translation[geometry.frame] if first else np.zeros_like(geometry.a)
+        heights = (geometry.a + moved)[level, 1]
+        return Bodies(*surface(_without(geometry, level), INSET), float(heights.max()) if len(heights) else None)
+    except (BadMessage, ValueError, IndexError) as error:
+        raise BadInput(f"the bodies are damaged: {error}", str(recording.path)) from None
+
+
+def _level(geometry: Geometry, rotation: Float) -> NDArray[np.bool_]:
+    still = (np.abs(rotation[geometry.frame, 0]) == 1.0) & (geometry.kind == PLANE)
+    return np.asarray(still & (geometry.b[:, 1] > 1.0 - 1e-9))
+
+
+def _without(geometry: Geometry, drop: NDArray[np.bool_]) -> Geometry:
+    kept = {name: getattr(geometry, name)[~drop] for name in ("kind", "frame", "body", "a", "b", "radius")}
+    rest = {name: getattr(geometry, name) for name in ("bodies", "frames", "stiffness", "damping", "friction")}
+    return Geometry(**kept, **rest)
+
+
+def body_vertices(recording: Recording, bodies: Bodies | None, t: float) -> Float:
+    """(n, 3) [m] of the bodies at t [s]; empty where there are none."""
+    message = recording.last(BODIES.name, t) if bodies is not None else None
+    if message is None or bodies is None:
+        return np.zeros((0, 3))
+    try:
+        poses = decode_poses(message.payload)
+        return bodies.at(poses.rotation, poses.translation)
+    except (BadMessage, IndexError) as error:
+        raise BadInput(f"the bodies at {t:g} s are damaged: {error}", str(recording.path)) from None
+
+
+def read_frame(recording: Recording, number: int | None = None) -> Frame:
+    """A frame by its number, or the last. Raises BadInput where it is not in the recording."""
+    times = {frame: time for time, (frame, _) in recording.marks().items()}
+    if number is None:
+        message = recording.last(STATE.name)
+    elif number in times:
+        message = next(
+            recording.messages([STATE.name], start=times[number] * 1e-9, end=times[number] * 1e-9 + 1e-9), None
+        )
+    else:
+        message = None
+    if message is None:
+        limit = f"frames {min(times)} to {max(times)}" if times else "it holds none"
+        raise BadInput(
+            "no such frame in the recording", str(recording.path), field="--frame", value=number, limit=limit
+        )
+    frame, digest = recording.marks().get(message.log_time, (message.seq, ""))
+    try:
+        return Frame(frame, message.t, digest, decode_points(message.payload))
+    except BadMessage as error:
+        raise BadInput(f"frame {frame} is damaged: {error}", str(recording.path)) from None
+
+
+def check_size(recording: Recording, pieces: list[Piece], frame: Frame) -> None:
+    """Raises BadInput where a frame's points are not those of the cloth."""
+    most = max((piece.stop for piece in pieces), default=0)
+    if len(frame.x) < most:
+        problem = f"frame {frame.number} has {len(frame.x)} points for {most} vertices"
+        raise BadInput(problem, str(recording.path))

@@ -1,0 +1,167 @@
+"""Frames as OBJ, PLY and glTF files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from nuno.export.cloth import Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.paint import BODY, PLAIN, paint_stretch
+from nuno.export.target import Progress, opened, writing
+from nuno.recording.reader import Frame, Recording
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+
+def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
+    """Write one frame (default: the last) of the cloth; the name's ending says how.
+
+    .obj and .ply hold the cloth: float32 positions [m], faces, texture coordinates. .glb also
+    holds the bodies, the texture images and colours. Raises BadInput for another ending, a frame
+    that is not there or not finite, or where the file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    with opened(source) as recording:
+        pieces = read_pieces(recording)
+        shown = _finite(recording, pieces, read_frame(recording, frame))
+        with writing(path, _known(suffix, path)) as new, new.open("wb") as stream:
+            _write(suffix, stream, recording, pieces, shown)
+    return path
+
+
+def export_meshes(
+    source: Recording | Path | str, folder: Path, suffix: str, progress: Progress | None = None
+) -> list[Path]:
+    """Write every frame into a folder, made if it is missing: frame_00000.obj, and so on.
+
+    Raises as `export_mesh`.
+    """
+    _known(suffix, folder)
+    if not folder.is_dir():
+        try:
+            folder.mkdir()
+        except OSError as error:
+            raise BadInput(f"cannot make the folder: {error.strerror}", value=str(folder)) from None
+    written = []
+    with opened(source) as recording:
+        pieces, number = read_pieces(recording), recording.counts.get("sim/state", 0)
+        for frame in recording.frames():
+            path = folder / f"frame_{frame.number:05d}{suffix}"
+            with writing(path, suffix) as new, new.open("wb") as stream:
+                _write(suffix, stream, recording, pieces, _finite(recording, pieces, frame))
+            written.append(path)
+            if progress is not None:
+                progress(len(written), number)
+    return written
+
+
+def _known(suffix: str, path: Path) -> str:
+    if suffix not in (".obj", ".ply", ".glb"):
+        raise BadInput(
+            "no such kind of mesh file", value=str(path), limit=".obj, .ply, .glb", remedy="change the ending"
+        )
+    return suffix
+
+
+def _finite(recording: Recording, pieces: list[Piece], frame: Frame) -> Frame:
+    check_size(recording, pieces, frame)
+    if not np.isfinite(frame.x).all():
+        remedy = "name an earlier one with --frame"
+        raise BadInput("the frame's positions are not finite", str(recording.path), value=frame.number, remedy=remedy)
+    return frame
+
+
+def _write(suffix: str, stream: BinaryIO, recording: Recording, pieces: list[Piece], frame: Frame) -> None:
+    if suffix == ".obj":
+        _write_obj(stream, pieces, frame)
+    elif suffix == ".ply":
+        _write_ply(stream, pieces, frame)
+    else:
+        stream.write(_glb(recording, pieces, frame))
+
+
+def _write_obj(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
+    """One group per piece. Nine digits give every float32 back; OBJ counts from 1 over all pieces."""
+    stream.write(f"# nuno frame {frame.number} at {frame.t!r} s\n".encode())
+    for piece in pieces:
+        x = frame.x[piece.start : piece.stop].astype(np.float32)
+        lines = [f"o {piece.name}", *("v {:.9g} {:.9g} {:.9g}".format(*row) for row in x.tolist())]
+        corners = piece.faces + piece.start + 1
+        if piece.uv is not None:
+            lines += ["vt {:.9g} {:.9g}".format(*row) for row in piece.uv.tolist()]
+            lines += ["f {0}/{0} {1}/{1} {2}/{2}".format(*row) for row in corners.tolist()]
+        else:
+            lines += ["f {} {} {}".format(*row) for row in corners.tolist()]
+        stream.write(("\n".join(lines) + "\n").encode())
+
+
+def _write_ply(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
+    """Binary, all pieces as one mesh, texture coordinates as s and t."""
+    faces = np.concatenate([np.zeros((0, 3), np.int32), *(piece.faces + piece.start for piece in pieces)])
+    names = ["x", "y", "z"]
+    columns = [frame.x]
+    uvs = [piece.uv for piece in pieces]
+    if uvs and all(uv is not None for uv in uvs) and sum(len(uv) for uv in uvs if uv is not None) == len(frame.x):
+        names += ["s", "t"]
+        columns.append(np.concatenate([uv for uv in uvs if uv is not None]))
+    properties = "".join(f"property float {name}\n" for name in names)
+    stream.write(
+        f"ply\nformat binary_little_endian 1.0\ncomment nuno frame {frame.number} at {frame.t!r} s\n"
+        f"element vertex {len(frame.x)}\n{properties}"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n".encode()
+    )
+    stream.write(np.concatenate(columns, axis=1).astype("<f4").tobytes())
+    table = np.empty(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+    table["count"], table["corners"] = 3, faces
+    stream.write(table.tobytes())
+
+
+def _glb(recording: Recording, pieces: list[Piece], frame: Frame) -> bytes:
+    """glTF is y up and right-handed, as the scene is."""
+    import trimesh
+
+    scene = trimesh.Scene()
+    for piece in pieces:
+        if len(piece.faces):
+            x = frame.x[piece.start : piece.stop]
+            mesh = trimesh.Trimesh(x, piece.faces, process=False, visual=_visual(piece, x))
+            scene.add_geometry(mesh, node_name=piece.name, geom_name=piece.name)
+    bodies = read_bodies(recording)
+    points = body_vertices(recording, bodies, frame.t)
+    if bodies is not None and len(points):
+        mesh = trimesh.Trimesh(points, bodies.faces, process=False, visual=_plain(BODY, two_sided=False))
+        scene.add_geometry(mesh, node_name="bodies", geom_name="bodies")
+    if not scene.geometry:
+        raise BadInput("nothing in the recording has faces", str(recording.path), remedy="a net has none: export .npz")
+    return bytes(scene.export(file_type="glb", include_normals=True))
+
+
+def _visual(piece: Piece, x: Float) -> Any:
+    """The texture where there is one, else the colour, else stretch."""
+    from PIL import Image
+    from trimesh.visual import ColorVisuals, TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    if piece.image is not None and piece.uv is not None:
+        image = Image.fromarray(piece.image)
+        material = PBRMaterial(baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=True)
+        return TextureVisuals(uv=piece.uv, material=material)
+    if piece.colour is not None or not len(piece.edges):
+        return _plain(piece.colour or PLAIN, two_sided=True)
+    # glTF's vertex colours are linear light.
+    linear = np.round(255.0 * paint_stretch(piece.stretch(x))).astype(np.uint8)
+    return ColorVisuals(vertex_colors=np.concatenate([linear, np.full((len(x), 1), 255, np.uint8)], axis=1))
+
+
+def _plain(colour: str, two_sided: bool) -> Any:
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    # Factors, like vertex colours, are linear light.
+    factor = [*np.round(255.0 * parse_hex(colour)).astype(np.uint8).tolist(), 255]
+    return TextureVisuals(
+        material=PBRMaterial(baseColorFactor=factor, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=two_sided)
+    )

@@ -1,0 +1,181 @@
+"""Pictures and animations of a recording, drawn without a screen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
+
+from nuno import registry
+from nuno.export.cloth import Bodies, Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.paint import BODY, PLAIN, STRETCH, paint_stretch
+from nuno.export.target import Progress, check_target, opened, writing
+from nuno.export.tubes import tubes
+from nuno.recording.reader import Frame, Recording
+from nuno_schemas.camera import frame as fit_camera
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Camera, Mesh
+from nuno_schemas.scene import View
+
+Picture = NDArray[np.uint8]
+RENDERER = "raster"
+LOOKS = 16
+"""Frames that the camera of an animation is fitted to."""
+
+
+@dataclass
+class Painter:
+    """Draws frames of one recording with one camera.
+
+    Pictures show cloth by its texture, else its colour, else its stretch; bodies in grey; the
+    scene's name and the time. The scene's view chooses the camera, and what it leaves out is
+    fitted to `shown`. Raises BadInput for a recording without cloth.
+    """
+
+    recording: Recording
+    shown: list[Frame]
+    size: tuple[int, int] | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    """Settings of the renderer, e.g. samples."""
+
+    def __post_init__(self) -> None:
+        self.pieces: list[Piece] = read_pieces(self.recording)
+        self.bodies: Bodies | None = read_bodies(self.recording)
+        self.renderer = registry.load("nuno.renderers", RENDERER)
+        view = _view(self.recording)
+        meshes = [mesh for frame in self.shown for mesh in self.meshes(frame)]
+        self.camera = _camera(view, meshes, self.size or view.size)
+        self.ground = self._ground(meshes)
+        by_stretch = any(p.image is None and p.colour is None and len(p.edges) for p in self.pieces)
+        legend = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1], "format": "percent"}
+        self.legend = legend if by_stretch else None
+
+    def draw(self, frame: Frame) -> Picture:
+        """(h, w, 3) uint8 sRGB."""
+        name = self.recording.metadata.get("run", {}).get("scene") or str(self.recording.scene.get("name", ""))
+        caption = f"{name}   t = {frame.t:.2f} s"
+        config: BaseModel = self.renderer.Config.model_validate(
+            {"caption": caption, "legend": self.legend, "ground": self.ground, **self.options}
+        )
+        picture: Picture = self.renderer.render(config, self.meshes(frame), self.camera)
+        return picture
+
+    def meshes(self, frame: Frame) -> list[Mesh]:
+        """Everything at one frame, turned so that z is up, as renderer and camera have it."""
+        check_size(self.recording, self.pieces, frame)
+        meshes = [_cloth_mesh(piece, frame.x[piece.start : piece.stop]) for piece in self.pieces]
+        points = body_vertices(self.recording, self.bodies, frame.t)
+        if self.bodies is not None and len(points):
+            grey = np.tile(parse_hex(BODY), (len(points), 1))
+            meshes.append(Mesh(points, self.bodies.faces, grey, two_sided=False))
+        return [replace(mesh, vertices=_z_up(mesh.vertices)) for mesh in meshes]
+
+    def _ground(self, meshes: list[Mesh]) -> float | str:
+        """Height of the scene's floor [m], else of the lowest point that any frame shows."""
+        if self.bodies is not None and self.bodies.floor is not None:
+            return self.bodies.floor
+        heights = np.concatenate([np.zeros(0), *(mesh.vertices[:, 2] for mesh in meshes)])
+        heights = heights[np.isfinite(heights)]
+        return float(heights.min()) if len(heights) else "none"
+
+
+def export_picture(
+    source: Recording | Path | str, path: Path, frame: int | None = None, size: tuple[int, int] | None = None
+) -> Path:
+    """Draw one frame (default: the last) as PNG. Raises BadInput."""
+    from PIL import Image
+
+    with opened(source) as recording:
+        check_target(path, ".png")
+        shown = read_frame(recording, frame)
+        picture = Painter(recording, [shown], size).draw(shown)
+        with writing(path, ".png") as new:
+            Image.fromarray(picture).save(new, optimize=True)
+    return path
+
+
+def draw_frames(
+    recording: Recording, numbers: list[int], size: tuple[int, int] | None, progress: Progress | None = None
+) -> Iterator[Picture]:
+    """Draw chosen frames, in order, with one camera that holds them all. Raises BadInput."""
+    looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
+    shown = [frame for frame in recording.frames() if frame.number in looks]
+    painter = Painter(recording, shown, size, {"samples": 4})
+    wanted, done = set(numbers), 0
+    for frame in recording.frames():
+        if frame.number in wanted:
+            yield painter.draw(frame)
+            done += 1
+            if progress is not None:
+                progress(done, len(numbers))
+
+
+def choose_frames(recording: Recording, fps: float, start: float | None, end: float | None) -> list[int]:
+    """Numbers of the frames nearest to k / fps seconds from `start` to `end` [s].
+
+    A picture stands for 1 / fps seconds whatever the recording's rate, so time runs true.
+    Raises BadInput where there is nothing to show.
+    """
+    times = {time * 1e-9: number for time, (number, _) in recording.marks().items()}
+    known = np.array(sorted(times))
+    if not len(known):
+        raise BadInput("the recording holds no frames", str(recording.path))
+    first = known[0] if start is None else max(start, known[0])
+    last = known[-1] if end is None else min(end, known[-1])
+    if not first <= last:
+        limit = f"{known[0]:g} to {known[-1]:g} s"
+        raise BadInput("nothing to show between start and end", str(recording.path), value=(start, end), limit=limit)
+    due = first + np.arange(math.floor((last - first) * fps + 1e-6) + 1) / fps
+    places = np.clip(np.searchsorted(known, due), 1, max(len(known) - 1, 1))
+    places -= due - known[places - 1] < known[np.minimum(places, len(known) - 1)] - due
+    return [times[known[place]] for place in np.minimum(places, len(known) - 1)]
+
+
+def _cloth_mesh(piece: Piece, x: Float) -> Mesh:
+    """A piece with faces as it is, a net as thin tubes along its springs."""
+    if not len(piece.faces):
+        vertices, faces, owner = tubes(x, piece.edges)
+        return Mesh(vertices, faces, _paint(piece, x)[owner], two_sided=False)
+    if piece.image is not None and piece.uv is not None:
+        # v points up on cloth and down in images.
+        uv = piece.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
+        return Mesh(x, piece.faces, uv=uv, image=piece.image)
+    return Mesh(x, piece.faces, _paint(piece, x))
+
+
+def _paint(piece: Piece, x: Float) -> Float:
+    if piece.colour is not None or not len(piece.edges):
+        return np.tile(parse_hex(piece.colour or PLAIN), (len(x), 1))
+    return paint_stretch(piece.stretch(x))
+
+
+def _z_up(points: Float) -> Float:
+    """Scenes have y up and look along -z; this turns y to z and -z to y."""
+    return np.ascontiguousarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
+
+
+def _view(recording: Recording) -> View:
+    try:
+        return View.model_validate(recording.scene.get("view", {}))
+    except ValidationError as error:
+        first = error.errors()[0]["msg"]
+        raise BadInput(f"the recording's view is damaged: {first}", str(recording.path), field="view") from None
+
+
+def _camera(view: View, meshes: list[Mesh], size: tuple[int, int]) -> Camera:
+    """Fitted to the meshes; target and distance of the view win."""
+    fitted = fit_camera(meshes, view.azimuth, view.elevation, size)
+    if view.target is None and view.distance is None:
+        return fitted
+    toward = fitted.eye - fitted.target
+    distance = float(np.linalg.norm(toward)) if view.distance is None else view.distance
+    target = fitted.target if view.target is None else _z_up(np.array([view.target]))[0]
+    return replace(fitted, eye=target + toward / np.linalg.norm(toward) * distance, target=target)

@@ -1,0 +1,75 @@
+"""Output files: written beside their place and moved there whole; only their own kind is replaced."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from nuno.recording.reader import Recording, open_recording
+from nuno_schemas.errors import BadInput
+
+Progress = Callable[[int, int], None]
+"""Called with the steps done and all steps."""
+
+MAGIC: dict[str, tuple[int, bytes]] = {
+    ".npz": (0, b"PK\x03\x04"),
+    ".csv": (0, b"frame,"),
+    ".obj": (0, b"# nuno"),
+    ".ply": (0, b"ply\n"),
+    ".glb": (0, b"glTF"),
+    ".png": (0, b"\x89PNG"),
+    ".gif": (0, b"GIF8"),
+    ".mp4": (4, b"ftyp"),
+}
+"""How a file of each kind begins: offset and bytes."""
+
+
+@contextmanager
+def opened(source: Recording | Path | str) -> Iterator[Recording]:
+    """A recording that is open already, or the one at a path."""
+    if isinstance(source, Recording):
+        yield source
+    else:
+        with open_recording(source) as recording:
+            yield recording
+
+
+def check_target(path: Path, suffix: str) -> None:
+    """Raises BadInput for a name of another kind, a missing folder, a file that is no such export."""
+    if path.suffix.lower() != suffix:
+        raise BadInput(f"the name must end in {suffix}", value=str(path), remedy=str(path.with_suffix(suffix)))
+    if not path.parent.is_dir():
+        raise BadInput("no such folder", value=str(path.parent), remedy="make it, or choose another place")
+    if path.is_dir():
+        raise BadInput("a folder of that name exists", value=str(path), remedy="choose another name")
+    if path.is_file() and not _is_kind(path, suffix):
+        problem = f"the file there is no {suffix[1:]} export and would be lost"
+        raise BadInput(problem, value=str(path), remedy="choose another name, or remove it")
+
+
+@contextmanager
+def writing(path: Path, suffix: str) -> Iterator[Path]:
+    """A new file beside `path`, which takes its place when all went well. Raises BadInput."""
+    check_target(path, suffix)
+    new = path.with_name(f".{path.stem}.{os.getpid()}.part{suffix}")
+    try:
+        new.open("wb").close()
+        yield new
+        new.replace(path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BadInput(f"cannot write there: {reason}", value=str(path), remedy="choose another place") from None
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def _is_kind(path: Path, suffix: str) -> bool:
+    offset, magic = MAGIC[suffix]
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(offset + len(magic))
+    except OSError:
+        return False
+    return head[offset:] == magic or not head
