@@ -40,7 +40,14 @@ class BadInput(Exception):
 
 
 class RunFailed(Exception):
-    """A run that started and could not go on (exit code 1); its recording is kept."""
+    """A run that started and could not go on (exit code 1); its recording is kept.
+
+    `peer` names the service that is to blame, where it is another one.
+    """
+
+    def __init__(self, problem: str, peer: str = "") -> None:
+        super().__init__(problem)
+        self.peer = peer
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

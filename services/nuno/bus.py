@@ -62,10 +62,12 @@ def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
 
 
 @contextmanager
-def spoke(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
-    """A session connected to a hub. Raises BadInput if there is none."""
+def spoke(endpoint: str, extra: str | None = None, patience: float = 0.0) -> Iterator[zenoh.Session]:
+    """A session connected to a hub. Raises BadInput if there is none within `patience` [s]."""
+    config = _config("client", [], [endpoint], extra)
+    config.insert_json5("connect/timeout_ms", json.dumps(round(1000 * patience)))
     try:
-        session = zenoh.open(_config("client", [], [endpoint], extra))
+        session = zenoh.open(config)
     except zenoh.ZError as error:
         raise BadInput(f"nothing answers there: {_short(error)}", value=endpoint, remedy="start the hub first (nuno serve router), or check --connect") from None
     with session:
@@ -225,7 +227,7 @@ class Bus:
         for reply in self.session.get(self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
-        raise RunFailed(f"no answer from {name} within {timeout:g} s")
+        raise RunFailed(f"no answer from {name} within {timeout:g} s", peer=name.split("/")[0])
 
     def ask_json(self, name: str, value: dict[str, Any], timeout: float = 10.0) -> dict[str, Any]:
         answer = json.loads(self.ask(name, json.dumps(value).encode(), timeout))

@@ -40,5 +40,6 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
     if not any(scene.gravity):
         left_out.append("gravity: 0")
     left_out.append("dye, knit and wrinkles: the scene has none")
-    must_see = tuple(name for name in ("collision", "recorder") if name in services)
+    # A window may skip frames; a file that is being written may not.
+    must_see = tuple(n for n in ("collision", "recorder") if n in services) + (("viewer",) if options.save else ())
     return Plan(tuple(services), must_see, tuple(left_out))

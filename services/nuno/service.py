@@ -122,7 +122,7 @@ def run_service(name: str, loaded: Loaded, session: zenoh.Session, run: str, opt
         context.event("error", str(error), bad_input=True)
         raise
     except RunFailed as error:
-        context.event("error", str(error))
+        context.event("error", str(error), peer=error.peer)
         raise
     except Exception as error:
         context.event("error", f"{type(error).__name__}: {error}", trace=traceback.format_exc())

@@ -27,6 +27,7 @@ from nuno.service import SUPERVISOR, Options, run_service
 START_TIMEOUT = 120.0
 """Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
 FINISH_TIMEOUT = 30.0
+CONNECT_PATIENCE = 20.0
 
 Progress = Callable[[Status], None]
 
@@ -73,6 +74,7 @@ class Supervisor:
         self.inbox = Inbox(self.bus, [STATUS, Topic("run/event/*", "json", "nuno.Event")])
         self.errors: dict[str, str] = {}
         self.bad_input: BadInput | None = None
+        self.blamed = ""
         self.ended: dict[str, Any] | None = None
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
@@ -103,6 +105,7 @@ class Supervisor:
                 event = Event.model_validate_json(item.payload)
                 if event.kind == "error":
                     self.errors[event.service] = event.text
+                    self.blamed = self.blamed or str(event.args.get("peer", ""))
                     if event.args.get("bad_input"):
                         self.bad_input = BadInput(event.text)
                 elif event.kind == "end":
@@ -118,13 +121,16 @@ class Supervisor:
                 self._drain(progress, timeout=0.2)
                 if self.ended is not None:
                     break
-                name = dead[0]
+                name = self.blamed if self.blamed in dead else dead[0]
                 why = self.errors.get(name) or self.exited().get(name) or "its process ended or the connection broke"
                 return f"the {name} service died: {why}"
         return ""
 
-    def finish(self, error: str, report: Callable[[dict[str, dict[str, Any]]], dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        """Ask each service to finish, the recorder last, and collect what they counted."""
+    def finish(self, error: str, report: Callable[[dict[str, dict[str, Any]]], dict[str, Any]], discard: bool = False) -> dict[str, dict[str, Any]]:
+        """Ask each service to finish, the recorder last, and collect what they counted.
+
+        `discard` leaves no recording behind: nothing has happened that could be in it.
+        """
         answers: dict[str, dict[str, Any]] = {}
         order = [name for name in ("simulation", "collision", "viewer", "recorder") if name in self.plan.services]
         for name in order:
@@ -134,7 +140,7 @@ class Supervisor:
             if name == "recorder":
                 sent = {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
                 state = "failed" if error else str((self.ended or {}).get("state", "failed"))
-                request |= {"expected": sent, "state": state, "report": report(answers)}
+                request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
             try:
                 answers[name] = self.bus.ask_json(f"finish/{name}", request, FINISH_TIMEOUT)
             except RunFailed as failure:
@@ -211,7 +217,8 @@ def supervise(
     began = time.perf_counter()
     with contextlib.ExitStack() as stack:
         endpoint = deployment.connect or deployment.listen or f"tcp/127.0.0.1:{free_port()}"
-        session = stack.enter_context((spoke if deployment.connect else hub)(endpoint, deployment.config))
+        opened = spoke(endpoint, deployment.config, CONNECT_PATIENCE) if deployment.connect else hub(endpoint, deployment.config)
+        session = stack.enter_context(opened)
         supervisor = Supervisor(loaded, options, plan, session, run)
         stack.enter_context(supervisor.bus.alive())
         stack.enter_context(runs.announced(run, endpoint))
@@ -228,7 +235,7 @@ def _conduct(supervisor: Supervisor, began: float, progress: Progress | None, re
         ready = time.perf_counter()
         error = supervisor.follow(progress)
     except BadInput:
-        supervisor.finish("refused", lambda answers: {})
+        supervisor.finish("refused", lambda answers: {}, discard=True)
         raise
     except RunFailed as failure:
         ready, error = time.perf_counter(), str(failure)

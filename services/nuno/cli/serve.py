@@ -12,6 +12,9 @@ from nuno_schemas.errors import BadInput
 from nuno import bus, scene_file
 from nuno.service import MODULES, Options, run_service
 
+PATIENCE = 20.0
+"""How long a service waits for its hub [s]: containers start in any order."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("service", choices=["router", *MODULES])
@@ -38,7 +41,7 @@ def main(args: argparse.Namespace) -> int:
             raise BadInput(f"the {args.service} service needs {'a scene' if name == 'scene' else '--' + name}", remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447")
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
-    with bus.spoke(args.connect, args.config) as session:
+    with bus.spoke(args.connect, args.config, PATIENCE) as session:
         run_service(args.service, loaded, session, args.run, options)
     return 0
 

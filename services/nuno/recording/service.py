@@ -39,7 +39,7 @@ def main(context: Context) -> None:
     recorder = Recorder(context, inbox, writer)
     try:
         question = each_message(context, inbox, recorder.handle)
-        answer = recorder.finish(question)
+        answer = {} if question.json().get("discard") else recorder.finish(question)
     except RunFailed:
         if not writer.closed:
             recorder.close("failed", {})
@@ -49,6 +49,8 @@ def main(context: Context) -> None:
         raise
     finally:
         inbox.close()
+    if not writer.closed:
+        writer.discard()
     question.answer_json(answer)
 
 

@@ -157,6 +157,11 @@ class RecordingWriter:
         if not self.closed:
             _close_cut(self._stream, self._whole)
 
+    def discard(self) -> None:
+        """Leave no file."""
+        self.abort()
+        part_of(self.path).unlink(missing_ok=True)
+
     def _channel(self, topic: Topic) -> int:
         if topic.name not in self._channels:
             self._channels[topic.name] = self._file.add_channel(

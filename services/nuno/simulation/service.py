@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -193,17 +194,27 @@ def ask_geometry(context: Context) -> Geometry:
     return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
 
 
+def resume(context: Context, simulation: Simulation, path: Path, poses: Poses | None) -> Poses | None:
+    """Go on from a recording's last checkpoint, with what was set before it; the poses there."""
+    from nuno.recording.reader import open_recording
+    from nuno.recording.restore import control_events
+
+    with open_recording(path) as recording:
+        point = recording.last_checkpoint()
+        for event in control_events(recording):
+            if event.text == "set" and event.frame <= point.frame:
+                simulation.set(str(event.args["item"]))
+        simulation.resume(point.frame, point.x, point.v, point.memory)
+    return ask_poses(context, point.frame) if poses is not None else None
+
+
 def main(context: Context) -> None:
     """Simulate one run: prepare, wait for the start, step through the frames, answer the end."""
     geometry = ask_geometry(context) if context.loaded.scene.bodies else None
     poses = ask_poses(context, 0) if geometry is not None else None
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads)
     if context.options.resume is not None:
-        from nuno.recording.reader import open_recording
-
-        point = open_recording(context.options.resume).last_checkpoint()
-        simulation.resume(point.frame, point.x, point.v, point.memory)
-        poses = ask_poses(context, point.frame) if geometry is not None else None
+        poses = resume(context, simulation, context.options.resume, poses)
     simulation.measure(poses)  # compiles what the steps need, so that the run itself is timed without it
     driver = Driver(context, simulation, poses)
     with context.bus.alive():

@@ -1,0 +1,103 @@
+"""`nuno replay`: publish a recording again, show it, or re-simulate and compare."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import threading
+from pathlib import Path
+
+from nuno_schemas.errors import BadInput
+
+from nuno import runs, supervisor
+from nuno.bus import Bus, free_port, hub
+from nuno.recording.reader import Recording, open_recording
+from nuno.recording.restore import restored_scene
+from nuno.replay import Replay
+from nuno.scene_file import Loaded
+from nuno.service import SUPERVISOR, Options, run_service
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", type=Path, metavar="FILE")
+    speed = parser.add_mutually_exclusive_group()
+    speed.add_argument("--rate", type=float, default=1.0, metavar="X", help="simulated seconds a second (default: 1)")
+    speed.add_argument("--fast", action="store_true", help="as fast as the subscribers take it")
+    parser.add_argument("--start", type=float, default=0.0, metavar="SECONDS", help="begin at this simulation time")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
+    parser.add_argument("--verify", action="store_true", help="simulate it again and compare every frame to the last bit")
+    view = parser.add_mutually_exclusive_group()
+    view.add_argument("--view", nargs="?", const="window", choices=["window", "web"], help="show it in rerun")
+    view.add_argument("--no-view", action="store_true", help="only publish")
+    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a file for the rerun viewer")
+    parser.add_argument("--listen", metavar="ENDPOINT", help="where subscribers connect (default: a free port on loopback)")
+    parser.add_argument("--run", metavar="ID", help="name of the run it is published as")
+
+
+def main(args: argparse.Namespace) -> int:
+    with open_recording(args.recording) as recording:
+        return _verify(recording) if args.verify else _replay(recording, args)
+
+
+def _verify(recording: Recording) -> int:
+    from nuno.verify import verify
+
+    found = verify(recording)
+    if found.frame is None:
+        print(f"equal to the last bit: {found.compared} frames")
+        return 0
+    print(f"differs first at frame {found.frame} (t = {found.t:g} s): {found.difference}", file=sys.stderr)
+    return 1
+
+
+def _replay(recording: Recording, args: argparse.Namespace) -> int:
+    from nuno.viewer.require import has_screen, require
+
+    view = args.view
+    if view is None and not args.no_view and args.save is None and has_screen():
+        view = "window"
+    require(view, args.save)
+    if args.loop and args.save:
+        raise BadInput("a loop has no end to save", field="--save", remedy="leave --loop out")
+    run = args.run or supervisor.new_run_id(f"replay-{recording.scene.get('name', 'run')}")
+    endpoint = args.listen or f"tcp/127.0.0.1:{free_port()}"
+    shown = view is not None or args.save is not None
+    options = Options(view=view, save=args.save, must_see=("viewer",) if args.save else ())
+    replay = Replay(None if args.fast else args.rate, args.start, args.loop, options.must_see)
+    with contextlib.ExitStack() as stack:
+        session = stack.enter_context(hub(endpoint))
+        stack.enter_context(runs.announced(run, endpoint))
+        bus = Bus(session, run, SUPERVISOR)
+        stack.enter_context(bus.alive())
+        viewer = None
+        if shown:
+            loaded = stack.enter_context(restored_scene(recording))
+            viewer = _Viewer(loaded, bus, options)
+        print(f"replaying {recording.path} as {run} at {endpoint}", file=sys.stderr)
+        with contextlib.suppress(KeyboardInterrupt):
+            replay.run(bus, recording)
+        if viewer is not None:
+            viewer.finish()
+    total = sum(replay.sent.values())
+    print(f"{total} messages, {replay.sent.get('sim/state', 0)} frames")
+    return 0
+
+
+class _Viewer:
+    """The viewer service, in a thread, for one replay."""
+
+    def __init__(self, loaded: Loaded, bus: Bus, options: Options) -> None:
+        from nuno.bus import Watch
+
+        self.bus = bus
+        self.thread = threading.Thread(target=run_service, args=("viewer", loaded, bus.session, bus.run, options), daemon=True)
+        self.thread.start()
+        if Watch(bus).wait_for({"viewer"}, 60.0):
+            raise BadInput("the viewer did not start")
+
+    def finish(self) -> None:
+        answer = self.bus.ask_json("finish/viewer", {}, 30.0)
+        self.thread.join(10.0)
+        if answer.get("file"):
+            print(f"rerun file {answer['file']}")

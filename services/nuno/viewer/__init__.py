@@ -1,0 +1,1 @@
+"""Shows runs in rerun: live, replayed, or written to a file."""

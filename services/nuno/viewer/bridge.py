@@ -1,0 +1,232 @@
+"""From bus messages to rerun: the same for a live run, a replay and a recording."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from nuno_schemas.bodies import Geometry
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.fabric import Float
+from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS
+from nuno_schemas.messages import Event, Penetration, Status
+from nuno_schemas.bodies import PLANE, rotation_matrices
+from nuno_schemas.scene import View
+from nuno_schemas.surface import surface
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from nuno.arrays import BadMessage, decode_arrays, decode_points
+from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.viewer import layout
+from nuno.viewer.cloth import Cloth, ReadImage, pack, read_image
+from nuno.viewer.kernels import vertex_normals
+
+BODY, GROUND = "#b9c0c9", "#d3d6d9"
+INSET = 0.002
+"""Bodies are drawn thinner by this much [m], so that cloth resting on them is not cut by them."""
+APPLICATION = "nuno"
+
+
+class Bridge:
+    """Logs a run's messages to a rerun recording stream, in the order they are handed in.
+
+    recording  a `rerun.RecordingStream`
+    view       the scene's view, from which the eye is fitted to the first frame
+    live       the viewer follows the newest frame instead of playing from the start
+    images     reads a texture by its path; None where it cannot
+
+    `feed` raises BadMessage for a payload that is not what its topic promises; what is shown
+    stays as it was.
+    """
+
+    def __init__(self, recording: Any, view: View | None = None, live: bool = False, images: ReadImage = read_image) -> None:
+        self.recording, self.view, self.live, self.images = recording, view or View(), live, images
+        self.frames = 0
+        self._cloths: list[Cloth] = []
+        self._vertices = -1
+        self._geometry: Geometry | None = None
+        self._body_paths: list[str] = []
+        self._surface: tuple[Float, NDArray[np.int32]] | None = None
+        self._poses: tuple[Float, Float] | None = None
+        self._energy: list[str] = []
+        self._latest = (0, 0.0)
+        self._eye: layout.Eye | None = None
+        self._handlers: dict[str, Callable[[bytes], None]] = {
+            FABRIC.name: self._fabric,
+            STATE.name: self._state,
+            STATUS.name: self._status,
+            GEOMETRY.name: self._bodies,
+            BODIES.name: self._move,
+            PENETRATION.name: self._penetration,
+            EVENT.name: self._event,
+            REPORT.name: self._report,
+        }
+        # Wall-clock timelines would make two conversions of one recording differ.
+        recording.set_log_time_enabled(False)
+        recording.set_log_tick_enabled(False)
+        self._log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+
+    def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
+        """Log one message; other topics are passed over. A message outside any frame
+        (frame < 0) stands at the latest time."""
+        kind = EVENT.name if topic.startswith(EVENT.name + "/") else topic
+        handler = self._handlers.get(kind)
+        if handler is None:
+            return
+        if not (math.isfinite(t) and abs(t) < 2**33 and frame < 2**62):
+            raise BadMessage(f"frame {frame} at {t} s")
+        if frame >= 0:
+            self._latest = (frame, t)
+        self.recording.set_time("frame", sequence=self._latest[0])
+        self.recording.set_time(layout.TIMELINE, duration=self._latest[1])
+        try:
+            handler(payload)
+        except (KeyError, TypeError, IndexError, AttributeError, ValidationError, ValueError) as error:
+            raise BadMessage(f"{topic}: {error}") from None
+
+    def _log(self, path: str, *what: Any, static: bool = False) -> None:
+        self.recording.log(path, *what, static=static, strict=True)
+
+    def _fabric(self, payload: bytes) -> None:
+        arrays, text = decode_arrays(payload)
+        number = int(text["vertices"])
+        for name, width in (("faces", 3), ("edges", 2)):
+            indices = arrays[name]
+            if indices.ndim != 2 or indices.shape[1] != width or indices.size and not (0 <= indices.min() and indices.max() < number):
+                raise BadMessage(f"{name} of shape {indices.shape} for {number} vertices")
+        if len(arrays["pinned"]) != number or len(arrays["edge_rest"]) != len(arrays["edges"]) or len(arrays.get("uv", arrays["pinned"])) != number:
+            raise BadMessage("a fabric's arrays differ in length")
+        self._vertices = number
+        self._cloths = []
+        for spec in text["objects"]:
+            path = "/" + rr.new_entity_path(["world", "cloth", str(spec["name"])]).lstrip("/")
+            cloth = Cloth(self.recording, path, spec, arrays, self.images)
+            self._cloths.append(cloth)
+            if cloth.untextured:
+                self._log("/log", rr.TextLog(f"the texture of {spec['name']} cannot be read: {spec['texture']}", level="WARN"))
+        self._log("/about", rr.TextDocument(about(str(text.get("scene", "")), number, len(arrays["faces"])), media_type="text/markdown"), static=True)
+
+    def _state(self, payload: bytes) -> None:
+        positions = decode_points(payload)
+        if len(positions) != self._vertices:
+            raise BadMessage(f"{len(positions)} points for a fabric of {self._vertices} vertices")
+        if self._eye is None:
+            self._aim(positions)
+        for cloth in self._cloths:
+            cloth.log(positions)
+        self.frames += 1
+
+    def _aim(self, positions: Float) -> None:
+        """Arrange the window round what is there at the first frame."""
+        cloud = positions
+        if self._surface is not None and self._poses is not None:
+            vertices, frames = self._surface
+            turned = np.einsum("nij,nj->ni", rotation_matrices(self._poses[0])[frames], vertices)
+            cloud = np.concatenate([positions, turned + self._poses[1][frames]])
+        self._eye = layout.fit_eye(cloud, self.view)
+        self._arrange()
+
+    def _arrange(self) -> None:
+        if self._eye is not None:
+            blueprint = layout.arrange(self._eye, self._geometry is not None, self.live)
+            self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
+
+    def _status(self, payload: bytes) -> None:
+        status = Status.model_validate_json(payload)
+        energy = list(status.energy)
+        if energy != self._energy:
+            self._energy = energy
+            self._log("/plots/energy", layout.names([*energy, "total"]), static=True)
+            self._log("/plots/stretch", layout.names(["largest stretch"]), static=True)
+            self._log("/plots/time", layout.names(["computing the frame"]), static=True)
+        values = list(status.energy.values())
+        self._log("/plots/energy", rr.Scalars([*values, sum(values)]))
+        self._log("/plots/stretch", rr.Scalars(100.0 * status.stretch))
+        self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
+        if status.message:
+            self._log("/log", rr.TextLog(status.message, level="WARN" if status.state == "diverged" else "INFO"))
+
+    def _bodies(self, payload: bytes) -> None:
+        geometry = decode_geometry(payload)
+        vertices, faces, frames = surface(geometry, INSET)
+        plane = np.isin(frames, geometry.frame[geometry.kind == PLANE])
+        self._surface = vertices[~plane], frames[~plane]
+        self._body_paths = ["/" + rr.new_entity_path(["world", "bodies", *name.split("/", 1)]).lstrip("/") for name in geometry.frames]
+        for frame, path in enumerate(self._body_paths):
+            mine = frames == frame
+            if mine.any():
+                own = (np.cumsum(mine) - 1)[faces[mine[faces[:, 0]]]]
+                plain = (geometry.kind[geometry.frame == frame] == PLANE).all()
+                self._log(path, solid(vertices[mine], own, GROUND if plain else BODY), static=True)
+        self._log("/plots/penetration", layout.names(["deepest", "mean of those inside"]), static=True)
+        self._geometry, self._poses = geometry, None
+        self._arrange()
+
+    def _move(self, payload: bytes) -> None:
+        poses = decode_poses(payload)
+        if len(poses.rotation) != len(self._body_paths):
+            raise BadMessage(f"{len(poses.rotation)} poses for {len(self._body_paths)} frames")
+        before = self._poses
+        for i, path in enumerate(self._body_paths):
+            w, x, y, z = poses.rotation[i]
+            if before is None or (before[0][i] != poses.rotation[i]).any() or (before[1][i] != poses.translation[i]).any():
+                self._log(path, rr.Transform3D(translation=poses.translation[i], quaternion=[x, y, z, w]))
+        self._poses = poses.rotation, poses.translation
+
+    def _penetration(self, payload: bytes) -> None:
+        report = Penetration.model_validate_json(payload)
+        self._log("/plots/penetration", rr.Scalars([1000.0 * report.depth, 1000.0 * report.mean]))
+
+    def _event(self, payload: bytes) -> None:
+        event = Event.model_validate_json(payload)
+        level = {"error": "ERROR", "warning": "WARN"}.get(event.kind, "INFO")
+        self._log("/log", rr.TextLog(f"{event.service}: {event.text}", level=level))
+
+    def _report(self, payload: bytes) -> None:
+        text = json.dumps(json.loads(payload), indent=2)
+        self._log("/report", rr.TextDocument(f"```json\n{text}\n```", media_type="text/markdown"), static=True)
+
+
+def solid(vertices: Float, faces: NDArray[Any], colour: str) -> Any:
+    """A mesh that is smooth but for its edges: where a face and its vertex's mean normal differ
+    by more than 40 degrees, the face's own is used, so that boxes have edges."""
+    x, triangles = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
+    mean = np.zeros((len(x), 3), np.float32)
+    vertex_normals(x, triangles, mean)
+    corners = x[triangles].reshape(-1, 3)
+    flat = np.zeros_like(corners)
+    unshared = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+    vertex_normals(corners, unshared, flat)
+    smooth = mean[triangles].reshape(-1, 3)
+    near = (smooth * flat).sum(axis=1, keepdims=True) > np.cos(np.radians(40.0))
+    return rr.Mesh3D(
+        vertex_positions=corners,
+        triangle_indices=unshared,
+        vertex_normals=np.where(near, smooth, flat),
+        albedo_factor=int(pack(parse_hex(colour))[0]),
+    )
+
+
+def about(scene: str, vertices: int, faces: int) -> str:
+    """What a user should know about the picture, as Markdown."""
+    return f"""# {scene}
+{vertices:,} vertices, {faces:,} triangles.
+
+**Colour**: stretch of the most stretched thread at each vertex, on a logarithmic scale:
+
+| colour | stretch |
+| --- | --- |
+| violet | 0.1 % and less |
+| blue | 0.6 % |
+| green | 6 % |
+| yellow | 100 % and more |
+| grey | not a number |
+
+Pieces with a texture or a colour of their own show that instead.
+Bodies are drawn {1000 * INSET:g} mm thinner than they are, so that cloth resting on them shows.
+"""

@@ -1,0 +1,158 @@
+"""One piece of cloth in rerun: a shaded mesh, or the springs and masses of a net."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
+from numpy.typing import NDArray
+
+from nuno.arrays import BadMessage
+from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
+
+STRETCH = (0.001, 1.0)
+"""Ends of the colour map for stretch. The map is logarithmic: wool under its own weight stretches
+by a thousandth, the skirt paper's springs by half, and both are to be seen on one scale."""
+PLAIN = "#d8d3cb"
+SPRING_WIDTH, MASS_SIZE = -1.5, -3.0
+"""Radii; negative ones are in pixels on the screen."""
+
+ReadImage = Callable[[str], NDArray[np.uint8] | None]
+
+
+def read_image(path: str) -> NDArray[np.uint8] | None:
+    """(h, w, 3) sRGB of an image file, or None where there is none that can be read."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            # Pillow only warns of an image that would unpack to gigabytes.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(Path(path)) as image:
+                return np.asarray(image.convert("RGB"))
+    except (OSError, ValueError, Image.DecompressionBombError, Image.DecompressionBombWarning):
+        return None
+
+
+def pack(linear: NDArray[np.float64]) -> NDArray[np.uint32]:
+    """(n, 3) linear light -> (n,) opaque sRGB as 0xRRGGBBAA."""
+    byte = np.round(255.0 * to_srgb(linear)).astype(np.uint32).reshape(-1, 3)
+    return np.asarray(byte[:, 0] << 24 | byte[:, 1] << 16 | byte[:, 2] << 8 | 255, np.uint32)
+
+
+TABLE = pack(colours(np.linspace(0.0, 1.0, 256), 0.0, 1.0))
+GREY = int(pack(parse_hex(MISSING))[0])
+
+
+class Cloth:
+    """Logs one object of a scene below `path`.
+
+    recording  the rerun stream
+    spec       the object as in the fabric message: name, start, stop, texture, colour
+    arrays     the fabric message's arrays, of all objects
+
+    Raises BadMessage where the arrays do not fit together.
+    """
+
+    def __init__(
+        self, recording: Any, path: str, spec: dict[str, Any], arrays: dict[str, NDArray[Any]], images: ReadImage
+    ) -> None:
+        self.recording, self.path = recording, path
+        self.start, self.stop = int(spec["start"]), int(spec["stop"])
+        n = self.stop - self.start
+        self.faces = self._own(arrays["faces"])
+        self.edges = self._own(arrays["edges"])
+        self.rest = np.ascontiguousarray(arrays["edge_rest"][self._inside(arrays["edges"])], np.float32)
+        self.stretch = np.zeros(len(self.edges), np.float32)
+        self.most = np.zeros(n, np.float32)
+        self.normals = np.zeros((n, 3), np.float32)
+        image = images(spec["texture"]) if spec.get("texture") and "uv" in arrays else None
+        self.untextured = bool(spec.get("texture")) and image is None
+        self.coloured = image is None and not spec.get("colour") and len(self.edges) > 0
+        self._log_static(spec, arrays, image)
+
+    def _inside(self, indices: NDArray[Any]) -> NDArray[np.bool_]:
+        inside = (indices >= self.start) & (indices < self.stop)
+        if (inside.any(axis=1) != inside.all(axis=1)).any():
+            raise BadMessage("a face or spring joins two objects")
+        return np.asarray(inside.all(axis=1))
+
+    def _own(self, indices: NDArray[Any]) -> NDArray[np.int32]:
+        return np.ascontiguousarray(indices[self._inside(indices)] - self.start, np.int32)
+
+    def _log_static(
+        self, spec: dict[str, Any], arrays: dict[str, NDArray[Any]], image: NDArray[np.uint8] | None
+    ) -> None:
+        colour = pack(parse_hex(spec.get("colour") or PLAIN))
+        if not len(self.faces):
+            pinned = arrays["pinned"][self.start : self.stop]
+            points = np.where(pinned, pack(parse_hex("#c0392b")), pack(parse_hex("#34495e")))
+            self._log("masses", rr.Points3D.from_fields(colors=points.astype(np.uint32), radii=MASS_SIZE), static=True)
+            springs = rr.LineStrips3D.from_fields(radii=SPRING_WIDTH, colors=None if self.coloured else colour)
+            self._log("springs", springs, static=True)
+            return
+        self._log("", rr.Mesh3D.from_fields(triangle_indices=self.faces.astype(np.uint32)), static=True)
+        if image is not None:
+            # v points up on cloth and down in images.
+            uv = arrays["uv"][self.start : self.stop] * np.float32([1, -1]) + np.float32([0, 1])
+            shape = rr.components.ImageFormat(
+                width=image.shape[1],
+                height=image.shape[0],
+                color_model=rr.ColorModel.RGB,
+                channel_datatype=rr.ChannelDatatype.U8,
+            )
+            texture = rr.Mesh3D.from_fields(
+                vertex_texcoords=uv, albedo_texture_buffer=image.tobytes(), albedo_texture_format=shape
+            )
+            self._log("", texture, static=True)
+        elif not self.coloured:
+            self._log("", rr.Mesh3D.from_fields(albedo_factor=int(colour[0])), static=True)
+
+    def log(self, positions: NDArray[np.float64]) -> None:
+        """One frame: (n, 3) positions [m] of all objects."""
+        x = np.ascontiguousarray(positions[self.start : self.stop], np.float32)
+        if self.coloured:
+            edge_stretch(x, self.edges, self.rest, self.stretch)
+        if len(self.faces):
+            vertex_normals(x, self.faces, self.normals)
+            mesh = rr.Mesh3D.from_fields(
+                vertex_positions=x, vertex_normals=self.normals, vertex_colors=self._vertex_colours()
+            )
+            self._log("", mesh)
+            return
+        self._log("masses", rr.Points3D.from_fields(positions=x))
+        strips = rr.LineStrips3D.from_fields(
+            strips=segments(x, self.edges), colors=self._paint(self.stretch) if self.coloured else None
+        )
+        self._log("springs", strips)
+
+    def _vertex_colours(self) -> NDArray[np.uint32] | None:
+        if not self.coloured:
+            return None
+        vertex_stretch(self.stretch, self.edges, self.most)
+        return self._paint(self.most)
+
+    @staticmethod
+    def _paint(stretch: NDArray[np.float32]) -> NDArray[np.uint32]:
+        out = np.empty(len(stretch), np.uint32)
+        paint(stretch, TABLE, math.log10(STRETCH[0]), math.log10(STRETCH[1]), GREY, out)
+        return out
+
+    def _log(self, below: str, what: Any, static: bool = False) -> None:
+        self.recording.log(f"{self.path}/{below}" if below else self.path, what, static=static, strict=True)
+
+
+def segments(x: NDArray[np.float32], edges: NDArray[np.int32]) -> Any:
+    """Line strips of two points each, built as arrow arrays: rerun's own way loops over strips in Python."""
+    import pyarrow as pa
+
+    kind = rr.components.LineStrip3DBatch._ARROW_DATATYPE
+    points = pa.FixedSizeListArray.from_arrays(pa.array(x[edges].reshape(-1)), type=kind.value_type)
+    offsets = pa.array(np.arange(0, 2 * len(edges) + 1, 2, dtype=np.int32))
+    return pa.ListArray.from_arrays(offsets, points, type=kind)

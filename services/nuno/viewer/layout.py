@@ -1,0 +1,79 @@
+"""How the viewer's window is arranged, and where its eye stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from nuno_schemas.fabric import Float
+from nuno_schemas.scene import View
+
+TIMELINE = "sim_time"
+HALF_VIEW = 0.5 * np.radians(50.0)
+"""A little less than half of rerun's vertical field of view."""
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Where the viewer looks from and at, (3,) [m]."""
+
+    position: Float
+    target: Float
+
+
+def fit_eye(points: Float, view: View) -> Eye:
+    """An eye that has the ball round all finite points (n, 3) in view, y up; the scene's view wins."""
+    cloud = points[np.isfinite(points).all(axis=1)]
+    if not len(cloud):
+        cloud = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
+    middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
+    target = middle if view.target is None else np.array(view.target)
+    radius = float(np.linalg.norm(cloud - target, axis=1).max()) or 0.5
+    distance = radius / np.sin(HALF_VIEW) if view.distance is None else view.distance
+    level = np.cos(view.elevation)
+    toward = np.array([np.sin(view.azimuth) * level, np.sin(view.elevation), np.cos(view.azimuth) * level])
+    return Eye(target + distance * toward, target)
+
+
+def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
+    """The blueprint: the scene large on the left; curves, log and report beside it."""
+
+    def curves(name: str, what: str) -> Any:
+        return rrb.TimeSeriesView(name=name, origin=f"/plots/{what}", plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop))
+
+    plots = [curves("Energy [J]", "energy"), curves("Largest stretch [%]", "stretch")]
+    if bodies:
+        plots.append(curves("Penetration [mm]", "penetration"))
+    plots.append(curves("Wall time of a frame [ms]", "time"))
+    scene = rrb.Spatial3DView(
+        name="Scene",
+        origin="/world",
+        background=rrb.Background(color=[226, 230, 234]),
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=[0, 1, 0]
+        ),
+    )
+    side = rrb.Tabs(
+        rrb.Vertical(*plots, name="Curves"),
+        rrb.TextDocumentView(name="About", origin="/about"),
+        rrb.TextLogView(name="Log", origin="/log"),
+        rrb.TextDocumentView(name="Report", origin="/report"),
+        active_tab=0,
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(scene, side, column_shares=[2.4, 1.0]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else "playing"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def names(labels: list[str], colour: list[tuple[int, int, int]] | None = None) -> Any:
+    """Names (and colours) of a plot's curves."""
+    return rr.SeriesLines(names=labels, widths=[1.5] * len(labels), colors=colour)

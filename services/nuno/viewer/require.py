@@ -1,0 +1,60 @@
+"""What viewing needs, checked before a run starts."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+from nuno_schemas.errors import BadInput
+
+VIEWS = ("window", "web")
+ADDRESS = "rerun+http://"
+MAGIC = b"RRF"
+
+
+def has_screen() -> bool:
+    """Whether a window can be opened here."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def require(view: str | None, save: Path | None) -> None:
+    """Raises BadInput where a run could not be shown (`view`) or written (`save`) as asked.
+
+    view  "window", "web", the address of a viewer that is open already, or None
+    save  a rerun file to write, or None
+    """
+    if view is None and save is None:
+        return
+    field = "--view" if view is not None else "--save"
+    if importlib.util.find_spec("rerun") is None or importlib.util.find_spec("rerun_cli") is None:
+        raise BadInput("rerun, which shows runs, is not installed", field=field, remedy="pip install 'nuno[view]'")
+    if view is not None and view not in VIEWS and not view.startswith(ADDRESS):
+        known = f"known: {', '.join(VIEWS)}, or an open viewer's address such as {ADDRESS}127.0.0.1:9876/proxy"
+        raise BadInput("no such view", field="--view", value=view, remedy=known)
+    if view == "window" and not has_screen():
+        remedy = "--view web serves a page for a browser; --save FILE.rrd writes a file; --no-view shows nothing"
+        raise BadInput("there is no screen to open a window on", field="--view", value=view, remedy=remedy)
+    if save is not None:
+        _require_target(save)
+
+
+def part_of(path: Path) -> Path:
+    """Where a file is written until it is whole."""
+    return path.with_name(path.name + ".part")
+
+
+def _require_target(path: Path) -> None:
+    if path.suffix != ".rrd":
+        raise BadInput("a rerun file's name ends in .rrd", field="--save", value=str(path), remedy=f"{path}.rrd")
+    part = part_of(path)
+    try:
+        if path.exists() and path.open("rb").read(3) not in (MAGIC, b""):
+            remedy = "choose another name"
+            raise BadInput("the file there is none of rerun's and would be lost", field="--save", value=str(path), remedy=remedy)
+        part.open("wb").close()
+        part.unlink()
+    except OSError as error:
+        remedy = "choose a folder that exists and can be written"
+        raise BadInput(f"cannot write there: {error.strerror}", field="--save", value=str(path), remedy=remedy) from None

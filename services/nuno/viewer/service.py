@@ -1,0 +1,92 @@
+"""The viewer service: shows a run in rerun, live, in a file, or both."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS, Ack, Topic
+
+from nuno.arrays import BadMessage
+from nuno.bus import Inbox, Message
+from nuno.service import Context, ack_topic, each_message
+from nuno.viewer.live import LiveView
+from nuno.viewer.require import require
+
+EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
+TOPICS = [FABRIC, GEOMETRY, BODIES, STATE, STATUS, PENETRATION, EVENTS, REPORT]
+DRAIN_SECONDS = 0.1
+"""How long the bus must be quiet, after the end of a run, until nothing more is on its way."""
+
+
+class Viewer:
+    """The views of one run."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.seconds = 0.0
+        self.frames = 0
+        options, view = context.options, context.loaded.scene.view
+        self.file: Any = None
+        if options.save is not None:
+            from nuno.viewer.file import RerunFile
+
+            self.file = RerunFile(options.save, context.bus.run, view)
+        self.live = LiveView(options.view, context.bus.run, view, self.announce) if options.view else None
+        self.acknowledges = context.bus.service in options.must_see
+        # Without a file a viewer may come late, and then sees what is new.
+        self.inbox = Inbox(context.bus, TOPICS, newest_only=self.file is None)
+
+    def announce(self, kind: str, text: str) -> None:
+        page = {"page": self.live.page, "pid": self.live.pid} if self.live is not None and self.live.page else {}
+        self.context.event(kind, text, **page)
+
+    def handle(self, message: Message) -> None:
+        """Show one message, and acknowledge it if it is a frame that must be seen."""
+        start = time.perf_counter()
+        header = message.header
+        if self.live is not None:
+            self.live.feed(message.topic, header.frame, header.t, message.payload)
+        if self.file is not None:
+            try:
+                self.file.feed(message.topic, header.frame, header.t, message.payload)
+            except BadMessage:
+                self.inbox.counts.refused[message.topic] += 1
+        if message.topic == STATE.name:
+            self.frames += 1
+            if self.acknowledges:
+                ack = Ack(service=self.context.bus.service, frame=header.frame)
+                topic = ack_topic(self.context.bus.service)
+                self.context.bus.publisher(topic).put(ack.model_dump_json().encode(), header.frame, header.t)
+        self.seconds += time.perf_counter() - start
+
+    def drain(self) -> None:
+        """Handle what is still on its way."""
+        while isinstance(item := self.inbox.get(DRAIN_SECONDS), Message):
+            self.handle(item)
+
+    def close(self) -> dict[str, Any]:
+        """End the views; what they showed. Raises RunFailed if the file could not be written."""
+        summary: dict[str, Any] = {"frames": self.frames, "seconds": self.seconds}
+        if self.live is not None:
+            self.live.finish()
+            summary |= {"shown": self.live.shown, "skipped": self.live.skipped, "error": self.live.error}
+            summary |= {"pid": self.live.pid, "page": self.live.page}
+        if self.file is not None:
+            file, self.file = self.file, None
+            summary |= {"saved": file.bridge.frames, "file": str(file.finish())}
+        return summary
+
+
+def main(context: Context) -> None:
+    """Show one run until asked to finish. Raises BadInput, RunFailed."""
+    require(context.options.view, context.options.save)
+    viewer = Viewer(context)
+    try:
+        finish = each_message(context, viewer.inbox, viewer.handle)
+        viewer.drain()
+    except RunFailed:
+        viewer.close()
+        raise
+    finish.answer_json(context.counts(viewer.inbox) | {"viewer": viewer.close()})

@@ -1,0 +1,143 @@
+"""The process between a run and a live viewer: it may hang or die without harm to the run.
+
+Reads frames from its standard input, each a JSON line {topic, frame, t, size} and `size` bytes,
+and writes JSON lines about itself to its standard output. It starts the viewer, too, which stays
+open when the run is over.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from typing import Any, BinaryIO
+
+from nuno_schemas.scene import View
+
+START_SECONDS = 20.0
+"""How long a viewer may take until it listens."""
+FLUSH_SECONDS = 10.0
+"""How long it may take to accept one frame."""
+LOOPBACK = "127.0.0.1"
+
+
+def say(**what: Any) -> None:
+    """Tell the run one thing."""
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+def port_or_free(port: int) -> int:
+    """`port` where nothing listens on it, for addresses that do not change; else any free one."""
+    for choice in (port, 0):
+        with socket.socket() as probe:
+            if os.name == "posix":
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((LOOPBACK, choice))
+                return int(probe.getsockname()[1])
+            except OSError:
+                continue
+    raise OSError("no free port on loopback")
+
+
+def listens(port: int, host: str = LOOPBACK) -> bool:
+    """Whether somebody accepts connections there."""
+    try:
+        socket.create_connection((host, port), timeout=1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+def start_viewer(mode: str) -> tuple[subprocess.Popen[bytes], str, str]:
+    """Start rerun on loopback: the process, the address to stream to, the page ("" for a window).
+
+    The real binary, because the console script would leave it behind on a signal; a session of
+    its own, so that an interrupt of the run does not close the window.
+    """
+    import rerun_cli
+
+    binary = os.path.join(rerun_cli.__path__[0], "rerun.exe" if os.name == "nt" else "rerun")
+    port = port_or_free(9876)
+    command = [binary, "--bind", LOOPBACK, "--port", str(port)]
+    address, page = f"rerun+http://{LOOPBACK}:{port}/proxy", ""
+    if mode == "web":
+        web = port_or_free(9090)
+        command += ["--serve-web", "--web-viewer-port", str(web)]
+        page = f"http://{LOOPBACK}:{web}/?url=rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
+    else:
+        command += ["--hide-welcome-screen", "--expect-data-soon", "--memory-limit", "25%"]
+    quiet = subprocess.DEVNULL
+    viewer = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
+    end = time.monotonic() + START_SECONDS
+    while not listens(port):
+        if viewer.poll() is not None or time.monotonic() > end:
+            viewer.kill()
+            raise OSError("the viewer did not start")
+        time.sleep(0.05)
+    return viewer, address, page
+
+
+def connect(address: str, run: str) -> Any:
+    """A recording stream to a viewer. Raises OSError where nobody listens."""
+    import rerun as rr
+
+    from nuno.viewer.bridge import APPLICATION
+
+    place = address.split("//", 1)[1].split("/", 1)[0]
+    host, _, port = place.rpartition(":")
+    if not port.isdigit() or not listens(int(port), host.strip("[]")):
+        raise OSError(f"no viewer listens at {address}")
+    recording = rr.RecordingStream(APPLICATION, recording_id=run)
+    recording.connect_grpc(address)
+    return recording
+
+
+def pump(source: BinaryIO, recording: Any, view: View) -> int:
+    """Log what comes until the input ends; frames shown.
+
+    Each frame is flushed with a limit: that hands a slow viewer's pace on to the run's ring,
+    which then skips frames, and keeps this process from collecting what nobody takes.
+    """
+    from nuno_schemas.messages import STATE
+
+    from nuno.arrays import BadMessage
+    from nuno.viewer.bridge import Bridge
+
+    bridge = Bridge(recording, view, live=True)
+    while line := source.readline():
+        head = json.loads(line)
+        payload = source.read(head["size"])
+        try:
+            bridge.feed(head["topic"], head["frame"], head["t"], payload)
+        except BadMessage:
+            continue
+        if head["topic"] == STATE.name:
+            recording.flush(timeout_sec=FLUSH_SECONDS)
+            say(shown=bridge.frames)
+    recording.flush(timeout_sec=FLUSH_SECONDS)
+    return bridge.frames
+
+
+def main(mode: str, run: str, view: str) -> None:
+    """Show what comes on standard input in a new viewer ("window", "web") or the one at an address."""
+    try:
+        address = mode
+        if mode in ("window", "web"):
+            viewer, address, page = start_viewer(mode)
+            say(pid=viewer.pid, address=address, page=page)
+        recording = connect(address, run)
+        pump(sys.stdin.buffer, recording, View.model_validate_json(view))
+    except Exception as error:
+        say(error=str(error) or type(error).__name__)
+    # Leaving in the ordinary way would wait for a viewer that may never answer.
+    sys.stdout.flush()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:4])

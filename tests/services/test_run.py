@@ -1,0 +1,206 @@
+"""Runs: the same bits wherever services run, control, resume, and what happens when one dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import nuno
+import psutil
+import pytest
+from nuno import runs, scene_file, supervisor
+from nuno.recording.restore import control_events
+from nuno.service import Options
+from nuno.supervisor import Deployment, Outcome
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import Status
+
+from scenes import BALL, write_scene
+
+
+def test_threads_and_processes_end_in_the_same_bits(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, bodies=BALL)
+    threads = nuno.run(scene)
+    processes = nuno.run(scene, processes=True)
+    assert threads.state == processes.state == "done"
+    assert threads.digest == processes.digest
+    assert (threads.x == processes.x).all()
+    for result in (threads, processes):
+        assert result.report["missing"] == result.report["refused"] == 0
+        assert result.report["frames"]["sent"] == result.report["frames"]["recorded"] == 26
+
+
+def test_a_scene_starts_only_the_services_it_needs(tmp_path: Path) -> None:
+    assert nuno.run(write_scene(tmp_path)).report["services"] == ["simulation", "recorder"]
+    assert nuno.run(write_scene(tmp_path, bodies=BALL)).report["services"] == ["simulation", "collision", "recorder"]
+
+
+def test_resumed_run_ends_in_the_same_bits(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, bodies=BALL)
+    whole = nuno.run(scene, record=tmp_path / "whole.mcap")
+    part = nuno.run(scene, "duration=0.24", record=tmp_path / "part.mcap")
+    assert part.digest != whole.digest
+    loaded = scene_file.read(scene)
+    options = Options(record=tmp_path / "resumed.mcap", resume=part.path)
+    resumed = supervisor.supervise(loaded, options)
+    assert resumed.state == "done"
+    assert resumed.summary["digest"] == whole.digest
+
+
+class Run:
+    """A run in a thread of its own, to be disturbed from outside."""
+
+    def __init__(self, scene: Path, processes: bool, record: Path) -> None:
+        self.loaded = scene_file.read(scene)
+        self.run = supervisor.new_run_id("test")
+        self.options = Options(record=record)
+        self.frames: list[Status] = []
+        self.moved = threading.Event()
+        self.outcome: Outcome | None = None
+        self.deployment = Deployment(processes=processes, run=self.run)
+        self.thread = threading.Thread(target=self._body)
+        self.thread.start()
+
+    def _body(self) -> None:
+        self.outcome = supervisor.supervise(self.loaded, self.options, self.deployment, self._note)
+
+    def _note(self, status: Status) -> None:
+        self.frames.append(status)
+        self.moved.set()
+
+    def control(self, action: str, **request: object) -> dict[str, object]:
+        return supervisor.control(self.run, runs.running()[self.run], {"action": action, **request})
+
+    def join(self) -> Outcome:
+        self.thread.join(60)
+        assert self.outcome is not None
+        return self.outcome
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < deadline
+
+
+def frames_in(path: Path) -> int:
+    """Frames that can be read from a recording, finished or not."""
+    with nuno.open(path) as recording:
+        return sum(1 for _ in recording.frames())
+
+
+@pytest.fixture
+def long_run(tmp_path: Path) -> Callable[..., Run]:
+    """A run of 20,000 frames that has taken its first."""
+
+    def start(processes: bool = False) -> Run:
+        run = Run(write_scene(tmp_path, bodies=BALL, duration=400.0), processes, tmp_path / "long.mcap")
+        assert run.moved.wait(60)
+        return run
+
+    return start
+
+
+def test_control_pauses_steps_changes_and_stops(long_run: Callable[..., Run]) -> None:
+    run = long_run()
+    paused = run.control("pause")
+    assert paused["state"] == "paused"
+    frame = run.control("status")["frame"]
+    assert run.control("status")["frame"] == frame
+    run.control("step", frames=3)
+    wait_until(lambda: run.control("status")["state"] == "paused")
+    assert run.control("status")["frame"] == int(str(frame)) + 3
+    assert run.control("set", item="damping=2.5")["ok"]
+    refused = run.control("set", item="dampin=2.5")
+    assert not refused["ok"]
+    assert not run.control("dance")["ok"]
+    run.control("resume")
+    run.control("stop")
+    outcome = run.join()
+    assert outcome.state == "stopped"
+    recording = nuno.open(run.options.record)  # type: ignore[arg-type]
+    assert [event.text for event in control_events(recording)] == ["pause", "step", "set", "resume", "stop"]
+
+
+@pytest.mark.parametrize("service", ["simulation", "collision", "recorder"])
+def test_killed_service_ends_the_run_and_is_named(long_run: Callable[..., Run], service: str) -> None:
+    run = long_run(processes=True)
+    record = run.options.record
+    assert record is not None
+    wait_until(lambda: frames_in(record.with_name(record.name + ".part")) > 0)
+    child = next(p for p in psutil.Process().children() if p.cmdline()[3:5] == ["serve", service] and run.run in p.cmdline())
+    os.kill(child.pid, signal.SIGKILL)
+    outcome = run.join()
+    assert outcome.state == "failed"
+    assert f"the {service} service died" in outcome.error
+    assert frames_in(record if record.exists() else record.with_name(record.name + ".part")) > 0
+
+
+def test_a_service_that_raises_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from nuno.collision.service import Collision
+
+    def fail(self: Collision, message: object) -> None:
+        raise OSError("the sensor is on fire")
+
+    monkeypatch.setattr(Collision, "measure", fail)
+    with pytest.raises(RunFailed, match=r"collision service died.*the sensor is on fire"):
+        nuno.run(write_scene(tmp_path, bodies=BALL))
+
+
+def test_divergence_fails_plainly_and_keeps_the_recording(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, solver={"plugin": "euler", "dt": "20 ms"}, allow_unstable=True, duration=20.0)
+    record = tmp_path / "diverged.mcap"
+    with pytest.raises(RunFailed, match="diverged"):
+        nuno.run(scene, record=record)
+    recording = nuno.open(record)
+    assert recording.report()["state"] == "diverged"
+
+
+def test_step_above_the_limit_is_refused_with_limit_and_remedy(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, solver={"plugin": "symplectic_euler", "dt": "20 ms"})
+    with pytest.raises(BadInput, match="above the stability limit") as caught:
+        nuno.run(scene, record=tmp_path / "refused.mcap")
+    assert "limit:" in str(caught.value)
+    assert "allow_unstable" in str(caught.value)
+    assert not list(tmp_path.glob("refused*"))
+
+
+def test_nothing_listens_beyond_loopback(long_run: Callable[..., Run]) -> None:
+    run = long_run()
+    sockets = [c for c in psutil.Process().net_connections() if c.status == psutil.CONN_LISTEN or c.type.name == "SOCK_DGRAM"]
+    run.control("stop")
+    run.join()
+    assert sockets
+    assert {c.laddr.ip for c in sockets} == {"127.0.0.1"}
+
+
+def test_services_started_by_hand(tmp_path: Path) -> None:
+    """Router, services and run as plain processes, as in docker-compose.yml."""
+    scene = write_scene(tmp_path, bodies=BALL)
+    endpoint = f"tcp/127.0.0.1:{supervisor.free_port()}"
+    record = tmp_path / "hand.mcap"
+    common = [str(scene), "--run", "hand", "--connect", endpoint]
+    commands = [
+        ["serve", "collision", *common],
+        ["serve", "simulation", *common, "--must-see", "collision", "--must-see", "recorder"],
+        ["serve", "recorder", *common, "--record", str(record)],
+        ["run", *common, "--record", str(record), "--no-view"],
+        ["serve", "router", "--listen", endpoint],
+    ]
+    children = [subprocess.Popen([sys.executable, "-m", "nuno", *command], stdout=subprocess.DEVNULL) for command in commands]
+    try:
+        codes = [child.wait(60) for child in children[:4]]
+    finally:
+        for child in children:
+            child.terminate()
+        assert children[-1].wait(20) == 0
+    assert codes == [0, 0, 0, 0]
+    recorded = nuno.open(record)
+    assert recorded.complete
+    assert recorded.last_checkpoint().digest == nuno.run(scene).digest
