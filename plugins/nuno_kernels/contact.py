@@ -15,6 +15,10 @@ oscillator k, c and limits the step exactly as much as the normal spring alone, 
 give before sliding is mu times the depth. A larger k_t would cost step size, a smaller one only
 adds give; elastic spheres have 2/3 <= k_t/k <= 1 (Mindlin 1949).
 
+A commit looks only at the vertices that touched at the step's last evaluation, with the primitive
+they touched: a search of its own would nearly double the cost. A vertex that arrives after that
+evaluation gets its anchor a step later, before which it has nothing to be held by anyway.
+
 An anchor remembers the frame that carries it. When the deepest primitive changes frame (from
 thigh to shin) the anchor passes over at its present world position, so friction does not jump.
 
@@ -24,7 +28,6 @@ for any number of threads. All scratch is in `Contact`; nothing is allocated in 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -32,19 +35,9 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.contact_distance import (
-    BOX,
-    CAPSULE,
-    LANES,
-    are_apart,
-    find_bounds,
-    inlined,
-    lower_box,
-    lower_capsule,
-    lower_plane,
-    primitive_distance,
-)
+from nuno_kernels.contact_distance import LANES, find_bounds
 from nuno_kernels.contact_poses import pose_bodies, set_poses
+from nuno_kernels.contact_response import add_body, commit_body, drop_anchors, find_deepest
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Float, Int
 
@@ -88,7 +81,7 @@ class Contact(NamedTuple):
     shift: Float
     """(f, 3) [m] over the interval"""
     anchor: Float
-    """(3 b, n) friction anchors in their frame [m], three rows a body: part of the state"""
+    """(b, 3, n) friction anchors in their frame [m]: part of the state"""
     anchor_frame: Int
     """(b, n) frame that carries the anchor, -1 where there is none: part of the state"""
     frames: Float
@@ -98,7 +91,9 @@ class Contact(NamedTuple):
     distance: Float
     """(n,) scratch: least distance to the primitives of one body, 0 where none is negative"""
     deepest: NDArray[np.int64]
-    """(n,) scratch: the primitive that has it, -1 where none is"""
+    """(b, n) scratch of the last evaluation: the body's deepest primitive, -1 where none touches"""
+    near: NDArray[np.bool_]
+    """(b, B) scratch of the last evaluation: whether the body was within reach of the block"""
     lanes: Float
     """(B, 16) scratch"""
     bounds: Float
@@ -114,163 +109,37 @@ def count_contacts(contact: Contact) -> dict[str, int]:
 
 
 @kernel
-def find_deepest(
-    x: Float,
-    low: int,
-    high: int,
-    first: int,
-    last: int,
-    kind: NDArray[np.int8],
-    frame: Int,
-    posed: Float,
-    frames: Float,
-    bounds: Float,
-    block: int,
-    distance: Float,
-    deepest: NDArray[np.int64],
-) -> bool:
-    """Deepest of primitives [first, last) for vertices [low, high); False if none can be inside."""
-    near = False
-    for p in range(first, last):
-        if are_apart(kind[p], posed, p, bounds, block):
-            continue
-        if not near:
-            near = True
-            for i in range(low, high):
-                distance[i], deepest[i] = 0.0, -1
-        if kind[p] == CAPSULE:
-            lower_capsule(x, low, high, posed, p, distance, deepest)
-        elif kind[p] == BOX:
-            lower_box(x, low, high, posed, p, frames, frame[p], distance, deepest)
-        else:
-            lower_plane(x, low, high, posed, p, distance, deepest)
-    return near
-
-
-@inlined
-def respond(
-    x: Float,
-    v: Float,
-    i: int,
-    body: int,
-    p: int,
-    kind: int,
-    f: int,
-    k: float,
-    c: float,
-    posed: Float,
-    frames: Float,
-    anchor: Float,
-    anchor_frame: Int,
-) -> tuple[float, float, float, float, float, float, float, float, float, float, int]:
-    """Contact of vertex i with primitive p, which moves with frame f.
-
-    Returns the normal, N [N], the elongation of the friction spring in the tangent plane [m], the
-    tangential velocity relative to the body [m/s], and the on-axis mark.
-    """
-    px, py, pz = x[0, i], x[1, i], x[2, i]
-    distance, nx, ny, nz, on_axis = primitive_distance(px, py, pz, kind, posed, p, frames, f)
-    rx, ry, rz = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
-    ux = v[0, i] - frames[f, 12] - (frames[f, 16] * rz - frames[f, 17] * ry)
-    uy = v[1, i] - frames[f, 13] - (frames[f, 17] * rx - frames[f, 15] * rz)
-    uz = v[2, i] - frames[f, 14] - (frames[f, 15] * ry - frames[f, 16] * rx)
-    un = ux * nx + uy * ny + uz * nz
-    normal = max(0.0, -k * distance - c * un)
-    ex, ey, ez = 0.0, 0.0, 0.0
-    g = anchor_frame[body, i]
-    if g >= 0:
-        ax, ay, az = anchor[3 * body, i], anchor[3 * body + 1, i], anchor[3 * body + 2, i]
-        ex = px - (frames[g, 9] + frames[g, 0] * ax + frames[g, 1] * ay + frames[g, 2] * az)
-        ey = py - (frames[g, 10] + frames[g, 3] * ax + frames[g, 4] * ay + frames[g, 5] * az)
-        ez = pz - (frames[g, 11] + frames[g, 6] * ax + frames[g, 7] * ay + frames[g, 8] * az)
-        en = ex * nx + ey * ny + ez * nz
-        ex, ey, ez = ex - en * nx, ey - en * ny, ez - en * nz
-    return nx, ny, nz, normal, ex, ey, ez, ux - un * nx, uy - un * ny, uz - un * nz, on_axis
-
-
-@inlined
-def place_anchor(
-    x: Float,
-    i: int,
-    body: int,
-    f: int,
-    ex: float,
-    ey: float,
-    ez: float,
-    stretch: float,
-    limit: float,
-    frames: Float,
-    anchor: Float,
-    anchor_frame: Int,
-) -> None:
-    """Anchor of a touching vertex after a step: left alone while it sticks, else dragged along
-    until the spring's force `stretch` [N] is `limit` [N].
-    """
-    if anchor_frame[body, i] == f and stretch <= limit:
-        return
-    share = limit / stretch if stretch > limit else 1.0
-    ax = x[0, i] - share * ex - frames[f, 9]
-    ay = x[1, i] - share * ey - frames[f, 10]
-    az = x[2, i] - share * ez - frames[f, 11]
-    for c in range(3):
-        anchor[3 * body + c, i] = frames[f, c] * ax + frames[f, 3 + c] * ay + frames[f, 6 + c] * az
-    anchor_frame[body, i] = f
-
-
-@kernel
 def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) -> None:
     """Add the contact force [N] on the vertices of one block; bodies are posed already."""
-    q = contact
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    find_bounds(x, low, high, q.lanes, q.bounds, block)
-    for body in range(q.first.shape[0] - 1):
-        if not find_deepest(
-            x, low, high, q.first[body], q.first[body + 1], q.kind, q.frame, q.posed, q.frames, q.bounds, block,
-            q.distance, q.deepest,
+    find_bounds(x, low, high, contact.lanes, contact.bounds, block)
+    for body in range(contact.friction.shape[0]):
+        if find_deepest(
+            x, low, high, contact.first[body], contact.first[body + 1], contact.kind, contact.frame, contact.posed,
+            contact.frames, contact.bounds, block, contact.distance, contact.deepest, contact.near, body,
         ):  # fmt: skip
-            continue
-        for i in range(low, high):
-            p = q.deepest[i]
-            if p < 0:
-                continue
-            k, c = q.stiffness[body, i], q.damping[body, i]
-            nx, ny, nz, normal, ex, ey, ez, tx, ty, tz, on_axis = respond(
-                x, v, i, body, p, q.kind[p], q.frame[p], k, c, q.posed, q.frames, q.anchor, q.anchor_frame
-            )
-            fx, fy, fz = -k * ex - c * tx, -k * ey - c * ty, -k * ez - c * tz
-            size, limit = math.sqrt(fx * fx + fy * fy + fz * fz), q.friction[body] * normal
-            share = limit / size if size > limit else 1.0
-            force[0, i] += normal * nx + share * fx
-            force[1, i] += normal * ny + share * fy
-            force[2, i] += normal * nz + share * fz
-            q.tally[block, 1] += on_axis
+            contact.tally[block, 1] += add_body(
+                x, v, low, high, body, contact.kind, contact.frame, contact.stiffness, contact.damping,
+                contact.friction, contact.posed, contact.frames, contact.deepest, contact.anchor,
+                contact.anchor_frame, force,
+            )  # fmt: skip
 
 
 @kernel
 def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
     """Set, drag along or drop the friction anchors of one block; bodies are posed already."""
-    q = contact
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    find_bounds(x, low, high, q.lanes, q.bounds, block)
     touching = 0
-    for body in range(q.first.shape[0] - 1):
-        near = find_deepest(
-            x, low, high, q.first[body], q.first[body + 1], q.kind, q.frame, q.posed, q.frames, q.bounds, block,
-            q.distance, q.deepest,
-        )  # fmt: skip
-        for i in range(low, high):
-            p = q.deepest[i] if near else -1
-            if p < 0:
-                q.anchor_frame[body, i] = -1
-                continue
-            touching += 1
-            k, c = q.stiffness[body, i], q.damping[body, i]
-            _, _, _, normal, ex, ey, ez, _, _, _, _ = respond(
-                x, v, i, body, p, q.kind[p], q.frame[p], k, c, q.posed, q.frames, q.anchor, q.anchor_frame
-            )
-            stretch, limit = k * math.sqrt(ex * ex + ey * ey + ez * ez), q.friction[body] * normal
-            place_anchor(x, i, body, q.frame[p], ex, ey, ez, stretch, limit, q.frames, q.anchor, q.anchor_frame)
-    q.tally[block, 0] = touching
+    for body in range(contact.friction.shape[0]):
+        if contact.near[body, block]:
+            touching += commit_body(
+                x, v, low, high, body, contact.kind, contact.frame, contact.stiffness, contact.damping,
+                contact.friction, contact.posed, contact.frames, contact.deepest, contact.anchor,
+                contact.anchor_frame,
+            )  # fmt: skip
+        else:
+            drop_anchors(low, high, body, contact.anchor_frame)
+    contact.tally[block, 0] = touching
 
 
 @kernel
@@ -283,7 +152,10 @@ def add_contact(x: Float, v: Float, s: float, contact: Contact, force: Float) ->
 
 @kernel
 def commit_contact(x: Float, v: Float, s: float, contact: Contact) -> None:
-    """Update the friction anchors after a completed step that ends at fraction s."""
+    """Update the friction anchors after a completed step that ends at fraction s.
+
+    Goes by what touched at the last `add_contact`, which every step calls before.
+    """
     pose_bodies(s, contact)
     for block in range(contact.bounds.shape[0]):
         commit_block(block, x, v, contact)
@@ -334,12 +206,13 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         origin0=np.zeros((frames, 3)),
         spin=np.zeros((frames, 3)),
         shift=np.zeros((frames, 3)),
-        anchor=np.zeros((3 * bodies, n)),
+        anchor=np.zeros((bodies, 3, n)),
         anchor_frame=np.full((bodies, n), -1, np.int32),
         frames=np.zeros((frames, 18)),
         posed=np.zeros((order.shape[0], 14)),
         distance=np.zeros(n),
-        deepest=np.full(n, -1, np.int64),
+        deepest=np.full((bodies, n), -1, np.int64),
+        near=np.zeros((bodies, blocks), np.bool_),
         lanes=np.zeros((blocks, 2 * LANES)),
         bounds=np.zeros((blocks, 6)),
         tally=np.zeros((blocks, 2), np.int64),

@@ -36,6 +36,8 @@ from nuno_schemas.fabric import Float
 Reading = tuple[float, float, float, float, int]
 """Distance [m], normal x, y, z, and 1 for a point on a capsule's axis, else 0."""
 
+Index = int | np.uint64
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -76,7 +78,7 @@ def across(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
 
 
 @inlined
-def capsule_distance(px: float, py: float, pz: float, posed: Float, p: int) -> Reading:
+def capsule_distance(px: float, py: float, pz: float, posed: Float, p: Index) -> Reading:
     """(distance, normal x, y, z, 1 if the point lies on the axis else 0)."""
     dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
     ex, ey, ez = px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]
@@ -91,7 +93,7 @@ def capsule_distance(px: float, py: float, pz: float, posed: Float, p: int) -> R
 
 
 @inlined
-def box_distance(px: float, py: float, pz: float, posed: Float, p: int, frames: Float, f: int) -> Reading:
+def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
     """(distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
     ex, ey, ez = px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]
     lx = frames[f, 0] * ex + frames[f, 3] * ey + frames[f, 6] * ez
@@ -122,7 +124,7 @@ def box_distance(px: float, py: float, pz: float, posed: Float, p: int, frames: 
 
 @inlined
 def primitive_distance(
-    px: float, py: float, pz: float, kind: int, posed: Float, p: int, frames: Float, f: int
+    px: float, py: float, pz: float, kind: int, posed: Float, p: Index, frames: Float, f: Index
 ) -> Reading:
     """(distance, normal x, y, z, on-axis mark) of any posed primitive."""
     if kind == CAPSULE:
@@ -136,9 +138,9 @@ def primitive_distance(
 
 @kernel
 def lower_capsule(
-    x: Float, low: int, high: int, posed: Float, p: int, distance: Float, deepest: NDArray[np.int64]
+    x: Float, low: int, high: int, posed: Float, p: int, distance: Float, deepest: NDArray[np.int64], body: int
 ) -> None:
-    """distance[i] = min(distance[i], that to this capsule), and deepest[i] = p where it is less.
+    """distance[i] = min(distance[i], that to this capsule), and deepest[body, i] = p where it is less.
 
     Free of branches over [low, high), so that it vectorises.
     """
@@ -150,23 +152,23 @@ def lower_capsule(
         s = min(max((ex * dx + ey * dy + ez * dz) * inverse, 0.0), 1.0)
         ex, ey, ez = ex - s * dx, ey - s * dy, ez - s * dz
         d = math.sqrt(ex * ex + ey * ey + ez * ez) - radius
-        least, which = distance[i], deepest[i]
+        least, which = distance[i], deepest[body, i]
         distance[i] = min(least, d)
-        deepest[i] = p if d < least else which
+        deepest[body, i] = p if d < least else which
 
 
 @kernel
 def lower_plane(
-    x: Float, low: int, high: int, posed: Float, p: int, distance: Float, deepest: NDArray[np.int64]
+    x: Float, low: int, high: int, posed: Float, p: int, distance: Float, deepest: NDArray[np.int64], body: int
 ) -> None:
     """As lower_capsule, for a plane."""
     ax, ay, az = posed[p, 0], posed[p, 1], posed[p, 2]
     nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
     for i in range(np.uint64(low), np.uint64(high)):
         d = (x[0, i] - ax) * nx + (x[1, i] - ay) * ny + (x[2, i] - az) * nz
-        least, which = distance[i], deepest[i]
+        least, which = distance[i], deepest[body, i]
         distance[i] = min(least, d)
-        deepest[i] = p if d < least else which
+        deepest[body, i] = p if d < least else which
 
 
 @kernel
@@ -180,13 +182,14 @@ def lower_box(
     f: int,
     distance: Float,
     deepest: NDArray[np.int64],
+    body: int,
 ) -> None:
     """As lower_capsule, for a box, with branches."""
     for i in range(low, high):
         d = box_distance(x[0, i], x[1, i], x[2, i], posed, p, frames, f)[0]
         if d < distance[i]:
             distance[i] = d
-            deepest[i] = p
+            deepest[body, i] = p
 
 
 @kernel

@@ -1,5 +1,6 @@
 """Colliders: what they build lies in Geometry's layout, and bad input is refused by name."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -136,7 +137,7 @@ def test_pieces_cover_their_bone_end_to_end(body, split, request):
             depth = max(radius - segment_distance(s * bone, a, b) for a, b, radius in pieces)
             assert depth > -1e-12, (mover.joints[parent], s)
         along = [(a, b) for a, b, _ in pieces if np.linalg.norm(np.cross(b - a, bone)) < 1e-12]
-        for (_, b), (a, _) in zip(along, along[1:], strict=False):
+        for (_, b), (a, _) in itertools.pairwise(along):
             np.testing.assert_allclose(a if a.any() else b, b, atol=1e-14)
 
 

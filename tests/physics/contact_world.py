@@ -73,6 +73,12 @@ def fall(x, v, mass, gravity, contact, s0, s1, steps, dt, force):
         commit_contact(x, v, s0 + (step + 1) * ds, contact)
 
 
+def settle(contact, x, v, s=0.0):
+    """End a step at x, v: an evaluation and the commit that goes by it."""
+    add_contact(x, v, s, contact, np.zeros_like(x))
+    commit_contact(x, v, s, contact)
+
+
 def points(*rows):
     """(3, n) positions from rows of x, y, z."""
     return np.ascontiguousarray(np.array(rows, np.float64).T)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from contact_world import STILL, G, capsule, contact_for, fall, geometry, move, plane, points
+from contact_world import STILL, G, capsule, contact_for, fall, geometry, move, plane, points, settle
 
-from nuno_kernels.contact import add_contact, commit_contact
+from nuno_kernels.contact import add_contact
 
 MU = 0.4
 
@@ -18,7 +18,7 @@ def on_incline(alpha, k, mass, mu=MU):
     """A vertex at its rest depth on an incline, with its anchor set."""
     contact = contact_for(geometry(plane(), friction=mu), mass, k)
     x, v = points((0.0, -mass[0] * G * np.cos(alpha) / k, 0.0)), np.zeros((3, 1))
-    commit_contact(x, v, 0.0, contact)
+    settle(contact, x, v)
     return contact, x, v
 
 
@@ -86,7 +86,7 @@ def test_a_turntable_carries_a_point_while_friction_can_hold_it(share):
     omega = np.sqrt(share * MU * G / radius)
     contact = contact_for(geometry(plane(), friction=MU), mass, k)
     x, v = points((radius, -mass[0] * G / k, 0.0)), points((0.0, 0.0, -omega * radius))
-    commit_contact(x, v, 0.0, contact)
+    settle(contact, x, v)
     frame_time = 0.02
     for k in range(50):
         before, after = (0.5 * omega * frame_time * i for i in (k, k + 1))
@@ -113,15 +113,15 @@ def test_an_anchor_passes_from_frame_to_frame_without_a_jump():
     move(contact, 1.0, turn0=turn, start=[(0, 0, 0), (0, 0, 1.3)])
     v, force = np.zeros((3, 1)), np.zeros((3, 1))
     x = points((0.0, 0.45, 1.0))
-    commit_contact(x, v, 0.0, contact)
+    settle(contact, x, v)
     assert contact.anchor_frame[0, 0] == 0
     x[2] += 0.14
     add_contact(x, v, 0.0, contact, before := force.copy())
-    commit_contact(x, v, 0.0, contact)
+    settle(contact, x, v)
     assert contact.anchor_frame[0, 0] == 0
     x[2] += 0.02
     add_contact(x, v, 0.0, contact, between := force.copy())
-    commit_contact(x, v, 0.0, contact)
+    settle(contact, x, v)
     assert contact.anchor_frame[0, 0] == 1
     add_contact(x, v, 0.0, contact, after := force.copy())
     np.testing.assert_allclose(after, between, atol=1e-12)
@@ -135,7 +135,7 @@ def test_friction_is_never_more_than_mu_times_the_normal_force():
     contact = contact_for(geometry(plane(), friction=MU), mass, 50.0)
     x, v = rng.normal(size=(3, n)) * 0.1, rng.normal(size=(3, n))
     for _ in range(5):
-        commit_contact(x, v, 0.0, contact)
+        settle(contact, x, v)
         x, v = x + 0.05 * rng.normal(size=(3, n)), rng.normal(size=(3, n))
         force = np.zeros((3, n))
         add_contact(x, v, 0.0, contact, force)
@@ -149,9 +149,9 @@ def test_leaving_the_body_drops_the_anchor():
     mass = np.ones(1)
     contact = contact_for(geometry(plane(), friction=MU), mass, 50.0)
     v = np.zeros((3, 1))
-    commit_contact(points((0.0, -0.1, 0.0)), v, 0.0, contact)
+    settle(contact, points((0.0, -0.1, 0.0)), v)
     assert contact.anchor_frame[0, 0] == 0
-    commit_contact(points((0.0, 1e-9, 0.0)), v, 0.0, contact)
+    settle(contact, points((0.0, 1e-9, 0.0)), v)
     assert contact.anchor_frame[0, 0] == -1
     add_contact(points((0.2, -0.1, 0.0)), v, 0.0, contact, force := np.zeros((3, 1)))
     np.testing.assert_array_equal(force[:, 0], [0.0, 5.0, 0.0])
