@@ -21,7 +21,7 @@ from nuno_kernels.contact import (
     commit_contact,
     commit_contact_parallel,
 )
-from nuno_kernels.hinges import HingeLists, add_hinges
+from nuno_kernels.hinges import HingeLists, HingeRuns, add_hinge_lists, add_hinge_runs
 from nuno_kernels.springs import SpringLists, SpringRuns, add_lists, add_runs
 from nuno_kernels.wind import ParticleWind, Wind, gather_wind, measure_wind
 from nuno_schemas.fabric import Float
@@ -45,7 +45,8 @@ class Packed(NamedTuple):
     damping: float
     runs: SpringRuns | None = None
     lists: SpringLists | None = None
-    hinges: HingeLists | None = None
+    hinge_runs: HingeRuns | None = None
+    hinge_lists: HingeLists | None = None
     bindings: Bindings | None = None
     contact: Contact | None = None
     wind: Wind | None = None
@@ -57,7 +58,9 @@ class Packed(NamedTuple):
 
 
 @kernel
-def force_block(block: int, x: Any, v: Any, a: Any, runs: Any, lists: Any, hinges: Any, particle_wind: Any) -> None:
+def force_block(
+    block: int, x: Any, v: Any, a: Any, runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, particle_wind: Any
+) -> None:
     """Forces [N] on a block's vertices, summed in the core's cache and written to a (3, n)."""
     origin = block * BLOCK
     width = min(BLOCK, x.shape[1] - origin)
@@ -70,8 +73,12 @@ def force_block(block: int, x: Any, v: Any, a: Any, runs: Any, lists: Any, hinge
         add_runs(block, origin, x, v, force, runs.start, runs.task, runs.constants, runs.each, runs.damped)
     if lists is not None:
         add_lists(block, x, v, force, lists.start, lists.ends, lists.constants, lists.damped)
-    if hinges is not None:
-        add_hinges(block, x, force, hinges.start, hinges.corners, hinges.constants)
+    if hinge_runs is not None:
+        h = hinge_runs
+        add_hinge_runs(block, origin, x, force, h.start, h.task, h.constants, h.curved)
+    if hinge_lists is not None:
+        g = hinge_lists
+        add_hinge_lists(block, x, force, g.start, g.corners, g.constants, g.curved)
     for row in range(3):
         for q in range(width):
             a[row, origin + q] = force[row, q]
@@ -91,11 +98,11 @@ def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, da
 
 def _force(
     x: Any, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float,
-    runs: Any, lists: Any, hinges: Any, particle_wind: Any, late: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, particle_wind: Any, late: Any,
 ) -> None:  # fmt: skip
     """All terms that go by blocks: forces [N] into a (3, n), or accelerations where nothing follows."""
     for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
-        force_block(block, x, v, a, runs, lists, hinges, particle_wind)
+        force_block(block, x, v, a, runs, lists, hinge_runs, hinge_lists, particle_wind)
         if late is None:
             finish_block(block, v, a, inverse_mass, gravity, damping)
 
@@ -129,11 +136,25 @@ def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact:
     if bindings is not None:
         place_bound(x, v, s, bindings)
     if threads is None:
-        force_serial(x, v, a, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinges, p.particle_wind, p.late)
+        force_serial(
+            x,
+            v,
+            a,
+            p.inverse_mass,
+            p.gravity,
+            p.damping,
+            p.runs,
+            p.lists,
+            p.hinge_runs,
+            p.hinge_lists,
+            p.particle_wind,
+            p.late,
+        )
     else:
         force_parallel(
-            x, v, a, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinges, p.particle_wind, p.late
-        )
+            x, v, a, p.inverse_mass, p.gravity, p.damping,
+            p.runs, p.lists, p.hinge_runs, p.hinge_lists, p.particle_wind, p.late,
+        )  # fmt: skip
     if wind is not None:
         if threads is None:
             wind_serial(x, v, a, wind)

@@ -65,22 +65,44 @@ def local_targets(indices: Long, start: Long, vertices: int) -> Int:
 
 
 def cut_runs(runs: Long, longest: int) -> Long:
-    """Cut runs so that each end of a piece lies in one block.
+    """Cut runs so that each corner of a piece stays in one block.
 
-    runs (m, 4): first vertex of either end, springs, column of the constants. Returns (p, 5):
-    the same and the run each piece comes from, in the order of the runs.
+    runs (m, w + 2): first vertex at each of w corners, elements, column of the constants. Returns
+    (p, w + 3): the same and the run each piece comes from, in the order of the runs.
     """
+    corners = runs.shape[1] - 2
     rest = np.column_stack([runs, np.arange(runs.shape[0])]).astype(np.int64)
-    pieces = [np.zeros((0, 5), np.int64)]
+    pieces = [np.zeros((0, corners + 3), np.int64)]
     while rest.shape[0]:
-        room = np.minimum(BLOCK - rest[:, 0] % BLOCK, BLOCK - rest[:, 1] % BLOCK)
-        take = np.minimum(np.minimum(room, rest[:, 2]), longest)
+        room = (BLOCK - rest[:, :corners] % BLOCK).min(axis=1)
+        take = np.minimum(np.minimum(room, rest[:, corners]), longest)
         piece = rest.copy()
-        piece[:, 2] = take
+        piece[:, corners] = take
         pieces.append(piece)
-        rest[:, :2] += take[:, None]
-        rest[:, 2] -= take
-        rest[:, 3] += take
-        rest = rest[rest[:, 2] > 0]
+        rest[:, :corners] += take[:, None]
+        rest[:, corners] -= take
+        rest[:, corners + 1] += take
+        rest = rest[rest[:, corners] > 0]
     cut = np.concatenate(pieces)
-    return cut[np.lexsort((cut[:, 3], cut[:, 4]))]
+    return cut[np.lexsort((cut[:, corners + 1], cut[:, corners + 2]))]
+
+
+def assign_runs(cut: Long, blocks: int) -> tuple[Long, Long]:
+    """Tasks from pieces (p, w + 2) of runs: one for every block that owns a corner.
+
+    Returns (t, w + 3), the piece and a mark of the corners to add to (bit c for corner c), and
+    (blocks + 1,) bounds. A block's tasks go by vertex, so that all work on a row finds it in the
+    nearest cache.
+    """
+    corners = cut.shape[1] - 2
+    home = cut[:, :corners] // BLOCK
+    tasks, owners = [], []
+    for c in range(corners):
+        mark = ((home == home[:, c : c + 1]) << np.arange(corners)).sum(axis=1)
+        first = (home[:, :c] != home[:, c : c + 1]).all(axis=1)
+        tasks.append(np.column_stack([cut, mark])[first])
+        owners.append(home[first, c])
+    task, block = np.concatenate(tasks), np.concatenate(owners)
+    order = np.lexsort((*task[:, :corners].T[::-1], block))
+    start = np.searchsorted(block[order], np.arange(blocks + 1))
+    return np.ascontiguousarray(task[order], np.int64), start.astype(np.int64)

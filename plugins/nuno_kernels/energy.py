@@ -86,45 +86,58 @@ def edge(x: Any, i: int, j: int) -> Any:
 
 
 @kernel
-def measure_hinges(x: Any, hinges: Any) -> float:
-    """Energy of all hinges, each counted where its first vertex is at home.
+def measure_hinge(x: Any, i0: int, i1: int, i2: int, i3: int, k_cos: float, k_sin: float) -> float:
+    """Energy of one hinge.
 
     1 - cos(d) is taken as sin(d)^2 / (1 + cos(d)), which keeps its digits where d is small.
     """
+    e, d2, d3 = edge(x, i0, i1), edge(x, i0, i2), edge(x, i0, i3)
+    n1, n2 = cross(e, d2), cross(d3, e)
+    q1, q2, ee = dot(n1, n1), dot(n2, n2), dot(e, e)
+    if q1 <= FLAT * ee * dot(d2, d2) or q2 <= FLAT * ee * dot(d3, d3):
+        return 0.0
+    inverse = 1.0 / math.sqrt(q1 * q2)
+    sine, cosine = dot(n1, d3) * math.sqrt(ee) * inverse, dot(n1, n2) * inverse
+    k = math.sqrt(k_cos * k_cos + k_sin * k_sin)
+    s, c = k_cos * sine - k_sin * cosine, k_cos * cosine + k_sin * sine
+    return s * s / (k + c) if c > 0.0 else k - c
+
+
+@kernel
+def measure_hinges(x: Any, runs: Any, lists: Any) -> float:
+    """Energy of all hinges, each counted where its first vertex is at home."""
     energy = 0.0
-    if hinges is not None:
-        start, corners = hinges.start, hinges.corners
+    if runs is not None:
+        task, constants = runs.task, runs.constants
+        for t in range(task.shape[0]):
+            if task[t, 6] & 1:
+                i0, i1, i2, i3, at = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 5]
+                for q in range(task[t, 4]):
+                    energy += measure_hinge(x, i0 + q, i1 + q, i2 + q, i3 + q, constants[0, at], constants[1, at])
+    if lists is not None:
+        start, corners, constants = lists.start, lists.corners, lists.constants
         for block in range(start.shape[0] - 1):
             width = min(BLOCK, x.shape[1] - block * BLOCK)
             for c in range(start[block], start[block + 1]):
-                if corners[4, c] >= width:
-                    continue
-                e = edge(x, corners[0, c], corners[1, c])
-                d2, d3 = edge(x, corners[0, c], corners[2, c]), edge(x, corners[0, c], corners[3, c])
-                n1, n2 = cross(e, d2), cross(d3, e)
-                q1, q2, ee = dot(n1, n1), dot(n2, n2), dot(e, e)
-                if q1 <= FLAT * ee * dot(d2, d2) or q2 <= FLAT * ee * dot(d3, d3):
-                    continue
-                inverse = 1.0 / math.sqrt(q1 * q2)
-                sine, cosine = dot(n1, d3) * math.sqrt(ee) * inverse, dot(n1, n2) * inverse
-                kc, ks = hinges.constants[0, c], hinges.constants[1, c]
-                k = math.sqrt(kc * kc + ks * ks)
-                s, d = kc * sine - ks * cosine, kc * cosine + ks * sine
-                energy += s * s / (k + d) if d > 0.0 else k - d
+                if corners[4, c] < width:
+                    energy += measure_hinge(
+                        x, corners[0, c], corners[1, c], corners[2, c], corners[3, c], constants[0, c], constants[1, c]
+                    )
     return energy
 
 
 @kernel
-def measure(x: Any, v: Any, mass: Any, gravity: Any, runs: Any, lists: Any, hinges: Any) -> Any:
+def measure(x: Any, v: Any, mass: Any, gravity: Any, runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any) -> Any:
     """All fields of Energy, for x, v (3, n) and masses (n,) [kg]."""
     kinetic, potential = 0.0, 0.0
     for p in range(x.shape[1]):
         kinetic += 0.5 * mass[p] * (v[0, p] * v[0, p] + v[1, p] * v[1, p] + v[2, p] * v[2, p])
         potential -= mass[p] * (gravity[0] * x[0, p] + gravity[1] * x[1, p] + gravity[2] * x[2, p])
     energy, stretch, shortest, zeros = measure_springs(x, runs, lists)
-    return kinetic, potential, energy, measure_hinges(x, hinges), stretch, shortest, zeros
+    return kinetic, potential, energy, measure_hinges(x, hinge_runs, hinge_lists), stretch, shortest, zeros
 
 
 def measure_energy(x: Float, v: Float, mass: Float, packed: Packed) -> Energy:
     """Energy and stretch of a packed system at x, v (3, n) with masses (n,) [kg]."""
-    return Energy(*measure(x, v, mass, packed.gravity, packed.runs, packed.lists, packed.hinges))
+    p = packed
+    return Energy(*measure(x, v, mass, p.gravity, p.runs, p.lists, p.hinge_runs, p.hinge_lists))

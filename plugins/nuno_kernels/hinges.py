@@ -27,12 +27,46 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.blocks import Long, block_count, local_targets, owned_copies, pad_lists
-from nuno_kernels.simd import WIDTH, add_at, gather, load, root, where_greater, where_not_zero
-from nuno_schemas.fabric import Float, Hinges, Int
+from nuno_kernels.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
+from nuno_kernels.simd import (
+    WIDTH,
+    add_at,
+    gather,
+    load,
+    read,
+    root,
+    splat,
+    store,
+    where_greater,
+    write,
+)
+from nuno_schemas.fabric import Bool, Float, Hinges, Int
+
+SHORTEST = 6
+"""Runs with fewer hinges than this go through lists."""
 
 FLAT = 1e-20
 """Squared sine of a triangle's angle at x0 below which rounding alone decides its normal."""
+
+
+LONGEST = 128
+"""Hinges of a piece of a run: their forces wait in a buffer of 13 kB."""
+
+
+class HingeRuns(NamedTuple):
+    """Runs of hinges whose vertices follow each other.
+
+    start     (blocks + 1,) int64  tasks of each block
+    task      (m, 7) int64         first vertices x0..x3, hinges, column of the constants, and the
+                                   corners to add to (bit c for corner c)
+    constants (2, r) float64       k cos(rest) and k sin(rest) [N m] of every run
+    curved    None where all rest angles are 0, else True
+    """
+
+    start: Long
+    task: Long
+    constants: Float
+    curved: bool | None
 
 
 class HingeLists(NamedTuple):
@@ -41,11 +75,13 @@ class HingeLists(NamedTuple):
     start     (blocks + 1,) int64  places of each block's hinges
     corners   (8, p) int32         vertices x0..x3, then their columns in the block's forces
     constants (2, p) float64       k cos(rest) and k sin(rest) [N m]
+    curved    as in HingeRuns
     """
 
     start: Long
     corners: Int
     constants: Float
+    curved: bool | None
 
 
 @kernel
@@ -61,54 +97,134 @@ def dot(a: Any, b: Any) -> Any:
 
 
 @kernel
-def corner(x: Any, corners: Any, which: int, p: int) -> Any:
+def minus(a: Any, b: Any) -> Any:
+    """a - b of two triples."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def times(w: Any, a: Any) -> Any:
+    """w a of a number and a triple."""
+    return w * a[0], w * a[1], w * a[2]
+
+
+@kernel
+def hinge_forces(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any, curved: Any) -> Any:
+    """Pull on x1 and push on x2 and x3 of eight hinges: force 1, minus force 2, minus force 3.
+
+    All quotients come from one, r = 1/(|n1|^2 |n2|^2 |e|^2), which is set to 0 where a triangle has
+    no area; divisions and roots are what a hinge costs.
+    """
+    e, d2, d3 = minus(x1, x0), minus(x2, x0), minus(x3, x0)
+    n1, n2 = cross(e, d2), cross(d3, e)
+    ee, q1, q2 = dot(e, e), dot(n1, n1), dot(n2, n2)
+    r = where_greater(q2, FLAT * ee * dot(d3, d3), 1.0 / (q1 * q2 * ee))
+    r = where_greater(q1, FLAT * ee * dot(d2, d2), r)
+    moment = k_cos * (dot(n1, d3) * root(r * ee))
+    if curved is not None:
+        moment = moment - k_sin * (dot(n1, n2) * root(r))
+    pull = moment * (ee * ee * r)
+    f2, f3 = times(pull * q2, n1), times(pull * q1, n2)
+    t2, t3 = dot(d2, e) * (r * q1 * q2), dot(d3, e) * (r * q1 * q2)
+    return (t2 * f2[0] + t3 * f3[0], t2 * f2[1] + t3 * f3[1], t2 * f2[2] + t3 * f3[2]), f2, f3
+
+
+@kernel
+def listed_corner(x: Any, corners: Any, which: int, p: int) -> Any:
     """Positions of one corner of eight hinges."""
     return gather(x, 0, corners, which, p), gather(x, 1, corners, which, p), gather(x, 2, corners, which, p)
 
 
 @kernel
-def add_hinges(block: int, x: Any, force: Any, start: Any, corners: Any, constants: Any) -> None:
-    """Add a block's hinges to its forces (3, w)."""
+def add_hinge_lists(block: int, x: Any, force: Any, start: Any, corners: Any, constants: Any, curved: Any) -> None:
+    """Add a block's listed hinges to its forces (3, w)."""
     for p in range(start[block], start[block + 1], WIDTH):
-        x0, x1 = corner(x, corners, 0, p), corner(x, corners, 1, p)
-        x2, x3 = corner(x, corners, 2, p), corner(x, corners, 3, p)
-        e = (x1[0] - x0[0], x1[1] - x0[1], x1[2] - x0[2])
-        d2 = (x2[0] - x0[0], x2[1] - x0[1], x2[2] - x0[2])
-        d3 = (x3[0] - x0[0], x3[1] - x0[1], x3[2] - x0[2])
-        n1, n2 = cross(e, d2), cross(d3, e)
-        ee, q1, q2 = dot(e, e), dot(n1, n1), dot(n2, n2)
-        i1 = where_greater(q1, FLAT * ee * dot(d2, d2), 1.0 / q1)
-        i2 = where_greater(q2, FLAT * ee * dot(d3, d3), 1.0 / q2)
-        i1, i2 = where_greater(i2, 0.0 * i1, i1), where_greater(i1, 0.0 * i2, i2)
-        edge, inverse = root(ee), root(i1 * i2)
-        moment = (load(constants, 0, p) * (dot(n1, d3) * edge) - load(constants, 1, p) * dot(n1, n2)) * inverse
-        w2, w3 = moment * edge * i1, moment * edge * i2
-        along = where_not_zero(ee, 1.0 / ee)
-        t2, t3 = dot(d2, e) * along, dot(d3, e) * along
+        f1, f2, f3 = hinge_forces(
+            listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p),
+            listed_corner(x, corners, 2, p), listed_corner(x, corners, 3, p),
+            load(constants, 0, p), load(constants, 1, p), curved,
+        )  # fmt: skip
         for row in range(3):
-            f2, f3 = w2 * n1[row], w3 * n2[row]
-            f1 = t2 * f2 + t3 * f3
-            add_at(force, row, corners, 4, p, f2 + f3 - f1)
-            add_at(force, row, corners, 5, p, f1)
-            add_at(force, row, corners, 6, p, 0.0 - f2)
-            add_at(force, row, corners, 7, p, 0.0 - f3)
+            add_at(force, row, corners, 4, p, f2[row] + f3[row] - f1[row])
+            add_at(force, row, corners, 5, p, f1[row])
+            add_at(force, row, corners, 6, p, 0.0 - f2[row])
+            add_at(force, row, corners, 7, p, 0.0 - f3[row])
 
 
-def pack_hinges(hinges: Hinges | None, vertices: int) -> HingeLists | None:
-    """Kernel layout of a fabric's hinges, or None where there are none."""
+@kernel
+def run_corner(x: Any, i: int, m: int) -> Any:
+    """Positions of one corner of up to eight hinges of a run."""
+    return read(x, 0, i, m), read(x, 1, i, m), read(x, 2, i, m)
+
+
+@kernel
+def add_hinge_runs(
+    block: int, origin: int, x: Any, force: Any, start: Any, task: Any, constants: Any, curved: Any
+) -> None:
+    """Add a block's runs to its forces (3, w); `origin` is the block's first vertex.
+
+    Forces wait until a run is through: added corner by corner at once, a read would overlap the
+    write just before it and wait for it.
+    """
+    wait = np.empty((12, LONGEST + WIDTH))
+    for t in range(start[block], start[block + 1]):
+        i0, i1, i2, i3, count, at = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4], task[t, 5]
+        k_cos, k_sin = splat(constants[0, at]), splat(constants[1, at])
+        for q in range(0, count, WIDTH):
+            m = min(WIDTH, count - q)
+            f1, f2, f3 = hinge_forces(
+                run_corner(x, i0 + q, m), run_corner(x, i1 + q, m), run_corner(x, i2 + q, m),
+                run_corner(x, i3 + q, m), k_cos, k_sin, curved,
+            )  # fmt: skip
+            for row in range(3):
+                store(wait, row, q, f2[row] + f3[row] - f1[row])
+                store(wait, 3 + row, q, f1[row])
+                store(wait, 6 + row, q, 0.0 - f2[row])
+                store(wait, 9 + row, q, 0.0 - f3[row])
+        for c in range(4):
+            if (task[t, 6] >> c) & 1:
+                for q in range(0, count, WIDTH):
+                    m, p = min(WIDTH, count - q), task[t, c] + q - origin
+                    for row in range(3):
+                        write(force, row, p, m, read(force, row, p, m) + load(wait, 3 * c + row, q))
+
+
+def pack_hinges(hinges: Hinges | None, vertices: int) -> tuple[HingeRuns | None, HingeLists | None]:
+    """Kernel layout of a fabric's hinges; either part is None where it would be empty."""
     if hinges is None or hinges.number == 0:
-        return None
-    quads = hinges.quads().astype(np.int64)
+        return None, None
+    per_run = hinges.k.shape == hinges.rest.shape == hinges.count.shape
+    direct = per_run & (hinges.stride == 1) & (hinges.count >= SHORTEST)
+    listed = ~np.repeat(direct, hinges.count)
+    runs = _pack_hinge_runs(hinges, direct, vertices) if direct.any() else None
+    return runs, _pack_hinge_lists(hinges, listed, vertices) if listed.any() else None
+
+
+def _constants(k: Float, rest: Float) -> Float:
+    return np.stack([k * np.cos(rest), k * np.sin(rest)])
+
+
+def _pack_hinge_runs(hinges: Hinges, chosen: Bool, vertices: int) -> HingeRuns:
+    first = hinges.first[chosen].astype(np.int64)
+    cut = cut_runs(np.column_stack([first, hinges.count[chosen], np.arange(first.shape[0])]), LONGEST)
+    cut[:, 5] = cut[:, 6]
+    task, start = assign_runs(cut[:, :6], block_count(vertices))
+    constants = _constants(hinges.k[chosen], hinges.rest[chosen])
+    return HingeRuns(start, task, constants, True if constants[1].any() else None)
+
+
+def _pack_hinge_lists(hinges: Hinges, chosen: Bool, vertices: int) -> HingeLists:
+    quads = hinges.quads()[chosen].astype(np.int64)
     order = np.lexsort((quads.max(axis=1), quads.min(axis=1)))
     quads = np.ascontiguousarray(quads[order].T)
-    k, rest = hinges.per_hinge(hinges.k)[order], hinges.per_hinge(hinges.rest)[order]
+    values = _constants(hinges.per_hinge(hinges.k)[chosen][order], hinges.per_hinge(hinges.rest)[chosen][order])
     element, bounds = owned_copies(quads, block_count(vertices))
     element, start = pad_lists(element, bounds, WIDTH)
     filled = element >= 0
     target = local_targets(np.where(filled, quads[:, element], -1), start, vertices)
     corners = np.concatenate([np.where(filled, quads[:, element], 0), target]).astype(np.int32)
-    constants = np.where(filled, np.stack([k * np.cos(rest), k * np.sin(rest)])[:, element], 0.0)
-    return HingeLists(start, corners, np.ascontiguousarray(constants))
+    constants = np.ascontiguousarray(np.where(filled, values[:, element], 0.0))
+    return HingeLists(start, corners, constants, True if constants[1].any() else None)
 
 
 def hinge_angles(position: Float, quads: Int) -> Float:

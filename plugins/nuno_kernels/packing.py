@@ -43,6 +43,7 @@ def pack(system: System) -> Packed:
     """Kernel layout of a system. Terms of kind "python" are left to `python_terms`."""
     fabric = system.fabric
     runs, lists = pack_springs(fabric.springs, fabric.number)
+    hinge_runs, hinge_lists = pack_hinges(fabric.hinges, fabric.number)
     free = ~fabric.pinned
     threads = thread_count(system)
     packed = Packed(
@@ -51,7 +52,8 @@ def pack(system: System) -> Packed:
         damping=float(system.damping),
         runs=runs,
         lists=lists,
-        hinges=pack_hinges(fabric.hinges, fabric.number),
+        hinge_runs=hinge_runs,
+        hinge_lists=hinge_lists,
         bindings=_find_bindings(system),
         threads=threads if threads > 1 else None,
         **_find_fused(system),

@@ -19,6 +19,8 @@ from numba.core import cgutils, types
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
+from nuno_kernels import kernel
+
 WIDTH = 8
 """Lanes of a vector."""
 
@@ -238,3 +240,20 @@ def where_greater(typing: Any, test: Any, limit: Any, value: Any) -> Any:
         return builder.select(builder.fcmp_unordered(">", args[0], args[1]), args[2], zero)
 
     return vector(vector, vector, vector), build
+
+
+@kernel
+def read(a: Any, row: int, column: int, count: int) -> Any:
+    """Up to eight values; zeros beyond `count`."""
+    if count == WIDTH:
+        return load(a, row, column)
+    return load_first(a, row, column, count)
+
+
+@kernel
+def write(a: Any, row: int, column: int, count: int, value: Any) -> None:
+    """Up to eight values."""
+    if count == WIDTH:
+        store(a, row, column, value)
+    else:
+        store_first(a, row, column, count, value)

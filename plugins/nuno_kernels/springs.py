@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.blocks import BLOCK, Long, block_count, cut_runs, local_targets, owned_copies, pad_lists
-from nuno_kernels.simd import WIDTH, add_at, gather, load, load_first, root, splat, store, store_first, where_not_zero
+from nuno_kernels.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
+from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, where_not_zero, write
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
 LONGEST = 256
@@ -58,23 +58,6 @@ class SpringLists(NamedTuple):
     ends: Int
     constants: Float
     damped: bool | None
-
-
-@kernel
-def read(a: Any, row: int, column: int, count: int) -> Any:
-    """Up to eight values; zeros beyond `count`."""
-    if count == WIDTH:
-        return load(a, row, column)
-    return load_first(a, row, column, count)
-
-
-@kernel
-def write(a: Any, row: int, column: int, count: int, value: Any) -> None:
-    """Up to eight values."""
-    if count == WIDTH:
-        store(a, row, column, value)
-    else:
-        store_first(a, row, column, count, value)
 
 
 @kernel
@@ -226,25 +209,15 @@ def _long_share(follows: Bool) -> float:
 
 
 def _pack_runs(runs: Long, constants: Float, each: bool, blocks: int) -> SpringRuns:
-    """Cut (m, 4) runs at the blocks' borders; one task per block that owns an end.
-
-    A block's tasks go by vertex, so that all springs of a row find it in the nearest cache.
-    """
+    """Cut (m, 4) runs at the blocks' borders; one task per block that owns an end."""
     cut = cut_runs(runs, LONGEST)
     if not each:
         used, source = np.unique(runs[:, 3], return_inverse=True)
         cut[:, 3] = source[cut[:, 4]]
         constants = constants[:, used]
-    home_i, home_j = cut[:, 0] // BLOCK, cut[:, 1] // BLOCK
-    crossing = home_i != home_j
-    cut[:, 4] = np.where(crossing, 1, 3)
-    task = np.concatenate([cut, cut[crossing]])
-    task[cut.shape[0] :, 4] = 2
-    block = np.concatenate([home_i, home_j[crossing]])
-    order = np.lexsort((task[:, 1], task[:, 0], block))
-    start = np.searchsorted(block[order], np.arange(blocks + 1)).astype(np.int64)
+    task, start = assign_runs(cut[:, :4], blocks)
     damped = True if constants[2].any() else None
-    return SpringRuns(start, np.ascontiguousarray(task[order]), np.ascontiguousarray(constants), each or None, damped)
+    return SpringRuns(start, task, np.ascontiguousarray(constants), each or None, damped)
 
 
 def _pack_lists(pairs: Long, constants: Float, vertices: int) -> SpringLists:

@@ -8,6 +8,7 @@ import pytest
 from nets import accelerations, find_hinges, make_fabric, make_hinges, make_system, run, start, triangulate
 
 from nuno_integrators.leapfrog import Leapfrog
+from nuno_kernels.blocks import BLOCK
 from nuno_kernels.energy import measure_energy
 from nuno_kernels.hinges import hinge_angles
 from nuno_kernels.packing import pack, to_rows
@@ -101,6 +102,26 @@ def test_cylinder_stores_half_b_curvature_squared_per_area(along: int) -> None:
         errors.append(abs(stored / (0.5 * bending * curvature**2) - 1.0))
     assert errors[1] < 1e-3
     assert errors[1] < 0.27 * errors[0]
+
+
+def test_runs_and_lists_agree() -> None:
+    """Rows of hinges across an edge to the next row, on a sheet of several blocks."""
+    rows, columns = 70, 130
+    first = [[(r + 1) * columns + 1, r * columns + 1, r * columns, r * columns + 2] for r in range(rows - 1)]
+    count = np.full(rows - 1, columns - 2, np.int32)
+    rng = np.random.default_rng(6)
+    k, rest = rng.uniform(0.5, 2.0, rows - 1), rng.uniform(-0.5, 0.5, rows - 1)
+    runs = Hinges(np.array(first, np.int32), count, np.ones(rows - 1, np.int32), k, rest)
+    lists = make_hinges(runs.quads(), runs.per_hinge(k), runs.per_hinge(rest))
+    x = sheet(rows, columns) + 0.02 * rng.standard_normal((rows * columns, 3))
+    assert rows * columns > 2 * BLOCK
+    systems = [make_system(make_fabric(x, hinges=hinges, mass=1.0)) for hinges in (runs, lists)]
+    packed = [pack(system) for system in systems]
+    assert packed[0].hinge_lists is None
+    assert packed[1].hinge_runs is None
+    a, b = (accelerations(system, x, 0 * x) for system in systems)
+    assert np.abs(a - b).max() < 1e-13 * np.abs(a).max()
+    assert abs(energy(systems[0], x) / energy(systems[1], x) - 1.0) < 1e-13
 
 
 def test_triangles_without_area_are_skipped() -> None:
