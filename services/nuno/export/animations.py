@@ -64,7 +64,9 @@ def _write_gif(path: Path, pictures: Iterator[Picture], rate: float) -> None:
     from PIL import Image
 
     first = next(pictures)
-    palette = Image.fromarray(first).quantize(256, Image.Quantize.MEDIANCUT)
+    # Every colour counts once (to 6 bits): by area, the background would take all entries.
+    distinct = np.unique(first.reshape(-1, 3) & 0xFC, axis=0)
+    palette = Image.fromarray(distinct[None]).quantize(256, Image.Quantize.MEDIANCUT)
 
     def indexed(picture: Picture) -> Image.Image:
         return Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -105,17 +106,21 @@ def export_picture(
 def draw_frames(
     recording: Recording, numbers: list[int], size: tuple[int, int] | None, progress: Progress | None = None
 ) -> Iterator[Picture]:
-    """Draw chosen frames, in order, with one camera that holds them all. Raises BadInput."""
+    """Draw chosen frames, in order, with one camera that holds them all; a number that comes
+    twice gives its picture twice. Raises BadInput.
+    """
     looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
     shown = [frame for frame in recording.frames() if frame.number in looks]
     painter = Painter(recording, shown, size, {"samples": 4})
-    wanted, done = set(numbers), 0
+    times, done = Counter(numbers), 0
     for frame in recording.frames():
-        if frame.number in wanted:
-            yield painter.draw(frame)
-            done += 1
-            if progress is not None:
-                progress(done, len(numbers))
+        if frame.number in times:
+            picture = painter.draw(frame)
+            for _ in range(times.pop(frame.number)):
+                yield picture
+                done += 1
+                if progress is not None:
+                    progress(done, len(numbers))
 
 
 def choose_frames(recording: Recording, fps: float, start: float | None, end: float | None) -> list[int]:

@@ -1,0 +1,222 @@
+"""Exports read back equal to what was recorded."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from recorded_sheet import RATE, Sheet, items, metadata, write
+
+from nuno.export.cloth import body_vertices, read_bodies, read_pieces
+from nuno.export.meshes import export_mesh, export_meshes
+from nuno.export.tables import export_csv, export_npz
+from nuno.recording.reader import Recording, open_recording
+from nuno.recording.writer import RecordingWriter
+from nuno_schemas.errors import BadInput
+from nuno_schemas.messages import STATE
+
+FRAMES = 20
+SHEET = Sheet()
+
+
+def picture(width: int = 8, height: int = 4) -> Image.Image:
+    values = np.arange(width * height * 3, dtype=np.uint8).reshape(height, width, 3)
+    return Image.fromarray(values)
+
+
+def png(image: Image.Image) -> bytes:
+    stream = io.BytesIO()
+    image.save(stream, "PNG")
+    return stream.getvalue()
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("export") / "run.mcap"
+    write(path, SHEET, FRAMES, {"check.png": png(picture())}, texture="/home/someone/scene/check.png")
+    return path
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same without a texture."""
+    path = tmp_path_factory.mktemp("export") / "plain.mcap"
+    write(path, SHEET, FRAMES)
+    return path
+
+
+def seen(recording: Path, number: int) -> np.ndarray:
+    """Positions of a frame as recorded: float32 about an origin."""
+    with open_recording(recording) as opened:
+        return next(f.x for f in opened.frames() if f.number == number)
+
+
+def test_npz_is_the_last_checkpoint_and_nothing_else(path: Path, tmp_path: Path) -> None:
+    export_npz(path, tmp_path / "out.npz")
+    t = (FRAMES - 1) / RATE
+    with np.load(tmp_path / "out.npz", allow_pickle=False) as archive:
+        assert set(archive.files) == {"x", "v", "t"}
+        assert archive["x"].dtype == archive["v"].dtype == archive["t"].dtype == np.float64
+        assert archive["x"].tobytes() == SHEET.x(t).tobytes()
+        assert archive["v"].tobytes() == SHEET.v(t).tobytes()
+        assert archive["t"].shape == ()
+        assert float(archive["t"]) == t
+    export_npz(path, tmp_path / "early.npz", t=0.25)
+    with np.load(tmp_path / "early.npz") as archive:
+        assert float(archive["t"]) == 9 / RATE
+
+
+def test_csv_holds_every_digit(path: Path, tmp_path: Path) -> None:
+    export_csv(path, tmp_path / "out.csv")
+    with open_recording(path) as recording:
+        series = recording.series()
+    with (tmp_path / "out.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == FRAMES
+    assert set(rows[0]) == set(series)
+    for name, column in series.items():
+        assert [float(row[name]) for row in rows] == column.tolist()
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply"])
+def test_mesh_files_hold_positions_and_faces(path: Path, tmp_path: Path, suffix: str) -> None:
+    for number in (0, 7, FRAMES - 1):
+        out = export_mesh(path, tmp_path / f"out{suffix}", number)
+        mesh = trimesh.load(out, process=False, maintain_order=True, force="mesh")
+        assert isinstance(mesh, trimesh.Trimesh)
+        assert np.array_equal(mesh.vertices.astype(np.float32), seen(path, number).astype(np.float32))
+        assert np.array_equal(mesh.faces, SHEET.faces)
+
+
+def test_obj_and_ply_hold_texture_coordinates(path: Path, tmp_path: Path) -> None:
+    text = export_mesh(path, tmp_path / "out.obj").read_text().splitlines()
+    found = np.array([line.split()[1:] for line in text if line.startswith("vt ")], np.float32)
+    assert np.array_equal(found, SHEET.uv)
+    data = export_mesh(path, tmp_path / "out.ply").read_bytes()
+    body = data[data.index(b"end_header\n") + len(b"end_header\n") :]
+    table = np.frombuffer(body[: SHEET.number * 20], "<f4").reshape(-1, 5)
+    assert np.array_equal(table[:, 3:], SHEET.uv)
+
+
+def test_every_frame_into_a_folder(path: Path, tmp_path: Path) -> None:
+    steps: list[tuple[int, int]] = []
+    written = export_meshes(path, tmp_path / "frames", ".ply", lambda done, total: steps.append((done, total)))
+    assert [p.name for p in written] == [f"frame_{k:05d}.ply" for k in range(FRAMES)]
+    assert steps == [(k + 1, FRAMES) for k in range(FRAMES)]
+    for k, out in enumerate(written):
+        mesh = trimesh.load(out, process=False, force="mesh")
+        assert np.array_equal(mesh.vertices.astype(np.float32), seen(path, k).astype(np.float32))
+    assert len(list((tmp_path / "frames").iterdir())) == FRAMES
+
+
+def test_glb_holds_cloth_texture_and_bodies(path: Path, tmp_path: Path) -> None:
+    scene = trimesh.load(export_mesh(path, tmp_path / "out.glb", 5), process=False, force="scene")
+    assert isinstance(scene, trimesh.Scene)
+    cloth, body = scene.geometry["cloth"], scene.geometry["bodies"]
+    assert np.array_equal(cloth.vertices.astype(np.float32), seen(path, 5).astype(np.float32))
+    assert np.array_equal(cloth.faces, SHEET.faces)
+    assert cloth.visual.uv == pytest.approx(SHEET.uv, abs=1e-6)
+    image = cloth.visual.material.baseColorTexture.convert("RGB")
+    assert np.array_equal(np.asarray(image), np.asarray(picture()))
+    with open_recording(path) as recording:
+        expected = body_vertices(recording, read_bodies(recording), 5 / RATE)
+    assert np.array_equal(body.vertices.astype(np.float32), expected.astype(np.float32))
+
+
+def test_glb_without_a_texture_is_coloured_by_stretch(plain: Path, tmp_path: Path) -> None:
+    scene = trimesh.load(export_mesh(plain, tmp_path / "out.glb"), process=False, force="scene")
+    colours = scene.geometry["cloth"].visual.vertex_colors
+    assert len(np.unique(colours, axis=0)) > 1
+
+
+def test_bodies_are_where_their_poses_say(path: Path) -> None:
+    """A capsule's surface, inset by 2 mm, at the translation of the frame."""
+    with open_recording(path) as recording:
+        bodies = read_bodies(recording)
+        points = body_vertices(recording, bodies, 10 / RATE)
+    a, b = np.array([0.3, 0.3, -0.4]), np.array([0.7, 0.3, -0.4])
+    rise = np.array([0.0, 0.1 * 10 / RATE, 0.0])
+    along = np.clip((points - rise - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+    distance = np.linalg.norm(points - rise - a - along[:, None] * (b - a), axis=1)
+    assert distance == pytest.approx(0.198, abs=1e-9)
+
+
+def test_stretch_is_the_largest_of_a_vertex(path: Path) -> None:
+    with open_recording(path) as recording:
+        (piece,) = read_pieces(recording)
+    assert piece.stretch(SHEET.rest) == pytest.approx(0.0, abs=1e-6)
+    doubled = piece.stretch(SHEET.rest * np.array([2.0, 1.0, 1.0]))
+    assert doubled == pytest.approx(1.0, abs=1e-6)
+    one = SHEET.rest.copy()
+    one[0, 2] = 1.0
+    moved = np.flatnonzero(piece.stretch(one) > 1e-6)
+    assert moved.tolist() == [0, 1, SHEET.cols]
+
+
+def test_a_texture_is_read_only_from_the_recording(tmp_path: Path) -> None:
+    """A recording from somewhere else names a file of this machine: it is not opened."""
+    secret = tmp_path / "secret.png"
+    secret.write_bytes(png(picture()))
+    write(tmp_path / "a.mcap", SHEET, 2, {"other.png": png(picture())}, texture=str(secret))
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert read_pieces(recording)[0].image is None
+
+
+@pytest.mark.parametrize("name", ["out.npz", "out.csv", "out.obj", "out.ply", "out.glb"])
+def test_only_files_of_their_own_kind_are_replaced(path: Path, tmp_path: Path, name: str) -> None:
+    def export(target: Path) -> None:
+        if name.endswith("npz"):
+            export_npz(path, target)
+        elif name.endswith("csv"):
+            export_csv(path, target)
+        else:
+            export_mesh(path, target)
+
+    target = tmp_path / name
+    target.write_text("precious notes")
+    with pytest.raises(BadInput, match="would be lost"):
+        export(target)
+    assert target.read_text() == "precious notes"
+    target.unlink()
+    export(target)
+    first = target.read_bytes()
+    export(target)
+    assert target.read_bytes() == first
+    for wrong in (tmp_path / "no" / "such" / name, tmp_path / "name.txt"):
+        with pytest.raises(BadInput) as caught:
+            export(wrong)
+        assert caught.value.remedy
+    assert sorted(p.name for p in tmp_path.iterdir()) == [name]
+
+
+def test_frames_that_are_not_there_are_refused(path: Path, tmp_path: Path) -> None:
+    for number in (-1, FRAMES, 10**6):
+        with pytest.raises(BadInput, match="no such frame") as caught:
+            export_mesh(path, tmp_path / "out.obj", number)
+        assert caught.value.limit == f"frames 0 to {FRAMES - 1}"
+
+
+def test_a_recording_without_checkpoint_or_cloth_is_refused(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "a.mcap", metadata(), {})
+    for item in items(SHEET, 3):
+        if item[0] == STATE.name:
+            writer.write(*item)
+    recording = Recording(writer.finish({}))
+    for export, name in ((export_npz, "a.npz"), (export_csv, "a.csv"), (export_mesh, "a.obj")):
+        with pytest.raises(BadInput):
+            export(recording, tmp_path / name)
+    recording.close()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_positions_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    sheet = Sheet()
+    sheet.rest[4, 1] = np.nan
+    write(tmp_path / "a.mcap", sheet, 3)
+    with pytest.raises(BadInput, match="not finite"):
+        export_mesh(tmp_path / "a.mcap", tmp_path / "a.obj")

@@ -1,0 +1,174 @@
+"""Pictures and animations have the size, the number and the content that was asked for."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from recorded_sheet import RATE, Sheet, write
+
+from nuno.export import paint
+from nuno.export.animations import export_animation
+from nuno.export.pictures import Painter, choose_frames, export_picture
+from nuno.export.tubes import SIDES, tubes
+from nuno.recording.reader import open_recording
+from nuno_schemas.colour import colours
+from nuno_schemas.errors import BadInput
+
+FRAMES = 26
+SIZE = (96, 64)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pictures") / "run.mcap"
+    write(path, Sheet(), FRAMES)
+    return path
+
+
+def test_a_picture_has_its_size_and_shows_its_frame(path: Path, tmp_path: Path) -> None:
+    pictures = []
+    for number in (0, 5, 5):
+        out = export_picture(path, tmp_path / "out.png", number, SIZE)
+        with Image.open(out) as image:
+            assert (image.format, image.size, image.mode) == ("PNG", SIZE, "RGB")
+            pictures.append(np.asarray(image))
+    assert np.array_equal(pictures[1], pictures[2])
+    assert not np.array_equal(pictures[0], pictures[1])
+
+
+def test_the_scene_chooses_size_and_camera(tmp_path: Path) -> None:
+    """Without a size the view's is taken; the camera keeps its distance from its target."""
+    write(tmp_path / "a.mcap", Sheet(), 2)
+    with open_recording(tmp_path / "a.mcap") as recording:
+        frames = list(recording.frames())
+        view = {"size": [80, 60], "target": [0.5, 0.25, 0.125], "distance": "3 m", "azimuth": "0 rad", "elevation": 0.0}
+        recording.layout.metadata["scene"]["json"] = '{"name": "waving", "view": ' + str(view).replace("'", '"') + "}"
+        painter = Painter(recording, frames)
+        assert painter.draw(frames[0]).shape == (60, 80, 3)
+    # y up becomes z up: (x, y, z) -> (x, -z, y), seen from +z of the scene.
+    assert painter.camera.target == pytest.approx([0.5, -0.125, 0.25])
+    assert painter.camera.eye == pytest.approx([0.5, -3.125, 0.25])
+
+
+def test_every_look_of_an_animation_is_inside_the_picture(path: Path) -> None:
+    with open_recording(path) as recording:
+        frames = list(recording.frames())
+        painter = Painter(recording, frames, SIZE)
+        camera = painter.camera
+        forward = (camera.target - camera.eye) / np.linalg.norm(camera.target - camera.eye)
+        right = np.cross(forward, camera.up)
+        half = np.tan(camera.fov / 2)
+        for frame in frames:
+            for mesh in painter.meshes(frame):
+                d = mesh.vertices - camera.eye
+                depth = d @ forward
+                assert np.abs(d @ camera.up / depth).max() <= half
+                assert np.abs(d @ right / depth).max() <= half * SIZE[0] / SIZE[1]
+
+
+def test_chosen_frames_keep_real_time(path: Path) -> None:
+    with open_recording(path) as recording:
+        assert choose_frames(recording, 50.0, None, None) == list(range(FRAMES))
+        assert choose_frames(recording, 25.0, None, None) == list(range(0, FRAMES, 2))
+        assert choose_frames(recording, 150.0, 0.0, 0.04) == [0, 0, 1, 1, 1, 2, 2]
+        assert choose_frames(recording, 10.0, 0.1, 0.3) == [5, 10, 15]
+        for fps in (7.0, 12.5, 30.0):
+            times = np.array(choose_frames(recording, fps, None, None)) / RATE
+            due = np.arange(len(times)) / fps
+            assert np.abs(times - due).max() <= 0.5 / RATE + 1e-9
+            assert len(times) == int((FRAMES - 1) / RATE * fps + 1e-6) + 1
+        with pytest.raises(BadInput, match="nothing to show"):
+            choose_frames(recording, 25.0, 9.0, 10.0)
+
+
+def test_a_gif_has_its_frames_and_its_pace(path: Path, tmp_path: Path) -> None:
+    steps: list[tuple[int, int]] = []
+    out = export_animation(path, tmp_path / "a.gif", SIZE, 25.0, progress=lambda done, all: steps.append((done, all)))
+    with Image.open(out) as image:
+        assert image.size == SIZE
+        total, shown = 0, []
+        for k in range(image.n_frames):
+            image.seek(k)
+            total += image.info["duration"]
+            shown.append(np.asarray(image.convert("RGB")))
+    assert total == 13 * 40
+    assert steps == [(k + 1, 13) for k in range(13)]
+    assert all(not np.array_equal(a, b) for a, b in pairwise(shown))
+
+
+def test_an_mp4_has_its_frames(path: Path, tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    out = export_animation(path, tmp_path / "a.mp4", (97, 65), 25.0)
+    frames, seconds = ffmpeg.count_frames_and_secs(str(out))
+    assert frames == 13
+    assert seconds == pytest.approx(13 / 25, abs=0.021)
+    assert next(ffmpeg.read_frames(str(out)))["size"] == (96, 64)
+    # Faster than the recording: pictures stand longer, time still runs true.
+    out = export_animation(path, tmp_path / "a.mp4", SIZE, 150.0)
+    assert ffmpeg.count_frames_and_secs(str(out))[0] == 76
+
+
+def test_without_the_encoder_the_extra_is_named(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(BadInput) as caught:
+        export_animation(path, tmp_path / "a.mp4", SIZE)
+    assert "nuno[video]" in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("a.avi", {}),
+        ("a.gif", {"fps": 0.0}),
+        ("a.gif", {"fps": float("nan")}),
+        ("a.gif", {"size": (0, 5)}),
+        ("a.gif", {"size": (99999, 5)}),
+        ("a.gif", {"start": 5.0}),
+        ("no/a.gif", {}),
+    ],
+)
+def test_bad_wishes_are_refused(path: Path, tmp_path: Path, name: str, options: dict[str, float]) -> None:
+    with pytest.raises(BadInput):
+        export_animation(path, tmp_path / name, **options)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pictures_and_viewer_use_one_scale() -> None:
+    """Checked in a process of its own: the viewer imports rerun, which few tests need."""
+    pytest.importorskip("rerun")
+    code = "from nuno.viewer.cloth import PLAIN, STRETCH; print(STRETCH, PLAIN)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown == f"{paint.STRETCH} {paint.PLAIN}\n"
+
+
+def test_stretch_colours_are_logarithmic() -> None:
+    low, high = paint.STRETCH
+    ends = paint.paint_stretch(np.array([low, np.sqrt(low * high), high, -0.5, 0.0, 7.0, np.nan]))
+    assert ends[:3] == pytest.approx(colours([0.0, 0.5, 1.0], 0.0, 1.0), abs=1e-12)
+    assert ends[3:] == pytest.approx(colours([0.0, 0.0, 1.0, np.nan], 0.0, 1.0), abs=1e-12)
+
+
+def test_tubes_stand_round_their_edges() -> None:
+    x = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 2.0, 0.5]])
+    edges = np.array([[0, 1], [1, 2]], np.int32)
+    vertices, faces, owner = tubes(x, edges)
+    radius = 0.004 * 2.0
+    for e, (i, j) in enumerate(edges):
+        ring = vertices[2 * SIDES * e : 2 * SIDES * (e + 1)]
+        axis = (x[j] - x[i]) / np.linalg.norm(x[j] - x[i])
+        start = np.where((owner[2 * SIDES * e : 2 * SIDES * (e + 1)] == i)[:, None], x[i], x[j])
+        assert np.linalg.norm(ring - start, axis=1) == pytest.approx(radius)
+        assert (ring - start) @ axis == pytest.approx(0.0, abs=1e-12)
+        # Faces look outward.
+        for a, b, c in faces[2 * SIDES * e : 2 * SIDES * (e + 1)]:
+            normal = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
+            middle = (vertices[a] + vertices[b] + vertices[c]) / 3
+            outward = middle - x[i] - ((middle - x[i]) @ axis) * axis
+            assert normal @ outward > 0
