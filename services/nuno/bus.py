@@ -156,6 +156,7 @@ class Inbox:
         self._next: dict[str, int] = {}
         self._queue: queue.SimpleQueue[zenoh.Sample | Question] = queue.SimpleQueue()
         self._newest_only = newest_only
+        bus.inboxes.append(self)
         self._handles: list[Any] = [bus.session.declare_subscriber(bus.key(t.name), self._queue.put) for t in topics]
 
     def answer(self, name: str) -> None:
@@ -178,8 +179,13 @@ class Inbox:
                 return message
 
     def close(self) -> None:
-        for handle in self._handles:
-            handle.undeclare()
+        """Take in nothing more; whoever waits for an answer learns at once that none comes."""
+        while self._handles:
+            self._handles.pop().undeclare()
+        while not self._queue.empty():
+            item = self._queue.get_nowait()
+            if isinstance(item, Question):
+                item.query.drop()
 
     def _check(self, sample: zenoh.Sample) -> Message | None:
         topic = str(sample.key_expr).removeprefix(self._bus.key(""))
@@ -206,6 +212,17 @@ class Bus:
     def __init__(self, session: zenoh.Session, run: str, service: str) -> None:
         self.session, self.run, self.service = session, run, service
         self.publishers: dict[str, Publisher] = {}
+        self.inboxes: list[Inbox] = []
+
+    def close(self) -> None:
+        """Withdraw everything this service offers: a question to it then fails at once.
+
+        The session may be shared with other services of the process, and goes on.
+        """
+        for inbox in self.inboxes:
+            inbox.close()
+        for publisher in self.publishers.values():
+            publisher.handle.undeclare()
 
     def key(self, name: str) -> str:
         return f"nuno/{self.run}/{name}"

@@ -127,3 +127,5 @@ def run_service(name: str, loaded: Loaded, session: zenoh.Session, run: str, opt
     except Exception as error:
         context.event("error", f"{type(error).__name__}: {error}", trace=traceback.format_exc())
         raise
+    finally:
+        bus.close()
