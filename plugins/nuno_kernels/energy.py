@@ -100,7 +100,7 @@ def measure_hinge(x: Any, i0: int, i1: int, i2: int, i3: int, k_cos: float, k_si
     sine, cosine = dot(n1, d3) * math.sqrt(ee) * inverse, dot(n1, n2) * inverse
     k = math.sqrt(k_cos * k_cos + k_sin * k_sin)
     s, c = k_cos * sine - k_sin * cosine, k_cos * cosine + k_sin * sine
-    return s * s / (k + c) if c > 0.0 else k - c
+    return float(s * s / (k + c) if c > 0.0 else k - c)
 
 
 @kernel
