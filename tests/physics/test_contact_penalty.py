@@ -133,7 +133,7 @@ def test_skipping_distant_primitives_changes_no_bit():
     for _ in range(3):
         force, other = force_on(contact, x, v, 0.5), force_on(shuffled, y, w, 0.5)
         assert force[:, order].tobytes() == other.tobytes()
-        assert (np.abs(force).sum(axis=0) > 0.0).sum() > 1000
+        assert (np.abs(force).sum(axis=0) > 0.0).sum() > 500
         commit_contact(x, v, 0.5, contact)
         commit_contact(y, w, 0.5, shuffled)
         assert contact.anchor_frame[:, order].tobytes() == shuffled.anchor_frame.tobytes()
