@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -137,9 +138,10 @@ def test_messages_that_never_come_are_not_waited_for_forever(
 
 
 def test_bad_messages_are_dropped_and_counted(tmp_path: Path, loaded: scene_file.Loaded) -> None:
-    sent = sent_items()
+    sent = sent_items(21)
+    last = next(k for k, (topic, header, _) in enumerate(sent) if topic == STATE.name and header.seq == 20)
     with recorder(loaded, tmp_path / "a.mcap") as (running, _):
-        expected = running.publish(sent)
+        running.publish(sent[:last])
         put = running.session.put
         key = running.simulation.key(STATE.name)
         good = Header(run=RUN, service="simulation", seq=20, frame=20, t=0.4)
@@ -147,12 +149,16 @@ def test_bad_messages_are_dropped_and_counted(tmp_path: Path, loaded: scene_file
         put(key, b"not json", attachment=b"\xff\xfe")
         put(key, b"foreign", attachment=good.model_copy(update={"run": "other"}).model_dump_json())
         put(key, b"again", attachment=good.model_copy(update={"seq": 3}).model_dump_json())
-        put(key, b"no time", attachment=good.model_dump_json().replace("0.4", "NaN"))
+        late = good.model_copy(update={"seq": 99}).model_dump_json().replace("0.4", "NaN")
+        put(running.simulation.key("run/event/x"), b"no time", attachment=late)
+        expected = running.publish(sent[last:])
+        for _ in range(21):
+            assert running.acks.get(timeout=5.0) is not None
         answer = running.finish(expected)
-    assert answer["counts"][STATE.name] == 20
+    assert answer["counts"][STATE.name] == 21
     with open_recording(tmp_path / "a.mcap") as recording:
         assert [m.payload for m in recording.messages([STATE.name])] == [p for t, _, p in sent if t == STATE.name]
-        assert '"sim/state": 5' in recording.metadata[END]["refused"]
+        assert json.loads(recording.metadata[END]["refused"]) == {"run/event/x": 1, STATE.name: 4}
 
 
 def test_without_a_supervisor_the_file_is_closed_as_failed(tmp_path: Path, loaded: scene_file.Loaded) -> None:
