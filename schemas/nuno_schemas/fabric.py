@@ -77,7 +77,9 @@ class Springs:
         def plain(name: str) -> NDArray[np.generic]:
             return np.concatenate([getattr(p, name) for p in parts])
 
-        return Springs(plain("first"), plain("count"), plain("stride"), values("k"), values("rest"), values("c"), plain("kind"))  # type: ignore[arg-type]
+        return Springs(
+            plain("first"), plain("count"), plain("stride"), values("k"), values("rest"), values("c"), plain("kind")
+        )  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,8 @@ class Collider(Protocol):
 @dataclass(frozen=True)
 class Mesh:
     """Something to draw: vertices (n, 3) [m], faces (f, 3), colours (n, 3) float in [0, 1]
-    linear or None, uv (n, 2) and image (h, w, 3) uint8 or None."""
+    linear or None, uv (n, 2) and image (h, w, 3) uint8 or None.
+    """
 
     vertices: Float
     faces: NDArray[np.int32]

@@ -42,7 +42,9 @@ class Object(Part):
 
     name: Name
     model: Choice
-    colour: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")] | None = Field(None, description="#rrggbb; stretch is shown where it is left out")
+    colour: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")] | None = Field(
+        None, description="#rrggbb; stretch is shown where it is left out"
+    )
 
 
 class Body(Part):
@@ -52,14 +54,18 @@ class Body(Part):
     collider: Choice
     motion: Choice | None = Field(None, description="left out: the body does not move")
     stiffness: quantity("N/m", gt=0) | Literal["auto"] = "auto"  # type: ignore[valid-type]
-    damping: Annotated[float, Field(ge=0, le=10)] = Field(0.5, description="normal damping in contact, as a ratio of critical")
+    damping: Annotated[float, Field(ge=0, le=10)] = Field(
+        0.5, description="normal damping in contact, as a ratio of critical"
+    )
     friction: Annotated[float, Field(ge=0, le=100)] = Field(0.3, description="Coulomb coefficient")
 
 
 class Record(Part):
     """What goes into the recording."""
 
-    checkpoint_every: quantity("s", gt=0) | None = Field(None, description="interval of float64 checkpoints; the last state is always kept")  # type: ignore[valid-type]
+    checkpoint_every: quantity("s", gt=0) | None = Field(
+        None, description="interval of float64 checkpoints; the last state is always kept"
+    )  # type: ignore[valid-type]
 
 
 class View(Part):

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nuno_schemas.errors import RunFailed
-from nuno_schemas.fabric import Float
 
 from nuno import scene_file, supervisor
 from nuno.files import SceneFiles
@@ -19,6 +17,8 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.report import Report, make_report
 from nuno.service import Options
 from nuno.supervisor import Deployment
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.fabric import Float
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,20 @@ def run(
     run_id = supervisor.new_run_id(loaded.scene.name)
     path = Path(record) if record is not None else Path(tempfile.mkdtemp(prefix="nuno-")) / f"{run_id}.mcap"
     options = Options(record=path, threads=threads)
-    outcome = supervisor.supervise(loaded, options, Deployment(processes=processes, run=run_id), None, lambda o: make_report(loaded, o))
+    outcome = supervisor.supervise(
+        loaded, options, Deployment(processes=processes, run=run_id), None, lambda o: make_report(loaded, o)
+    )
     if outcome.state in ("failed", "diverged"):
-        raise RunFailed(f"{outcome.state}: {outcome.error or 'positions are no longer finite'}; recording kept in {path}")
+        raise RunFailed(
+            f"{outcome.state}: {outcome.error or 'positions are no longer finite'}; recording kept in {path}"
+        )
     last = open_recording(path).last_checkpoint()
-    return Result(outcome.state, last.t, np.array(last.x), np.array(last.v), outcome.summary["digest"], make_report(loaded, outcome), path)
+    return Result(
+        outcome.state,
+        last.t,
+        np.array(last.x),
+        np.array(last.v),
+        outcome.summary["digest"],
+        make_report(loaded, outcome),
+        path,
+    )

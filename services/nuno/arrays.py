@@ -36,7 +36,9 @@ def _file() -> descriptor_pb2.FileDescriptorProto:
     array.field.add(name="data", number=4, type=field.TYPE_BYTES, label=field.LABEL_OPTIONAL)
     arrays = file.message_type.add(name="Arrays")
     arrays.field.add(name="text", number=1, type=field.TYPE_STRING, label=field.LABEL_OPTIONAL)
-    arrays.field.add(name="arrays", number=2, type=field.TYPE_MESSAGE, type_name=".nuno.Array", label=field.LABEL_REPEATED)
+    arrays.field.add(
+        name="arrays", number=2, type=field.TYPE_MESSAGE, type_name=".nuno.Array", label=field.LABEL_REPEATED
+    )
     return file
 
 

@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 import psutil
+
+from nuno.scene_file import Chosen, Loaded
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Springs, State
 from nuno_schemas.plugin import BodyShape, Mover, System, Term
-
-from nuno.scene_file import Chosen, Loaded
 
 BYTES_PER_VERTEX = 700
 """What a run takes at most per vertex; `nuno bench speed` measures it."""
@@ -71,7 +71,19 @@ def _join(fabrics: list[Fabric], name: str) -> Fabric:
         return fabrics[0]
     starts = np.cumsum([0, *(f.number for f in fabrics)])
     moved = list(zip(fabrics, starts, strict=False))
-    springs = [Springs((f.springs.first + at).astype(np.int32), f.springs.count, f.springs.stride, f.springs.k, f.springs.rest, f.springs.c, f.springs.kind) for f, at in moved if f.springs]
+    springs = [
+        Springs(
+            (f.springs.first + at).astype(np.int32),
+            f.springs.count,
+            f.springs.stride,
+            f.springs.k,
+            f.springs.rest,
+            f.springs.c,
+            f.springs.kind,
+        )
+        for f, at in moved
+        if f.springs
+    ]
     hinges = [(f.hinges, at) for f, at in moved if f.hinges]
     empty = np.zeros((0, 3))
     return Fabric(
@@ -83,7 +95,12 @@ def _join(fabrics: list[Fabric], name: str) -> Fabric:
         np.concatenate([np.zeros((0, 3), np.int32), *((f.faces + at).astype(np.int32) for f, at in moved)]),
         Springs.join(springs) if springs else None,
         _join_hinges(hinges) if hinges else None,
-        np.concatenate([np.zeros((0, 2), np.float32), *(f.uv if f.uv is not None else np.zeros((f.number, 2), np.float32) for f in fabrics)]),
+        np.concatenate(
+            [
+                np.zeros((0, 2), np.float32),
+                *(f.uv if f.uv is not None else np.zeros((f.number, 2), np.float32) for f in fabrics),
+            ]
+        ),
         tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
     )
 
@@ -158,7 +175,13 @@ def bind(loaded: Loaded, fabric: Fabric, frames: tuple[str, ...], poses: Poses |
     for binding in fabric.bindings:
         name = f"{binding.body}/{binding.frame}"
         if poses is None or name not in frames:
-            raise BadInput("cloth is attached to a frame that no body has", loaded.file, field="attach", value=name, remedy=nearest(name, frames))
+            raise BadInput(
+                "cloth is attached to a frame that no body has",
+                loaded.file,
+                field="attach",
+                value=name,
+                remedy=nearest(name, frames),
+            )
         index = frames.index(name)
         turn = rotation_matrices(poses.rotation[index])
         local = (fabric.position[binding.vertices] - poses.translation[index]) @ turn
@@ -166,7 +189,9 @@ def bind(loaded: Loaded, fabric: Fabric, frames: tuple[str, ...], poses: Poses |
     return terms
 
 
-def build_system(loaded: Loaded, fabric: Fabric, geometry: Geometry | None, poses: Poses | None, threads: int) -> System:
+def build_system(
+    loaded: Loaded, fabric: Fabric, geometry: Geometry | None, poses: Poses | None, threads: int
+) -> System:
     """The fabric and everything that acts on it; poses are those of t = 0. Raises BadInput."""
     gravity = np.array(loaded.scene.gravity)
     terms = bind(loaded, fabric, geometry.frames if geometry else (), poses)
@@ -187,7 +212,11 @@ def _prepared(loaded: Loaded, field: str, chosen: Chosen, *args: object) -> Term
 
 
 def start_state(fabric: Fabric) -> State:
-    return State(np.ascontiguousarray(fabric.position, np.float64).copy(), np.ascontiguousarray(fabric.velocity, np.float64).copy(), 0.0)
+    return State(
+        np.ascontiguousarray(fabric.position, np.float64).copy(),
+        np.ascontiguousarray(fabric.velocity, np.float64).copy(),
+        0.0,
+    )
 
 
 def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:
@@ -201,16 +230,37 @@ def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:
     dt = loaded.scene.solver.dt
     if dt == "auto":
         if limit <= 0.0:
-            raise loaded.at("solver.plugin", BadInput("no step is stable for this integrator on an undamped scene", remedy="use symplectic_euler, leapfrog or rk4, or give a dt and allow_unstable: true"))
+            raise loaded.at(
+                "solver.plugin",
+                BadInput(
+                    "no step is stable for this integrator on an undamped scene",
+                    remedy="use symplectic_euler, leapfrog or rk4, or give a dt and allow_unstable: true",
+                ),
+            )
         steps = max(1, int(np.ceil(frame / (0.7 * limit)))) if np.isfinite(limit) else 1
         return steps, frame / steps
     steps = max(1, round(frame / dt))
     if abs(frame / steps - dt) > SECONDS_TOLERANCE * dt + 1e-15:
         near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
         choices = " or ".join(f"{frame / n:.9g} s ({n} steps)" for n in near)
-        raise loaded.at("solver.dt", BadInput("a frame is not a whole number of steps", value=f"{dt:g} s in frames of {frame:g} s", remedy=f"nearest that divide it: {choices}"))
+        raise loaded.at(
+            "solver.dt",
+            BadInput(
+                "a frame is not a whole number of steps",
+                value=f"{dt:g} s in frames of {frame:g} s",
+                remedy=f"nearest that divide it: {choices}",
+            ),
+        )
     if dt > limit and not loaded.scene.allow_unstable:
-        raise loaded.at("solver.dt", BadInput("the step is above the stability limit", value=f"{dt:g} s", limit=f"{limit:.4g} s for {loaded.integrator.name}", remedy="use dt: auto, a smaller dt, softer cloth, or allow_unstable: true"))
+        raise loaded.at(
+            "solver.dt",
+            BadInput(
+                "the step is above the stability limit",
+                value=f"{dt:g} s",
+                limit=f"{limit:.4g} s for {loaded.integrator.name}",
+                remedy="use dt: auto, a smaller dt, softer cloth, or allow_unstable: true",
+            ),
+        )
     return steps, frame / steps
 
 

@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import zenoh
+from pydantic import ValidationError
+
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import Header, Topic
-from pydantic import ValidationError
 
 LEASE_MS = 2000
 """A peer that stays silent this long is gone; zenoh's default of 10 s hides a dead service."""
@@ -56,7 +57,11 @@ def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
     try:
         session = zenoh.open(_config("router", [endpoint], [], extra))
     except zenoh.ZError as error:
-        raise BadInput(f"cannot listen: {_short(error)}", value=endpoint, remedy="another program holds the port: leave --listen out for a free one") from None
+        raise BadInput(
+            f"cannot listen: {_short(error)}",
+            value=endpoint,
+            remedy="another program holds the port: leave --listen out for a free one",
+        ) from None
     with session:
         yield session
 
@@ -69,7 +74,11 @@ def spoke(endpoint: str, extra: str | None = None, patience: float = 0.0) -> Ite
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
-        raise BadInput(f"nothing answers there: {_short(error)}", value=endpoint, remedy="start the hub first (nuno serve router), or check --connect") from None
+        raise BadInput(
+            f"nothing answers there: {_short(error)}",
+            value=endpoint,
+            remedy="start the hub first (nuno serve router), or check --connect",
+        ) from None
     with session:
         yield session
 
@@ -162,7 +171,9 @@ class Inbox:
     def answer(self, name: str) -> None:
         """Let questions to `name` in, too."""
         key = self._bus.key(name)
-        self._handles.append(self._bus.session.declare_queryable(key, lambda query: self._queue.put(Question(name, key, query))))
+        self._handles.append(
+            self._bus.session.declare_queryable(key, lambda query: self._queue.put(Question(name, key, query)))
+        )
 
     def get(self, timeout: float) -> Message | Question | None:
         """The next question or good message, or None when the time [s] is over."""
@@ -241,7 +252,9 @@ class Bus:
 
     def ask(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> bytes:
         """The answer of one service's queryable. Raises RunFailed if none comes."""
-        for reply in self.session.get(self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK):
+        for reply in self.session.get(
+            self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK
+        ):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
         raise RunFailed(f"no answer from {name} within {timeout:g} s", peer=name.split("/")[0])

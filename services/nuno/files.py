@@ -33,5 +33,15 @@ class SceneFiles:
                 return path
         allowed = ", ".join(str(root) for root in (self.folder, *self.roots))
         if inside:
-            raise BadInput("no such file", value=name, limit=f"looked in {allowed}", remedy="check the name, or name its folder with --root DIR")
-        raise BadInput("the path leaves the scene's folder", value=name, limit=allowed, remedy="put the file there, or name its folder with --root DIR")
+            raise BadInput(
+                "no such file",
+                value=name,
+                limit=f"looked in {allowed}",
+                remedy="check the name, or name its folder with --root DIR",
+            )
+        raise BadInput(
+            "the path leaves the scene's folder",
+            value=name,
+            limit=allowed,
+            remedy="put the file there, or name its folder with --root DIR",
+        )

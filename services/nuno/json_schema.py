@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from nuno_schemas.scene import Scene
-
 from nuno import registry
+from nuno_schemas.scene import Scene
 
 _PLACES = {
     ("Object", "model"): "nuno.models",
@@ -43,4 +42,10 @@ def _choice(group: str, name: str, definitions: dict[str, Any], field: str) -> d
     properties = {"plugin": {"const": name}, **own.get("properties", {})}
     if field == "solver":
         properties["dt"] = definitions["Solver"]["properties"]["dt"]
-    return {"title": name, "type": "object", "properties": properties, "required": ["plugin", *own.get("required", [])], "additionalProperties": False}
+    return {
+        "title": name,
+        "type": "object",
+        "properties": properties,
+        "required": ["plugin", *own.get("required", [])],
+        "additionalProperties": False,
+    }

@@ -65,8 +65,20 @@ def lines(report: Report) -> list[tuple[str, str]]:
     """The report as (heading, text) rows."""
     rows = [("run", f"{report['run']}: {report['state']}")]
     rows.append(("size", ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)))
-    rows.append(("time", f"{report['simulated_seconds']:.3g} s simulated in {report['wall_seconds']:.3g} s: {report['real_time_factor']:.2f}x real time (prepared in {report['prepare_seconds']:.2g} s)"))
-    rows.append(("parts", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005)))
+    rows.append(
+        (
+            "time",
+            f"{report['simulated_seconds']:.3g} s simulated in {report['wall_seconds']:.3g} s: {report['real_time_factor']:.2f}x real time (prepared in {report['prepare_seconds']:.2g} s)",
+        )
+    )
+    rows.append(
+        (
+            "parts",
+            ", ".join(
+                f"{name} {seconds:.3g} s" for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005
+            ),
+        )
+    )
     rows.append(("step", _step(report)))
     rows += _physics(report)
     frames = report["frames"]
@@ -99,9 +111,20 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     if report["energy"]:
         first, last = report["energy"][0], report["energy"][-1]
         kinds = [kind for kind in last if first.get(kind) or last.get(kind)]
-        rows.append(("energy", ", ".join(f"{kind} {_joules(first.get(kind, 0.0))} -> {_joules(last[kind])}" for kind in kinds) or "0 J"))
+        rows.append(
+            (
+                "energy",
+                ", ".join(f"{kind} {_joules(first.get(kind, 0.0))} -> {_joules(last[kind])}" for kind in kinds)
+                or "0 J",
+            )
+        )
         total = [sum(energy.values()) for energy in (first, last)]
-        rows.append(("balance", f"{_joules(total[0])} -> {_joules(total[1])}: {_joules(total[1] - total[0])} by damping, friction, wind and moving bodies"))
+        rows.append(
+            (
+                "balance",
+                f"{_joules(total[0])} -> {_joules(total[1])}: {_joules(total[1] - total[0])} by damping, friction, wind and moving bodies",
+            )
+        )
     rows.append(("stretch", f"at most {report['stretch']:.2%}"))
     if report["penetration"] is not None:
         text = f"at most {report['penetration'] * 1e3:.3g} mm"

@@ -10,13 +10,18 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
+
 from nuno_schemas.errors import BadInput, nearest
 
 
 def folder() -> Path:
     """Where runs are noted: readable by this user only."""
     base = os.environ.get("XDG_RUNTIME_DIR")
-    path = Path(base) / "nuno" if base and os.access(base, os.W_OK) else Path(tempfile.gettempdir()) / f"nuno-{os.getuid()}"
+    path = (
+        Path(base) / "nuno"
+        if base and os.access(base, os.W_OK)
+        else Path(tempfile.gettempdir()) / f"nuno-{os.getuid()}"
+    )
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
     return path
 

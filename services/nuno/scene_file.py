@@ -10,13 +10,13 @@ from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
-from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.scene import Choice, Scene
 from pydantic import BaseModel, ValidationError
 
 from nuno import registry, yaml_lines
 from nuno.files import SceneFiles
 from nuno.yaml_lines import dotted
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.scene import Choice, Scene
 
 
 @dataclass
@@ -85,14 +85,18 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = ()) 
     data, lines = yaml_lines.parse(text, str(path))
     for item in overrides:
         apply_override(data, item)
-    return replace(load(data, lines, str(path), SceneFiles(path.resolve().parent, tuple(roots))), overrides=tuple(overrides))
+    return replace(
+        load(data, lines, str(path), SceneFiles(path.resolve().parent, tuple(roots))), overrides=tuple(overrides)
+    )
 
 
 def apply_override(data: dict[str, Any], item: str) -> None:
     """Set `a.b.0.c=value` in place. Raises BadInput for a path that cannot be there."""
     key, equals, text = item.partition("=")
     if not equals or not key:
-        raise BadInput("an override is written key=value", "--set", value=item, remedy="for example --set solver.dt=1ms")
+        raise BadInput(
+            "an override is written key=value", "--set", value=item, remedy="for example --set solver.dt=1ms"
+        )
     *parents, last = key.replace("[", ".").replace("]", "").split(".")
     place: Any = data
     for part in parents:
@@ -101,7 +105,9 @@ def apply_override(data: dict[str, Any], item: str) -> None:
         elif isinstance(place, dict):
             place = place.setdefault(part, {})
         else:
-            raise BadInput("no such field", "--set", field=key, value=part, remedy="name an existing list item or field")
+            raise BadInput(
+                "no such field", "--set", field=key, value=part, remedy="name an existing list item or field"
+            )
     if isinstance(place, list) and last.isdigit() and int(last) < len(place):
         place[int(last)] = yaml_lines.parse_value(text)
     elif isinstance(place, dict):
@@ -135,7 +141,9 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         models=[chosen("nuno.models", o.model, ("objects", i, "model")) for i, o in enumerate(scene.objects)],
         integrator=chosen("nuno.integrators", scene.solver, ("solver",)),
         colliders=[chosen("nuno.colliders", b.collider, ("bodies", i, "collider")) for i, b in enumerate(scene.bodies)],
-        motions=[b.motion and chosen("nuno.motions", b.motion, ("bodies", i, "motion")) for i, b in enumerate(scene.bodies)],
+        motions=[
+            b.motion and chosen("nuno.motions", b.motion, ("bodies", i, "motion")) for i, b in enumerate(scene.bodies)
+        ],
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
         contact=chosen("nuno.contacts", scene.contact, ("contact",)) if scene.bodies else None,
     )
@@ -146,7 +154,9 @@ def located(error: BadInput, file: str, lines: dict[yaml_lines.Path, int], field
     if error.file is not None and error.field is not None:
         return error
     full = f"{field}.{error.field}" if error.field else field
-    line = next((n for path, n in sorted(lines.items(), key=lambda item: -len(item[0])) if _under(full, dotted(path))), None)
+    line = next(
+        (n for path, n in sorted(lines.items(), key=lambda item: -len(item[0])) if _under(full, dotted(path))), None
+    )
     return BadInput(error.problem, error.file or file, error.line or line, full, error.value, error.limit, error.remedy)
 
 
@@ -154,7 +164,13 @@ def _under(field: str, path: str) -> bool:
     return field == path or (path != "" and field.startswith(path) and field[len(path)] in ".[")
 
 
-def _explain(error: ValidationError, model: type[BaseModel], prefix: yaml_lines.Path, file: str, lines: dict[yaml_lines.Path, int]) -> BadInput:
+def _explain(
+    error: ValidationError,
+    model: type[BaseModel],
+    prefix: yaml_lines.Path,
+    file: str,
+    lines: dict[yaml_lines.Path, int],
+) -> BadInput:
     """The first of pydantic's errors in the user's words."""
     first = min(error.errors(), key=lambda e: (e["type"] == "missing", len(e["loc"])))
     loc: yaml_lines.Path = tuple(part for part in first["loc"] if isinstance(part, int) or not _is_branch(part))
@@ -170,7 +186,13 @@ def _explain(error: ValidationError, model: type[BaseModel], prefix: yaml_lines.
 
 def _is_branch(part: str) -> bool:
     """pydantic names the branch of a union in its location; those are no fields."""
-    return part.startswith(("function-", "constrained-", "literal[", "float", "int", "str", "bool", "tuple", "list", "dict")) and not part.isidentifier() or part in {"float", "int", "str", "bool"}
+    return (
+        (part.startswith(
+            ("function-", "constrained-", "literal[", "float", "int", "str", "bool", "tuple", "list", "dict")
+        )
+        and not part.isidentifier())
+        or part in {"float", "int", "str", "bool"}
+    )
 
 
 def _fields_at(model: Any, loc: yaml_lines.Path) -> list[str]:
@@ -187,6 +209,10 @@ def _fields_at(model: Any, loc: yaml_lines.Path) -> list[str]:
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias) and issubclass(annotation, BaseModel):
+    if (
+        isinstance(annotation, type)
+        and not isinstance(annotation, types.GenericAlias)
+        and issubclass(annotation, BaseModel)
+    ):
         return [annotation]
     return [m for arg in typing.get_args(annotation) for m in _models_in(arg)]

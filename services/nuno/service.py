@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import EVENT, Event, Topic
 
 from nuno.bus import Bus, Inbox, Message, Question, Watch
 from nuno.scene_file import Loaded
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import EVENT, Event, Topic
 
 SUPERVISOR = "supervisor"
 MODULES = {
@@ -62,7 +62,9 @@ class Context:
 
     def event(self, kind: str, text: str, frame: int = -1, t: float = 0.0, **args: Any) -> None:
         """Tell the run (and its recording) that something happened."""
-        event = Event.model_validate({"frame": frame, "t": t, "service": self.bus.service, "kind": kind, "text": text, "args": args})
+        event = Event.model_validate(
+            {"frame": frame, "t": t, "service": self.bus.service, "kind": kind, "text": text, "args": args}
+        )
         self.bus.publisher(_event_topic(self.bus.service)).put(event.model_dump_json().encode(), frame, t)
 
     def orphaned(self) -> bool:

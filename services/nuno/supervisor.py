@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import STATUS, Event, Status, Topic
 
 from nuno import runs
 from nuno.bus import Bus, Inbox, Message, Watch, free_port, hub, spoke
 from nuno.plan import Plan, make_plan
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options, run_service
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import STATUS, Event, Status, Topic
 
 START_TIMEOUT = 120.0
 """Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
@@ -126,7 +126,9 @@ class Supervisor:
                 return f"the {name} service died: {why}"
         return ""
 
-    def finish(self, error: str, report: Callable[[dict[str, dict[str, Any]]], dict[str, Any]], discard: bool = False) -> dict[str, dict[str, Any]]:
+    def finish(
+        self, error: str, report: Callable[[dict[str, dict[str, Any]]], dict[str, Any]], discard: bool = False
+    ) -> dict[str, dict[str, Any]]:
         """Ask each service to finish, the recorder last, and collect what they counted.
 
         `discard` leaves no recording behind: nothing has happened that could be in it.
@@ -149,7 +151,9 @@ class Supervisor:
 
 
 @contextlib.contextmanager
-def _threads(loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str) -> Iterator[Callable[[], dict[str, str]]]:
+def _threads(
+    loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str
+) -> Iterator[Callable[[], dict[str, str]]]:
     """All services as threads of this process."""
     over: dict[str, str] = {}
 
@@ -171,11 +175,18 @@ def _threads(loaded: Loaded, options: Options, plan: Plan, session: zenoh.Sessio
 
 
 @contextlib.contextmanager
-def _processes(loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str) -> Iterator[Callable[[], dict[str, str]]]:
+def _processes(
+    loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str
+) -> Iterator[Callable[[], dict[str, str]]]:
     """One process per service."""
-    children = {name: subprocess.Popen(serve_command(name, loaded, options, endpoint, run), stdin=subprocess.DEVNULL) for name in plan.services}
+    children = {
+        name: subprocess.Popen(serve_command(name, loaded, options, endpoint, run), stdin=subprocess.DEVNULL)
+        for name in plan.services
+    }
     try:
-        yield lambda: {name: f"exit code {code}" for name, child in children.items() if (code := child.poll()) is not None}
+        yield lambda: {
+            name: f"exit code {code}" for name, child in children.items() if (code := child.poll()) is not None
+        }
         for child in children.values():
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.wait(FINISH_TIMEOUT)
@@ -192,7 +203,12 @@ def serve_command(name: str, loaded: Loaded, options: Options, endpoint: str, ru
     for flag, values in (("--set", loaded.overrides), ("--root", loaded.files.roots), ("--must-see", options.must_see)):
         for value in values:
             command += [flag, str(value)]
-    for flag, value in (("--record", options.record), ("--save", options.save), ("--view", options.view), ("--resume", options.resume)):
+    for flag, value in (
+        ("--record", options.record),
+        ("--save", options.save),
+        ("--view", options.view),
+        ("--resume", options.resume),
+    ):
         if value is not None:
             command += [flag, str(value)]
     return [*command, "--threads", str(options.threads)]
@@ -217,7 +233,11 @@ def supervise(
     began = time.perf_counter()
     with contextlib.ExitStack() as stack:
         endpoint = deployment.connect or deployment.listen or f"tcp/127.0.0.1:{free_port()}"
-        opened = spoke(endpoint, deployment.config, CONNECT_PATIENCE) if deployment.connect else hub(endpoint, deployment.config)
+        opened = (
+            spoke(endpoint, deployment.config, CONNECT_PATIENCE)
+            if deployment.connect
+            else hub(endpoint, deployment.config)
+        )
         session = stack.enter_context(opened)
         supervisor = Supervisor(loaded, options, plan, session, run)
         stack.enter_context(supervisor.bus.alive())
@@ -229,7 +249,9 @@ def supervise(
         return _conduct(supervisor, began, progress, report)
 
 
-def _conduct(supervisor: Supervisor, began: float, progress: Progress | None, report: Callable[[Outcome], dict[str, Any]] | None) -> Outcome:
+def _conduct(
+    supervisor: Supervisor, began: float, progress: Progress | None, report: Callable[[Outcome], dict[str, Any]] | None
+) -> Outcome:
     try:
         supervisor.wait_until_ready()
         ready = time.perf_counter()
@@ -271,5 +293,9 @@ def record_path(folder: Path, run: str) -> Path:
         probe.write_text(json.dumps(run))
         probe.unlink()
     except OSError as error:
-        raise BadInput(f"the recordings folder cannot be written: {error.strerror}", value=str(folder), remedy="name another file with --record FILE, or use --no-record") from None
+        raise BadInput(
+            f"the recordings folder cannot be written: {error.strerror}",
+            value=str(folder),
+            remedy="name another file with --record FILE, or use --no-record",
+        ) from None
     return folder / f"{run}.mcap"

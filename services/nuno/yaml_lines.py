@@ -29,7 +29,13 @@ class _Reader:
         # Aliases are expanded here, so a short text that stands for a huge tree is refused
         # while it is counted, before it is built.
         if self.nodes > MAX_NODES or len(path) > MAX_DEPTH:
-            raise BadInput("the scene is too large or nests too deep", self.file, line, limit=f"{MAX_NODES} nodes, {MAX_DEPTH} levels", remedy="remove nested aliases; put arrays into .npz files")
+            raise BadInput(
+                "the scene is too large or nests too deep",
+                self.file,
+                line,
+                limit=f"{MAX_NODES} nodes, {MAX_DEPTH} levels",
+                remedy="remove nested aliases; put arrays into .npz files",
+            )
         self.lines.setdefault(path, line)
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, path)
@@ -39,11 +45,20 @@ class _Reader:
             return self.scalars.construct_object(node)
         if node.tag == "tag:yaml.org,2002:timestamp":
             return node.value
-        raise BadInput("YAML tags are not allowed in scenes", self.file, line, dotted(path), node.tag, remedy="remove the tag")
+        raise BadInput(
+            "YAML tags are not allowed in scenes", self.file, line, dotted(path), node.tag, remedy="remove the tag"
+        )
 
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
         if node.tag not in _PLAIN:
-            raise BadInput("YAML tags are not allowed in scenes", self.file, node.start_mark.line + 1, dotted(path), node.tag, remedy="remove the tag")
+            raise BadInput(
+                "YAML tags are not allowed in scenes",
+                self.file,
+                node.start_mark.line + 1,
+                dotted(path),
+                node.tag,
+                remedy="remove the tag",
+            )
         result: dict[str, Any] = {}
         for key_node, child in node.value:
             line = key_node.start_mark.line + 1
@@ -51,7 +66,9 @@ class _Reader:
                 raise BadInput("a field name must be plain text", self.file, line, dotted(path))
             key = str(key_node.value)
             if key in result:
-                raise BadInput("the field is given twice", self.file, line, dotted((*path, key)), remedy="keep one of them")
+                raise BadInput(
+                    "the field is given twice", self.file, line, dotted((*path, key)), remedy="keep one of them"
+                )
             self.lines[(*path, key)] = line
             result[key] = self.read(child, (*path, key))
         return result
@@ -68,13 +85,24 @@ def dotted(path: Path) -> str:
 def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:
     """YAML text -> the mapping and the line of every path in it. Raises BadInput."""
     if len(text) > MAX_BYTES:
-        raise BadInput("the scene file is too large", file, value=f"{len(text)} characters", limit=f"{MAX_BYTES}", remedy="put arrays into .npz files")
+        raise BadInput(
+            "the scene file is too large",
+            file,
+            value=f"{len(text)} characters",
+            limit=f"{MAX_BYTES}",
+            remedy="put arrays into .npz files",
+        )
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark else None
-        raise BadInput(f"not valid YAML: {getattr(error, 'problem', error)}", file, line, remedy="check indentation, colons and brackets on that line") from None
+        raise BadInput(
+            f"not valid YAML: {getattr(error, 'problem', error)}",
+            file,
+            line,
+            remedy="check indentation, colons and brackets on that line",
+        ) from None
     except RecursionError:
         raise BadInput("the scene nests too deep", file, limit=f"{MAX_DEPTH} levels") from None
     reader = _Reader(file)
@@ -86,6 +114,10 @@ def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:
 def parse_value(text: str) -> Any:
     """The right side of --set key=value. Raises BadInput."""
     try:
-        return _Reader("--set").read(yaml.compose(text, Loader=yaml.SafeLoader) or yaml.ScalarNode("tag:yaml.org,2002:null", ""), ())
+        return _Reader("--set").read(
+            yaml.compose(text, Loader=yaml.SafeLoader) or yaml.ScalarNode("tag:yaml.org,2002:null", ""), ()
+        )
     except yaml.YAMLError:
-        raise BadInput("not a valid value", "--set", value=text, remedy="quote it, or write a number, [a, b, c] or {key: value}") from None
+        raise BadInput(
+            "not a valid value", "--set", value=text, remedy="quote it, or write a number, [a, b, c] or {key: value}"
+        ) from None

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-OWN = {path.name for folder in ("schemas", "services", "plugins") for path in (ROOT / folder).iterdir() if path.is_dir()}
+OWN = {
+    path.name for folder in ("schemas", "services", "plugins") for path in (ROOT / folder).iterdir() if path.is_dir()
+}
 PLUGINS = {path.name for path in (ROOT / "plugins").iterdir() if path.is_dir()}
 HOST_LIBRARIES = {"zenoh", "mcap", "rerun", "foxglove"}
 
@@ -37,7 +39,9 @@ def imported(path: Path) -> set[str]:
 
 @pytest.mark.parametrize("package", sorted(name for name in OWN if not name.startswith((".", "_"))))
 def test_package_imports_only_what_it_may(package: str) -> None:
-    folder = next(ROOT / kind / package for kind in ("schemas", "services", "plugins") if (ROOT / kind / package).is_dir())
+    folder = next(
+        ROOT / kind / package for kind in ("schemas", "services", "plugins") if (ROOT / kind / package).is_dir()
+    )
     wrong = {}
     for path in folder.rglob("*.py"):
         names = imported(path)

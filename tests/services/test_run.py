@@ -11,17 +11,17 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import nuno
 import psutil
 import pytest
+from scenes import BALL, write_scene
+
+import nuno
 from nuno import runs, scene_file, supervisor
 from nuno.recording.restore import control_events
 from nuno.service import Options
 from nuno.supervisor import Deployment, Outcome
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import Status
-
-from scenes import BALL, write_scene
 
 
 def test_threads_and_processes_end_in_the_same_bits(tmp_path: Path) -> None:
@@ -134,7 +134,9 @@ def test_killed_service_ends_the_run_and_is_named(long_run: Callable[..., Run], 
     record = run.options.record
     assert record is not None
     wait_until(lambda: frames_in(record.with_name(record.name + ".part")) > 0)
-    child = next(p for p in psutil.Process().children() if p.cmdline()[3:5] == ["serve", service] and run.run in p.cmdline())
+    child = next(
+        p for p in psutil.Process().children() if p.cmdline()[3:5] == ["serve", service] and run.run in p.cmdline()
+    )
     os.kill(child.pid, signal.SIGKILL)
     outcome = run.join()
     assert outcome.state == "failed"
@@ -173,7 +175,9 @@ def test_step_above_the_limit_is_refused_with_limit_and_remedy(tmp_path: Path) -
 
 def test_nothing_listens_beyond_loopback(long_run: Callable[..., Run]) -> None:
     run = long_run()
-    sockets = [c for c in psutil.Process().net_connections() if c.status == psutil.CONN_LISTEN or c.type.name == "SOCK_DGRAM"]
+    sockets = [
+        c for c in psutil.Process().net_connections() if c.status == psutil.CONN_LISTEN or c.type.name == "SOCK_DGRAM"
+    ]
     run.control("stop")
     run.join()
     assert sockets
@@ -193,7 +197,9 @@ def test_services_started_by_hand(tmp_path: Path) -> None:
         ["run", *common, "--record", str(record), "--no-view"],
         ["serve", "router", "--listen", endpoint],
     ]
-    children = [subprocess.Popen([sys.executable, "-m", "nuno", *command], stdout=subprocess.DEVNULL) for command in commands]
+    children = [
+        subprocess.Popen([sys.executable, "-m", "nuno", *command], stdout=subprocess.DEVNULL) for command in commands
+    ]
     try:
         codes = [child.wait(60) for child in children[:4]]
     finally:

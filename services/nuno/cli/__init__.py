@@ -66,7 +66,11 @@ def _dispatch(arguments: list[str]) -> int:
         raise BadInput(f"no command {name!r}", remedy=nearest(name, COMMANDS))
     path, summary = COMMANDS[name]
     module = importlib.import_module(path)
-    parser = _Parser(prog=f"nuno {name}", description=summary[0].upper() + summary[1:] + ".", formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = _Parser(
+        prog=f"nuno {name}",
+        description=summary[0].upper() + summary[1:] + ".",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     module.add_arguments(parser)
     return int(module.main(parser.parse_args(rest)))
 
@@ -74,4 +78,8 @@ def _dispatch(arguments: list[str]) -> int:
 def _help() -> str:
     width = max(map(len, COMMANDS))
     rows = [f"  {name:{width}}  {summary}" for name, (_, summary) in COMMANDS.items()]
-    return "nuno: textile simulation as services\n\nusage: nuno COMMAND ...\n\n" + "\n".join(rows) + "\n\n`nuno COMMAND --help` says more; start with `nuno run skirt-hula`."
+    return (
+        "nuno: textile simulation as services\n\nusage: nuno COMMAND ...\n\n"
+        + "\n".join(rows)
+        + "\n\n`nuno COMMAND --help` says more; start with `nuno run skirt-hula`."
+    )

@@ -11,8 +11,22 @@ from nuno.scene_file import Loaded
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="a YAML file, or the name of a shipped scene (nuno scenes)")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help="change a field of the scene, e.g. solver.dt=1ms; may be repeated")
-    parser.add_argument("--root", action="append", default=[], type=Path, metavar="DIR", help="another folder that the scene's files may come from")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="overrides",
+        help="change a field of the scene, e.g. solver.dt=1ms; may be repeated",
+    )
+    parser.add_argument(
+        "--root",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="DIR",
+        help="another folder that the scene's files may come from",
+    )
 
 
 def load_scene(args: argparse.Namespace) -> Loaded:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from nuno_schemas.errors import BadInput
-
 from nuno import runs
 from nuno.supervisor import control
+from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,9 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from nuno_schemas.errors import BadInput
-
 from nuno.recording.reader import Recording, open_recording
+from nuno_schemas.errors import BadInput
 
 MESHES = (".obj", ".ply", ".glb")
 
@@ -17,19 +16,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RECORDING")
     what = parser.add_argument_group("what to write (any number of these)")
     what.add_argument("--npz", type=Path, metavar="FILE", help="float64 x, v and t of the last checkpoint")
-    what.add_argument("--csv", type=Path, metavar="FILE", help="energy, stretch, penetration and step time of every frame")
+    what.add_argument(
+        "--csv", type=Path, metavar="FILE", help="energy, stretch, penetration and step time of every frame"
+    )
     what.add_argument("--png", type=Path, metavar="FILE", help="a picture of a frame")
     what.add_argument("--gif", type=Path, metavar="FILE", help="an animation")
     what.add_argument("--mp4", type=Path, metavar="FILE", help="an animation (needs nuno[video])")
     for suffix in MESHES:
         text = "; a folder: every frame"
-        what.add_argument(f"--{suffix[1:]}", type=Path, metavar="FILE", help=f"the cloth{' and bodies' if suffix == '.glb' else ''} in a frame{text}")
+        what.add_argument(
+            f"--{suffix[1:]}",
+            type=Path,
+            metavar="FILE",
+            help=f"the cloth{' and bodies' if suffix == '.glb' else ''} in a frame{text}",
+        )
     what.add_argument("--rrd", type=Path, metavar="FILE", help="a file for the rerun viewer (needs nuno[view])")
     which = parser.add_argument_group("which part")
     which.add_argument("--frame", type=int, metavar="N", help="frame for --png and meshes (default: the last)")
     which.add_argument("--start", type=float, metavar="SECONDS", help="animations: from here")
     which.add_argument("--end", type=float, metavar="SECONDS", help="animations: to here")
-    which.add_argument("--fps", type=float, default=25.0, metavar="N", help="animations: pictures a second (default: %(default)g)")
+    which.add_argument(
+        "--fps", type=float, default=25.0, metavar="N", help="animations: pictures a second (default: %(default)g)"
+    )
     which.add_argument("--size", metavar="WxH", help="of pictures, e.g. 960x720")
 
 
@@ -37,7 +45,9 @@ def main(args: argparse.Namespace) -> int:
     with open_recording(args.recording) as recording:
         written = _export(recording, args)
     if not written:
-        raise BadInput("nothing to export was asked for", remedy="for example: nuno export RECORDING --npz out.npz --png out.png")
+        raise BadInput(
+            "nothing to export was asked for", remedy="for example: nuno export RECORDING --npz out.npz --png out.png"
+        )
     for path in written:
         print(path)
     return 0
@@ -56,7 +66,9 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
         written.append(pictures.export_picture(recording, args.png, args.frame, size))
     for path in (args.gif, args.mp4):
         if path:
-            written.append(animations.export_animation(recording, path, size, args.fps, args.start, args.end, _progress))
+            written.append(
+                animations.export_animation(recording, path, size, args.fps, args.start, args.end, _progress)
+            )
     for suffix in MESHES:
         path = getattr(args, suffix[1:])
         if path and path.suffix.lower() == suffix:
@@ -77,7 +89,9 @@ def _size(text: str | None) -> tuple[int, int] | None:
         return None
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
-        raise BadInput("a size is written WIDTHxHEIGHT", field="--size", value=text, remedy="for example --size 960x720")
+        raise BadInput(
+            "a size is written WIDTHxHEIGHT", field="--size", value=text, remedy="for example --size 960x720"
+        )
     return int(width), int(height)
 
 

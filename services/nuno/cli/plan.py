@@ -27,17 +27,30 @@ def main(args: argparse.Namespace) -> int:
     seconds = _time_frame(simulation, bodies)
     vertices, limit = simulation.fabric.number, simulation.limit.dt
     terms = sorted({term.kind for term in simulation.system.terms})
-    parts = [name for name, part in (("springs", simulation.fabric.springs), ("hinges", simulation.fabric.hinges)) if part is not None]
+    parts = [
+        name
+        for name, part in (("springs", simulation.fabric.springs), ("hinges", simulation.fabric.hinges))
+        if part is not None
+    ]
     checkpoints = 1 + (int(scene.duration / scene.record.checkpoint_every) if scene.record.checkpoint_every else 0)
     size = scene.frames * 12 * vertices + checkpoints * 48 * vertices
     rows = [
         ("scene", f"{scene.name}: {scene.description}"),
         ("services", ", ".join(plan.services)),
-        ("fabric", f"{vertices:,} vertices, {simulation.fabric.springs.number if simulation.fabric.springs else 0:,} springs, {simulation.fabric.hinges.number if simulation.fabric.hinges else 0:,} hinges"),
+        (
+            "fabric",
+            f"{vertices:,} vertices, {simulation.fabric.springs.number if simulation.fabric.springs else 0:,} springs, {simulation.fabric.hinges.number if simulation.fabric.hinges else 0:,} hinges",
+        ),
         ("terms", ", ".join([*parts, *terms]) or "gravity only"),
-        ("solver", f"{loaded.integrator.name}, dt {simulation.dt * 1e3:.4g} ms, {simulation.steps} steps a frame; limit {limit * 1e3:.4g} ms"),
+        (
+            "solver",
+            f"{loaded.integrator.name}, dt {simulation.dt * 1e3:.4g} ms, {simulation.steps} steps a frame; limit {limit * 1e3:.4g} ms",
+        ),
         ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s"),
-        ("cost", f"about {seconds * scene.frames:.2g} s ({1 / scene.frame_rate / seconds:.1f}x real time, from one frame measured here), {size / 1e6:.3g} MB recorded, {vertices * build.BYTES_PER_VERTEX / 2**20:.3g} MiB of memory at most"),
+        (
+            "cost",
+            f"about {seconds * scene.frames:.2g} s ({1 / scene.frame_rate / seconds:.1f}x real time, from one frame measured here), {size / 1e6:.3g} MB recorded, {vertices * build.BYTES_PER_VERTEX / 2**20:.3g} MiB of memory at most",
+        ),
         *(("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)),
     ]
     for name, text in rows:

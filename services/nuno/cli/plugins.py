@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from nuno_schemas.plugin import GROUPS
-
 from nuno import registry
+from nuno_schemas.plugin import GROUPS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -25,12 +25,20 @@ class ProgressLine:
         if self._terminal:
             from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-            self._bar = Progress(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), transient=True)
+            self._bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.fields[rate]}"),
+                TimeRemainingColumn(),
+                transient=True,
+            )
             self._bar.start()
             self._task = self._bar.add_task("preparing", total=self.scene.duration, rate="")
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._bar is not None:
             self._bar.stop()  # type: ignore[attr-defined]
 
@@ -42,7 +50,9 @@ class ProgressLine:
         factor = (status.t - self.first) / max(now - self.start, 1e-9)
         rate = f"{factor:.1f}x real time" if status.t > self.first else ""
         if self._bar is not None:
-            self._bar.update(self._task, completed=status.t, description=f"{status.t:.2f} of {self.scene.duration:g} s", rate=rate)  # type: ignore[attr-defined]
+            self._bar.update(
+                self._task, completed=status.t, description=f"{status.t:.2f} of {self.scene.duration:g} s", rate=rate
+            )  # type: ignore[attr-defined]
             return
         tenth = int(10 * status.t / self.scene.duration + 1e-9)
         if tenth > self.tenth:

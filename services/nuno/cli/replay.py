@@ -8,8 +8,6 @@ import sys
 import threading
 from pathlib import Path
 
-from nuno_schemas.errors import BadInput
-
 from nuno import runs, supervisor
 from nuno.bus import Bus, free_port, hub
 from nuno.recording.reader import Recording, open_recording
@@ -17,6 +15,7 @@ from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options, run_service
+from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,12 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     speed.add_argument("--fast", action="store_true", help="as fast as the subscribers take it")
     parser.add_argument("--start", type=float, default=0.0, metavar="SECONDS", help="begin at this simulation time")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
-    parser.add_argument("--verify", action="store_true", help="simulate it again and compare every frame to the last bit")
+    parser.add_argument(
+        "--verify", action="store_true", help="simulate it again and compare every frame to the last bit"
+    )
     view = parser.add_mutually_exclusive_group()
     view.add_argument("--view", nargs="?", const="window", choices=["window", "web"], help="show it in rerun")
     view.add_argument("--no-view", action="store_true", help="only publish")
     parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a file for the rerun viewer")
-    parser.add_argument("--listen", metavar="ENDPOINT", help="where subscribers connect (default: a free port on loopback)")
+    parser.add_argument(
+        "--listen", metavar="ENDPOINT", help="where subscribers connect (default: a free port on loopback)"
+    )
     parser.add_argument("--run", metavar="ID", help="name of the run it is published as")
 
 
@@ -91,7 +94,9 @@ class _Viewer:
         from nuno.bus import Watch
 
         self.bus = bus
-        self.thread = threading.Thread(target=run_service, args=("viewer", loaded, bus.session, bus.run, options), daemon=True)
+        self.thread = threading.Thread(
+            target=run_service, args=("viewer", loaded, bus.session, bus.run, options), daemon=True
+        )
         self.thread.start()
         if Watch(bus).wait_for({"viewer"}, 60.0):
             raise BadInput("the viewer did not start")

@@ -7,8 +7,6 @@ import sys
 import time
 from pathlib import Path
 
-from nuno_schemas.errors import BadInput
-
 from nuno import supervisor
 from nuno.cli.common import add_scene, load_scene
 from nuno.cli.progress import ProgressLine
@@ -16,32 +14,62 @@ from nuno.report import make_report, show_report
 from nuno.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervisor import Deployment
+from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     recording = parser.add_argument_group("recording")
-    recording.add_argument("--record", type=Path, metavar="FILE", help="where the recording goes (default: recordings/<run>.mcap)")
+    recording.add_argument(
+        "--record", type=Path, metavar="FILE", help="where the recording goes (default: recordings/<run>.mcap)"
+    )
     recording.add_argument("--no-record", action="store_true", help="do not record")
-    recording.add_argument("--resume", type=Path, metavar="FILE", help="go on from the last checkpoint of a recording; SCENE is then not needed", default=None)
+    recording.add_argument(
+        "--resume",
+        type=Path,
+        metavar="FILE",
+        help="go on from the last checkpoint of a recording; SCENE is then not needed",
+        default=None,
+    )
     view = parser.add_argument_group("viewing").add_mutually_exclusive_group()
-    view.add_argument("--view", nargs="?", const="window", choices=["window", "web"], help="show the run in rerun: a window (default where there is a screen) or web on loopback")
+    view.add_argument(
+        "--view",
+        nargs="?",
+        const="window",
+        choices=["window", "web"],
+        help="show the run in rerun: a window (default where there is a screen) or web on loopback",
+    )
     view.add_argument("--no-view", action="store_true", help="show nothing and draw no picture")
     parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="also write a file for the rerun viewer")
     where = parser.add_argument_group("where services run")
     where.add_argument("--processes", action="store_true", help="one process per service instead of threads")
-    where.add_argument("--listen", metavar="ENDPOINT", help="listen here, e.g. tcp/127.0.0.1:7447 (default: a free port on loopback)")
-    where.add_argument("--connect", metavar="ENDPOINT", help="start no service: services started by hand wait at this hub")
+    where.add_argument(
+        "--listen", metavar="ENDPOINT", help="listen here, e.g. tcp/127.0.0.1:7447 (default: a free port on loopback)"
+    )
+    where.add_argument(
+        "--connect", metavar="ENDPOINT", help="start no service: services started by hand wait at this hub"
+    )
     where.add_argument("--run", metavar="ID", help="name of the run (default: scene, time and four random digits)")
     where.add_argument("--config", metavar="FILE", help="zenoh configuration: TLS, access control")
-    where.add_argument("--threads", type=int, default=0, metavar="N", help="most threads for kernels (default: all cores); the result is the same")
+    where.add_argument(
+        "--threads",
+        type=int,
+        default=0,
+        metavar="N",
+        help="most threads for kernels (default: all cores); the result is the same",
+    )
 
 
 def main(args: argparse.Namespace) -> int:
     loaded = load_scene(args)
     run = args.run or supervisor.new_run_id(loaded.scene.name)
     options = _options(args, run)
-    return execute(loaded, options, Deployment(args.processes, args.listen, args.connect, run, args.config), picture=_wants_picture(args, options))
+    return execute(
+        loaded,
+        options,
+        Deployment(args.processes, args.listen, args.connect, run, args.config),
+        picture=_wants_picture(args, options),
+    )
 
 
 def _options(args: argparse.Namespace, run: str) -> Options:
@@ -69,7 +97,9 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
     """Run, show progress, print the report; the exit code."""
     started = time.perf_counter()
     with ProgressLine(loaded.scene) as progress:
-        outcome = supervisor.supervise(loaded, options, deployment, progress.update, lambda outcome: make_report(loaded, outcome))
+        outcome = supervisor.supervise(
+            loaded, options, deployment, progress.update, lambda outcome: make_report(loaded, outcome)
+        )
     report = make_report(loaded, outcome)
     show_report(report, sys.stdout)
     if options.record is not None:
@@ -84,6 +114,9 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
     print(f"total      {time.perf_counter() - started:.1f} s")
     if outcome.state in ("failed", "diverged"):
-        print(f"\n{outcome.state}: {outcome.error or outcome.summary.get('message') or 'positions are no longer finite'}", file=sys.stderr)
+        print(
+            f"\n{outcome.state}: {outcome.error or outcome.summary.get('message') or 'positions are no longer finite'}",
+            file=sys.stderr,
+        )
         return 1
     return 0

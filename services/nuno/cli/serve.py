@@ -7,10 +7,9 @@ import signal
 import threading
 from pathlib import Path
 
-from nuno_schemas.errors import BadInput
-
 from nuno import bus, scene_file
 from nuno.service import MODULES, Options, run_service
+from nuno_schemas.errors import BadInput
 
 PATIENCE = 20.0
 """How long a service waits for its hub [s]: containers start in any order."""
@@ -21,11 +20,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", nargs="?", help="the run's scene (not for the router)")
     parser.add_argument("--run", metavar="ID", help="the run that this service belongs to")
     parser.add_argument("--connect", metavar="ENDPOINT", help="the hub, e.g. tcp/127.0.0.1:7447")
-    parser.add_argument("--listen", metavar="ENDPOINT", default="tcp/127.0.0.1:7447", help="where the router listens (default: %(default)s)")
+    parser.add_argument(
+        "--listen",
+        metavar="ENDPOINT",
+        default="tcp/127.0.0.1:7447",
+        help="where the router listens (default: %(default)s)",
+    )
     parser.add_argument("--config", metavar="FILE", help="zenoh configuration: TLS, access control")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
     parser.add_argument("--root", action="append", default=[], type=Path, metavar="DIR")
-    parser.add_argument("--must-see", action="append", default=[], metavar="SERVICE", help="simulation: a service that acknowledges every frame")
+    parser.add_argument(
+        "--must-see",
+        action="append",
+        default=[],
+        metavar="SERVICE",
+        help="simulation: a service that acknowledges every frame",
+    )
     parser.add_argument("--record", type=Path, metavar="FILE")
     parser.add_argument("--save", type=Path, metavar="FILE.rrd")
     parser.add_argument("--view", choices=["window", "web"])
@@ -38,7 +48,10 @@ def main(args: argparse.Namespace) -> int:
         return _route(args)
     for name in ("scene", "run", "connect"):
         if getattr(args, name) is None:
-            raise BadInput(f"the {args.service} service needs {'a scene' if name == 'scene' else '--' + name}", remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447")
+            raise BadInput(
+                f"the {args.service} service needs {'a scene' if name == 'scene' else '--' + name}",
+                remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447",
+            )
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     with bus.spoke(args.connect, args.config, PATIENCE) as session:

@@ -7,6 +7,7 @@ primitive at a time, in the primitive's own frame), so that a mistake there show
 from __future__ import annotations
 
 import numpy as np
+
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 
@@ -22,7 +23,9 @@ def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
     turns = rotation_matrices(poses.rotation)
     for i, frame in enumerate(geometry.frame):
         local = (points - poses.translation[frame]) @ turns[frame]
-        nearest = np.minimum(nearest, _primitive(local, int(geometry.kind[i]), geometry.a[i], geometry.b[i], float(geometry.radius[i])))
+        nearest = np.minimum(
+            nearest, _primitive(local, int(geometry.kind[i]), geometry.a[i], geometry.b[i], float(geometry.radius[i]))
+        )
     return np.where(finite, nearest, np.inf)
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from nuno_schemas.bodies import Geometry, Poses
 
 from nuno.arrays import BadMessage, decode_arrays, encode_arrays
+from nuno_schemas.bodies import Geometry, Poses
 
 _ARRAYS = ("kind", "frame", "body", "a", "b", "radius", "stiffness", "damping", "friction")
 
 
 def encode_geometry(geometry: Geometry) -> bytes:
-    return encode_arrays({name: getattr(geometry, name) for name in _ARRAYS}, {"bodies": geometry.bodies, "frames": geometry.frames})
+    return encode_arrays(
+        {name: getattr(geometry, name) for name in _ARRAYS}, {"bodies": geometry.bodies, "frames": geometry.frames}
+    )
 
 
 def decode_geometry(payload: bytes) -> Geometry:
@@ -34,6 +36,11 @@ def decode_poses(payload: bytes) -> Poses:
         rotation, translation, t = arrays["rotation"], arrays["translation"], float(text["t"])
     except KeyError as error:
         raise BadMessage(f"poses without {error}") from None
-    if rotation.shape != (len(translation), 4) or translation.shape[1:] != (3,) or not np.isfinite(rotation).all() or not np.isfinite(translation).all():
+    if (
+        rotation.shape != (len(translation), 4)
+        or translation.shape[1:] != (3,)
+        or not np.isfinite(rotation).all()
+        or not np.isfinite(translation).all()
+    ):
         raise BadMessage(f"poses of shapes {rotation.shape} and {translation.shape}, or not finite")
     return Poses(t, rotation, translation)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from nuno_schemas.bodies import Poses
-from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Header, Penetration
 
 from nuno.arrays import BadMessage, decode_points
 from nuno.build import Bodies, build_bodies
@@ -14,6 +12,8 @@ from nuno.bus import Inbox, Message, Question
 from nuno.collision.distance import signed_distance
 from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.service import Context, ack_topic, each_message
+from nuno_schemas.bodies import Poses
+from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Header, Penetration
 
 GEOMETRY_QUESTION = "collision/ask/geometry"
 POSES_QUESTION = "collision/ask/poses"
@@ -56,7 +56,9 @@ class Collision:
         """
         if GEOMETRY.name not in self.context.bus.publishers:
             self.context.bus.publisher(GEOMETRY).put(encode_geometry(self.bodies.geometry), header.frame, header.t)
-        self.context.bus.publisher(BODIES).put(encode_poses(self.poses(header.frame), header.frame), header.frame, header.t)
+        self.context.bus.publisher(BODIES).put(
+            encode_poses(self.poses(header.frame), header.frame), header.frame, header.t
+        )
 
     def measure(self, message: Message) -> None:
         """Measure one published frame, report it and acknowledge it. Raises BadMessage."""

@@ -179,9 +179,8 @@ class Recording:
 
     def frames(self, start: float | None = None, end: float | None = None) -> Iterator[Frame]:
         """Published positions with start <= t < end [s]."""
-        marks = self.marks()
         for message in self.messages([STATE.name], start, end):
-            number, digest = marks.get(message.log_time, (message.seq, ""))
+            number, digest = self.marks().get(message.log_time, (message.seq, ""))
             with self._damage_reported(message):
                 yield Frame(number, message.t, digest, decode_points(message.payload))
 

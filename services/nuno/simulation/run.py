@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from nuno_schemas.bodies import Geometry, Poses
-from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Memory, State
-from nuno_schemas.plugin import StepLimit, StepReport, System
 from numpy.typing import NDArray
 
 from nuno import build
 from nuno.scene_file import Loaded, apply_override, load
+from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Memory, State
+from nuno_schemas.plugin import StepLimit, StepReport, System
 
 SETTABLE = ("gravity", "damping", "forces")
 """Fields that `set` may change while a run goes on."""
@@ -59,7 +59,11 @@ class Simulation:
         for name, values in arrays.items():
             target = self.memory.arrays.get(name)
             if target is None or target.shape != values.shape:
-                raise BadInput("the checkpoint does not fit this scene", value=f"memory {name} of shape {values.shape}", remedy="resume with the recording's own scene")
+                raise BadInput(
+                    "the checkpoint does not fit this scene",
+                    value=f"memory {name} of shape {values.shape}",
+                    remedy="resume with the recording's own scene",
+                )
             np.copyto(target, values)
 
     @property
@@ -79,7 +83,9 @@ class Simulation:
 
     def measure(self, poses: Poses | None) -> StepReport:
         """The present state's energy and stretch, without a step."""
-        report: StepReport = self.loaded.integrator.plugin.advance(self.system, self.state, self.memory, (poses, poses) if poses else None, 0, self.dt)
+        report: StepReport = self.loaded.integrator.plugin.advance(
+            self.system, self.state, self.memory, (poses, poses) if poses else None, 0, self.dt
+        )
         return report
 
     def digest(self) -> str:
@@ -93,7 +99,12 @@ class Simulation:
     def resume(self, frame: int, x: NDArray[Any], v: NDArray[Any], memory: dict[str, NDArray[Any]]) -> None:
         """Go on from a checkpoint. Raises BadInput if it does not fit."""
         if x.shape != self.state.x.shape or v.shape != self.state.v.shape:
-            raise BadInput("the checkpoint does not fit this scene", value=f"{x.shape[0]} vertices", limit=f"{self.fabric.number}", remedy="resume with the recording's own scene")
+            raise BadInput(
+                "the checkpoint does not fit this scene",
+                value=f"{x.shape[0]} vertices",
+                limit=f"{self.fabric.number}",
+                remedy="resume with the recording's own scene",
+            )
         np.copyto(self.state.x, x)
         np.copyto(self.state.v, v)
         self.frame = frame
@@ -104,7 +115,12 @@ class Simulation:
         """Change a field of the running scene, `gravity=[0, -1.6, 0]`. Raises BadInput."""
         field = item.partition("=")[0].split(".")[0].split("[")[0]
         if field not in SETTABLE:
-            raise BadInput("this field cannot change while a run goes on", value=field, limit=", ".join(SETTABLE), remedy="stop, and run again with --set")
+            raise BadInput(
+                "this field cannot change while a run goes on",
+                value=field,
+                limit=", ".join(SETTABLE),
+                remedy="stop, and run again with --set",
+            )
         before, kept = self.loaded, self.memory.arrays
         data = _copied(before.data)
         apply_override(data, item)
@@ -116,7 +132,12 @@ class Simulation:
             self._prepare(dict(kept))
             self.steps, self.dt = step
             if self.dt > self.limit.dt and not before.scene.allow_unstable:
-                raise BadInput("that would make the present step unstable", value=f"{self.dt:g} s", limit=f"{self.limit.dt:.4g} s", remedy="choose a smaller change")
+                raise BadInput(
+                    "that would make the present step unstable",
+                    value=f"{self.dt:g} s",
+                    limit=f"{self.limit.dt:.4g} s",
+                    remedy="choose a smaller change",
+                )
         except BadInput:
             self.loaded = before
             self._prepare(dict(kept))

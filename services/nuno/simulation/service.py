@@ -8,10 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nuno_schemas.bodies import Geometry, Poses
-from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Ack, Status
-from nuno_schemas.plugin import StepReport
 from pydantic import ValidationError
 
 from nuno.arrays import encode_arrays, encode_points
@@ -21,6 +17,10 @@ from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.service import GEOMETRY_QUESTION, POSES_QUESTION
 from nuno.service import Context, ack_topic
 from nuno.simulation.run import Frame, Simulation
+from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Ack, Status
+from nuno_schemas.plugin import StepReport
 
 WINDOW = 4
 """Frames that the simulation may run ahead of a service that must see every one."""
@@ -87,7 +87,14 @@ class Driver:
             return {"ok": False, "error": f"unknown action {action!r}; known: pause, resume, step, stop, set, status"}
         if action not in ("start", "status"):
             self.context.event("control", action, simulation.frame, simulation.t, **request)
-        return {"ok": True, "state": self.state, "before": before, "frame": simulation.frame, "frames": self.scene.frames, "t": simulation.t}
+        return {
+            "ok": True,
+            "state": self.state,
+            "before": before,
+            "frame": simulation.frame,
+            "frames": self.scene.frames,
+            "t": simulation.t,
+        }
 
     def run(self) -> str:
         """All frames; how it ended: done, stopped, diverged or (asked to finish early) failed."""
@@ -126,7 +133,12 @@ class Driver:
         ok = frame.report.status == "ok"
         self.publish(frame, "running" if ok else "diverged")
         every = self.scene.record.checkpoint_every
-        if ok and every is not None and frame.number % max(1, round(every * self.scene.frame_rate)) == 0 and frame.number < self.scene.frames:
+        if (
+            ok
+            and every is not None
+            and frame.number % max(1, round(every * self.scene.frame_rate)) == 0
+            and frame.number < self.scene.frames
+        ):
             self.publish_checkpoint()
         self.wait_for(frame.number - WINDOW)
         return frame.report
@@ -158,10 +170,19 @@ class Driver:
         """What viewers and recordings need to know about the cloth, once."""
         fabric = self.simulation.fabric
         edges, rest = structural_edges(fabric)
-        arrays = {"faces": fabric.faces, "edges": edges.astype(np.int32), "edge_rest": rest.astype(np.float32), "pinned": fabric.pinned}
+        arrays = {
+            "faces": fabric.faces,
+            "edges": edges.astype(np.int32),
+            "edge_rest": rest.astype(np.float32),
+            "pinned": fabric.pinned,
+        }
         if fabric.uv is not None:
             arrays["uv"] = fabric.uv
-        text = {"vertices": fabric.number, "scene": self.scene.name, "objects": [vars(piece) for piece in self.simulation.pieces]}
+        text = {
+            "vertices": fabric.number,
+            "scene": self.scene.name,
+            "objects": [vars(piece) for piece in self.simulation.pieces],
+        }
         self.context.bus.publisher(FABRIC).put(encode_arrays(arrays, text), self.simulation.frame, self.simulation.t)
 
     def publish_checkpoint(self) -> None:
@@ -169,8 +190,16 @@ class Driver:
         simulation = self.simulation
         arrays = {"x": simulation.state.x, "v": simulation.state.v}
         arrays |= {f"memory/{name}": values for name, values in simulation.memory.arrays.items()}
-        text = {"t": simulation.t, "frame": simulation.frame, "digest": simulation.digest(), "dt": simulation.dt, "steps": simulation.steps}
-        self.context.bus.publisher(CHECKPOINT).put(encode_arrays(arrays, text), simulation.frame, simulation.t, text["digest"])
+        text = {
+            "t": simulation.t,
+            "frame": simulation.frame,
+            "digest": simulation.digest(),
+            "dt": simulation.dt,
+            "steps": simulation.steps,
+        }
+        self.context.bus.publisher(CHECKPOINT).put(
+            encode_arrays(arrays, text), simulation.frame, simulation.t, text["digest"]
+        )
 
     def wait_for(self, frame: int) -> None:
         """Wait until every service that must see `frame` has. Raises RunFailed for a hung one."""
