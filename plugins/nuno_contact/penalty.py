@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -12,9 +12,6 @@ from nuno_schemas.bodies import Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config, Term
-from nuno_schemas.units import quantity
-
-Stiffness = quantity("N/m", gt=0)
 
 REST_DEPTH = 5e-4
 """A vertex at rest under its own weight sinks no deeper than this [m] ..."""
@@ -25,16 +22,7 @@ SHARE = 0.25
 
 
 class PenaltyConfig(Config):
-    """Contact of cloth with one body.
-
-    stiffness  per vertex [N/m], or "auto"
-    damping    of the normal and of the sticking motion, as a ratio of critical
-    friction   Coulomb coefficient
-    """
-
-    stiffness: Literal["auto"] | Stiffness = "auto"  # type: ignore[valid-type]
-    damping: quantity("", ge=0) = 0.3  # type: ignore[valid-type]
-    friction: quantity("", ge=0) = 0.4  # type: ignore[valid-type]
+    """Nothing: stiffness, damping and friction belong to each body of the scene."""
 
 
 def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
@@ -80,7 +68,7 @@ class Penalty:
     Config: ClassVar[type[BaseModel]] = PenaltyConfig
 
     def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
-        """The term; `config` holds defaults of a body and is not looked at here.
+        """The term. Raises BadInput for constants that make no sense.
 
         All bodies may touch a vertex at once, so their k/m and c/m add up; within a body one
         primitive acts, and its normal and its friction spring are orthogonal, so k counts once.
@@ -90,6 +78,7 @@ class Penalty:
         stiffness = np.where(np.isnan(geometry.stiffness)[:, None], own, geometry.stiffness[:, None])
         damping = 2.0 * geometry.damping[:, None] * np.sqrt(stiffness * fabric.mass)
         free = ~fabric.pinned
+        weight = fabric.mass * float(np.linalg.norm(gravity))
         omega_squared = (stiffness.sum(axis=0) / fabric.mass)[free]
         rate = (damping.sum(axis=0) / fabric.mass)[free]
         return Term(
@@ -97,4 +86,5 @@ class Penalty:
             data=make_contact(geometry, stiffness, damping),
             omega_squared=float(omega_squared.max(initial=0.0)),
             damping_rate=float(rate.max(initial=0.0)),
+            facts={"rest_depth": float((weight / stiffness.min(axis=0)).max(initial=0.0))},
         )

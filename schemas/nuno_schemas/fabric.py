@@ -74,12 +74,15 @@ class Springs:
             arrays = [getattr(p, name) for p in parts]
             return np.concatenate(arrays if per_run else [p.per_spring(a) for p, a in zip(parts, arrays, strict=True)])
 
-        def plain(name: str) -> NDArray[np.generic]:
-            return np.concatenate([getattr(p, name) for p in parts])
-
         return Springs(
-            plain("first"), plain("count"), plain("stride"), values("k"), values("rest"), values("c"), plain("kind")
-        )  # type: ignore[arg-type]
+            np.concatenate([p.first for p in parts]),
+            np.concatenate([p.count for p in parts]),
+            np.concatenate([p.stride for p in parts]),
+            values("k"),
+            values("rest"),
+            values("c"),
+            np.concatenate([p.kind for p in parts]),
+        )
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from nuno_schemas.units import quantity
 
-Seconds = quantity("s", gt=0)
-Metres = quantity("m")
+if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
+    Step = float
+    Interval = float
+    Rate = float
+    Stiffness = float
+    Acceleration = float
+    Damping = float
+    Angle = float
+    Distance = float
+else:
+    Step = Interval = quantity("s", gt=0)
+    Rate = quantity("Hz", gt=0, le=100_000)
+    Stiffness = quantity("N/m", gt=0)
+    Acceleration = quantity("m/s^2")
+    Damping = quantity("1/s", ge=0)
+    Angle = quantity("rad")
+    Distance = quantity("m", gt=0)
 Vector = Annotated[tuple[float, float, float], Field(description="x, y, z; y is up")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 
@@ -34,7 +49,7 @@ class Choice(BaseModel):
 class Solver(Choice):
     """The integrator and its step."""
 
-    dt: Annotated[quantity("s", gt=0), Field(description="step [s], or auto")] | Literal["auto"] = "auto"
+    dt: Annotated[Interval, Field(description="step [s], or auto")] | Literal["auto"] = "auto"
 
 
 class Object(Part):
@@ -53,7 +68,7 @@ class Body(Part):
     name: Name
     collider: Choice
     motion: Choice | None = Field(None, description="left out: the body does not move")
-    stiffness: quantity("N/m", gt=0) | Literal["auto"] = "auto"  # type: ignore[valid-type]
+    stiffness: Stiffness | Literal["auto"] = "auto"
     damping: Annotated[float, Field(ge=0, le=10)] = Field(
         0.5, description="normal damping in contact, as a ratio of critical"
     )
@@ -63,18 +78,18 @@ class Body(Part):
 class Record(Part):
     """What goes into the recording."""
 
-    checkpoint_every: quantity("s", gt=0) | None = Field(
-        None, description="interval of float64 checkpoints; the last state is always kept"
-    )  # type: ignore[valid-type]
+    checkpoint_every: Interval | None = Field(
+        default=None, description="interval of float64 checkpoints; the last state is always kept"
+    )
 
 
 class View(Part):
     """How pictures are taken; what is left out is fitted to the scene."""
 
-    azimuth: quantity("rad") = Field(0.6, description="[rad] round the vertical, 0 looks along -z")  # type: ignore[valid-type]
-    elevation: quantity("rad") = 0.2  # type: ignore[valid-type]
+    azimuth: Angle = Field(default=0.6, description="[rad] round the vertical, 0 looks along -z")
+    elevation: Angle = 0.2
     target: Vector | None = None
-    distance: quantity("m", gt=0) | None = None  # type: ignore[valid-type]
+    distance: Distance | None = None
     size: tuple[Annotated[int, Field(ge=16, le=8192)], Annotated[int, Field(ge=16, le=8192)]] = (960, 720)
 
 
@@ -84,12 +99,12 @@ class Scene(Part):
     nuno: Literal[1] = Field(description="scene schema version")
     name: Name
     description: str = ""
-    duration: quantity("s", gt=0)  # type: ignore[valid-type]
-    frame_rate: quantity("Hz", gt=0, le=100_000) = 60.0  # type: ignore[valid-type]
+    duration: Interval
+    frame_rate: Rate = 60.0
     solver: Solver
     allow_unstable: bool = Field(False, description="accept a step above the stability limit")
-    gravity: tuple[quantity("m/s^2"), quantity("m/s^2"), quantity("m/s^2")] = (0.0, -9.81, 0.0)  # type: ignore[valid-type]
-    damping: quantity("1/s", ge=0) = Field(0.0, description="viscous, per unit mass [1/s]")  # type: ignore[valid-type]
+    gravity: tuple[Acceleration, Acceleration, Acceleration] = (0.0, -9.81, 0.0)
+    damping: Damping = Field(0.0, description="viscous, per unit mass [1/s]")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     objects: list[Object] = Field(default_factory=list, max_length=1000)
     bodies: list[Body] = Field(default_factory=list, max_length=1000)
@@ -110,4 +125,4 @@ class Scene(Part):
     @property
     def frames(self) -> int:
         """Whole frames in the duration, at least one."""
-        return max(1, round(self.duration * self.frame_rate))
+        return max(1, round(float(self.duration * self.frame_rate)))

@@ -104,7 +104,7 @@ def encode_points(x: NDArray[np.float64], t: float) -> bytes:
         position=messages.Vector3(x=float(origin[0]), y=float(origin[1]), z=float(origin[2])),
         orientation=messages.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
     )
-    return messages.PointCloud(
+    cloud: bytes = messages.PointCloud(
         timestamp=messages.Timestamp(sec=seconds, nsec=nanos),
         frame_id="world",
         pose=pose,
@@ -112,6 +112,7 @@ def encode_points(x: NDArray[np.float64], t: float) -> bytes:
         fields=_point_cloud_fields(),
         data=points.tobytes(),
     ).encode()
+    return cloud
 
 
 @functools.cache
@@ -140,4 +141,6 @@ def decode_points(payload: bytes) -> NDArray[np.float64]:
     if message.point_stride != 12 or len(message.data) % 12:
         raise BadMessage(f"point stride {message.point_stride}, {len(message.data)} bytes; expected 12 a point")
     p = message.pose.position
-    return np.frombuffer(message.data, np.float32).reshape(-1, 3).astype(np.float64) + np.array([p.x, p.y, p.z])
+    x: NDArray[np.float64] = np.frombuffer(message.data, np.float32).reshape(-1, 3).astype(np.float64)
+    x += np.array([p.x, p.y, p.z])
+    return x

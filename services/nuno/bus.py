@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import queue
 import socket
 import threading
@@ -152,7 +153,9 @@ class Question:
 
 
 class Inbox:
-    """Messages of some topics, and questions, in the order they arrived; checked and counted.
+    """Messages of some topics, and questions, as they arrive; checked and counted.
+
+    The order holds within a subscription; between topics subscribed to apart zenoh keeps none.
 
     A callback only enqueues: work there would delay every message behind it in the session.
     Malformed, foreign, repeated and out-of-order messages are dropped and counted; a gap in the
@@ -208,7 +211,8 @@ class Inbox:
             self.counts.refused[topic] += 1
             return None
         expected = self._next.get(topic, header.seq if self._newest_only else 0)
-        if header.run != self._bus.run or header.schema_version != SCHEMA_VERSION or header.seq < expected:
+        known = header.run == self._bus.run and header.schema_version == SCHEMA_VERSION
+        if not known or not math.isfinite(header.t) or header.seq < expected:
             self.counts.refused[topic] += 1
             return None
         self.counts.missing[topic] += header.seq - expected
@@ -273,6 +277,7 @@ class Watch:
 
     def __init__(self, bus: Bus) -> None:
         self._alive: set[str] = set()
+        self._seen: set[str] = set()
         self._changed = threading.Condition()
         self._subscriber = bus.session.liveliness().declare_subscriber(bus.key("alive/*"), self._note, history=True)
 
@@ -281,6 +286,7 @@ class Watch:
         with self._changed:
             if sample.kind == zenoh.SampleKind.PUT:
                 self._alive.add(name)
+                self._seen.add(name)
             else:
                 self._alive.discard(name)
             self._changed.notify_all()
@@ -288,6 +294,11 @@ class Watch:
     def alive(self) -> set[str]:
         with self._changed:
             return set(self._alive)
+
+    def gone(self, name: str) -> bool:
+        """Whether a service was alive once and is no more."""
+        with self._changed:
+            return name in self._seen and name not in self._alive
 
     def wait_for(self, names: set[str], timeout: float) -> set[str]:
         """Wait until all are alive; the ones still missing when the time [s] is over."""

@@ -65,20 +65,12 @@ def lines(report: Report) -> list[tuple[str, str]]:
     """The report as (heading, text) rows."""
     rows = [("run", f"{report['run']}: {report['state']}")]
     rows.append(("size", ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)))
-    rows.append(
-        (
-            "time",
-            f"{report['simulated_seconds']:.3g} s simulated in {report['wall_seconds']:.3g} s: {report['real_time_factor']:.2f}x real time (prepared in {report['prepare_seconds']:.2g} s)",
-        )
-    )
-    rows.append(
-        (
-            "parts",
-            ", ".join(
-                f"{name} {seconds:.3g} s" for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005
-            ),
-        )
-    )
+    simulated, wall, factor = report["simulated_seconds"], report["wall_seconds"], report["real_time_factor"]
+    prepared = report["prepare_seconds"]
+    took = f"{simulated:.3g} s simulated in {wall:.3g} s: {factor:.2f}x real time"
+    rows.append(("time", f"{took} (prepared in {prepared:.2g} s)"))
+    parts = {name: seconds for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005}
+    rows.append(("parts", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in parts.items())))
     rows.append(("step", _step(report)))
     rows += _physics(report)
     frames = report["frames"]
@@ -119,12 +111,9 @@ def _physics(report: Report) -> list[tuple[str, str]]:
             )
         )
         total = [sum(energy.values()) for energy in (first, last)]
-        rows.append(
-            (
-                "balance",
-                f"{_joules(total[0])} -> {_joules(total[1])}: {_joules(total[1] - total[0])} by damping, friction, wind and moving bodies",
-            )
-        )
+        change = _joules(total[1] - total[0])
+        why = "by damping, friction, wind and moving bodies"
+        rows.append(("balance", f"{_joules(total[0])} -> {_joules(total[1])}: {change} {why}"))
     rows.append(("stretch", f"at most {report['stretch']:.2%}"))
     if report["penetration"] is not None:
         text = f"at most {report['penetration'] * 1e3:.3g} mm"

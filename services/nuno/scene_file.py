@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import types
+import inspect
 import typing
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -142,7 +142,8 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         integrator=chosen("nuno.integrators", scene.solver, ("solver",)),
         colliders=[chosen("nuno.colliders", b.collider, ("bodies", i, "collider")) for i, b in enumerate(scene.bodies)],
         motions=[
-            b.motion and chosen("nuno.motions", b.motion, ("bodies", i, "motion")) for i, b in enumerate(scene.bodies)
+            chosen("nuno.motions", b.motion, ("bodies", i, "motion")) if b.motion else None
+            for i, b in enumerate(scene.bodies)
         ],
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
         contact=chosen("nuno.contacts", scene.contact, ("contact",)) if scene.bodies else None,
@@ -187,12 +188,11 @@ def _explain(
 def _is_branch(part: str) -> bool:
     """pydantic names the branch of a union in its location; those are no fields."""
     return (
-        (part.startswith(
+        part.startswith(
             ("function-", "constrained-", "literal[", "float", "int", "str", "bool", "tuple", "list", "dict")
         )
-        and not part.isidentifier())
-        or part in {"float", "int", "str", "bool"}
-    )
+        and not part.isidentifier()
+    ) or part in {"float", "int", "str", "bool"}
 
 
 def _fields_at(model: Any, loc: yaml_lines.Path) -> list[str]:
@@ -209,10 +209,6 @@ def _fields_at(model: Any, loc: yaml_lines.Path) -> list[str]:
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if (
-        isinstance(annotation, type)
-        and not isinstance(annotation, types.GenericAlias)
-        and issubclass(annotation, BaseModel)
-    ):
+    if inspect.isclass(annotation) and typing.get_origin(annotation) is None and issubclass(annotation, BaseModel):
         return [annotation]
     return [m for arg in typing.get_args(annotation) for m in _models_in(arg)]

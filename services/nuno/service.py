@@ -55,7 +55,6 @@ class Context:
     bus: Bus
     options: Options
     watch: Watch = field(init=False)
-    supervised: bool = False
 
     def __post_init__(self) -> None:
         self.watch = Watch(self.bus)
@@ -69,9 +68,7 @@ class Context:
 
     def orphaned(self) -> bool:
         """Whether the supervisor was there and has gone."""
-        there = SUPERVISOR in self.watch.alive()
-        self.supervised = self.supervised or there
-        return self.supervised and not there
+        return self.watch.gone(SUPERVISOR)
 
     def counts(self, inbox: Inbox | None = None) -> dict[str, Any]:
         """What this service sent and saw, for the report."""

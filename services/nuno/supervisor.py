@@ -94,8 +94,8 @@ class Supervisor:
                 raise RunFailed(f"not ready within {START_TIMEOUT:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
 
-    def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> None:
-        """Take in what services say."""
+    def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> bool:
+        """Take in what services say; whether the simulation has ended."""
         item = self.inbox.get(timeout)
         while isinstance(item, Message):
             if item.topic == STATUS.name:
@@ -111,6 +111,7 @@ class Supervisor:
                 elif event.kind == "end":
                     self.ended = event.args["summary"]
             item = self.inbox.get(0)
+        return self.ended is not None
 
     def follow(self, progress: Progress | None) -> str:
         """Let the simulation run to its end; the error that ended it early, or ""."""
@@ -118,8 +119,7 @@ class Supervisor:
         while self.ended is None:
             self._drain(progress, timeout=0.2)
             if dead := [name for name in self.plan.services if name not in self.watch.alive()]:
-                self._drain(progress, timeout=0.2)
-                if self.ended is not None:
+                if self._drain(progress, timeout=0.2):
                     break
                 name = self.blamed if self.blamed in dead else dead[0]
                 why = self.errors.get(name) or self.exited().get(name) or "its process ended or the connection broke"
@@ -200,15 +200,11 @@ def _processes(
 def serve_command(name: str, loaded: Loaded, options: Options, endpoint: str, run: str) -> list[str]:
     """The command line that runs one service."""
     command = [sys.executable, "-m", "nuno", "serve", name, loaded.file, "--run", run, "--connect", endpoint]
-    for flag, values in (("--set", loaded.overrides), ("--root", loaded.files.roots), ("--must-see", options.must_see)):
-        for value in values:
-            command += [flag, str(value)]
-    for flag, value in (
-        ("--record", options.record),
-        ("--save", options.save),
-        ("--view", options.view),
-        ("--resume", options.resume),
-    ):
+    flags: list[tuple[str, object]] = [("--set", item) for item in loaded.overrides]
+    flags += [("--root", root) for root in loaded.files.roots]
+    flags += [("--must-see", service) for service in options.must_see]
+    flags += [(f"--{name}", getattr(options, name)) for name in ("record", "save", "view", "resume")]
+    for flag, value in flags:
         if value is not None:
             command += [flag, str(value)]
     return [*command, "--threads", str(options.threads)]

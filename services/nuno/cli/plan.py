@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from pathlib import Path
 
@@ -19,43 +20,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     loaded = load_scene(args)
-    scene = loaded.scene
     plan = make_plan(loaded, Options(record=Path("recordings")))
-    bodies = build.build_bodies(loaded) if scene.bodies else None
+    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
     poses = bodies.poses(0.0) if bodies else None
     simulation = Simulation(loaded, bodies.geometry if bodies else None, poses, 0)
     seconds = _time_frame(simulation, bodies)
-    vertices, limit = simulation.fabric.number, simulation.limit.dt
-    terms = sorted({term.kind for term in simulation.system.terms})
-    parts = [
-        name
-        for name, part in (("springs", simulation.fabric.springs), ("hinges", simulation.fabric.hinges))
-        if part is not None
-    ]
-    checkpoints = 1 + (int(scene.duration / scene.record.checkpoint_every) if scene.record.checkpoint_every else 0)
-    size = scene.frames * 12 * vertices + checkpoints * 48 * vertices
     rows = [
-        ("scene", f"{scene.name}: {scene.description}"),
+        ("scene", f"{loaded.scene.name}: {loaded.scene.description}"),
         ("services", ", ".join(plan.services)),
-        (
-            "fabric",
-            f"{vertices:,} vertices, {simulation.fabric.springs.number if simulation.fabric.springs else 0:,} springs, {simulation.fabric.hinges.number if simulation.fabric.hinges else 0:,} hinges",
-        ),
-        ("terms", ", ".join([*parts, *terms]) or "gravity only"),
-        (
-            "solver",
-            f"{loaded.integrator.name}, dt {simulation.dt * 1e3:.4g} ms, {simulation.steps} steps a frame; limit {limit * 1e3:.4g} ms",
-        ),
-        ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s"),
-        (
-            "cost",
-            f"about {seconds * scene.frames:.2g} s ({1 / scene.frame_rate / seconds:.1f}x real time, from one frame measured here), {size / 1e6:.3g} MB recorded, {vertices * build.BYTES_PER_VERTEX / 2**20:.3g} MiB of memory at most",
-        ),
+        *_size(simulation),
+        ("solver", _solver(simulation)),
+        *_cost(simulation, seconds),
         *(("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)),
     ]
     for name, text in rows:
         print(f"{name:9} {text}")
     return 0
+
+
+def _size(simulation: Simulation) -> list[tuple[str, str]]:
+    fabric = simulation.fabric
+    parts = {"springs": fabric.springs, "hinges": fabric.hinges}
+    counts = [f"{part.number:,} {name}" for name, part in parts.items() if part is not None]
+    terms = [name for name, part in parts.items() if part is not None]
+    terms += sorted({term.kind for term in simulation.system.terms})
+    return [
+        ("fabric", ", ".join([f"{fabric.number:,} vertices", *counts])),
+        ("terms", ", ".join(terms) or "gravity and inertia only"),
+    ]
+
+
+def _solver(simulation: Simulation) -> str:
+    limit = simulation.limit.dt
+    most = f"limit {limit * 1e3:.4g} ms" if math.isfinite(limit) else "nothing limits it"
+    name = simulation.loaded.integrator.name
+    return f"{name}, dt {simulation.dt * 1e3:.4g} ms, {simulation.steps} steps a frame; {most}"
+
+
+def _cost(simulation: Simulation, seconds: float) -> list[tuple[str, str]]:
+    scene, vertices = simulation.loaded.scene, simulation.fabric.number
+    every = scene.record.checkpoint_every
+    checkpoints = 1 + (int(scene.duration / every) if every else 0)
+    size = (12 * scene.frames + 48 * checkpoints) * vertices
+    memory = vertices * build.BYTES_PER_VERTEX
+    return [
+        ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s"),
+        ("time", f"about {seconds * scene.frames:.2g} s, {1 / scene.frame_rate / seconds:.1f}x real time (by a frame)"),
+        ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
+    ]
 
 
 def _time_frame(simulation: Simulation, bodies: build.Bodies | None) -> float:

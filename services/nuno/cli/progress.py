@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
+from typing import Any
 
 from nuno_schemas.messages import Status
 from nuno_schemas.scene import Scene
@@ -19,7 +20,7 @@ class ProgressLine:
         self.first = 0.0
         self.tenth = -1
         self._terminal = sys.stderr.isatty()
-        self._bar: object = None
+        self._bar: Any = None
 
     def __enter__(self) -> ProgressLine:
         if self._terminal:
@@ -40,7 +41,7 @@ class ProgressLine:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._bar is not None:
-            self._bar.stop()  # type: ignore[attr-defined]
+            self._bar.stop()
 
     def update(self, status: Status) -> None:
         """Show one frame's status."""
@@ -52,7 +53,7 @@ class ProgressLine:
         if self._bar is not None:
             self._bar.update(
                 self._task, completed=status.t, description=f"{status.t:.2f} of {self.scene.duration:g} s", rate=rate
-            )  # type: ignore[attr-defined]
+            )
             return
         tenth = int(10 * status.t / self.scene.duration + 1e-9)
         if tenth > self.tenth:

@@ -18,7 +18,7 @@ def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
     Points that are not finite, as in the last frame of a diverged run, are outside of everything.
     """
     nearest = np.full(len(points), np.inf)
-    finite = np.isfinite(points).all(axis=1)
+    finite = np.asarray(np.isfinite(points).all(axis=1))
     points = np.where(finite[:, None], points, 0.0)
     turns = rotation_matrices(poses.rotation)
     for i, frame in enumerate(geometry.frame):

@@ -69,7 +69,7 @@ class Simulation:
     @property
     def t(self) -> float:
         """Simulation time [s], from the frame number so that it never drifts."""
-        return self.frame / self.loaded.scene.frame_rate
+        return float(self.frame / self.loaded.scene.frame_rate)
 
     def advance(self, start: Poses | None, end: Poses | None) -> Frame:
         """Simulate one frame between two sets of poses."""
@@ -92,8 +92,8 @@ class Simulation:
         """Hash of the float64 state: equal digests mean equal bits."""
         hasher = hashlib.blake2b(digest_size=16)
         hasher.update(np.int64(self.frame).tobytes())
-        hasher.update(np.ascontiguousarray(self.state.x))
-        hasher.update(np.ascontiguousarray(self.state.v))
+        hasher.update(np.ascontiguousarray(self.state.x).data)
+        hasher.update(np.ascontiguousarray(self.state.v).data)
         return hasher.hexdigest()
 
     def resume(self, frame: int, x: NDArray[Any], v: NDArray[Any], memory: dict[str, NDArray[Any]]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from nuno.arrays import encode_arrays, encode_points
@@ -188,18 +189,17 @@ class Driver:
     def publish_checkpoint(self) -> None:
         """The whole float64 state, enough to go on from in the same bits."""
         simulation = self.simulation
-        arrays = {"x": simulation.state.x, "v": simulation.state.v}
+        arrays: dict[str, NDArray[Any]] = {"x": simulation.state.x, "v": simulation.state.v}
         arrays |= {f"memory/{name}": values for name, values in simulation.memory.arrays.items()}
+        digest = simulation.digest()
         text = {
             "t": simulation.t,
             "frame": simulation.frame,
-            "digest": simulation.digest(),
+            "digest": digest,
             "dt": simulation.dt,
             "steps": simulation.steps,
         }
-        self.context.bus.publisher(CHECKPOINT).put(
-            encode_arrays(arrays, text), simulation.frame, simulation.t, text["digest"]
-        )
+        self.context.bus.publisher(CHECKPOINT).put(encode_arrays(arrays, text), simulation.frame, simulation.t, digest)
 
     def wait_for(self, frame: int) -> None:
         """Wait until every service that must see `frame` has. Raises RunFailed for a hung one."""

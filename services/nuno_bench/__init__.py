@@ -1,0 +1,1 @@
+"""Measures the rest of the project: speed against its bars, integrators against each other."""

@@ -1,0 +1,28 @@
+"""`nuno bench`: one module per kind of measurement, imported only when it is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+
+COMMANDS = {
+    "speed": ("nuno_bench.speed", "measured bars: kernels, pipeline, start, memory, recording"),
+    "integrators": ("nuno_bench.integrators", "the skirt paper's experiment: four methods, split and unsplit bones"),
+}
+"""Module and summary of each measurement; a module has `add_arguments(parser)` and `main(args)`."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    rows = "\n".join(f"  {name:12} {summary}" for name, (_, summary) in COMMANDS.items())
+    parser.description = f"What to measure:\n{rows}\n\n`nuno bench KIND --help` says more."
+    parser.add_argument("kind", choices=list(COMMANDS), help="what to measure")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="its own arguments")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run one measurement; the exit code is 1 where one could not be taken."""
+    path, summary = COMMANDS[args.kind]
+    module = importlib.import_module(path)
+    parser = argparse.ArgumentParser(prog=f"nuno bench {args.kind}", description=summary[0].upper() + summary[1:] + ".")
+    module.add_arguments(parser)
+    return int(module.main(parser.parse_args(args.arguments)))

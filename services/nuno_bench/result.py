@@ -1,0 +1,99 @@
+"""What a measurement gives: all its samples, what they are held against, and whether that was met."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Result:
+    """One measured quantity.
+
+    samples          one value per repeat, in `unit`; empty where the measurement failed
+    bar, aim         what must and what should be reached: at least, or at most where `at_most`
+    compile_seconds  first call, compiling or loading included; it is in no sample [s]
+    limit            what the hardware could do at best, in the same unit
+    failure          why there are no samples
+    """
+
+    case: str
+    what: str
+    unit: str
+    samples: tuple[float, ...] = ()
+    bar: float | None = None
+    aim: float | None = None
+    at_most: bool = False
+    compile_seconds: float | None = None
+    limit: float | None = None
+    note: str = ""
+    failure: str = ""
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.samples)
+
+    @property
+    def verdict(self) -> str:
+        """failed, missed, bar met, aim met, or "" where nothing is asked."""
+        if self.failure or not self.samples:
+            return "failed"
+        if self.bar is None:
+            return ""
+        if not self._reaches(self.bar):
+            return "missed"
+        return "aim met" if self.aim is not None and self._reaches(self.aim) else "bar met"
+
+    def _reaches(self, wanted: float) -> bool:
+        return self.median <= wanted if self.at_most else self.median >= wanted
+
+    def json(self) -> dict[str, Any]:
+        """All fields, and what follows from them."""
+        derived: dict[str, Any] = {"verdict": self.verdict}
+        if self.samples:
+            derived |= {"median": self.median, "min": min(self.samples), "max": max(self.samples)}
+        if self.samples and self.limit:
+            derived["share_of_limit"] = self.median / self.limit
+        return vars(self) | {"samples": list(self.samples)} | derived
+
+
+HEADINGS = ("case", "what", "median", "min - max", "unit", "bar", "aim", "of limit", "first call", "verdict")
+
+
+def rows(results: Sequence[Result]) -> list[list[str]]:
+    """One row of text per result, under HEADINGS."""
+    return [_row(result) for result in results]
+
+
+def _row(result: Result) -> list[str]:
+    sign = "<= " if result.at_most else ">= "
+    wanted = [f"{sign}{number(value)}" if value is not None else "" for value in (result.bar, result.aim)]
+    if not result.samples:
+        return [result.case, result.what, "-", "", result.unit, *wanted, "", "", "failed"]
+    spread = f"{number(min(result.samples))} - {number(max(result.samples))}" if len(result.samples) > 1 else "once"
+    share = f"{result.median / result.limit:.0%}" if result.limit else ""
+    first = f"{result.compile_seconds:.2g} s" if result.compile_seconds is not None else ""
+    return [result.case, result.what, number(result.median), spread, result.unit, *wanted, share, first, result.verdict]
+
+
+def number(value: float) -> str:
+    """Three significant digits, without an exponent where a person would not write one."""
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        digits = f"{value:.3g}"
+        return digits if "e" not in digits else f"{value:,.0f}"
+    return f"{value:.3g}"
+
+
+def text_table(headings: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    """Columns aligned for a screen, numbers to the right."""
+    table = [list(headings), *map(list, body)]
+    widths = [max(len(row[column]) for row in table) for column in range(len(headings))]
+    right = [all(not row[c] or row[c][0] in "-+<>=.0123456789" for row in body) for c in range(len(headings))]
+
+    def line(row: Sequence[str]) -> str:
+        cells = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)]
+        return "  ".join(cells).rstrip()
+
+    return "\n".join([line(table[0]), "  ".join("-" * width for width in widths), *map(line, table[1:])])
