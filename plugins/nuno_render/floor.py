@@ -66,7 +66,8 @@ def prepare_floor(
 
 def _smooth(grid: Float) -> Float:
     """A square grid after ten passes of (1 2 1) / 4 along both axes: a normal distribution 2.2
-    cells wide, which blends the separate shadows of the few sky directions."""
+    cells wide, which blends the separate shadows of the few sky directions.
+    """
     for _ in range(20):
         padded = np.concatenate([grid[:1], grid, grid[-1:]])
         grid = (0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]).T

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from nuno_render.compiled import kernel
 
 # mypy: disable-error-code="no-untyped-def"
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def draw_depths(positions, faces, basis, centre, scale, nearest, farthest):
     """Parallel projection of all faces into two maps of signed distance along basis[2].
 
@@ -53,7 +54,7 @@ def draw_depths(positions, faces, basis, centre, scale, nearest, farthest):
                     farthest[row, column] = z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def open_part(depths, x, y, z, sign):
     """Part of a bilinear texel footprint at (x, y) that does not block a point at z.
 
@@ -78,7 +79,7 @@ def open_part(depths, x, y, z, sign):
     return result
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def openness(px, py, pz, nx, ny, nz, skies):
     """Part of the sky's light that reaches a point, 0 to 1.
 
@@ -109,7 +110,7 @@ def openness(px, py, pz, nx, ny, nz, skies):
     return free / total if total > 0.0 else 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def floor_openness(corner, across, along, normal, skies, out):
     """Openness at corner + j across + i along, into out[i, j]; all vectors (3,) [m]."""
     for i in range(out.shape[0]):
@@ -120,7 +121,7 @@ def floor_openness(corner, across, along, normal, skies, out):
             out[i, j] = openness(x, y, z, normal[0], normal[1], normal[2], skies)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def shadow(depths, disc, basis, centre, scale, px, py, pz, nx, ny, nz, spread):
     """Part of the key light that reaches a point, 0 to 1: percentage-closer soft shadows.
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from nuno_render.compiled import kernel
 from nuno_render.light_maps import shadow
 from nuno_render.shade import shade_point, sky
 
 # mypy: disable-error-code="no-untyped-def"
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _background(y, height, top, bottom, out):
     """Gradient from `top` to `bottom` over the picture's height, level at both ends."""
     s = min(max(y / height, 0.0), 1.0)
@@ -20,7 +20,7 @@ def _background(y, height, top, bottom, out):
         out[k] = top[k] + s * (bottom[k] - top[k])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def ground_point(x, y, height, ground, lights, maps, back, out):
     """Ground seen at pixel (x, y), fading into the background with distance, into out (3,)."""
     active, plane, rays, eye, normal, centre, radius, albedo, grid, grid_u, grid_v, grid_scale = ground
@@ -59,7 +59,7 @@ def ground_point(x, y, height, ground, lights, maps, back, out):
         out[k] += (1.0 - fade) * (radiance - out[k])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def resolve(owner, offsets, clip, scene, textures, eye, lights, maps, skies, ground, back, sheen, picture):
     """Shade every pixel into picture (h, w, 3) float64, linear light.
 
@@ -94,7 +94,7 @@ def resolve(owner, offsets, clip, scene, textures, eye, lights, maps, skies, gro
                     picture[row, column, k] += colour[k] * count / samples
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def encode(picture, table, out):
     """Linear light to sRGB bytes, with a shoulder above 0.8 so that highlights do not clip.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from nuno_render.compiled import kernel
 from nuno_render.texture import Textures, gather_textures
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
@@ -148,7 +148,7 @@ def vertex_normals(positions: Float, faces: Int, twins: Int) -> Float:
     return normals
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _add_face_normals(positions, faces, twins, normals):  # type: ignore[no-untyped-def]
     """Add each face's normal, twice its area long, to its corners' twins."""
     for f in range(faces.shape[0]):

@@ -8,8 +8,8 @@ extrapolated at silhouettes (centroid sampling), and a smooth surface costs one 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from nuno_render.compiled import kernel
 from nuno_render.light_maps import openness, shadow
 from nuno_render.texture import look_up
 
@@ -21,7 +21,7 @@ BACK_SIDE = 0.82
 BODY_GLOSS = 0.04
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def corner_planes(clip, a, b, c, out):
     """What gives the corners' weights at a pixel, into out (3, 3).
 
@@ -37,7 +37,7 @@ def corner_planes(clip, a, b, c, out):
         out[k, 2] = clip[i, 0] * clip[j, 1] - clip[i, 1] * clip[j, 0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def corner_weights(planes, x, y):
     """Perspective-correct weights (b0, b1, b2) at pixel (x, y); thirds where degenerate."""
     b0 = planes[0, 0] * x + planes[0, 1] * y + planes[0, 2]
@@ -49,20 +49,21 @@ def corner_weights(planes, x, y):
     return b0 / total, b1 / total, b2 / total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sky(up_part, sky_light, ground_light, k):
     """Irradiance / pi of a hemisphere sky, radiance blending from ground to sky with height:
-    integral of (d.n)+ ((s + g) / 2 + (s - g) / 2 d.up) over directions = (s + g) / 2 + (s - g) n.up / 3."""
+    integral of (d.n)+ ((s + g) / 2 + (s - g) / 2 d.up) over directions = (s + g) / 2 + (s - g) n.up / 3.
+    """
     return 0.5 * (sky_light[k] + ground_light[k]) + (sky_light[k] - ground_light[k]) * up_part / 3.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _interreflect(free, albedo):
     """Sky light in a cavity of one colour, all bounces: f / (1 - albedo (1 - f))."""
     return free / (1.0 - albedo * (1.0 - free))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _sheen(nl, nv, nh):
     """Charlie sheen (Estevez and Kulla 2017) with the visibility of Neubelt and Pettineo (2013)."""
     inverse = 1.0 / SHEEN_ROUGHNESS
@@ -70,7 +71,7 @@ def _sheen(nl, nv, nh):
     return (2.0 + inverse) * sine**inverse / (2.0 * np.pi) / (4.0 * (nl + nv - nl * nv) + 1e-6)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def surface_light(albedo, n, view, light, light_colour, lit, free, up, sky_light, ground_light, cloth, sheen, out):
     """Radiance toward the viewer, into out (3,): diffuse key and sky light, and sheen or gloss.
 
@@ -98,7 +99,7 @@ def surface_light(albedo, n, view, light, light_colour, lit, free, up, sky_light
         out[k] += ambient * (albedo[k] * _interreflect(free, albedo[k]) + rim * tint * free)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _texel(planes, a, b, c, uv, texels, levels, count, x, y, out):
     """Image of a mesh at pixel (x, y), averaged over the pixel, into out (3,)."""
     weights = corner_weights(planes, x, y)
@@ -113,10 +114,11 @@ def _texel(planes, a, b, c, uv, texels, levels, count, x, y, out):
     look_up(texels, levels, count, u, v, change[0], change[1], change[2], change[3], out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _place(weights, a, b, c, positions, normals, eye, p, n, g, view):
     """Point p, smooth normal n, flat normal g and direction to the eye, each (3,), both normals
-    turned toward the viewer. Returns whether the back of the face is seen."""
+    turned toward the viewer. Returns whether the back of the face is seen.
+    """
     facing = 0.0
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
@@ -137,7 +139,7 @@ def _place(weights, a, b, c, positions, normals, eye, p, n, g, view):
     return facing < 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def shade_point(f, x, y, clip, scene, textures, eye, lights, maps, skies, sheen, work, out):
     """Radiance of face f at pixel (x, y), into out (3,). The tuples are those of `resolve`."""
     positions, normals, albedos, uv, faces, mesh, two_sided = scene
@@ -165,7 +167,7 @@ def shade_point(f, x, y, clip, scene, textures, eye, lights, maps, skies, sheen,
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _lit(p, n, a, b, c, weights, positions, normals, turn, maps, spread):
     """Shadow at p, tested from a point on the smooth surface that the normals suggest.
 

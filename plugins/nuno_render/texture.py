@@ -6,9 +6,9 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from nuno_render.compiled import kernel
 from nuno_schemas.colour import to_linear
 
 # mypy: disable-error-code="no-untyped-def"
@@ -20,7 +20,8 @@ TAPS = 8
 @dataclass(frozen=True)
 class Textures:
     """texels (t, 3) float32 linear, all levels of all images; levels (m, l, 3) int64 per mesh:
-    first texel, height, width; count (m,) int64 levels, 0 for a mesh without image."""
+    first texel, height, width; count (m,) int64 levels, 0 for a mesh without image.
+    """
 
     texels: NDArray[np.float32]
     levels: NDArray[np.int64]
@@ -63,7 +64,7 @@ def _halve(picture: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     return np.asarray((first + second) * np.float32(0.5))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _bilinear(texels, start, height, width, u, v, weight, out):
     """Add weight times the image at (u, v): repeats beyond [0, 1], (0, 0) is the upper left corner."""
     x, y = (u - np.floor(u)) * width - 0.5, (v - np.floor(v)) * height - 0.5
@@ -77,7 +78,7 @@ def _bilinear(texels, start, height, width, u, v, weight, out):
         out[k] += weight * (above * (1.0 - fy) + below * fy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def look_up(texels, levels, count, u, v, ux, vx, uy, vy, out):
     """Mean of an image over a pixel's footprint, into out (3,).
 

@@ -9,8 +9,9 @@ triangles belongs to exactly one of them, whatever their shapes (Pineda 1988).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from nuno_render.compiled import kernel
 
 GUARD = 2.0**21
 """Pixels kept around the picture: beyond it triangles are cut, and within it the edge functions
@@ -34,7 +35,7 @@ def sample_offsets(samples: int) -> NDArray[np.int64]:
     return PATTERNS[samples].astype(np.int64) * 16 + 128
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _cut(source, count, target, plane, near):  # type: ignore[no-untyped-def]
     """Sutherland-Hodgman: cut polygon `source` (count, 3) by one plane into `target`."""
     made = 0
@@ -54,7 +55,7 @@ def _cut(source, count, target, plane, near):  # type: ignore[no-untyped-def]
     return made
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _inside(x, y, w, plane, near):  # type: ignore[no-untyped-def]
     """Signed measure of a homogeneous point against a plane: near, then left, right, top, bottom."""
     if plane == 0:
@@ -63,7 +64,7 @@ def _inside(x, y, w, plane, near):  # type: ignore[no-untyped-def]
     return GUARD * w + along if plane % 2 == 1 else GUARD * w - along
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _fill(polygon, a, b, c, owner_id, cull, offsets, reach, depth, owner):  # type: ignore[no-untyped-def]
     """Draw one triangle of a convex polygon that needs no cutting; returns samples written."""
     height, width, samples = depth.shape
@@ -112,7 +113,7 @@ def _fill(polygon, a, b, c, owner_id, cull, offsets, reach, depth, owner):  # ty
     return written
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def rasterise(clip, faces, mesh, two_sided, near, offsets, reach, depth, owner):  # type: ignore[no-untyped-def]
     """Draw all triangles; returns how many samples they covered, hidden ones included.
 

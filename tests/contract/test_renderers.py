@@ -33,7 +33,8 @@ def scene():
 def test_picture_has_the_size_asked_for(renderer):
     for size in ((64, 48), (31, 57), (1, 1)):
         picture = renderer.render(renderer.Config(), scene(), frame(scene(), size=size))
-        assert picture.shape == (size[1], size[0], 3) and picture.dtype == np.uint8
+        assert picture.shape == (size[1], size[0], 3)
+        assert picture.dtype == np.uint8
 
 
 def test_same_input_gives_the_same_bytes_and_is_left_alone(renderer):
@@ -42,7 +43,8 @@ def test_same_input_gives_the_same_bytes_and_is_left_alone(renderer):
     first = renderer.render(renderer.Config(), meshes, camera)
     assert (renderer.render(renderer.Config(), meshes, camera) == first).all()
     for mesh, fresh in zip(meshes, scene(), strict=True):
-        assert np.array_equal(mesh.vertices, fresh.vertices) and np.array_equal(mesh.faces, fresh.faces)
+        assert np.array_equal(mesh.vertices, fresh.vertices)
+        assert np.array_equal(mesh.faces, fresh.faces)
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 20
 
 

@@ -198,4 +198,16 @@ def test_colour_bar_shows_the_map_itself():
     rows = [row for row in marked if any((row[x : x + 120] == bar).all() for x in range(360))]
     assert len(rows) == 6
     changed = (plain != marked).any(axis=-1)
-    assert not changed[:250].any() and not changed[:, :300].any()
+    assert not changed[:250].any()
+    assert not changed[:, :300].any()
+
+
+@pytest.mark.parametrize("rows", [10, 24, 60])
+def test_convex_body_neither_shadows_nor_hides_itself(rows):
+    # Its flat faces would, along the terminator, where the smooth normals still see the light:
+    # without the correction this shows as steps, the more so the coarser the mesh.
+    ball = sphere((0.0, 0.0, 0.0), 0.7, rows, 2 * rows)
+    ball = Mesh(ball.vertices, ball.faces, colours=np.ones((len(ball.vertices), 3)))
+    plain = {"light": (0.6, 0.0, 0.8), **PLAIN}
+    alone = radiance(RasterConfig(**plain, shadows=False, occlusion=False), [ball], above())
+    assert np.abs(radiance(RasterConfig(**plain), [ball], above()) - alone).max() < 1e-3

@@ -1,0 +1,42 @@
+"""How the renderer's functions are compiled and kept.
+
+Numba's cache goes stale when only a callee in another module changes, so its folder carries a
+hash of this plugin's sources and the versions. It is apart from the solvers' folder: a change
+to a colour must not recompile the solvers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import llvmlite
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _cache_folder() -> Path:
+    digest = hashlib.sha256(repr((numba.__version__, llvmlite.__version__, sys.version_info[:3])).encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.name.encode() + b"\0" + source.read_bytes())
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return root / "nuno" / "render" / digest.hexdigest()[:16]
+
+
+CACHE = _cache_folder()
+
+
+def kernel(function: F) -> F:
+    """Compile `function`: one thread, no fastmath, division by zero as in IEEE 754."""
+    # Numba reads the folder when it decorates; other plugins' setting is put back.
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(CACHE)
+    try:
+        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    finally:
+        numba.config.CACHE_DIR = before
