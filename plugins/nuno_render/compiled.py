@@ -12,12 +12,10 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import llvmlite
 import numba
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _cache_folder() -> Path:
@@ -31,12 +29,12 @@ def _cache_folder() -> Path:
 CACHE = _cache_folder()
 
 
-def kernel(function: F) -> F:
+def kernel(function: Callable[..., Any]) -> Any:
     """Compile `function`: one thread, no fastmath, division by zero as in IEEE 754."""
     # Numba reads the folder when it decorates; other plugins' setting is put back.
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(CACHE)
     try:
-        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     finally:
         numba.config.CACHE_DIR = before
