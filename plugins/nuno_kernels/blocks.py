@@ -15,8 +15,9 @@ from nuno_schemas.fabric import Int
 
 Long = NDArray[np.int64]
 
-BLOCK = 4096
-"""Vertices of a block. Forces of a block (98 kB) stay in a core's second-level cache."""
+BLOCK = 2048
+"""Vertices of a block. Its forces (49 kB) stay in a core's second-level cache. Smaller blocks share
+out better, larger ones compute fewer springs twice: of a grid 256 wide 10 %, against 5 % at 4,096."""
 
 PADDING = 8
 """Columns after a block's forces that take what belongs to other blocks' vertices."""

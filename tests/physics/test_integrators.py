@@ -5,15 +5,19 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
-from nets import grid_springs, make_fabric, make_system, random_net, reference_forces, run, start
+from nets import grid_springs, make_fabric, make_system, random_net, reference_forces, run, start, triangulate
 from scipy.integrate import solve_ivp
 
+from nuno_contact.penalty import Penalty
 from nuno_integrators.euler import Euler
 from nuno_integrators.leapfrog import Leapfrog
 from nuno_integrators.rk4 import RK4, RK4Printed
 from nuno_integrators.symplectic_euler import SymplecticEuler
+from nuno_kernels.wind import prepare_wind
+from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.plugin import System, Term
@@ -300,3 +304,49 @@ def test_unknown_and_doubled_terms_are_refused() -> None:
         state = start(system)
         with pytest.raises(BadInput, match=word):
             RK4().prepare(RK4.Config(), system, state)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+def test_wind_gives_equal_bytes_for_one_and_two_threads() -> None:
+    """Wind is added after the blocks' forces, by faces and then by vertices."""
+    rows, columns = 70, 80
+    position, springs = grid_springs(rows, columns, 0.01)
+    faces = triangulate(rows, columns)
+    wind = prepare_wind(faces, rows * columns, np.array([1.0, 0.5, 3.0]), 1.2, 1.0, 0.1)
+    ends = []
+    for threads in (1, 2):
+        system = make_system(make_fabric(position, springs, faces=faces), terms=(Term("wind", wind),), threads=threads)
+        state = start(system)
+        run(SymplecticEuler(), system, state, 10, 1e-4)
+        ends.append(state.x.tobytes() + state.v.tobytes())
+    assert ends[0] == ends[1]
+    assert state.v[:, 2].min() > 0.0
+
+
+def test_friction_anchors_survive_a_checkpoint() -> None:
+    """A sheet slides over a ball; new memory with the old arrays ends in the same bits."""
+    position, springs = grid_springs(15, 15, 0.02, k=20.0, c=0.01)
+    position = np.stack([position[:, 0] - 0.14, np.full(225, 0.195), position[:, 1] - 0.1], axis=1)
+    fabric = make_fabric(position, springs, mass=2e-4)
+    ball = Geometry(
+        ("ball",), ("ball/centre",), np.zeros(1, np.int8), np.zeros(1, np.int32), np.zeros(1, np.int32),
+        np.zeros((1, 3)), np.zeros((1, 3)), np.array([0.2]), np.array([50.0]), np.array([0.5]), np.array([0.3]),
+    )  # fmt: skip
+    gravity = np.array([0.0, -9.81, 0.0])
+    term = Penalty().prepare(Penalty.Config(), fabric, ball, gravity)
+    system = make_system(fabric, gravity, 0.5, (term,))
+    still, ends, plugin = np.array([[1.0, 0.0, 0.0, 0.0]]), [], Leapfrog()
+    for resumed in (None, False, True):
+        state = start(system)
+        memory = plugin.prepare(plugin.Config(), system, state)
+        for frame in range(6):
+            poses = [Poses(t, still, np.array([[0.5 * t, 0.0, 0.0]])) for t in (0.01 * frame, 0.01 * (frame + 1))]
+            plugin.advance(system, state, memory, (poses[0], poses[1]), 20, 5e-4)
+            if frame == 3 and resumed is not None:
+                kept = {key: array.copy() for key, array in memory.arrays.items()}
+                memory = plugin.prepare(plugin.Config(), system, state)
+                if resumed:
+                    memory.arrays.update(kept)
+        ends.append(state.x.tobytes() + state.v.tobytes())
+    assert ends[2] == ends[0]
+    assert ends[1] != ends[0], "the anchors made no difference"
