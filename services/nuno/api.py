@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -12,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from nuno import scene_file, supervisor
-from nuno.files import SceneFiles
 from nuno.recording.reader import Recording, open_recording
 from nuno.report import Report, make_report
 from nuno.service import Options
@@ -58,12 +58,13 @@ def run(
     """
     folders = tuple(Path(root) for root in roots)
     if isinstance(scene, Mapping):
-        data = dict(scene)
-        for item in overrides:
-            scene_file.apply_override(data, item)
-        loaded = scene_file.load(data, {}, "scene", SceneFiles(Path.cwd(), folders))
-    else:
-        loaded = scene_file.read(scene_file.find(os.fspath(scene)), overrides, folders)
+        with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+            path = Path(folder) / "scene.yaml"
+            path.write_text(json.dumps(dict(scene)))
+            return run(
+                path, *overrides, record=record, roots=(Path.cwd(), *folders), processes=processes, threads=threads
+            )
+    loaded = scene_file.read(scene_file.find(os.fspath(scene)), overrides, folders)
     run_id = supervisor.new_run_id(loaded.scene.name)
     path = Path(record) if record is not None else Path(tempfile.mkdtemp(prefix="nuno-")) / f"{run_id}.mcap"
     options = Options(record=path, threads=threads)

@@ -121,7 +121,7 @@ class Supervisor:
             if dead := [name for name in self.plan.services if name not in self.watch.alive()]:
                 if self._drain(progress, timeout=0.2):
                     break
-                name = self.blamed if self.blamed in dead else dead[0]
+                name = self.blamed or dead[0]
                 why = self.errors.get(name) or self.exited().get(name) or "its process ended or the connection broke"
                 return f"the {name} service died: {why}"
         return ""

@@ -17,11 +17,14 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno import runs, scene_file, supervisor
+from nuno.cli import main
 from nuno.recording.restore import control_events
+from nuno.recording.writer import RecordingWriter
 from nuno.service import Options
 from nuno.supervisor import Deployment, Outcome
+from nuno.verify import Verification, verify
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import Status
+from nuno_schemas.messages import Header, Status
 
 
 def test_threads_and_processes_end_in_the_same_bits(tmp_path: Path) -> None:
@@ -210,3 +213,48 @@ def test_services_started_by_hand(tmp_path: Path) -> None:
     recorded = nuno.open(record)
     assert recorded.complete
     assert recorded.last_checkpoint().digest == nuno.run(scene).digest
+
+
+def test_resumed_recording_holds_the_whole_run_and_verifies(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, bodies=BALL)
+    whole = nuno.run(scene, record=tmp_path / "whole.mcap")
+    part = nuno.run(scene, "duration=0.24", record=tmp_path / "part.mcap")
+    target = tmp_path / "resumed.mcap"
+    command = ["run", "--resume", str(part.path), "--set", "duration=0.5", "--record", str(target), "--no-view"]
+    assert main(command) == 0
+    with nuno.open(target) as resumed, nuno.open(whole.path) as reference:
+        assert [f.digest for f in resumed.frames()] == [f.digest for f in reference.frames()]
+        assert resumed.complete
+        assert verify(resumed).frame is None
+
+
+def test_verify_names_the_first_frame_that_differs(tmp_path: Path) -> None:
+    result = nuno.run(write_scene(tmp_path, bodies=BALL), record=tmp_path / "run.mcap")
+    altered = tmp_path / "altered.mcap"
+    digests = {frame.number: frame.digest for frame in result.recording.frames()}
+    with nuno.open(result.path) as recording:
+        writer = RecordingWriter(
+            altered, recording.metadata, {n: recording.attachment(n) for n in recording.attachments}
+        )
+        for message in recording.messages():
+            payload = message.payload
+            if message.topic == "sim/status":
+                payload = payload.replace(digests[7].encode(), digests[8].encode())
+            writer.write(message.topic, Header(run="r", service="s", seq=message.seq, frame=0, t=message.t), payload)
+        writer.finish({})
+    with nuno.open(altered) as recording:
+        assert verify(recording).frame == 7
+    with result.recording as recording:
+        assert verify(recording) == Verification(26)
+
+
+def test_a_change_while_running_is_replayed_at_its_frame(long_run: Callable[..., Run]) -> None:
+    run = long_run()
+    run.control("pause")
+    run.control("set", item="damping=3.0")
+    run.control("step", frames=5)
+    wait_until(lambda: run.control("status")["state"] == "paused")
+    run.control("stop")
+    run.join()
+    with nuno.open(run.options.record) as recording:  # type: ignore[arg-type]
+        assert verify(recording).frame is None

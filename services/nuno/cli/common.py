@@ -9,8 +9,10 @@ from nuno import scene_file
 from nuno.scene_file import Loaded
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scene", help="a YAML file, or the name of a shipped scene (nuno scenes)")
+def add_scene(parser: argparse.ArgumentParser, optional: bool = False) -> None:
+    parser.add_argument(
+        "scene", nargs="?" if optional else None, help="a YAML file, or the name of a shipped scene (nuno scenes)"
+    )
     parser.add_argument(
         "--set",
         action="append",

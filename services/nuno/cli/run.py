@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from nuno import supervisor
 from nuno.cli.common import add_scene, load_scene
 from nuno.cli.progress import ProgressLine
+from nuno.recording.reader import open_recording
+from nuno.recording.restore import restored_scene
 from nuno.report import make_report, show_report
 from nuno.scene_file import Loaded
 from nuno.service import Options
@@ -18,7 +22,7 @@ from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, optional=True)
     recording = parser.add_argument_group("recording")
     recording.add_argument(
         "--record", type=Path, metavar="FILE", help="where the recording goes (default: recordings/<run>.mcap)"
@@ -28,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resume",
         type=Path,
         metavar="FILE",
-        help="go on from the last checkpoint of a recording; SCENE is then not needed",
-        default=None,
+        help="go on from the last checkpoint of a recording, with its own scene",
     )
     view = parser.add_argument_group("viewing").add_mutually_exclusive_group()
     view.add_argument(
@@ -61,7 +64,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    loaded = load_scene(args)
+    with contextlib.ExitStack() as stack:
+        return _run(stack.enter_context(_scene(args)), args)
+
+
+@contextlib.contextmanager
+def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
+    """The scene given, or that of the recording to resume."""
+    if (args.scene is None) == (args.resume is None):
+        raise BadInput("give a scene, or a recording to resume", remedy="for example: nuno run skirt-hula")
+    if args.resume is None:
+        yield load_scene(args)
+        return
+    with open_recording(args.resume) as recording, restored_scene(recording, tuple(args.overrides)) as loaded:
+        yield loaded
+
+
+def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     run = args.run or supervisor.new_run_id(loaded.scene.name)
     options = _options(args, run)
     return execute(

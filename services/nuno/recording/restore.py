@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,11 +11,11 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from nuno import scene_file
-from nuno.files import SceneFiles
-from nuno.recording.reader import Recording
+from nuno.recording.reader import Checkpoint, Recording
+from nuno.recording.writer import RecordingWriter
 from nuno.scene_file import Loaded
 from nuno_schemas.errors import BadInput
-from nuno_schemas.messages import EVENT, Event
+from nuno_schemas.messages import CHECKPOINT, EVENT, REPORT, Event, Header
 
 
 def control_events(recording: Recording) -> list[Event]:
@@ -47,6 +48,17 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
                 raise BadInput("a file in the recording lies outside its folder", str(recording.path), value=name)
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(recording.attachment(name))
-        for item in overrides:
-            scene_file.apply_override(data, item)
-        yield scene_file.load(data, {}, str(recording.path), SceneFiles(base))
+        scene = base / "scene.yaml"  # JSON is YAML, and services in processes of their own read it, too
+        scene.write_text(json.dumps(data))
+        yield scene_file.read(scene, overrides)
+
+
+def copy_until(recording: Recording, checkpoint: Checkpoint, writer: RecordingWriter) -> None:
+    """Write everything from before a checkpoint, and the checkpoint itself: what a resumed run
+    has in common with the one it goes on from.
+    """
+    for message in recording.messages():
+        earlier = message.t < checkpoint.t - 1e-9
+        if message.topic != REPORT.name and (earlier or message.topic == CHECKPOINT.name):
+            header = Header(run="", service="", seq=message.seq, frame=0, t=message.t)
+            writer.write(message.topic, header, message.payload)

@@ -9,7 +9,8 @@ from typing import Any
 from nuno.arrays import BadMessage
 from nuno.bus import Inbox, Message, Question
 from nuno.recording.provenance import assets, describe_run
-from nuno.recording.reader import END
+from nuno.recording.reader import END, open_recording
+from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, topic_of
 from nuno.service import Context, ack_topic, each_message
 from nuno_schemas.errors import BadInput, RunFailed
@@ -36,6 +37,9 @@ def main(context: Context) -> None:
     files = {name: file.read_bytes() for name, file in assets(context.loaded).items()}
     writer = RecordingWriter(path, describe_run(context.loaded, context.bus.run), files)
     files.clear()
+    if context.options.resume is not None:
+        with open_recording(context.options.resume) as before:
+            copy_until(before, before.last_checkpoint(), writer)
     recorder = Recorder(context, inbox, writer)
     try:
         question = each_message(context, inbox, recorder.handle)
@@ -61,6 +65,8 @@ class Recorder:
         self._context, self._inbox, self._writer = context, inbox, writer
         self._acks = context.bus.publisher(ack_topic(context.bus.service))
         self._digest = ""
+        self._before = dict(writer.counts)
+        """Messages copied from the run that this one goes on from."""
 
     def handle(self, message: Message) -> None:
         """Write one message; acknowledge a frame once the writer has it."""
@@ -128,11 +134,15 @@ class Recorder:
         """Messages that came, or never will because later ones came."""
         return self._inbox.counts.received[topic] + self._inbox.counts.missing[topic]
 
+    def _written(self, topic: str) -> int:
+        """Messages of this run in the file."""
+        return self._writer.counts[topic] - self._before.get(topic, 0)
+
     def _missing(self, expected: dict[str, int]) -> dict[str, int]:
         """What is not in the file, per topic: lost on the way, or refused by the writer."""
         topics = {*expected, *(topic for topic in self._inbox.counts.missing if topic_of(topic) is not None)}
         lost = {
-            topic: max(expected.get(topic, 0) - self._writer.counts[topic], self._inbox.counts.missing[topic])
+            topic: max(expected.get(topic, 0) - self._written(topic), self._inbox.counts.missing[topic])
             for topic in sorted(topics)
         }
         return {topic: number for topic, number in lost.items() if number > 0}
