@@ -15,7 +15,7 @@ from nuno_kernels.acceleration import Packed
 from nuno_kernels.bindings import set_binding_poses
 from nuno_kernels.contact import count_contacts, set_poses
 from nuno_kernels.energy import measure_energy
-from nuno_kernels.packing import pack, python_terms, silence_bodies, to_rows
+from nuno_kernels.packing import pack, python_terms, silence_bodies, thread_count, to_rows
 from nuno_kernels.stability import measure_rates, stable_step
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Memory, State
@@ -90,6 +90,13 @@ class Explicit(ABC):
         state.v[...] = work.v.T
         state.t += steps * dt
         return _report(system, work, packed, steps, time.perf_counter() - began)
+
+    def about(self, system: System) -> str:
+        """Threads for this system, and what limits them."""
+        count, available = thread_count(system), threads_available()
+        if count == 1 and available[0] > 1 and system.threads > 1:
+            return f"1 thread: {system.fabric.number:,} vertices are fewer than several threads pay for"
+        return f"{count} thread{'s' if count > 1 else ''} of {available[0]} ({available[1]})"
 
     @abstractmethod
     def amplification(self, omega: float, damping: float, dt: float) -> Float:

@@ -164,6 +164,10 @@ class Integrator(Protocol):
         """
         ...
 
+    def about(self, system: System) -> str:
+        """How its kernels run this system, in words for the report: threads, and why."""
+        ...
+
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
         ...

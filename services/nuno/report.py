@@ -44,7 +44,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "counts": summary.get("counts", {}),
         "frames": {
             "sent": (services.get("simulation", {}).get("sent") or {}).get("sim/state", 0),
-            "recorded": (recorder.get("counts") or {}).get("sim/state", 0),
+            "recorded": recorder["counts"].get("sim/state", 0) if "counts" in recorder else None,
             "shown": viewer.get("shown", 0),
         },
         "missing": sum(n for s in services.values() for n in (s.get("missing") or {}).values()),
@@ -64,7 +64,8 @@ def show_report(report: Report, out: TextIO) -> None:
 def lines(report: Report) -> list[tuple[str, str]]:
     """The report as (heading, text) rows."""
     rows = [("run", f"{report['run']}: {report['state']}")]
-    rows.append(("size", ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)))
+    sizes = ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)
+    rows.append(("size", f"{sizes}; {report['threads']}"))
     simulated, wall, factor = report["simulated_seconds"], report["wall_seconds"], report["real_time_factor"]
     prepared = report["prepare_seconds"]
     took = f"{simulated:.3g} s simulated in {wall:.3g} s: {factor:.2f}x real time"
@@ -75,7 +76,7 @@ def lines(report: Report) -> list[tuple[str, str]]:
     rows += _physics(report)
     frames = report["frames"]
     text = f"{frames['sent']} sent"
-    if "recorder" in report["services"]:
+    if frames["recorded"] is not None:
         text += f", {frames['recorded']} recorded ({report['recorded_bytes'] / 1e6:.1f} MB)"
     if "viewer" in report["services"]:
         text += f", {frames['shown']} shown"

@@ -6,13 +6,15 @@ import argparse
 import importlib.util
 import os
 import platform
+import time
 from importlib.metadata import version
 from pathlib import Path
 
 import psutil
 
-from nuno import registry
+from nuno import scene_file
 from nuno.bus import free_port, hub
+from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
 
 
@@ -40,7 +42,10 @@ def main(args: argparse.Namespace) -> int:
 
 def _kernels() -> str:
     try:
-        return str(registry.load("nuno.integrators", "symplectic_euler").about())
+        start = time.perf_counter()
+        simulation = Simulation(scene_file.read(scene_file.find("net")), None, None, 0)
+        simulation.advance(None, None)
+        return f"compiled and stepped in {time.perf_counter() - start:.1f} s, {simulation.about()}"
     except Exception as error:
         return f"failed: {error}"
 

@@ -76,7 +76,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
         elif path:
             written += meshes.export_meshes(recording, path, suffix, _progress)
     if args.rrd:
-        from nuno.viewer.file import convert
+        from nuno.viewer.convert import convert
         from nuno.viewer.require import require
 
         require(None, args.rrd)

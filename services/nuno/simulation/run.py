@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -35,7 +36,7 @@ class Simulation:
     """A scene's cloth, its solver and its state."""
 
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
-        self.loaded, self.geometry, self.threads = loaded, geometry, threads
+        self.loaded, self.geometry, self.threads = loaded, geometry, threads or os.cpu_count() or 1
         self.fabric: Fabric
         self.fabric, self.pieces = build.build_fabric(loaded)
         self.start_poses = poses
@@ -80,6 +81,10 @@ class Simulation:
         self.frame += 1
         self.state.t = self.t
         return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
+
+    def about(self) -> str:
+        """How the solver's kernels run, in words."""
+        return str(self.loaded.integrator.plugin.about(self.system))
 
     def measure(self, poses: Poses | None) -> StepReport:
         """The present state's energy and stretch, without a step."""

@@ -266,6 +266,7 @@ def main(context: Context) -> None:
             "stretch": driver.stretch,
             "counts": driver.counts,
             "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
+            "threads": simulation.about(),
             "vertices": simulation.fabric.number,
             "springs": simulation.fabric.springs.number if simulation.fabric.springs else 0,
             "hinges": simulation.fabric.hinges.number if simulation.fabric.hinges else 0,

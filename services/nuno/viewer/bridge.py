@@ -9,14 +9,6 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from nuno_schemas.bodies import Geometry
-from nuno_schemas.colour import parse_hex
-from nuno_schemas.fabric import Float
-from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS
-from nuno_schemas.messages import Event, Penetration, Status
-from nuno_schemas.bodies import PLANE, rotation_matrices
-from nuno_schemas.scene import View
-from nuno_schemas.surface import surface
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
@@ -25,6 +17,24 @@ from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.viewer import layout
 from nuno.viewer.cloth import Cloth, ReadImage, pack, read_image
 from nuno.viewer.kernels import vertex_normals
+from nuno_schemas.bodies import PLANE, Geometry, rotation_matrices
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.fabric import Float
+from nuno_schemas.messages import (
+    BODIES,
+    EVENT,
+    FABRIC,
+    GEOMETRY,
+    PENETRATION,
+    REPORT,
+    STATE,
+    STATUS,
+    Event,
+    Penetration,
+    Status,
+)
+from nuno_schemas.scene import View
+from nuno_schemas.surface import surface
 
 BODY, GROUND = "#b9c0c9", "#d3d6d9"
 INSET = 0.002
@@ -44,7 +54,9 @@ class Bridge:
     stays as it was.
     """
 
-    def __init__(self, recording: Any, view: View | None = None, live: bool = False, images: ReadImage = read_image) -> None:
+    def __init__(
+        self, recording: Any, view: View | None = None, live: bool = False, images: ReadImage = read_image
+    ) -> None:
         self.recording, self.view, self.live, self.images = recording, view or View(), live, images
         self.frames = 0
         self._cloths: list[Cloth] = []
@@ -73,7 +85,8 @@ class Bridge:
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Log one message; other topics are passed over. A message outside any frame
-        (frame < 0) stands at the latest time."""
+        (frame < 0) stands at the latest time.
+        """
         kind = EVENT.name if topic.startswith(EVENT.name + "/") else topic
         handler = self._handlers.get(kind)
         if handler is None:
@@ -97,9 +110,17 @@ class Bridge:
         number = int(text["vertices"])
         for name, width in (("faces", 3), ("edges", 2)):
             indices = arrays[name]
-            if indices.ndim != 2 or indices.shape[1] != width or indices.size and not (0 <= indices.min() and indices.max() < number):
+            if (
+                indices.ndim != 2
+                or indices.shape[1] != width
+                or (indices.size and not (indices.min() >= 0 and indices.max() < number))
+            ):
                 raise BadMessage(f"{name} of shape {indices.shape} for {number} vertices")
-        if len(arrays["pinned"]) != number or len(arrays["edge_rest"]) != len(arrays["edges"]) or len(arrays.get("uv", arrays["pinned"])) != number:
+        if (
+            len(arrays["pinned"]) != number
+            or len(arrays["edge_rest"]) != len(arrays["edges"])
+            or len(arrays.get("uv", arrays["pinned"])) != number
+        ):
             raise BadMessage("a fabric's arrays differ in length")
         self._vertices = number
         self._cloths = []
@@ -108,8 +129,16 @@ class Bridge:
             cloth = Cloth(self.recording, path, spec, arrays, self.images)
             self._cloths.append(cloth)
             if cloth.untextured:
-                self._log("/log", rr.TextLog(f"the texture of {spec['name']} cannot be read: {spec['texture']}", level="WARN"))
-        self._log("/about", rr.TextDocument(about(str(text.get("scene", "")), number, len(arrays["faces"])), media_type="text/markdown"), static=True)
+                self._log(
+                    "/log", rr.TextLog(f"the texture of {spec['name']} cannot be read: {spec['texture']}", level="WARN")
+                )
+        self._log(
+            "/about",
+            rr.TextDocument(
+                about(str(text.get("scene", "")), number, len(arrays["faces"])), media_type="text/markdown"
+            ),
+            static=True,
+        )
 
     def _state(self, payload: bytes) -> None:
         positions = decode_points(payload)
@@ -156,7 +185,9 @@ class Bridge:
         vertices, faces, frames = surface(geometry, INSET)
         plane = np.isin(frames, geometry.frame[geometry.kind == PLANE])
         self._surface = vertices[~plane], frames[~plane]
-        self._body_paths = ["/" + rr.new_entity_path(["world", "bodies", *name.split("/", 1)]).lstrip("/") for name in geometry.frames]
+        self._body_paths = [
+            "/" + rr.new_entity_path(["world", "bodies", *name.split("/", 1)]).lstrip("/") for name in geometry.frames
+        ]
         for frame, path in enumerate(self._body_paths):
             mine = frames == frame
             if mine.any():
@@ -174,7 +205,11 @@ class Bridge:
         before = self._poses
         for i, path in enumerate(self._body_paths):
             w, x, y, z = poses.rotation[i]
-            if before is None or (before[0][i] != poses.rotation[i]).any() or (before[1][i] != poses.translation[i]).any():
+            if (
+                before is None
+                or (before[0][i] != poses.rotation[i]).any()
+                or (before[1][i] != poses.translation[i]).any()
+            ):
                 self._log(path, rr.Transform3D(translation=poses.translation[i], quaternion=[x, y, z, w]))
         self._poses = poses.rotation, poses.translation
 
@@ -194,7 +229,8 @@ class Bridge:
 
 def solid(vertices: Float, faces: NDArray[Any], colour: str) -> Any:
     """A mesh that is smooth but for its edges: where a face and its vertex's mean normal differ
-    by more than 40 degrees, the face's own is used, so that boxes have edges."""
+    by more than 40 degrees, the face's own is used, so that boxes have edges.
+    """
     x, triangles = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
     mean = np.zeros((len(x), 3), np.float32)
     vertex_normals(x, triangles, mean)

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 from numpy.typing import NDArray
 
 from nuno.arrays import BadMessage
 from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
+from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 
 STRETCH = (0.001, 1.0)
 """Ends of the colour map for stretch. The map is logarithmic: wool under its own weight stretches

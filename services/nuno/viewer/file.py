@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import rerun as rr
-from nuno_schemas.errors import RunFailed
-from nuno_schemas.scene import View
 
 from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.require import part_of
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.scene import View
 
 FLUSH_SECONDS = 60.0
 

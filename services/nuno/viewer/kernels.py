@@ -6,8 +6,6 @@ holds the interpreter's lock meanwhile: time that a simulation in the same proce
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+
 from nuno_schemas.fabric import Float
 from nuno_schemas.scene import View
 

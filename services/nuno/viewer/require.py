@@ -52,9 +52,13 @@ def _require_target(path: Path) -> None:
     try:
         if path.exists() and path.open("rb").read(3) not in (MAGIC, b""):
             remedy = "choose another name"
-            raise BadInput("the file there is none of rerun's and would be lost", field="--save", value=str(path), remedy=remedy)
+            raise BadInput(
+                "the file there is none of rerun's and would be lost", field="--save", value=str(path), remedy=remedy
+            )
         part.open("wb").close()
         part.unlink()
     except OSError as error:
         remedy = "choose a folder that exists and can be written"
-        raise BadInput(f"cannot write there: {error.strerror}", field="--save", value=str(path), remedy=remedy) from None
+        raise BadInput(
+            f"cannot write there: {error.strerror}", field="--save", value=str(path), remedy=remedy
+        ) from None

@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from nuno_schemas.errors import RunFailed
-from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS, Ack, Topic
-
 from nuno.arrays import BadMessage
 from nuno.bus import Inbox, Message
 from nuno.service import Context, ack_topic, each_message
 from nuno.viewer.live import LiveView
 from nuno.viewer.require import require
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS, Ack, Topic
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
 TOPICS = [FABRIC, GEOMETRY, BODIES, STATE, STATUS, PENETRATION, EVENTS, REPORT]

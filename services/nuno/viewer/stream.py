@@ -103,10 +103,9 @@ def pump(source: BinaryIO, recording: Any, view: View) -> int:
     Each frame is flushed with a limit: that hands a slow viewer's pace on to the run's ring,
     which then skips frames, and keeps this process from collecting what nobody takes.
     """
-    from nuno_schemas.messages import STATE
-
     from nuno.arrays import BadMessage
     from nuno.viewer.bridge import Bridge
+    from nuno_schemas.messages import STATE
 
     bridge = Bridge(recording, view, live=True)
     while line := source.readline():

@@ -1,0 +1,31 @@
+"""A finished recording as a file for the rerun viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from nuno.arrays import BadMessage
+from nuno.recording.reader import Recording
+from nuno.viewer.file import RerunFile
+from nuno_schemas.errors import BadInput
+from nuno_schemas.scene import View
+
+
+def convert(recording: Recording, path: Path) -> Path:
+    """Write every message of a recording to a rerun file. Raises BadInput for a damaged one."""
+    marks = recording.marks()
+    run = recording.metadata.get("run", {}).get("id", recording.path.stem)
+    try:
+        view = View.model_validate(recording.scene.get("view", {}))
+    except ValidationError:
+        view = View()
+    file = RerunFile(path, run, view)
+    try:
+        for message in recording.messages():
+            frame, _ = marks.get(message.log_time, (-1, ""))
+            file.feed(message.topic, frame, message.t, message.payload)
+    except BadMessage as error:
+        raise BadInput(f"a message cannot be read: {error}", str(recording.path)) from None
+    return file.finish()
