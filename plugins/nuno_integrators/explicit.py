@@ -11,6 +11,7 @@ import numba
 import numpy as np
 from pydantic import BaseModel
 
+from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.bindings import set_binding_poses
 from nuno_kernels.contact import count_contacts, set_poses
