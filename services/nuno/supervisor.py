@@ -29,7 +29,12 @@ START_TIMEOUT = 120.0
 FINISH_TIMEOUT = 30.0
 CONNECT_PATIENCE = 20.0
 
-Progress = Callable[[Status], None]
+COMPILING_AFTER = 1.5
+"""Preparing takes this long [s] only where kernels are compiled, and then it is said."""
+COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
+
+Progress = Callable[[Status | str], None]
+"""Told each frame's status, and what services have to say."""
 
 
 @dataclass
@@ -79,18 +84,22 @@ class Supervisor:
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
 
-    def wait_until_ready(self) -> None:
+    def wait_until_ready(self, progress: Progress | None) -> None:
         """Wait for every service. Raises BadInput if one refuses the scene, RunFailed if one dies or does not come."""
-        end = time.monotonic() + START_TIMEOUT
+        begin, told = time.monotonic(), progress is None
         while missing := set(self.plan.services) - self.watch.alive():
-            self._drain()
+            self._drain(progress)
             if self.bad_input is not None:
                 raise self.bad_input
             over = self.exited()
             if gone := missing & set(over):
                 name = min(gone)
                 raise RunFailed(self.errors.get(name) or over[name] or f"the {name} service ended before it was ready")
-            if time.monotonic() > end:
+            waited = time.monotonic() - begin
+            if progress is not None and not told and waited > COMPILING_AFTER:
+                told = True
+                progress(COMPILING)
+            if waited > START_TIMEOUT:
                 raise RunFailed(f"not ready within {START_TIMEOUT:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
 
@@ -110,6 +119,8 @@ class Supervisor:
                         self.bad_input = BadInput(event.text)
                 elif event.kind == "end":
                     self.ended = event.args["summary"]
+                elif event.kind in ("start", "warning") and progress is not None:
+                    progress(event.text)
             item = self.inbox.get(0)
         return self.ended is not None
 
@@ -249,7 +260,7 @@ def _conduct(
     supervisor: Supervisor, began: float, progress: Progress | None, report: Callable[[Outcome], dict[str, Any]] | None
 ) -> Outcome:
     try:
-        supervisor.wait_until_ready()
+        supervisor.wait_until_ready(progress)
         ready = time.perf_counter()
         error = supervisor.follow(progress)
     except BadInput:

@@ -63,7 +63,6 @@ class Run:
         self.loaded = scene_file.read(scene)
         self.run = supervisor.new_run_id("test")
         self.options = Options(record=record)
-        self.frames: list[Status] = []
         self.moved = threading.Event()
         self.outcome: Outcome | None = None
         self.deployment = Deployment(processes=processes, run=self.run)
@@ -73,9 +72,9 @@ class Run:
     def _body(self) -> None:
         self.outcome = supervisor.supervise(self.loaded, self.options, self.deployment, self._note)
 
-    def _note(self, status: Status) -> None:
-        self.frames.append(status)
-        self.moved.set()
+    def _note(self, status: Status | str) -> None:
+        if isinstance(status, Status) and status.frame > 0:
+            self.moved.set()
 
     def control(self, action: str, **request: object) -> dict[str, object]:
         return supervisor.control(self.run, runs.running()[self.run], {"action": action, **request})

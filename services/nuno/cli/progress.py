@@ -43,8 +43,11 @@ class ProgressLine:
         if self._bar is not None:
             self._bar.stop()
 
-    def update(self, status: Status) -> None:
-        """Show one frame's status."""
+    def update(self, status: Status | str) -> None:
+        """Show one frame's status, or a line that a service has to say."""
+        if isinstance(status, str):
+            print(status, file=sys.stderr)
+            return
         now = time.perf_counter()
         if not self.start:
             self.start, self.first = now, status.t
