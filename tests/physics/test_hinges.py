@@ -150,7 +150,8 @@ def test_stiffness_never_exceeds_k() -> None:
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
-def test_equal_bytes_for_one_and_two_threads() -> None:
+def test_equal_bytes_for_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nuno_kernels.packing.PARALLEL_FROM", 0)
     x, hinges = crumpled(100, 100, 1e-3, 5)
     fabric = make_fabric(x, hinges=hinges, mass=1.0)
     ends = []

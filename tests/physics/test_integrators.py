@@ -307,8 +307,9 @@ def test_unknown_and_doubled_terms_are_refused() -> None:
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
-def test_wind_gives_equal_bytes_for_one_and_two_threads() -> None:
+def test_wind_gives_equal_bytes_for_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wind is added after the blocks' forces, by faces and then by vertices."""
+    monkeypatch.setattr("nuno_kernels.packing.PARALLEL_FROM", 0)
     rows, columns = 70, 80
     position, springs = grid_springs(rows, columns, 0.01)
     faces = triangulate(rows, columns)

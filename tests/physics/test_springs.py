@@ -203,7 +203,8 @@ def result(fabric: Fabric, threads: int) -> State:
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
 @pytest.mark.parametrize("form", ["runs", "pairs"])
-def test_equal_bytes_for_one_and_two_threads(form: str) -> None:
+def test_equal_bytes_for_one_and_two_threads(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nuno_kernels.packing.PARALLEL_FROM", 0)
     position, springs = grid_springs(130, 100, 0.01, c=0.01)
     if form == "pairs":
         springs = as_pairs(springs, 2, 0.1)
