@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -184,34 +182,6 @@ def test_nothing_listens_beyond_loopback(long_run: Callable[..., Run]) -> None:
     run.join()
     assert sockets
     assert {c.laddr.ip for c in sockets} == {"127.0.0.1"}
-
-
-def test_services_started_by_hand(tmp_path: Path) -> None:
-    """Router, services and run as plain processes, as in docker-compose.yml."""
-    scene = write_scene(tmp_path, bodies=BALL)
-    endpoint = f"tcp/127.0.0.1:{supervisor.free_port()}"
-    record = tmp_path / "hand.mcap"
-    common = [str(scene), "--run", "hand", "--connect", endpoint]
-    commands = [
-        ["serve", "collision", *common],
-        ["serve", "simulation", *common, "--must-see", "collision", "--must-see", "recorder"],
-        ["serve", "recorder", *common, "--record", str(record)],
-        ["run", *common, "--record", str(record), "--no-view"],
-        ["serve", "router", "--listen", endpoint],
-    ]
-    children = [
-        subprocess.Popen([sys.executable, "-m", "nuno", *command], stdout=subprocess.DEVNULL) for command in commands
-    ]
-    try:
-        codes = [child.wait(60) for child in children[:4]]
-    finally:
-        for child in children:
-            child.terminate()
-        assert children[-1].wait(20) == 0
-    assert codes == [0, 0, 0, 0]
-    recorded = nuno.open(record)
-    assert recorded.complete
-    assert recorded.last_checkpoint().digest == nuno.run(scene).digest
 
 
 def test_resumed_recording_holds_the_whole_run_and_verifies(tmp_path: Path) -> None:

@@ -1,0 +1,60 @@
+"""docker-compose.yml: valid, consistent, and its very commands run as plain processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import nuno
+import pytest
+import yaml
+from nuno.bus import free_port
+
+FILE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
+
+
+@pytest.fixture(scope="module")
+def compose() -> dict[str, Any]:
+    data: dict[str, Any] = yaml.safe_load(FILE.read_text())
+    return data
+
+
+def test_file_fits_the_compose_schema() -> None:
+    checker = Path(sys.executable).with_name("check-jsonschema")
+    command = [str(checker), "--builtin-schema", "vendor.compose-spec", str(FILE)]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout
+
+
+def test_everything_it_names_is_there(compose: dict[str, Any]) -> None:
+    services = compose["services"]
+    for service in services.values():
+        assert set(service.get("depends_on", [])) <= set(services)
+        assert set(service["networks"]) <= set(compose["networks"])
+        assert {volume.split(":")[0] for volume in service.get("volumes", [])} <= set(compose["volumes"])
+    assert compose["networks"]["bus"]["internal"] is True
+
+
+def test_its_commands_make_a_complete_recording(compose: dict[str, Any], tmp_path: Path) -> None:
+    port = free_port()
+    swaps = {"tcp/0.0.0.0:7447": f"tcp/127.0.0.1:{port}", "tcp/router:7447": f"tcp/127.0.0.1:{port}"}
+
+    def command(name: str) -> list[str]:
+        words = [swaps.get(word, word) for word in compose["services"][name]["command"]]
+        words = [word.replace("/recordings", str(tmp_path)) for word in words]
+        short = [] if name == "router" else ["--set", "duration=0.1"]
+        return [sys.executable, "-m", "nuno", *words, *short]
+
+    children = {n: subprocess.Popen(command(n), stdout=subprocess.DEVNULL) for n in compose["services"]}
+    try:
+        codes = {name: children[name].wait(150) for name in children if name != "router"}
+    finally:
+        for child in children.values():
+            child.terminate()
+        assert children["router"].wait(20) == 0
+    assert set(codes.values()) == {0}, codes
+    with nuno.open(tmp_path / "skirt.mcap") as recording:
+        assert recording.complete
+        assert recording.counts["sim/state"] == 7
