@@ -173,9 +173,9 @@ class Bridge:
             self._log("/plots/energy", layout.names([*energy, "total"]), static=True)
             self._log("/plots/stretch", layout.names(["largest stretch"]), static=True)
             self._log("/plots/time", layout.names(["computing the frame"]), static=True)
-        values = list(status.energy.values())
+        values = [number(value) for value in status.energy.values()]
         self._log("/plots/energy", rr.Scalars([*values, sum(values)]))
-        self._log("/plots/stretch", rr.Scalars(100.0 * status.stretch))
+        self._log("/plots/stretch", rr.Scalars(100.0 * number(status.stretch)))
         self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
         if status.message:
             self._log("/log", rr.TextLog(status.message, level="WARN" if status.state == "diverged" else "INFO"))
@@ -225,6 +225,11 @@ class Bridge:
     def _report(self, payload: bytes) -> None:
         text = json.dumps(json.loads(payload), indent=2)
         self._log("/report", rr.TextDocument(f"```json\n{text}\n```", media_type="text/markdown"), static=True)
+
+
+def number(value: float | None) -> float:
+    """What a message says as null is not finite; curves have a gap there."""
+    return math.nan if value is None else value
 
 
 def solid(vertices: Float, faces: NDArray[Any], colour: str) -> Any:

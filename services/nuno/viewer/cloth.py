@@ -100,7 +100,8 @@ class Cloth:
         self._log("", rr.Mesh3D.from_fields(triangle_indices=self.faces.astype(np.uint32)), static=True)
         if image is not None:
             # v points up on cloth and down in images.
-            uv = arrays["uv"][self.start : self.stop] * np.float32([1, -1]) + np.float32([0, 1])
+            uv = np.asarray(arrays["uv"][self.start : self.stop], np.float32).copy()
+            uv[:, 1] = 1.0 - uv[:, 1]
             shape = rr.components.ImageFormat(
                 width=image.shape[1],
                 height=image.shape[0],
@@ -150,7 +151,7 @@ class Cloth:
 
 def segments(x: NDArray[np.float32], edges: NDArray[np.int32]) -> Any:
     """Line strips of two points each, built as arrow arrays: rerun's own way loops over strips in Python."""
-    import pyarrow as pa
+    import pyarrow as pa  # type: ignore[import-untyped]
 
     kind = rr.components.LineStrip3DBatch._ARROW_DATATYPE
     points = pa.FixedSizeListArray.from_arrays(pa.array(x[edges].reshape(-1)), type=kind.value_type)

@@ -27,5 +27,6 @@ def convert(recording: Recording, path: Path) -> Path:
             frame, _ = marks.get(message.log_time, (-1, ""))
             file.feed(message.topic, frame, message.t, message.payload)
     except BadMessage as error:
+        file.abort()
         raise BadInput(f"a message cannot be read: {error}", str(recording.path)) from None
     return file.finish()

@@ -30,6 +30,11 @@ class RerunFile:
         """Write one message. Raises BadMessage."""
         self.bridge.feed(topic, frame, t, payload)
 
+    def abort(self) -> None:
+        """Stop writing and leave nothing behind."""
+        self._recording.disconnect()
+        part_of(self.path).unlink(missing_ok=True)
+
     def finish(self) -> Path:
         """Write what is left and give the file its name. Raises RunFailed if it cannot be written."""
         part = part_of(self.path)

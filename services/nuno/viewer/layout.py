@@ -16,6 +16,10 @@ TIMELINE = "sim_time"
 HALF_VIEW = 0.5 * np.radians(50.0)
 """A little less than half of rerun's vertical field of view."""
 
+CURVES = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 228, 66], [213, 94, 0]]
+"""Colours told apart with the common colour-vision deficiencies (Okabe and Ito, 2008)."""
+TOTAL = [235, 235, 235]
+
 
 @dataclass(frozen=True)
 class Eye:
@@ -42,13 +46,15 @@ def fit_eye(points: Float, view: View) -> Eye:
 def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
     """The blueprint: the scene large on the left; curves, log and report beside it."""
 
-    def curves(name: str, what: str) -> Any:
-        return rrb.TimeSeriesView(name=name, origin=f"/plots/{what}", plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop))
+    def curves(name: str, what: str, legend: bool = False) -> Any:
+        return rrb.TimeSeriesView(
+            name=name, origin=f"/plots/{what}", plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
+        )
 
-    plots = [curves("Energy [J]", "energy"), curves("Largest stretch [%]", "stretch")]
+    plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
-        plots.append(curves("Penetration [mm]", "penetration"))
-    plots.append(curves("Wall time of a frame [ms]", "time"))
+        plots.append(curves("Penetration [mm]", "penetration", legend=True))
+    plots.append(curves("Wall time to compute a frame [ms]", "time"))
     scene = rrb.Spatial3DView(
         name="Scene",
         origin="/world",
@@ -75,6 +81,7 @@ def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
     )
 
 
-def names(labels: list[str], colour: list[tuple[int, int, int]] | None = None) -> Any:
-    """Names (and colours) of a plot's curves."""
-    return rr.SeriesLines(names=labels, widths=[1.5] * len(labels), colors=colour)
+def names(labels: list[str]) -> Any:
+    """Names and colours of a plot's curves; a curve named "total" is white."""
+    colours = [TOTAL if label == "total" else CURVES[i % len(CURVES)] for i, label in enumerate(labels)]
+    return rr.SeriesLines(names=labels, colors=colours, widths=[2.0] * len(labels))

@@ -38,8 +38,7 @@ class Viewer:
         self.inbox = Inbox(context.bus, TOPICS, newest_only=self.file is None)
 
     def announce(self, kind: str, text: str) -> None:
-        page = {"page": self.live.page, "pid": self.live.pid} if self.live is not None and self.live.page else {}
-        self.context.event(kind, text, **page)
+        self.context.event(kind, text)
 
     def handle(self, message: Message) -> None:
         """Show one message, and acknowledge it if it is a frame that must be seen."""
@@ -68,13 +67,13 @@ class Viewer:
     def close(self) -> dict[str, Any]:
         """End the views; what they showed. Raises RunFailed if the file could not be written."""
         summary: dict[str, Any] = {"frames": self.frames, "seconds": self.seconds}
+        if self.file is not None:
+            file, self.file = self.file, None
+            summary |= {"shown": file.bridge.frames, "saved": file.bridge.frames, "file": str(file.finish())}
         if self.live is not None:
             self.live.finish()
             summary |= {"shown": self.live.shown, "skipped": self.live.skipped, "error": self.live.error}
             summary |= {"pid": self.live.pid, "page": self.live.page}
-        if self.file is not None:
-            file, self.file = self.file, None
-            summary |= {"saved": file.bridge.frames, "file": str(file.finish())}
         return summary
 
 
@@ -88,4 +87,4 @@ def main(context: Context) -> None:
     except RunFailed:
         viewer.close()
         raise
-    finish.answer_json(context.counts(viewer.inbox) | {"viewer": viewer.close()})
+    finish.answer_json(context.counts(viewer.inbox) | viewer.close())
