@@ -58,6 +58,6 @@ def _parse(text: str, unit: str) -> float:
 
 def quantity(unit: str, **limits: Any) -> Any:
     """A pydantic float type in the SI `unit`; `limits` are those of `pydantic.Field`."""
-    schema = {"unit": unit, "anyOf": [{"type": "number"}, {"type": "string"}]}
+    schema: dict[str, Any] = {"unit": unit, "anyOf": [{"type": "number"}, {"type": "string"}]}
     field: FieldInfo = Field(json_schema_extra=schema, **limits)
     return Annotated[float, BeforeValidator(functools.partial(to_si, unit=unit)), field]

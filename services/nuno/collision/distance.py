@@ -6,6 +6,8 @@ primitive at a time, in the primitive's own frame), so that a mistake there show
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses, rotation_matrices
@@ -17,15 +19,41 @@ def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
 
     Points that are not finite, as in the last frame of a diverged run, are outside of everything.
     """
+    return _lowest(points, geometry, poses, range(len(geometry.kind)))
+
+
+def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:
+    """(n,) how deep [m] points lie inside bodies, 0 outside.
+
+    Primitives whose bounding sphere does not reach the points' bounding box are passed over:
+    nothing can lie inside of them.
+    """
+    finite = points[np.isfinite(points).all(axis=1)]
+    if not len(finite):
+        return np.zeros(len(points))
+    low, high = finite.min(axis=0), finite.max(axis=0)
+    centre = 0.5 * (geometry.a + geometry.b)
+    reach = 0.5 * np.linalg.norm(geometry.b - geometry.a, axis=1) + geometry.radius
+    boxes = geometry.kind == BOX
+    centre[boxes], reach[boxes] = geometry.a[boxes], np.linalg.norm(geometry.b[boxes], axis=1)
+    turns = rotation_matrices(poses.rotation)[geometry.frame]
+    centre = np.einsum("pij,pj->pi", turns, centre) + poses.translation[geometry.frame]
+    away = np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0), axis=1)
+    near = np.flatnonzero((away <= reach) | (geometry.kind == PLANE))
+    return np.maximum(-_lowest(points, geometry, poses, near), 0.0)
+
+
+def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[int]) -> Float:
+    """(n,) signed distance to the nearest of the chosen primitives, inf for points not finite."""
     nearest = np.full(len(points), np.inf)
     finite = np.asarray(np.isfinite(points).all(axis=1))
     points = np.where(finite[:, None], points, 0.0)
     turns = rotation_matrices(poses.rotation)
-    for i, frame in enumerate(geometry.frame):
+    for i in chosen:
+        frame = geometry.frame[i]
         local = (points - poses.translation[frame]) @ turns[frame]
-        nearest = np.minimum(
-            nearest, _primitive(local, int(geometry.kind[i]), geometry.a[i], geometry.b[i], float(geometry.radius[i]))
-        )
+        distance = _primitive(local, int(geometry.kind[i]), geometry.a[i], geometry.b[i], float(geometry.radius[i]))
+        nearest = np.minimum(nearest, distance)
     return np.where(finite, nearest, np.inf)
 
 

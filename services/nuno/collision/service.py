@@ -9,7 +9,7 @@ import numpy as np
 from nuno.arrays import BadMessage, decode_points
 from nuno.build import Bodies, build_bodies
 from nuno.bus import Inbox, Message, Question
-from nuno.collision.distance import signed_distance
+from nuno.collision.distance import penetration
 from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.service import Context, ack_topic, each_message
 from nuno_schemas.bodies import Poses
@@ -66,16 +66,16 @@ class Collision:
         points = decode_points(message.payload)
         self.publish(header)
         start = time.perf_counter()
-        distance = signed_distance(points, self.bodies.geometry, self.poses(header.frame))
-        inside = distance < 0.0
-        deepest = int(np.argmin(distance)) if inside.any() else -1
+        depth = penetration(points, self.bodies.geometry, self.poses(header.frame))
+        inside = depth > 0.0
+        deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(
             frame=header.frame,
             t=header.t,
-            depth=float(-distance[deepest]) if deepest >= 0 else 0.0,
+            depth=float(depth[deepest]) if deepest >= 0 else 0.0,
             vertex=deepest,
             inside=int(inside.sum()),
-            mean=float(-distance[inside].mean()) if deepest >= 0 else 0.0,
+            mean=float(depth[inside].mean()) if deepest >= 0 else 0.0,
             seconds=time.perf_counter() - start,
         )
         self.deepest = max(self.deepest, report.depth)

@@ -1,0 +1,97 @@
+"""The collision service's own measure of penetration, against trimesh and against itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from nuno.collision.distance import penetration, signed_distance
+from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
+from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses, rotation_matrices
+
+TURN = np.array([0.8, 0.2, -0.5, 0.26])
+TURN /= np.linalg.norm(TURN)
+PLACE = np.array([0.3, -0.7, 1.1])
+A, B, RADIUS = np.array([0.1, 0.0, -0.1]), np.array([0.2, 0.3, 0.1]), 0.15
+CENTRE, HALF = np.array([-0.1, 0.1, 0.0]), np.array([0.2, 0.1, 0.3])
+
+
+def bodies(*parts: tuple[int, np.ndarray, np.ndarray, float]) -> Geometry:
+    """One body of primitives on one frame."""
+    kind, a, b, radius = zip(*parts, strict=True)
+    count = len(parts)
+    zeros = np.zeros(count, np.int32)
+    one = np.ones(1)
+    return Geometry(
+        ("body",), ("body/world",), np.array(kind, np.int8), zeros, zeros, np.array(a), np.array(b),
+        np.array(radius), one, one, one,
+    )  # fmt: skip
+
+
+def posed(rotation: np.ndarray = TURN, place: np.ndarray = PLACE) -> Poses:
+    return Poses(0.0, rotation[None], place[None])
+
+
+def mesh_of(name: str) -> trimesh.Trimesh:
+    if name == "box":
+        mesh = trimesh.creation.box(extents=2 * HALF)
+        mesh.apply_translation(CENTRE)
+        return mesh
+    length = np.linalg.norm(B - A)
+    mesh = trimesh.creation.capsule(height=length, radius=RADIUS, count=[96, 96])
+    mesh.apply_translation([0.0, 0.0, 0.5 * length - mesh.bounds.mean(axis=0)[2]])
+    mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], (B - A) / length))
+    mesh.apply_translation(A)
+    return mesh
+
+
+@pytest.mark.parametrize(("name", "facet"), [("box", 1e-12), ("capsule", RADIUS * (1 - np.cos(np.pi / 96)))])
+def test_distance_is_that_to_the_mesh(name: str, facet: float) -> None:
+    part = (BOX, CENTRE, HALF, 0.0) if name == "box" else (CAPSULE, A, B, RADIUS)
+    local = np.random.default_rng(1).uniform(-0.5, 0.5, (100, 3))
+    points = local @ rotation_matrices(TURN[None])[0].T + PLACE
+    found = signed_distance(points, bodies(part), posed())
+    _, expected, _ = trimesh.proximity.closest_point_naive(mesh_of(name), local)
+    np.testing.assert_allclose(np.abs(found), expected, atol=facet)
+    mesh = mesh_of(name)
+    below = [(np.sum((p - mesh.triangles_center) * mesh.face_normals, axis=1) < 0).all() for p in local]
+    clear = np.abs(found) > facet
+    np.testing.assert_array_equal(np.array(below)[clear], found[clear] < 0)
+    assert 3 < (found < 0).sum() < 97
+
+
+def test_plane_depth_is_the_height_below_it() -> None:
+    normal = np.array([0.48, 0.6, 0.64])
+    plane = bodies((PLANE, 0.2 * normal, normal, 0.0))
+    points = np.random.default_rng(2).uniform(-1, 1, (50, 3))
+    still = posed(np.array([1.0, 0, 0, 0]), np.zeros(3))
+    np.testing.assert_allclose(penetration(points, plane, still), np.maximum(0.2 - points @ normal, 0), atol=1e-15)
+
+
+def test_passing_primitives_over_changes_nothing() -> None:
+    rng = np.random.default_rng(3)
+    parts = [(CAPSULE, *rng.uniform(-2, 2, (2, 3)), float(rng.uniform(0.05, 0.6))) for _ in range(20)]
+    parts += [(BOX, rng.uniform(-2, 2, 3), rng.uniform(0.05, 0.8, 3), 0.0) for _ in range(20)]
+    geometry = bodies(*parts)
+    for offset in rng.uniform(-2, 2, (10, 3)):
+        points = offset + rng.uniform(-0.3, 0.3, (40, 3))
+        expected = np.maximum(-signed_distance(points, geometry, posed()), 0.0)
+        assert penetration(points, geometry, posed()).tobytes() == expected.tobytes()
+
+
+def test_points_that_are_not_finite_are_outside() -> None:
+    points = np.array([[np.nan, 0, 0], [np.inf, 0, 0], PLACE + rotation_matrices(TURN[None])[0] @ CENTRE])
+    depth = penetration(points, bodies((BOX, CENTRE, HALF, 0.0)), posed())
+    np.testing.assert_allclose(depth, [0.0, 0.0, HALF.min()])
+    assert not penetration(points[:2], bodies((BOX, CENTRE, HALF, 0.0)), posed()).any()
+
+
+def test_bodies_cross_the_bus_unchanged() -> None:
+    geometry = bodies((CAPSULE, A, B, RADIUS), (BOX, CENTRE, HALF, 0.0))
+    back = decode_geometry(encode_geometry(geometry))
+    for name, value in vars(geometry).items():
+        np.testing.assert_array_equal(getattr(back, name), value)
+    poses = decode_poses(encode_poses(posed(), 3))
+    assert poses.rotation.tobytes() == posed().rotation.tobytes()
+    assert poses.translation.tobytes() == posed().translation.tobytes()
