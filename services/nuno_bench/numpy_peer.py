@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from nuno_schemas.fabric import Float
 
 # (rows, columns) from a spring's first to its second end, and the class of its constants.
@@ -23,7 +24,9 @@ def spring_forces(x: Float, stiffness: tuple[float, float, float], edge: float) 
     return force
 
 
-def advance(x: Float, v: Float, inverse_mass: Float, stiffness: tuple[float, float, float], edge: float, steps: int, dt: float) -> None:
+def advance(
+    x: Float, v: Float, inverse_mass: Float, stiffness: tuple[float, float, float], edge: float, steps: int, dt: float
+) -> None:
     """`steps` of symplectic Euler on x, v (3, rows, columns); inverse_mass (rows, columns), 0 where pinned."""
     for _ in range(steps):
         a = spring_forces(x, stiffness, edge)

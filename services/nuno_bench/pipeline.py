@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 import time
 from pathlib import Path
@@ -11,21 +12,24 @@ from nuno.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervisor import Outcome, supervise
-from nuno_schemas.errors import RunFailed
-
 from nuno_bench.machine import cores
 from nuno_bench.measure import alternate
 from nuno_bench.result import Result
+from nuno_schemas.errors import RunFailed
 
 SKIRT = ("objects.0.model.columns=128", "objects.0.model.rows=96", "frame_rate=60 Hz", "solver.dt=auto")
 DURATION = 2.0
+SOFT = "objects.0.model.fabric={density: 0.3, structural: 8}"
+"""Cloth whose few steps a frame let a recording of any size be made quickly."""
 FRAME_BYTES, CHECKPOINT_BYTES = 12, 48
 """Positions in float32; positions and velocities in float64 [bytes a vertex]."""
 
 
 def pipeline(repeats: int) -> list[Result]:
     """A skirt on the dancer, run as services and by the kernels alone, in turns."""
-    loaded = scene_file.read(scene_file.find("skirt-hula"), (*SKIRT, f"duration={DURATION}", "record.checkpoint_every=1 s"))
+    loaded = scene_file.read(
+        scene_file.find("skirt-hula"), (*SKIRT, f"duration={DURATION}", "record.checkpoint_every=1 s")
+    )
     bare_seconds(loaded, frames=1)
     times: dict[str, list[float]] = {"run": [], "whole": []}
 
@@ -36,12 +40,30 @@ def pipeline(repeats: int) -> list[Result]:
 
     bare, _ = alternate(lambda: bare_seconds(loaded), whole, repeats)
     what = f"128x96 skirt, {DURATION:g} s at 60 frames/s: "
-    ratios = {name: tuple(100.0 * (b / a - 1.0) for a, b in zip(bare, values, strict=True)) for name, values in times.items()}
+    ratios = {
+        name: tuple(100.0 * (b / a - 1.0) for a, b in zip(bare, values, strict=True)) for name, values in times.items()
+    }
     note = "bus, recorder and --save against the same integrator calls"
     return [
         Result("pipeline", what + "kernels alone", "s", tuple(bare)),
-        Result("pipeline", what + "frames through all services", "% longer", ratios["run"], bar=10.0, at_most=True, note=note),
-        Result("pipeline", what + "until both files are closed", "% longer", ratios["whole"], bar=10.0, at_most=True, note=note),
+        Result(
+            "pipeline",
+            what + "frames through all services",
+            "% longer",
+            ratios["run"],
+            bar=10.0,
+            at_most=True,
+            note=note,
+        ),
+        Result(
+            "pipeline",
+            what + "until both files are closed",
+            "% longer",
+            ratios["whole"],
+            bar=10.0,
+            at_most=True,
+            note=note,
+        ),
     ]
 
 
@@ -54,8 +76,10 @@ def bare_seconds(loaded: Loaded, frames: int | None = None) -> float:
     simulation.measure(poses[0])
     plugin, config_steps, dt = loaded.integrator.plugin, simulation.steps, simulation.dt
     start = time.perf_counter()
-    for before, after in zip(poses[:-1], poses[1:], strict=True):
-        report = plugin.advance(simulation.system, simulation.state, simulation.memory, (before, after), config_steps, dt)
+    for before, after in itertools.pairwise(poses):
+        report = plugin.advance(
+            simulation.system, simulation.state, simulation.memory, (before, after), config_steps, dt
+        )
         if report.status != "ok":
             raise RunFailed(f"{report.status}: {report.message}")
     return time.perf_counter() - start
@@ -82,8 +106,11 @@ def recording(repeats: int) -> list[Result]:
     del repeats
     results = []
     for side in (32, 128):
-        size = [f"objects.0.model.resolution=[{side}, {side}]", "objects.0.model.fabric.density=0.3", "objects.0.model.fabric.structural=8"]
-        short, long, full = (recorded_bytes([*size, *more]) for more in (["duration=0.2"], ["duration=0.4"], ["duration=0.4", "record.checkpoint_every=20 ms"]))
+        size = [f"objects.0.model.resolution=[{side}, {side}]", SOFT]
+        short, long, full = (
+            recorded_bytes([*size, *more])
+            for more in (["duration=0.2"], ["duration=0.4"], ["duration=0.4", "record.checkpoint_every=20 ms"])
+        )
         vertices, frames = side * side, 10
         frame = (long - short) / frames
         # The last state is kept in any case, so 20 frames have 19 further checkpoints.
@@ -91,8 +118,24 @@ def recording(repeats: int) -> list[Result]:
         over = 100.0 * (frame / (FRAME_BYTES * vertices) - 1.0)
         note = f"{frame:,.0f} bytes a frame of {vertices:,} vertices, status and events included"
         results += [
-            Result("recording", f"{side}x{side}: a frame over its positions", "%", (over,), bar=5.0, at_most=True, note=note),
-            Result("recording", f"{side}x{side}: a checkpoint", "bytes a vertex", (checkpoint,), bar=CHECKPOINT_BYTES * 1.05, at_most=True, note="48 are the state itself; 5 % are left for the headers"),
+            Result(
+                "recording",
+                f"{side}x{side}: a frame over its positions",
+                "%",
+                (over,),
+                bar=5.0,
+                at_most=True,
+                note=note,
+            ),
+            Result(
+                "recording",
+                f"{side}x{side}: a checkpoint",
+                "bytes a vertex",
+                (checkpoint,),
+                bar=CHECKPOINT_BYTES * 1.05,
+                at_most=True,
+                note="48 are the state itself; 5 % are left for the headers",
+            ),
         ]
     return results
 

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from nuno import registry, scene_file
 from nuno.files import SceneFiles
 from nuno.scene_file import Loaded
+from nuno_bench.machine import cores
 from nuno_schemas.fabric import Fabric, Int, State
 from nuno_schemas.plugin import System
-from numpy.typing import NDArray
-
-from nuno_bench.machine import cores
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 DENSITY, STRUCTURAL, SHEAR, BENDING, DAMPING = 0.3, 8.0, 2.5, 0.4, 1e-5
@@ -76,7 +76,14 @@ def net_arrays(fabric: Fabric, varied: bool) -> dict[str, NDArray[Any]]:
     if varied:
         each = {name: array * rng.uniform(0.9, 1.1, array.shape) for name, array in each.items()}
     pairs = springs.pairs().astype(np.int64)
-    return {"x": fabric.position, "v": fabric.velocity, "m": fabric.mass, "pinned": fabric.pinned, "springs": pairs, **each}
+    return {
+        "x": fabric.position,
+        "v": fabric.velocity,
+        "m": fabric.mass,
+        "pinned": fabric.pinned,
+        "springs": pairs,
+        **each,
+    }
 
 
 def irregular_arrays(side: int, patch: int | None) -> dict[str, NDArray[Any]]:
@@ -130,5 +137,3 @@ def _edges_and_across(number: Int, falling: NDArray[np.bool_]) -> Int:
     edges = sides[new]
     across = np.sort(np.column_stack([opposite[:-1], opposite[1:]])[~new[1:]], axis=1)
     return np.unique(np.concatenate([edges, across]), axis=0)
-
-

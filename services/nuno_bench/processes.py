@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nuno_schemas.errors import RunFailed
 
 from nuno_bench import problems
 from nuno_bench.result import Result
 from nuno_bench.steps import sheet
+from nuno_schemas.errors import RunFailed
 
 STEPPED = re.compile(r"^(\d+\.\d+) of ")
 """A line of `nuno run`'s progress where there is no terminal: simulated time first."""
@@ -51,16 +51,28 @@ def start(repeats: int) -> list[Result]:
     what = "hanging-sheet --no-view, first step"
     return [
         Result("start", f"{what}, warm cache", "s", warm, bar=1.5, at_most=True),
-        Result("start", f"{what}, empty cache", "s", tuple(cold), bar=10.0, at_most=True, note="compiles everything; Python's own .pyc files are there"),
+        Result(
+            "start",
+            f"{what}, empty cache",
+            "s",
+            tuple(cold),
+            bar=10.0,
+            at_most=True,
+            note="compiles everything; Python's own .pyc files are there",
+        ),
     ]
 
 
 def first_step(environment: dict[str, str]) -> float:
     """Seconds until the progress of a run of one frame shows that frame. Raises RunFailed."""
     with tempfile.TemporaryDirectory() as folder:
-        command = nuno("run", "hanging-sheet", "--no-view", "--record", f"{folder}/start.mcap", "--set", f"duration={FRAME}")
+        command = nuno(
+            "run", "hanging-sheet", "--no-view", "--record", f"{folder}/start.mcap", "--set", f"duration={FRAME}"
+        )
         began = time.perf_counter()
-        child = subprocess.Popen(command, env=os.environ | environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        child = subprocess.Popen(
+            command, env=os.environ | environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
         assert child.stderr is not None
         seen, told = 0.0, []
         for line in child.stderr:
@@ -97,7 +109,15 @@ def memory(repeats: int) -> list[Result]:
 def _slope(what: str, bar: float, peaks: list[int]) -> Result:
     low, high = (side * side for side in SIDES)
     megabytes = " and ".join(f"{peak / 1e6:.0f} MB" for peak in peaks)
-    return Result("memory", what, "bytes a vertex", ((peaks[1] - peaks[0]) / (high - low),), bar=bar, at_most=True, note=f"peaks {megabytes}")
+    return Result(
+        "memory",
+        what,
+        "bytes a vertex",
+        ((peaks[1] - peaks[0]) / (high - low),),
+        bar=bar,
+        at_most=True,
+        note=f"peaks {megabytes}",
+    )
 
 
 def peak_bytes(scene: dict[str, Any], folder: Path) -> int:

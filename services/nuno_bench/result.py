@@ -83,7 +83,7 @@ def number(value: float) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e6:
         digits = f"{value:.3g}"
         return digits if "e" not in digits else f"{value:,.0f}"
-    return f"{value:.3g}"
+    return f"{value:.0e}" if abs(value) >= 1e9 else f"{value:.3g}"
 
 
 def text_table(headings: Sequence[str], body: Sequence[Sequence[str]]) -> str:

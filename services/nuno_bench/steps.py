@@ -7,16 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nuno import registry
-from nuno_schemas.errors import RunFailed
-from nuno_schemas.fabric import Fabric
 from numpy.typing import NDArray
 
+from nuno import registry
 from nuno_bench import limits, numpy_peer, problems
 from nuno_bench.measure import seconds, watch_compiler
 from nuno_bench.result import Result
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.fabric import Fabric
 
-UNIT = "million vertex-steps/s"
+UNIT = "M vertex-steps/s"
+"""Million vertices times steps a second."""
 DT = 1e-5
 WORK = 13_000_000
 """Vertex-steps of one sample: a few tenths of a second, so that a frame's entry does not show."""
@@ -40,9 +41,18 @@ def time_steps(fabric: Fabric, integrator: str, repeats: int, **about: Any) -> R
     advance(steps // 10 + 1)
     samples = tuple(fabric.number * steps / seconds(lambda: advance(steps)) * 1e-6 for _ in range(repeats))
     springs = fabric.springs.number if fabric.springs else 0
-    note = f"{fabric.number:,} vertices, {2 * springs / fabric.number:.1f} springs a vertex, {compiler.number} functions compiled"
+    size = f"{fabric.number:,} vertices, {2 * springs / fabric.number:.1f} springs a vertex"
+    note = f"{size}, {compiler.number} functions compiled"
     what = about.pop("what", integrator)
-    return Result(unit=UNIT, what=what, samples=samples, compile_seconds=first, limit=limits.vertex_steps(springs / fabric.number), note=note, **about)
+    return Result(
+        unit=UNIT,
+        what=what,
+        samples=samples,
+        compile_seconds=first,
+        limit=limits.vertex_steps(springs / fabric.number),
+        note=note,
+        **about,
+    )
 
 
 def sheet(columns: int, rows: int, damping: float = 0.0) -> Fabric:
@@ -116,4 +126,11 @@ def _time_numpy(side: int, repeats: int) -> Result:
 
     advance()
     samples = tuple(fabric.number * steps / seconds(advance) * 1e-6 for _ in range(repeats))
-    return Result("numpy", f"NumPy slices, {side}x{side}", UNIT, samples, limit=limits.vertex_steps(6.0), note="the peer: one thread, undamped")
+    return Result(
+        "numpy",
+        f"NumPy slices, {side}x{side}",
+        UNIT,
+        samples,
+        limit=limits.vertex_steps(6.0),
+        note="the peer: one thread, undamped",
+    )

@@ -1,0 +1,195 @@
+"""One scene run by several integrators, with split and unsplit bones, and what each run did.
+
+The simulation is stepped directly: services would add nothing to the physics (their digests are
+equal) and would blur the times.
+"""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno import build, scene_file
+from nuno.build import Bodies
+from nuno.collision.distance import signed_distance
+from nuno.scene_file import Loaded
+from nuno.simulation.run import Simulation
+from nuno_bench.machine import cores
+from nuno_schemas.bodies import Poses
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import StepReport
+
+INTEGRATORS = ("euler", "symplectic_euler", "rk4", "rk4_printed")
+SPLIT = "bodies.0.collider.split"
+RUNAWAY = 10.0
+"""A run counts as run away once its energy passes this multiple of its start."""
+SERIES = ("t", "kinetic", "gravitational", "springs", "hinges", "energy", "penetration", "distance", "stretch")
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One run.
+
+    series   (frames + 1,) per name of SERIES: time [s], energies [J], deepest penetration [m],
+             mean distance of free vertices from the bodies [m], largest stretch (1 = twice as long)
+    ended    [s] when the state stopped being finite, or None
+    seconds  time of all steps, per repeat; steps taken; limit: largest stable step [s]
+    """
+
+    integrator: str
+    split: bool
+    series: dict[str, Float]
+    ended: float | None
+    message: str
+    seconds: tuple[float, ...]
+    compile_seconds: float
+    steps: int
+    dt: float
+    limit: float
+    rest_depth: float | None
+    primitives: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.integrator}, {'split' if self.split else 'unsplit'}"
+
+    @property
+    def outcome(self) -> str:
+        return "done" if self.ended is None else f"diverged at {self.ended:.2f} s"
+
+    @property
+    def runaway(self) -> float | None:
+        """When the energy first passed RUNAWAY times its start [s]; None if it never did."""
+        return self.first(self.series["energy"] > RUNAWAY * abs(self.series["energy"][0]))
+
+    def first(self, happened: NDArray[np.bool_]) -> float | None:
+        """Time of the first frame in which something happened [s]."""
+        frames = np.flatnonzero(happened | ~np.isfinite(self.series["energy"]))
+        return float(self.series["t"][frames[0]]) if frames.size else None
+
+    @property
+    def microseconds(self) -> float:
+        """Median time of a step [us]; runs that end early take fewer."""
+        return statistics.median(self.seconds) / max(1, self.steps) * 1e6
+
+    def peak(self, name: str) -> float:
+        """Largest finite value of a series."""
+        values = self.series[name]
+        return float(values[np.isfinite(values)].max())
+
+    def last(self, name: str) -> float:
+        """Last finite value of a series."""
+        values = self.series[name]
+        return float(values[np.isfinite(values)][-1])
+
+    def json(self) -> dict[str, Any]:
+        """All figures but the series."""
+        kept = {name: value for name, value in vars(self).items() if name != "series"}
+        kept["limit"] = self.limit if np.isfinite(self.limit) else None
+        energy = {"start": float(self.series["energy"][0]), "max": self.peak("energy"), "end": self.last("energy")}
+        peaks = {name: self.peak(name) for name in ("penetration", "distance", "stretch")}
+        return kept | {
+            "name": self.name,
+            "outcome": self.outcome,
+            "runaway": self.runaway,
+            "microseconds_per_step": self.microseconds,
+            "energy": energy,
+            "peaks": peaks,
+        }
+
+
+def run_experiment(
+    path: Path, overrides: Sequence[str], integrators: Sequence[str], repeats: int, told: Callable[[str], None]
+) -> list[Trace]:
+    """All integrators with split and unsplit bones. Raises BadInput for a scene that cannot be run.
+
+    Repeats are taken in rounds over all variants, so that a machine that slows down slows all.
+    """
+    variants = [(name, split) for split in (True, False) for name in integrators]
+    scenes = [
+        scene_file.read(
+            path, [*overrides, f"solver.plugin={name}", f"{SPLIT}={str(split).lower()}", "allow_unstable=true"]
+        )
+        for name, split in variants
+    ]
+    traces: list[Trace] = []
+    for (name, split), loaded in zip(variants, scenes, strict=True):
+        told(f"{name}, {'split' if split else 'unsplit'} bones")
+        traces.append(run_variant(loaded, name, split))
+    for turn in range(1, repeats):
+        told(f"times, round {turn + 1} of {repeats}")
+        for i, loaded in enumerate(scenes):
+            again = run_variant(loaded, *variants[i], measured=False)
+            traces[i] = replace(traces[i], seconds=traces[i].seconds + again.seconds)
+    return traces
+
+
+def run_variant(loaded: Loaded, name: str, split: bool, measured: bool = True) -> Trace:
+    """One run to its end, or to the frame in which it diverges; unmeasured runs are only timed."""
+    bodies = build.build_bodies(loaded)
+    poses = [bodies.poses(frame / loaded.scene.frame_rate) for frame in range(loaded.scene.frames + 1)]
+    simulation = Simulation(loaded, bodies.geometry, poses[0], cores())
+    first = _timed(lambda: simulation.measure(poses[0]))
+    record = _Recorder(simulation, bodies) if measured else None
+    if record:
+        record.add(first[1], poses[0])
+    seconds, ended, message = 0.0, None, ""
+    # What a diverging run overflows is its result, not a mistake to warn of.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for start, end in itertools.pairwise(poses):
+            frame = simulation.advance(start, end)
+            seconds += frame.seconds
+            if record:
+                record.add(frame.report, end)
+            if frame.report.status != "ok":
+                ended, message = simulation.t, frame.report.message
+                break
+    facts = [term.facts["rest_depth"] for term in simulation.system.terms if "rest_depth" in term.facts]
+    return Trace(
+        name,
+        split,
+        record.arrays() if record else {},
+        ended,
+        message,
+        (seconds,),
+        first[0],
+        simulation.frame * simulation.steps,
+        simulation.dt,
+        simulation.limit.dt,
+        facts[0] if facts else None,
+        len(bodies.geometry.kind),
+    )
+
+
+def _timed(call: Callable[[], StepReport]) -> tuple[float, StepReport]:
+    start = time.perf_counter()
+    report = call()
+    return time.perf_counter() - start, report
+
+
+class _Recorder:
+    """Collects the series of a run."""
+
+    def __init__(self, simulation: Simulation, bodies: Bodies) -> None:
+        self.simulation, self.bodies = simulation, bodies
+        self.free = ~simulation.fabric.pinned
+        self.rows: list[tuple[float, ...]] = []
+
+    def add(self, report: StepReport, poses: Poses) -> None:
+        distance = signed_distance(self.simulation.state.x[self.free], self.bodies.geometry, poses)
+        finite = distance[np.isfinite(distance)]
+        inside = max(0.0, -float(finite.min())) if finite.size else np.nan
+        mean = float(finite.mean()) if finite.size else np.nan
+        energy = {kind: float(report.energy.get(kind, 0.0)) for kind in SERIES[1:5]}
+        self.rows.append((self.simulation.t, *energy.values(), sum(energy.values()), inside, mean, report.stretch))
+
+    def arrays(self) -> dict[str, Float]:
+        return dict(zip(SERIES, np.array(self.rows).T, strict=True))

@@ -1,0 +1,110 @@
+"""What was seen next to what the skirt paper says, in words that follow from the figures."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nuno_bench.experiment import RUNAWAY, Trace
+from nuno_bench.result import number
+
+FARTHER = 2.0
+"""Cloth counts as thrown off the body from this multiple of symplectic Euler's distance on."""
+DEEPER = 1.5
+"""Penetration counts as another from this multiple of symplectic Euler's on."""
+SLOWER = 1.1
+"""Times within a tenth of each other count as the same."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A claim of the paper, what was seen here, and whether the two agree."""
+
+    claim: str
+    seen: str
+    agrees: bool
+
+    @property
+    def verdict(self) -> str:
+        return "agrees" if self.agrees else "contradicts"
+
+
+def compare(traces: Sequence[Trace]) -> list[Finding]:
+    """Findings on the runs there are; a claim about a run that was left out is left out too."""
+    split = {trace.integrator: trace for trace in traces if trace.split}
+    reference = split.get("symplectic_euler")
+    if reference is None:
+        return []
+    found = [_stable(reference)]
+    if euler := split.get("euler"):
+        found.append(_thrown(euler, reference))
+    if rk4 := split.get("rk4"):
+        found += [_slower(rk4, reference), _deeper(rk4, reference, "Runge-Kutta lets a leg through the skirt")]
+    if printed := split.get("rk4_printed"):
+        found.append(_deeper(printed, reference, "the same, by Runge-Kutta as its formulas are printed"))
+    pairs = [(a, b) for a in traces for b in traces if a.split and not b.split and a.integrator == b.integrator]
+    return [*found, _bones(pairs)] if pairs else found
+
+
+def _stable(trace: Trace) -> Finding:
+    low, high, end = (number(x) for x in (trace.series["energy"][0], trace.peak("energy"), trace.last("energy")))
+    ratio = (
+        f"; its step is {trace.dt / trace.limit:.0%} of its limit"
+        if np.isfinite(trace.limit) and trace.limit > 0
+        else ""
+    )
+    seen = f"{_ending(trace)}, energy {low} J at the start, at most {high} J, {end} J at the end{ratio}"
+    return Finding(f"symplectic Euler is stable at a step of {number(trace.dt * 1e3)} ms", seen, trace.ended is None)
+
+
+def _thrown(trace: Trace, reference: Trace) -> Finding:
+    farthest = FARTHER * reference.peak("distance")
+    off = trace.first(trace.series["distance"] > farthest)
+    seen = (
+        f"{_ending(trace)}; energy {_passes(trace.runaway)} {RUNAWAY:g} times its start; "
+        f"mean distance from the body {_passes(off)} {_length(farthest)}, {FARTHER:g} times symplectic Euler's largest"
+    )
+    return Finding("explicit Euler moves violently and throws the cloth off the body", seen, off is not None)
+
+
+def _passes(t: float | None) -> str:
+    return "stays below" if t is None else f"passes, at {t:.2f} s,"
+
+
+def _slower(trace: Trace, reference: Trace) -> Finding:
+    ratio = trace.microseconds / reference.microseconds
+    times = [number(run.microseconds) for run in (trace, reference)]
+    seen = f"{times[0]} us a step against {times[1]} us: {ratio:.2f} times symplectic Euler's"
+    return Finding("Runge-Kutta is slower", seen, ratio > SLOWER)
+
+
+def _deeper(trace: Trace, reference: Trace, claim: str) -> Finding:
+    depth, other = trace.peak("penetration"), reference.peak("penetration")
+    ratio = depth / other if other > 0 else (np.inf if depth > 0 else 1.0)
+    depths = f"{_length(depth)} deep against symplectic Euler's {_length(other)} ({ratio:.2f} times)"
+    seen = f"{_ending(trace)}, at most {depths}"
+    if trace.rest_depth is not None:
+        seen += f"; a vertex at rest sinks m g / k = {_length(trace.rest_depth)} under any method"
+    return Finding(claim, seen, ratio > DEEPER)
+
+
+def _bones(pairs: list[tuple[Trace, Trace]]) -> Finding:
+    ratio = statistics.median(a.microseconds / b.microseconds for a, b in pairs)
+    depths = [
+        f"{a.integrator} {_length(a.peak('penetration'))} against {_length(b.peak('penetration'))}" for a, b in pairs
+    ]
+    shapes = f"{pairs[0][0].primitives} primitives against {pairs[0][1].primitives}"
+    seen = f"a step takes {ratio:.2f} times as long (median over the methods; {shapes}). "
+    seen += f"Penetration, each into its own body: {', '.join(depths)}"
+    return Finding("bones cut in pieces are slower than whole ones", seen, ratio > SLOWER)
+
+
+def _ending(trace: Trace) -> str:
+    return "runs to the end" if trace.ended is None else f"diverges: no longer finite at {trace.ended:.2f} s"
+
+
+def _length(metres: float) -> str:
+    return f"{metres * 1e3:.3g} mm" if metres < 1.0 else f"{number(metres)} m"

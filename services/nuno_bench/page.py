@@ -1,0 +1,140 @@
+"""A report as one HTML file: nothing external, readable on a phone, printable like a page of a paper.
+
+The caller passes plain text, which is escaped here; only figures are markup (SVG from `plots`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+BAD = frozenset({"failed", "missed", "diverged", "contradicts"})
+GOOD = frozenset({"bar met", "aim met", "agrees"})
+"""Words that are coloured where a cell begins with them."""
+LONG = 26
+"""Cells with more characters than this wrap."""
+
+STYLE = """
+:root { --ink: #1b1d21; --soft: #5b616b; --rule: #d9dce1; --bad: #a3262a; --good: #22663a; --paper: #fff; }
+@media (prefers-color-scheme: dark) and (not print) {
+  :root { --ink: #e4e6ea; --soft: #9ba2ad; --rule: #3a3f47; --bad: #ff8f8a; --good: #7fd19b; --paper: #15171a; }
+  figure svg { background: #fff; border-radius: 4px; }
+}
+* { box-sizing: border-box; }
+body { margin: 0 auto; padding: 2.5rem 1.25rem 4rem; max-width: 59rem; background: var(--paper); color: var(--ink);
+  font: 17px/1.55 Charter, "Bitstream Charter", "Source Serif 4", Georgia, "DejaVu Serif", serif; }
+h1 { font-size: 1.75rem; line-height: 1.2; margin: 0 0 .4rem; font-weight: 600; }
+h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem; font-weight: 600; }
+p { margin: .6rem 0; max-width: 42rem; }
+.lead { color: var(--soft); margin-bottom: 1.6rem; }
+.wide { overflow-x: auto; margin: 0 0 .8rem; }
+table { border-collapse: collapse; width: 100%; font-size: .8rem; line-height: 1.4;
+  border-top: 1.5px solid var(--ink); border-bottom: 1.5px solid var(--ink); font-variant-numeric: tabular-nums; }
+.caption, figcaption { color: var(--soft); font-size: .85rem; padding: .35rem 0; max-width: 42rem; }
+.caption { margin: .8rem 0 0; }
+th { text-align: left; font-weight: 600; border-bottom: .75px solid var(--ink); vertical-align: bottom; }
+th, td { padding: .32rem .65rem .32rem 0; }
+th:last-child, td:last-child { padding-right: 0; }
+td, th { white-space: nowrap; }
+td.long, .prose td { white-space: normal; min-width: 9rem; }
+.prose td.bad, .prose td.good { white-space: nowrap; min-width: 0; }
+td { vertical-align: top; border-bottom: .5px solid var(--rule); }
+tr:last-child td { border-bottom: 0; }
+.number { text-align: right; white-space: nowrap; }
+.bad { color: var(--bad); font-weight: 600; }
+.good { color: var(--good); }
+figure { margin: 1.4rem 0; }
+figure svg { width: 100%; height: auto; display: block; }
+dl { display: grid; grid-template-columns: max-content 1fr; gap: .15rem 1.2rem; font-size: .85rem; }
+dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
+code { font: .88em ui-monospace, "DejaVu Sans Mono", Menlo, monospace; }
+@media (max-width: 36rem) { body { font-size: 16px; padding-top: 1.5rem; } figure svg { min-width: 34rem; }
+  dl { display: block; } dd { margin-bottom: .5rem; } }
+@media print { body { font-size: 10.5pt; max-width: none; padding: 0; } h2 { break-after: avoid; }
+  table { font-size: .72em; }
+  figure, table { break-inside: avoid; } .wide { overflow: visible; } @page { margin: 18mm; } }
+"""
+
+
+@dataclass(frozen=True)
+class Table:
+    """headings, rows of text, and a sentence above them."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str
+    prose: bool = False
+    """Whether cells are sentences, which wrap."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """svg markup, and the sentence below it, which also describes it to those who do not see it."""
+
+    svg: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and values, e.g. the machine and the command."""
+
+    values: Mapping[str, str]
+
+
+Part = str | Table | Figure | Facts
+"""A paragraph of plain text, or one of the above."""
+
+
+def render(title: str, lead: str, sections: Sequence[tuple[str, Sequence[Part]]]) -> str:
+    """The whole page. Each section is a heading ("" for none) and its parts."""
+    body = [f"<h1>{escape(title)}</h1>", f'<p class="lead">{escape(lead)}</p>']
+    for heading, parts in sections:
+        if heading:
+            body.append(f"<h2>{escape(heading)}</h2>")
+        body += [_part(part) for part in parts]
+    head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+    head += f"<title>{escape(title)}</title><style>{STYLE}</style>"
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n' + "\n".join(body) + "\n</body></html>\n"
+
+
+def _part(part: Part) -> str:
+    if isinstance(part, Table):
+        return _table(part)
+    if isinstance(part, Figure):
+        label, caption = escape(part.caption, quote=True), escape(part.caption)
+        picture = f'<div class="wide" role="img" aria-label="{label}">{part.svg}</div>'
+        return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
+    if isinstance(part, Facts):
+        return "<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in part.values.items()) + "</dl>"
+    return f"<p>{escape(part)}</p>"
+
+
+def _table(table: Table) -> str:
+    numeric = [all(_is_number(row[c]) for row in table.rows) for c in range(len(table.headings))]
+    right = [' class="number"' if flag else "" for flag in numeric]
+    head = "".join(f"<th{r}>{escape(name)}</th>" for name, r in zip(table.headings, right, strict=True))
+    lines = ["".join(_cell(text, flag) for text, flag in zip(row, numeric, strict=True)) for row in table.rows]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    caption = f'<p class="caption">{escape(table.caption)}</p>'
+    kind = ' class="prose"' if table.prose else ""
+    inner = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    return f'{caption}<div class="wide"><table{kind}>{inner}</table></div>'
+
+
+def _cell(text: str, numeric: bool) -> str:
+    names = ["number"] if numeric else []
+    names += ["long"] if len(text) > LONG else []
+    names += ["bad"] if _begins(text, BAD) else ["good"] if _begins(text, GOOD) else []
+    return f'<td class="{" ".join(names)}">{escape(text)}</td>' if names else f"<td>{escape(text)}</td>"
+
+
+def _begins(text: str, words: frozenset[str]) -> bool:
+    return any(text == word or text.startswith((word + " ", word + ",")) for word in words)
+
+
+def _is_number(text: str) -> bool:
+    return (
+        text == "" or text[0] in "-+<>=.0123456789\N{MINUS SIGN}\N{LESS-THAN OR EQUAL TO}\N{GREATER-THAN OR EQUAL TO}"
+    )

@@ -1,0 +1,117 @@
+"""`nuno bench speed`: every measured bar as a named case, medians and spread, compile time apart."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import sys
+import traceback
+from pathlib import Path
+
+import psutil
+
+from nuno_bench import limits, machine
+from nuno_bench.result import HEADINGS, Result, number, rows, text_table
+from nuno_schemas.errors import BadInput, nearest
+
+CASES = {
+    "grid-256": ("nuno_bench.steps", "grid_256"),
+    "net-256": ("nuno_bench.steps", "net_256"),
+    "irregular": ("nuno_bench.steps", "irregular"),
+    "sheet-32": ("nuno_bench.steps", "sheet_32"),
+    "numpy": ("nuno_bench.steps", "numpy_slices"),
+    "pipeline": ("nuno_bench.pipeline", "pipeline"),
+    "start": ("nuno_bench.processes", "start"),
+    "memory": ("nuno_bench.processes", "memory"),
+    "recording": ("nuno_bench.pipeline", "recording"),
+}
+"""Module and function of each case; a function takes the number of repeats and gives results."""
+
+BUSY = 15.0
+"""Share of the machine [%] that others may use before figures are marked as disturbed."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"which to run (default: all): {', '.join(CASES)}")
+    parser.add_argument("--repeats", type=int, default=7, metavar="N", help="samples of each figure (default: 7)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all samples, machine and versions")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with the table and a plot")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the cases; 1 if any could not be measured. A missed bar is a finding, not a failure."""
+    for name in args.cases:
+        if name not in CASES:
+            raise BadInput("no such case", value=name, remedy=nearest(name, CASES))
+    if args.repeats < 1:
+        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
+    if args.html is not None:
+        from nuno_bench.plots import require_matplotlib
+
+        require_matplotlib()
+    busy = psutil.cpu_percent(interval=1.0)
+    results: list[Result] = []
+    for name in args.cases or CASES:
+        print(f"{name} ...", file=sys.stderr)
+        results += run_case(name, args.repeats)
+    about = machine.describe() | _limits(results)
+    about["before"] = f"{busy:.0f} % of the machine was in use when this began" + (
+        ": figures are disturbed" if busy > BUSY else ""
+    )
+    _show(results, about)
+    _write(args, results, about)
+    return 1 if any(result.failure for result in results) else 0
+
+
+def run_case(name: str, repeats: int) -> list[Result]:
+    """A case's results; one that fails gives a result that says why."""
+    module, function = CASES[name]
+    try:
+        results: list[Result] = getattr(importlib.import_module(module), function)(repeats)
+    except Exception as error:  # any failure is a finding about this case, and others still count
+        if os.environ.get("NUNO_BENCH_TRACE"):
+            traceback.print_exc()
+        return [Result(name, "could not be measured", "", failure=f"{type(error).__name__}: {error}")]
+    return results
+
+
+def _limits(results: list[Result]) -> dict[str, str]:
+    if not any(result.limit for result in results):
+        return {}
+    roots, memory = limits.inverse_roots(), limits.bandwidth()
+    text = f"{roots * 1e-9:.2f} billion 1/sqrt a second (float64, all cores), {memory * 1e-9:.0f} GB/s from memory"
+    return {"limits": f"{text}; 6 springs computed a vertex allow {roots / 6e6:.0f} million vertex-steps/s"}
+
+
+def _show(results: list[Result], about: dict[str, str]) -> None:
+    print(text_table(HEADINGS, rows(results)))
+    notes = {f"{r.case}, {r.what}": r.failure or r.note for r in results if r.failure or r.note}
+    print()
+    for name, text in (notes | about).items():
+        print(f"{name}: {text}")
+    print(summary(results))
+
+
+def summary(results: list[Result]) -> str:
+    """One sentence: how many bars were met, which were not."""
+    judged = [r for r in results if r.bar is not None or r.failure]
+    missed = [f"{r.case} ({r.what}: {number(r.median)} {r.unit})" for r in judged if r.verdict == "missed"]
+    failed = [r.case for r in judged if r.verdict == "failed"]
+    text = f"{len(judged) - len(missed) - len(failed)} of {len(judged)} bars met"
+    text += f"; missed: {', '.join(missed)}" if missed else ""
+    return text + (f"; could not be measured: {', '.join(failed)}" if failed else "")
+
+
+def _write(args: argparse.Namespace, results: list[Result], about: dict[str, str]) -> None:
+    if args.json is not None:
+        data = {"command": machine.command(), "machine": about, "results": [result.json() for result in results]}
+        args.json.parent.mkdir(parents=True, exist_ok=True)
+        args.json.write_text(json.dumps(data, indent=1) + "\n")
+        print(f"written {args.json}")
+    if args.html is not None:
+        from nuno_bench.speed_page import write_page
+
+        write_page(args.html, results, about, summary(results))
+        print(f"written {args.html}")

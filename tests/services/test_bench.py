@@ -1,0 +1,146 @@
+"""What the benchmarks time and say: the peer does the same work, verdicts follow from the figures."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from nuno import registry
+from nuno.cli import main
+from nuno_bench import numpy_peer, page, problems, speed
+from nuno_bench.measure import watch_compiler
+from nuno_bench.result import Result, number, text_table
+from nuno_bench.steps import net, sheet
+
+
+@pytest.mark.parametrize(
+    ("samples", "at_most", "verdict"),
+    [
+        ((59.0,), False, "missed"),
+        ((10.0, 60.0, 61.0), False, "bar met"),
+        ((90.0,), False, "aim met"),
+        ((61.0,), True, "missed"),
+        ((60.0,), True, "bar met"),
+    ],
+)
+def test_verdict_follows_from_the_median(samples: tuple[float, ...], at_most: bool, verdict: str) -> None:
+    aim = 20.0 if at_most else 90.0
+    assert Result("case", "what", "unit", samples, bar=60.0, aim=aim, at_most=at_most).verdict == verdict
+
+
+def test_failed_measurement_is_neither_met_nor_silent() -> None:
+    failed = Result("case", "what", "unit", bar=1.0, failure="RunFailed: it broke")
+    assert failed.verdict == "failed"
+    assert speed.summary([failed]) == "0 of 1 bars met; could not be measured: case"
+
+
+def test_failing_case_is_reported_and_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(speed.CASES, "broken", ("nuno_bench.steps", "no_such_function"))
+    (result,) = speed.run_case("broken", 1)
+    assert result.verdict == "failed"
+    assert "no_such_function" in result.failure
+
+
+def test_numpy_peer_takes_the_same_steps_as_the_kernels() -> None:
+    side, steps, dt = 17, 40, 2e-4
+    fabric = sheet(side, side)
+    system, state = problems.system_of(fabric)
+    x = np.ascontiguousarray(state.x.T.reshape(3, side, side))
+    v = np.zeros_like(x)
+    inverse_mass = np.where(fabric.pinned, 0.0, 1.0 / fabric.mass).reshape(side, side)
+    constants = (problems.STRUCTURAL, problems.SHEAR, problems.BENDING)
+    numpy_peer.advance(x, v, inverse_mass, constants, 1.0 / (side - 1), steps, dt)
+    plugin = registry.load("nuno.integrators", "symplectic_euler")
+    memory = plugin.prepare(plugin.Config(), system, state)
+    plugin.advance(system, state, memory, None, steps, dt)
+    moved = np.abs(state.x - fabric.position).max()
+    np.testing.assert_allclose(x.reshape(3, -1).T, state.x, rtol=0, atol=1e-9 * moved)
+
+
+def test_net_of_a_sheet_moves_like_the_sheet() -> None:
+    fabric = sheet(12, 9, problems.DAMPING)
+    plugin = registry.load("nuno.integrators", "symplectic_euler")
+    ends = []
+    for one in (fabric, net(problems.net_arrays(fabric, varied=False))):
+        system, state = problems.system_of(fabric)
+        system = problems.system_of(one)[0]
+        plugin.advance(system, state, plugin.prepare(plugin.Config(), system, state), None, 50, 1e-4)
+        ends.append(state.x)
+    np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("patch", [None, 4])
+def test_irregular_mesh_has_the_springs_of_its_triangulation(patch: int | None) -> None:
+    """A triangulated s x s grid has 3 s^2 - 4 s + 1 edges, of which 4 (s - 1) lie on its border."""
+    side = 12
+    arrays = problems.irregular_arrays(side, patch)
+    pairs = arrays["springs"]
+    edges, border = 3 * side**2 - 4 * side + 1, 4 * (side - 1)
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    # Two inner edges may face the same two vertices, and across them may lie another edge.
+    assert edges + 0.9 * (edges - border) < len(pairs) <= edges + (edges - border)
+    assert arrays["rest"].max() < 3.4 / (side - 1)
+    assert net(arrays).number == side**2
+
+
+def test_compiler_is_watched() -> None:
+    @numba.njit  # type: ignore[untyped-decorator]
+    def double(x: float) -> float:
+        return 2.0 * x
+
+    for argument, compiled in ((1.0, 1), (2.0, 0), (3, 1), (4, 0)):
+        with watch_compiler() as watched:
+            double(argument)
+        assert watched.number == compiled
+
+
+def test_page_escapes_text_and_needs_nothing_from_outside() -> None:
+    table = page.Table(("a", "b"), [["<script>", "1.5"], ["x", "2"]], "caption & more")
+    html = page.render("A < B", "lead", [("h", [table, page.Facts({"k": "v"}), page.Figure("<svg></svg>", "c")])])
+    assert "<script>" not in html
+    assert "A &lt; B" in html
+    assert not re.search(r"(src|href)=|https?://|@import|url\(", html)
+
+
+def test_page_marks_failures() -> None:
+    html = page.render("t", "l", [("", [page.Table(("outcome",), [["diverged at 2 s"], ["done"]], "c")])])
+    assert '<td class="bad">diverged at 2 s</td>' in html
+    assert "<td>done</td>" in html
+
+
+def test_figure_marks_a_curve_that_ended_early() -> None:
+    plots = pytest.importorskip("nuno_bench.plots")
+    pytest.importorskip("matplotlib")
+    t = np.linspace(0.0, 1.0, 5)
+
+    def drawn(ended: str) -> str:
+        text: str = plots.curves({"y": [plots.Curve("a", t, t, 0, ended=ended)]}, "t")
+        return text
+
+    assert plots.BAD in drawn("diverged")
+    assert plots.BAD not in drawn("")
+    identifiers = re.findall(r' id="([^"]+)"', drawn("diverged"))
+    assert len(identifiers) == len(set(identifiers))
+
+
+def test_numbers_read_well() -> None:
+    shown = [number(value) for value in (0.0, 0.123456, 1234.5, -2.0, 1.5e-7, 3e12)]
+    assert shown == ["0", "0.123", "1,234", "-2", "1.5e-07", "3e+12"]
+    lines = text_table(("a", "n"), [["x", "1"], ["yy", "22"]]).splitlines()
+    assert lines[2:] == ["x    1", "yy  22"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["speed", "grid-25"], ["speed", "sheet-32", "--repeats", "0"], ["integrators", "hanging-sheet"], ["nothing"]],
+)
+def test_bad_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """With exit code 2, before anything is measured."""
+    refused: Any = main(["bench", *arguments])
+    assert refused == 2
+    assert "error: " in capsys.readouterr().err

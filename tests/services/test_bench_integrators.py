@@ -1,0 +1,80 @@
+"""The comparison of integrators: what is recorded of a run, and what is said about it."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nuno import scene_file
+from nuno_bench import findings
+from nuno_bench.experiment import SERIES, SPLIT, Trace, run_variant
+from nuno_bench.integrators import render, write
+
+SMALL = ("duration=0.2", "objects.0.model.columns=12", "objects.0.model.rows=5")
+
+
+def trace(integrator: str, split: bool = True, depth: float = 1e-3, grow: float = 1.0, us: float = 10.0) -> Trace:
+    """A run of 11 frames that starts with 2 J, is `depth` [m] deep and takes `us` a step."""
+    t = np.linspace(0.0, 1.0, 11)
+    series = {name: np.zeros(11) for name in SERIES} | {"t": t, "penetration": np.full(11, depth)}
+    series["energy"], series["distance"] = 2.0 * grow**t, 0.1 * grow**t
+    return Trace(integrator, split, series, None, "", (us * 1e-4,), 0.0, 100, 2e-3, 3e-3, 1e-4, 20)
+
+
+def verdicts(*traces: Trace) -> dict[str, bool]:
+    return {found.claim.split(",")[0][:24]: found.agrees for found in findings.compare(traces)}
+
+
+def test_verdicts_follow_from_the_runs() -> None:
+    calm = trace("symplectic_euler")
+    wild = verdicts(calm, trace("euler", grow=1e6), trace("rk4", depth=5e-3, us=40.0))
+    tame = verdicts(calm, trace("euler"), trace("rk4", us=10.0))
+    assert list(wild.values()) == [True, True, True, True]
+    assert list(tame.values()) == [True, False, False, False]
+
+
+def test_bones_are_compared_method_by_method() -> None:
+    slower = verdicts(trace("symplectic_euler", us=15.0), trace("symplectic_euler", split=False, us=10.0))
+    same = verdicts(trace("symplectic_euler"), trace("symplectic_euler", split=False))
+    assert list(slower.values()) == [True, True]
+    assert list(same.values()) == [True, False]
+
+
+def test_runaway_is_the_first_frame_above_ten_times_the_start() -> None:
+    assert trace("euler").runaway is None
+    assert trace("euler", grow=10**2.4).runaway == pytest.approx(0.5)  # 10^(2.4 t) passes 10 at t = 0.417
+    lost = trace("euler")
+    lost.series["energy"][7:] = np.nan
+    assert lost.runaway == pytest.approx(0.7)
+
+
+def test_same_run_twice_is_the_same_and_bones_differ_in_pieces() -> None:
+    path = scene_file.find("skirt-paper")
+    runs = [
+        run_variant(scene_file.read(path, [*SMALL, f"{SPLIT}={split}"]), "symplectic_euler", split == "true")
+        for split in ("true", "true", "false")
+    ]
+    for name in SERIES:
+        assert np.array_equal(runs[0].series[name], runs[1].series[name]), name
+    assert runs[0].primitives > runs[2].primitives
+    assert runs[0].steps == 100
+    kinds = [runs[0].series[name] for name in ("kinetic", "gravitational", "springs", "hinges")]
+    np.testing.assert_allclose(runs[0].series["energy"], np.sum(kinds, axis=0), rtol=1e-14)
+
+
+def test_files_hold_every_frame(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    traces = [trace("symplectic_euler"), trace("euler", grow=1e6), trace("euler", split=False, grow=1e6)]
+    traces += [trace("symplectic_euler", split=False)]
+    found = findings.compare(traces)
+    html, table, data = write(tmp_path / "out" / "small", "small", traces, found, {"command": "nuno"})
+    with table.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 4 * 11
+    assert float(rows[11]["energy"]) == 2.0
+    assert [run["name"] for run in json.loads(data.read_text())["runs"]] == [one.name for one in traces]
+    assert html.read_text() == render("small", traces, found, {"command": "nuno"})
