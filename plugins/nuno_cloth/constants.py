@@ -54,7 +54,8 @@ from nuno_schemas.fabric import Float
 @dataclass(frozen=True)
 class Lattice:
     """Flat measures of a grid: width (rows,) of a cell along each row [m] and length (rows - 1,)
-    of the warp edges between rows [m]."""
+    of the warp edges between rows [m].
+    """
 
     width: Float
     length: Float

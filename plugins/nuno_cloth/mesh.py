@@ -49,7 +49,8 @@ class MeshConfig(Config):
 
 class Mesh:
     """Springs on the edges; bends by hinges, or by the wrinkle paper's springs between the two
-    vertices opposite each inner edge where the fabric is set by hand with `bending`."""
+    vertices opposite each inner edge where the fabric is set by hand with `bending`.
+    """
 
     name: ClassVar[str] = "mesh"
     Config: ClassVar[type[BaseModel]] = MeshConfig

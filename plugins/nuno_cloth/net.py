@@ -31,7 +31,8 @@ DTYPES = {"fiu": "float64", "iu": "int32", "b": "bool"}
 
 class NetConfig(Config):
     """file: a .npz with x (n, 3) [m], v (n, 3) [m/s], m (n,) [kg], pinned (n,) bool,
-    springs (s, 2), k (s,) [N/m], rest (s,) [m], c (s,) [N s/m]; no other key."""
+    springs (s, 2), k (s,) [N/m], rest (s,) [m], c (s,) [N s/m]; no other key.
+    """
 
     file: str
 

@@ -65,7 +65,8 @@ class SkirtConfig(Config):
 
 class Skirt:
     """A ring of cloth; unstretched at the start, but for some per cent of shear that folds, and an
-    elliptic waist, need."""
+    elliptic waist, need.
+    """
 
     name: ClassVar[str] = "skirt"
     Config: ClassVar[type[BaseModel]] = SkirtConfig
@@ -166,7 +167,8 @@ def _reached(points: Float) -> Float:
 
 def _wave_depths(outline: Float, phase: Float) -> tuple[Float, Float]:
     """Depths of waves on a ring, as parts of its radius, and the lengths that they give it per
-    radius. The length grows with the square of small depths, and so do the table's steps."""
+    radius. The length grows with the square of small depths, and so do the table's steps.
+    """
     depths = 0.95 * np.linspace(0, 1, 256) ** 2
     return depths, np.array([_reached(outline * (1 + depth * np.cos(phase))[:, None])[-1] for depth in depths])
 

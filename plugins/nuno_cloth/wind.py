@@ -19,7 +19,8 @@ class WindConfig(Config):
     """velocity of the air [m/s] (zero is still air: drag alone), its density [kg/m^3], and the
     coefficients of a flat plate: normal 1.17 is a square plate across the flow (Hoerner,
     Fluid-Dynamic Drag, 1965); tangential 0.01 is laminar skin friction on two sides at a
-    Reynolds number of about 10^5 (2 x 1.328 / sqrt(Re), Blasius)."""
+    Reynolds number of about 10^5 (2 x 1.328 / sqrt(Re), Blasius).
+    """
 
     velocity: Velocity = (0.0, 0.0, 0.0)
     density: AirDensity = 1.2
@@ -48,7 +49,8 @@ class Wind:
 
 class ParticleWindConfig(Config):
     """strength alpha [N per particle]; beta and gamma [rad]: the direction is
-    (cos beta sin gamma, sin beta sin gamma, cos gamma)."""
+    (cos beta sin gamma, sin beta sin gamma, cos gamma).
+    """
 
     strength: Newtons
     beta: Angle = 0.0
@@ -57,7 +59,8 @@ class ParticleWindConfig(Config):
 
 class ParticleWindForce:
     """The skirt paper's wind: the same force on every particle, whatever it moves like or stands
-    for. Refining the mesh multiplies it, so it belongs to fabrics set by hand."""
+    for. Refining the mesh multiplies it, so it belongs to fabrics set by hand.
+    """
 
     name: ClassVar[str] = "particle_wind"
     Config: ClassVar[type[BaseModel]] = ParticleWindConfig

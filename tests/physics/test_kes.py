@@ -79,7 +79,8 @@ def test_hinges_are_an_orthotropic_plate(curvature: tuple[float, float, float], 
 @pytest.mark.parametrize("angle", [0.3, 0.785, 1.2])
 def test_bending_has_no_grain(angle: float) -> None:
     """With equal yarns a cylinder costs the same whatever its axis, but for the half cells at borders
-    that carry no moment (1/40 of the parts along the yarns)."""
+    that carry no moment (1/40 of the parts along the yarns).
+    """
     rigidity, curvature = 1e-5, 1e-3
     fabric = Measured(preset="trousers", bend_warp=rigidity, bend_weft=rigidity)
     config = SheetConfig(resolution=(41, 41), size=(0.4, 0.4), fabric=fabric)
@@ -123,7 +124,8 @@ def bend_per_cell(rigidity: float, lines: int) -> float:
 
 def test_papers_bending_springs_have_no_linear_stiffness() -> None:
     """A spring two apart stores an energy of the fourth order in the angle: halving the curvature
-    leaves a quarter of the rigidity."""
+    leaves a quarter of the rigidity.
+    """
     fabric = HandSet(density=0.2, structural=(1e4, 1e4), bending=(1e3, 1e3))
     config = SheetConfig(resolution=(9, 9), size=(0.08, 0.08), fabric=fabric)
     piece = Sheet().build(config, None, 0)  # type: ignore[arg-type]

@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import nuno
 import pytest
 import yaml
+
+import nuno
 from nuno.bus import free_port
 
 FILE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
