@@ -65,9 +65,13 @@ class HandSet(Config):
     """
 
     density: Density
-    structural: Annotated[tuple[Modulus, Modulus], BeforeValidator(_pair)]
+    structural: Annotated[
+        tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
+    ]
     shear: Modulus = 0.0
-    bending: Annotated[tuple[Modulus, Modulus], BeforeValidator(_pair)] = (0.0, 0.0)
+    bending: Annotated[
+        tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
+    ] = (0.0, 0.0)
     hinge: Rigidity = 0.0
     damping: SpringDamping = 0.0
 

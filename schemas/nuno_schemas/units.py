@@ -10,8 +10,9 @@ import functools
 import math
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
-from pydantic.fields import FieldInfo
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+_LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
 
 
 @functools.cache
@@ -58,6 +59,6 @@ def _parse(text: str, unit: str) -> float:
 
 def quantity(unit: str, **limits: Any) -> Any:
     """A pydantic float type in the SI `unit`; `limits` are those of `pydantic.Field`."""
-    schema: dict[str, Any] = {"unit": unit, "anyOf": [{"type": "number"}, {"type": "string"}]}
-    field: FieldInfo = Field(json_schema_extra=schema, **limits)
-    return Annotated[float, BeforeValidator(functools.partial(to_si, unit=unit)), field]
+    number = {"type": "number"} | {_LIMITS[name]: value for name, value in limits.items()}
+    schema = WithJsonSchema({"anyOf": [number, {"type": "string"}], "unit": unit})
+    return Annotated[float, BeforeValidator(functools.partial(to_si, unit=unit)), Field(**limits), schema]

@@ -37,8 +37,9 @@ def scene_schema() -> dict[str, Any]:
 
 def _choice(group: str, name: str, definitions: dict[str, Any], field: str) -> dict[str, Any]:
     """One plugin's fields, with `plugin` fixed to its name."""
-    own = registry.load(group, name).Config.model_json_schema(ref_template="#/$defs/{model}")
-    definitions |= own.pop("$defs", {})
+    prefix = f"{group}.{name}."  # two plugins may use one name for different parts
+    own = registry.load(group, name).Config.model_json_schema(ref_template=f"#/$defs/{prefix}{{model}}")
+    definitions |= {prefix + key: value for key, value in own.pop("$defs", {}).items()}
     properties = {"plugin": {"const": name}, **own.get("properties", {})}
     if field == "solver":
         properties["dt"] = definitions["Solver"]["properties"]["dt"]
