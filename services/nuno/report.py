@@ -95,8 +95,8 @@ def _step(report: Report) -> str:
         return f"{text}; nothing limits it"
     if limit <= 0.0:
         return f"{text}; never stable without damping"
-    above = "  ABOVE THE LIMIT" if dt > limit else ""
-    return f"{text}; limit {limit * 1e3:.4g} ms, so at {dt / limit:.0%} of it{above}"
+    share = f"at {dt / limit:.0%} of it" if dt <= limit else f"{dt / limit:.3g} times ABOVE IT"
+    return f"{text}; limit {limit * 1e3:.4g} ms, {share}"
 
 
 def _physics(report: Report) -> list[tuple[str, str]]:
@@ -111,11 +111,9 @@ def _physics(report: Report) -> list[tuple[str, str]]:
                 or "0 J",
             )
         )
-        total = [sum(energy.values()) for energy in (first, last)]
-        change = _joules(total[1] - total[0])
-        why = "by damping, friction, wind and moving bodies"
-        rows.append(("balance", f"{_joules(total[0])} -> {_joules(total[1])}: {change} {why}"))
-    rows.append(("stretch", f"at most {report['stretch']:.2%}"))
+        rows.append(("balance", _balance(first, last)))
+    stretch = report["stretch"]
+    rows.append(("stretch", _percent(stretch)))
     if report["penetration"] is not None:
         text = f"at most {report['penetration'] * 1e3:.3g} mm"
         if report["rest_depth"] is not None:
@@ -125,6 +123,25 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     if warnings:
         rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))
     return rows
+
+
+def _balance(first: dict[str, float | None], last: dict[str, float | None]) -> str:
+    start, end = (_total(energy) for energy in (first, last))
+    if start is None or end is None:
+        return f"{_joules(start)} -> {_joules(end)}"
+    change = _joules(end - start)
+    return f"{_joules(start)} -> {_joules(end)}: {change} by damping, friction, wind and moving bodies"
+
+
+def _percent(stretch: float | None) -> str:
+    if stretch is None:
+        return "not finite"
+    return f"at most {stretch:.2%}" if stretch < 100 else f"at most {stretch:.3g} times the rest length"
+
+
+def _total(energy: dict[str, float | None]) -> float | None:
+    values = [value for value in energy.values() if value is not None]
+    return sum(values) if len(values) == len(energy) else None
 
 
 def _joules(value: float | None) -> str:

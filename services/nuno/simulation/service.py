@@ -44,6 +44,7 @@ class Driver:
         self.counts: dict[str, int] = {}
         self.energy: list[dict[str, float]] = []
         self.stretch = 0.0
+        self.message = ""
         self.inbox = Inbox(context.bus, [ack_topic("*")])
         self.inbox.answer(CONTROL)
         self.inbox.answer("finish/simulation")
@@ -132,6 +133,7 @@ class Driver:
         for name, value in frame.report.counts.items():
             self.counts[name] = max(self.counts.get(name, 0), value)
         ok = frame.report.status == "ok"
+        self.message = frame.report.message
         self.publish(frame, "running" if ok else "diverged")
         every = self.scene.record.checkpoint_every
         if (
@@ -254,6 +256,7 @@ def main(context: Context) -> None:
         wall = time.perf_counter() - begin
         summary = {
             "state": ended,
+            "message": driver.message,
             "frame": simulation.frame,
             "t": simulation.t,
             "digest": simulation.digest(),
