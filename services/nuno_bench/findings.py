@@ -93,12 +93,13 @@ def _deeper(trace: Trace, reference: Trace, claim: str) -> Finding:
 
 def _bones(pairs: list[tuple[Trace, Trace]]) -> Finding:
     ratio = statistics.median(a.microseconds / b.microseconds for a, b in pairs)
+    held = [(a, b) for a, b in pairs if a.runaway is None and b.runaway is None]
     depths = [
-        f"{a.integrator} {_length(a.peak('penetration'))} against {_length(b.peak('penetration'))}" for a, b in pairs
+        f"{a.integrator} {_length(a.peak('penetration'))} against {_length(b.peak('penetration'))}" for a, b in held
     ]
     shapes = f"{pairs[0][0].primitives} primitives against {pairs[0][1].primitives}"
     seen = f"a step takes {ratio:.2f} times as long (median over the methods; {shapes}). "
-    seen += f"Penetration, each into its own body: {', '.join(depths)}"
+    seen += f"Penetration, each into its own body: {', '.join(depths) or 'every run ran away'}"
     return Finding("bones cut in pieces are slower than whole ones", seen, ratio > SLOWER)
 
 

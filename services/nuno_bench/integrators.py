@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from nuno import scene_file
-from nuno_bench import findings, machine, page, plots
+from nuno_bench import findings, machine, markdown, page, plots
 from nuno_bench.experiment import INTEGRATORS, RUNAWAY, SERIES, Trace, run_experiment
 from nuno_bench.findings import Finding
 from nuno_bench.plots import Curve
@@ -60,25 +60,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="where page, CSV and JSON go (default: %(default)s)",
     )
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into this Markdown page's section")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run, print the table and the findings, write page, CSV and JSON. A run that diverges is a result."""
-    plots.require_matplotlib()
-    if args.repeats < 1:
-        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
-    path = scene_file.find(args.scene)
-    names = args.integrators.split(",")
-    for name in names:
-        if name not in INTEGRATORS:
-            raise BadInput(
-                "no method of this comparison", field="--integrators", value=name, remedy=nearest(name, INTEGRATORS)
-            )
-    loaded = scene_file.read(path, args.overrides)
-    if not loaded.colliders or loaded.colliders[0].name != "skeleton":
-        raise BadInput(
-            "the comparison needs a skeleton as its first body", str(path), field="bodies.0", remedy="use skirt-paper"
-        )
+    path, names = _check(args)
     traces = run_experiment(path, args.overrides, names, args.repeats, lambda text: print(text, file=sys.stderr))
     found = findings.compare(traces)
     about = {"command": machine.command(), **machine.describe()}
@@ -87,7 +74,32 @@ def main(args: argparse.Namespace) -> int:
         print(f"\n{finding.claim}: {finding.verdict}\n  {finding.seen}")
     for file in write(args.out / f"integrators-{path.stem}", path.stem, traces, found, about):
         print(f"written {file}")
+    if args.docs is not None:
+        said = markdown.table(("the paper", "here", ""), [[f.claim, f.seen, f.verdict] for f in found])
+        runs = markdown.table(HEADINGS, [row(trace) for trace in traces])
+        markdown.replace_section(args.docs, "integrators", [said, runs, CAPTION, markdown.facts(about)])
+        print(f"written {args.docs}")
     return 0
+
+
+def _check(args: argparse.Namespace) -> tuple[Path, list[str]]:
+    """The scene's file and the methods to compare. Raises BadInput before anything runs."""
+    plots.require_matplotlib()
+    if args.docs is not None:
+        markdown.check_section(args.docs, "integrators")
+    if args.repeats < 1:
+        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
+    names = args.integrators.split(",")
+    for name in names:
+        if name not in INTEGRATORS:
+            problem, remedy = "no method of this comparison", nearest(name, INTEGRATORS)
+            raise BadInput(problem, field="--integrators", value=name, remedy=remedy)
+    path: Path = scene_file.find(args.scene)
+    loaded = scene_file.read(path, args.overrides)
+    if not loaded.colliders or loaded.colliders[0].name != "skeleton":
+        problem = "the comparison needs a skeleton as its first body"
+        raise BadInput(problem, str(path), field="bodies.0", remedy="use skirt-paper")
+    return path, names
 
 
 def row(trace: Trace) -> list[str]:

@@ -19,6 +19,9 @@ from nuno_schemas.errors import RunFailed
 
 SKIRT = ("objects.0.model.columns=128", "objects.0.model.rows=96", "frame_rate=60 Hz", "solver.dt=auto")
 DURATION = 2.0
+"""Simulated seconds of a run."""
+MOST = 5
+"""Pairs of runs at most: each takes a minute on two cores."""
 SOFT = "objects.0.model.fabric={density: 0.3, structural: 8}"
 """Cloth whose few steps a frame let a recording of any size be made quickly."""
 FRAME_BYTES, CHECKPOINT_BYTES = 12, 48
@@ -38,7 +41,7 @@ def pipeline(repeats: int) -> list[Result]:
             times[name].append(value)
         return times["run"][-1]
 
-    bare, _ = alternate(lambda: bare_seconds(loaded), whole, repeats)
+    bare, _ = alternate(lambda: bare_seconds(loaded), whole, min(repeats, MOST))
     what = f"128x96 skirt, {DURATION:g} s at 60 frames/s: "
     ratios = {
         name: tuple(100.0 * (b / a - 1.0) for a, b in zip(bare, values, strict=True)) for name, values in times.items()

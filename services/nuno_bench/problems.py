@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno import registry, scene_file
+from nuno import registry
 from nuno.files import SceneFiles
-from nuno.scene_file import Loaded
 from nuno_bench.machine import cores
 from nuno_schemas.fabric import Fabric, Int, State
 from nuno_schemas.plugin import System
@@ -39,11 +38,6 @@ def scene_of(model: dict[str, Any]) -> dict[str, Any]:
         "solver": {"plugin": "symplectic_euler", "dt": "auto"},
         "objects": [{"name": "cloth", "model": model}],
     }
-
-
-def load(data: dict[str, Any], folder: Path) -> Loaded:
-    """A scene that exists only here."""
-    return scene_file.load(data, {}, "bench", SceneFiles(folder, ()))
 
 
 def build_model(model: dict[str, Any], folder: Path) -> Fabric:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-import os
 import sys
 import traceback
 from pathlib import Path
 
 import psutil
 
-from nuno_bench import limits, machine
+from nuno_bench import limits, machine, markdown
 from nuno_bench.result import HEADINGS, Result, number, rows, text_table
 from nuno_schemas.errors import BadInput, nearest
 
@@ -37,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"which to run (default: all): {', '.join(CASES)}")
     parser.add_argument("--repeats", type=int, default=7, metavar="N", help="samples of each figure (default: 7)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all samples, machine and versions")
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the table into this Markdown page's section")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with the table and a plot")
 
 
@@ -47,6 +47,8 @@ def main(args: argparse.Namespace) -> int:
             raise BadInput("no such case", value=name, remedy=nearest(name, CASES))
     if args.repeats < 1:
         raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
+    if args.docs is not None:
+        markdown.check_section(args.docs, "speed")
     if args.html is not None:
         from nuno_bench.plots import require_matplotlib
 
@@ -71,8 +73,7 @@ def run_case(name: str, repeats: int) -> list[Result]:
     try:
         results: list[Result] = getattr(importlib.import_module(module), function)(repeats)
     except Exception as error:  # any failure is a finding about this case, and others still count
-        if os.environ.get("NUNO_BENCH_TRACE"):
-            traceback.print_exc()
+        traceback.print_exc()
         return [Result(name, "could not be measured", "", failure=f"{type(error).__name__}: {error}")]
     return results
 
@@ -115,3 +116,7 @@ def _write(args: argparse.Namespace, results: list[Result], about: dict[str, str
 
         write_page(args.html, results, about, summary(results))
         print(f"written {args.html}")
+    if args.docs is not None:
+        text = [summary(results) + ".", markdown.table(HEADINGS, rows(results))]
+        markdown.replace_section(args.docs, "speed", [*text, markdown.facts({"command": machine.command(), **about})])
+        print(f"written {args.docs}")

@@ -12,10 +12,11 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench import numpy_peer, page, problems, speed
+from nuno_bench import markdown, numpy_peer, page, problems, speed
 from nuno_bench.measure import watch_compiler
 from nuno_bench.result import Result, number, text_table
 from nuno_bench.steps import net, sheet
+from nuno_schemas.errors import BadInput
 
 
 @pytest.mark.parametrize(
@@ -126,6 +127,18 @@ def test_figure_marks_a_curve_that_ended_early() -> None:
     assert plots.BAD not in drawn("")
     identifiers = re.findall(r' id="([^"]+)"', drawn("diverged"))
     assert len(identifiers) == len(set(identifiers))
+
+
+def test_only_the_measured_section_of_a_page_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "page.md"
+    begin, end = markdown.marks("speed")
+    path.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
+    for _ in range(2):
+        markdown.replace_section(path, "speed", [markdown.table(("a", "b"), [["x|y", "1"]])])
+        assert path.read_text() == f"before\n{begin}\n\n| a | b |\n| --- | --- |\n| x\\|y | 1 |\n\n{end}\nafter\n"
+    with pytest.raises(BadInput, match="no section"):
+        markdown.replace_section(path, "integrators", ["new"])
+    assert "new" not in path.read_text()
 
 
 def test_numbers_read_well() -> None:
