@@ -66,9 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run, print the table and the findings, write page, CSV and JSON. A run that diverges is a result."""
     path, names = _check(args)
+    others = machine.Others()
     traces = run_experiment(path, args.overrides, names, args.repeats, lambda text: print(text, file=sys.stderr))
     found = findings.compare(traces)
-    about = {"command": machine.command(), **machine.describe()}
+    about = {"command": machine.command(), **machine.describe(), "load": others.describe()}
     print(text_table(HEADINGS, [row(trace) for trace in traces]))
     for finding in found:
         print(f"\n{finding.claim}: {finding.verdict}\n  {finding.seen}")

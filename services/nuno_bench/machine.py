@@ -13,6 +13,8 @@ from pathlib import Path
 import numba
 import psutil
 
+DISTURBED = 0.05
+"""Share of the machine from which on others are said to disturb the times."""
 PACKAGES = ("nuno", "numpy", "numba", "eclipse-zenoh", "mcap")
 
 
@@ -21,18 +23,42 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class Others:
+    """How much of the machine other processes took while something was measured."""
+
+    def __init__(self) -> None:
+        self.started = time.perf_counter()
+        self.before = self._seconds()
+
+    def _seconds(self) -> float:
+        """Processor time of everything but this process and those it has waited for [s]."""
+        all_times, own = psutil.cpu_times(), psutil.Process().cpu_times()
+        idle = all_times.idle + getattr(all_times, "iowait", 0.0)
+        # Guests are counted within user and nice.
+        guests = getattr(all_times, "guest", 0.0) + getattr(all_times, "guest_nice", 0.0)
+        return float(sum(all_times) - guests - idle - sum(own[:4]))
+
+    def share(self) -> float:
+        """Share of all cores since the start, 0 to 1."""
+        wall = (time.perf_counter() - self.started) * (os.cpu_count() or 1)
+        return min(1.0, max(0.0, (self._seconds() - self.before) / wall))
+
+    def describe(self) -> str:
+        share = self.share()
+        text = f"other processes took {share:.0%} of the machine meanwhile"
+        return f"{text}: TIMES ARE DISTURBED" if share > DISTURBED else text
+
+
 def describe() -> dict[str, str]:
-    """Machine, load, threads and versions, as text by name.
+    """Machine, threads and versions, as text by name.
 
     Call it after the kernels have run: numba names its threading layer only then.
     """
-    busy = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
     return {
         "processor": f"{_processor()}, {cores()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB",
         "system": platform.platform(),
         "kernels": f"at most {numba.config.NUMBA_NUM_THREADS} threads, {_layer()}",
         "versions": ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in PACKAGES)]),
-        "load": f"{busy} (running processes, averaged over the last minute; includes the measurement itself)",
         "date": time.strftime("%Y-%m-%d"),
     }
 

@@ -132,7 +132,8 @@ def _peak(path: Path) -> int:
     command = [sys.executable, "-S", "-c", LAUNCHER, *nuno("run", str(path), "--no-view", "--record", str(target))]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     target.unlink(missing_ok=True)
-    if done.returncode != 0 or done.stdout.split()[-1] != "0":
-        raise RunFailed(f"the run for its memory failed: {done.stderr[-300:]}")
+    size, _, code = done.stdout.partition(" ")
+    if done.returncode != 0 or int(code) != 0:
+        raise RunFailed(f"the run for its memory ended with exit code {code.strip() or '?'}: {done.stderr[-300:]}")
     unit = 1 if sys.platform == "darwin" else 1024
-    return int(done.stdout.split()[0]) * unit
+    return int(size) * unit

@@ -9,8 +9,6 @@ import sys
 import traceback
 from pathlib import Path
 
-import psutil
-
 from nuno_bench import limits, machine, markdown
 from nuno_bench.result import HEADINGS, Result, number, rows, text_table
 from nuno_schemas.errors import BadInput, nearest
@@ -27,9 +25,6 @@ CASES = {
     "recording": ("nuno_bench.pipeline", "recording"),
 }
 """Module and function of each case; a function takes the number of repeats and gives results."""
-
-BUSY = 15.0
-"""Share of the machine [%] that others may use before figures are marked as disturbed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,15 +48,12 @@ def main(args: argparse.Namespace) -> int:
         from nuno_bench.plots import require_matplotlib
 
         require_matplotlib()
-    busy = psutil.cpu_percent(interval=1.0)
+    others = machine.Others()
     results: list[Result] = []
     for name in args.cases or CASES:
         print(f"{name} ...", file=sys.stderr)
         results += run_case(name, args.repeats)
-    about = machine.describe() | _limits(results)
-    about["before"] = f"{busy:.0f} % of the machine was in use when this began" + (
-        ": figures are disturbed" if busy > BUSY else ""
-    )
+    about = machine.describe() | {"load": others.describe()} | _limits(results)
     _show(results, about)
     _write(args, results, about)
     return 1 if any(result.failure for result in results) else 0
