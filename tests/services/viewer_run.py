@@ -92,9 +92,7 @@ def messages(frames: int, cols: int = 64, rows: int = 48, **spec: object) -> Ite
         }
         status = Status.model_validate(fields | {"step_seconds": 0.006 + 0.001 * np.sin(9 * t)})
         yield STATUS.name, frame, t, status.model_dump_json().encode()
-        depth = Penetration(
-            frame=frame, t=t, depth=1e-4 * (1 + np.sin(t)), vertex=3, inside=5, mean=5e-5, seconds=0.001
-        )
+        depth = Penetration(frame=frame, t=t, depth=2e-4, vertex=3, inside=5, mean=5e-5, seconds=0.001)
         yield PENETRATION.name, frame, t, depth.model_dump_json().encode()
     end = Event(frame=-1, t=0.0, service="simulation", kind="end", text="done")
     yield f"{EVENT.name}/simulation", -1, 0.0, end.model_dump_json().encode()

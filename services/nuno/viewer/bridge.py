@@ -61,6 +61,7 @@ class Bridge:
         self.frames = 0
         self._cloths: list[Cloth] = []
         self._vertices = -1
+        self._pinned = np.zeros(0, bool)
         self._geometry: Geometry | None = None
         self._body_paths: list[str] = []
         self._surface: tuple[Float, NDArray[np.int32]] | None = None
@@ -122,7 +123,7 @@ class Bridge:
             or len(arrays.get("uv", arrays["pinned"])) != number
         ):
             raise BadMessage("a fabric's arrays differ in length")
-        self._vertices = number
+        self._vertices, self._pinned = number, arrays["pinned"].astype(bool)
         self._cloths = []
         for spec in text["objects"]:
             path = "/" + rr.new_entity_path(["world", "cloth", str(spec["name"])]).lstrip("/")
@@ -152,12 +153,12 @@ class Bridge:
 
     def _aim(self, positions: Float) -> None:
         """Arrange the window round what is there at the first frame."""
-        cloud = positions
+        bodies = np.zeros((0, 3))
         if self._surface is not None and self._poses is not None:
             vertices, frames = self._surface
             turned = np.einsum("nij,nj->ni", rotation_matrices(self._poses[0])[frames], vertices)
-            cloud = np.concatenate([positions, turned + self._poses[1][frames]])
-        self._eye = layout.fit_eye(cloud, self.view)
+            bodies = turned + self._poses[1][frames]
+        self._eye = layout.fit_eye(layout.stage(positions, self._pinned, bodies), self.view)
         self._arrange()
 
     def _arrange(self) -> None:

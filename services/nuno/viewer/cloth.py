@@ -20,7 +20,7 @@ STRETCH = (0.001, 1.0)
 """Ends of the colour map for stretch. The map is logarithmic: wool under its own weight stretches
 by a thousandth, the skirt paper's springs by half, and both are to be seen on one scale."""
 PLAIN = "#d8d3cb"
-SPRING_WIDTH, MASS_SIZE = -1.5, -3.0
+SPRING_WIDTH, MASS_SIZE = -2.0, -4.5
 """Radii; negative ones are in pixels on the screen."""
 
 ReadImage = Callable[[str], NDArray[np.uint8] | None]
@@ -151,7 +151,7 @@ class Cloth:
 
 def segments(x: NDArray[np.float32], edges: NDArray[np.int32]) -> Any:
     """Line strips of two points each, built as arrow arrays: rerun's own way loops over strips in Python."""
-    import pyarrow as pa  # type: ignore[import-untyped]
+    import pyarrow as pa
 
     kind = rr.components.LineStrip3DBatch._ARROW_DATATYPE
     points = pa.FixedSizeListArray.from_arrays(pa.array(x[edges].reshape(-1)), type=kind.value_type)

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float
 from nuno_schemas.scene import View
 
 TIMELINE = "sim_time"
-HALF_VIEW = 0.5 * np.radians(50.0)
-"""A little less than half of rerun's vertical field of view."""
+HALF_VIEW = 0.5 * np.radians(58.0)
+"""About half of rerun's vertical field of view."""
 
 CURVES = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 228, 66], [213, 94, 0]]
 """Colours told apart with the common colour-vision deficiencies (Okabe and Ito, 2008)."""
@@ -27,6 +28,23 @@ class Eye:
 
     position: Float
     target: Float
+
+
+def stage(cloth: Float, pinned: NDArray[np.bool_], bodies: Float) -> Float:
+    """Points (n, 3) that should be in view, from the first frame of cloth and bodies.
+
+    Cloth that is pinned stays about there, but may swing down: as far below its pins as it
+    reaches now. Of the bodies what lies near is shown. Loose cloth falls on a body, so that
+    all of them belong to the view.
+    """
+    if not pinned.any():
+        return np.concatenate([cloth, bodies])
+    pin = cloth[pinned].mean(axis=0)
+    reach = float(np.linalg.norm(cloth - pin, axis=1).max())
+    cloth = np.concatenate([cloth, [pin - [0.0, reach, 0.0]]])
+    low, high = cloth.min(axis=0), cloth.max(axis=0)
+    near = 0.15 * float(np.linalg.norm(high - low))
+    return np.concatenate([cloth, bodies[((bodies > low - near) & (bodies < high + near)).all(axis=1)]])
 
 
 def fit_eye(points: Float, view: View) -> Eye:

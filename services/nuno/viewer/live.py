@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 
 from nuno_schemas.messages import STATE
 from nuno_schemas.scene import View
 
-RING = 16
-"""Frames on their way to the viewer; when there are more, the oldest is skipped."""
-FINISH_SECONDS = 5.0
-"""How long the viewer may take for the last frames."""
+RING_BYTES = 64 * 2**20
+"""Frames on their way to the viewer; when they take more, the oldest are skipped. A window takes
+seconds to open: short runs of small cloth wait here meanwhile, and are shown whole."""
+FINISH_SECONDS, FINISH_MOST = 5.0, 20.0
+"""How long the viewer may take for one of the last frames, and for all of them."""
 
 Item = tuple[str, int, float, bytes]
 
@@ -23,9 +26,8 @@ Item = tuple[str, int, float, bytes]
 class Ring:
     """Messages between two threads: every one is kept but frames, which give way to newer ones."""
 
-    def __init__(self, frames: int = RING) -> None:
-        self.skipped = 0
-        self._limit, self._waiting = frames, 0
+    def __init__(self, limit: int = RING_BYTES) -> None:
+        self._limit, self._bytes = limit, 0
         self._items: deque[Item] = deque()
         self._changed = threading.Condition()
         self._closed = False
@@ -34,14 +36,12 @@ class Ring:
         with self._changed:
             if self._closed:
                 return
-            if item[0] == STATE.name:
-                self._waiting += 1
-                if self._waiting > self._limit:
-                    oldest = next(i for i, kept in enumerate(self._items) if kept[0] == STATE.name)
-                    del self._items[oldest]
-                    self._waiting -= 1
-                    self.skipped += 1
             self._items.append(item)
+            self._bytes += _weight(item)
+            while self._bytes > max(self._limit, _weight(item)):
+                oldest = next(i for i, kept in enumerate(self._items) if _weight(kept))
+                self._bytes -= _weight(self._items[oldest])
+                del self._items[oldest]
             self._changed.notify()
 
     def get(self) -> Item | None:
@@ -51,7 +51,7 @@ class Ring:
             if not self._items:
                 return None
             item = self._items.popleft()
-            self._waiting -= item[0] == STATE.name
+            self._bytes -= _weight(item)
             return item
 
     def close(self, forget: bool = False) -> None:
@@ -59,13 +59,14 @@ class Ring:
         with self._changed:
             self._closed = True
             if forget:
-                self._drop()
+                self._items.clear()
+                self._bytes = 0
             self._changed.notify_all()
 
-    def _drop(self) -> None:
-        self.skipped += self._waiting
-        self._items.clear()
-        self._waiting = 0
+
+def _weight(item: Item) -> int:
+    """Bytes that count against the ring's limit: those of frames."""
+    return len(item[3]) if item[0] == STATE.name else 0
 
 
 class LiveView:
@@ -74,12 +75,13 @@ class LiveView:
     view      "window", "web" or the address of an open viewer
     announce  called with what there is to tell the user ("warning" or "start", text)
 
-    `feed` returns at once, whatever the viewer does. `finish` takes at most about
-    FINISH_SECONDS. A viewer that is closed, hangs or cannot start ends the view, not the run.
+    `feed` returns at once, whatever the viewer does. `finish` waits while frames are shown, at
+    most FINISH_MOST, and FINISH_SECONDS for a viewer that hangs. A viewer that is closed, hangs
+    or cannot start ends the view, not the run.
     """
 
     def __init__(self, view: str, run: str, scene_view: View, announce: Callable[[str, str], None]) -> None:
-        self.shown = 0
+        self.frames = self.shown = 0
         self.pid: int | None = None
         self.page = ""
         self.error = ""
@@ -94,19 +96,25 @@ class LiveView:
 
     @property
     def skipped(self) -> int:
-        """Frames that the viewer was too slow for."""
-        return self._ring.skipped
+        """Frames that were not shown, so far."""
+        return self.frames - self.shown
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Pass one message on, without waiting."""
+        self.frames += topic == STATE.name
         self._ring.put((topic, frame, t, payload))
 
     def finish(self) -> None:
         """Wait, not for long, until the last frames are shown; the viewer itself stays open."""
         self._ring.close()
-        try:
-            self._process.wait(FINISH_SECONDS)
-        except subprocess.TimeoutExpired:
+        end = time.monotonic() + FINISH_MOST
+        shown = -1
+        while self._process.poll() is None and self.shown > shown and time.monotonic() < end:
+            shown = self.shown
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(FINISH_SECONDS)
+        if self._process.poll() is None:
+            self.error = self.error or "it was too slow for the last frames"
             self._process.kill()
             self._process.wait()
         self._ring.close(forget=True)
