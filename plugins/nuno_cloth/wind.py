@@ -39,7 +39,6 @@ class Wind:
         if fabric.faces.shape[0] == 0:
             raise BadInput(
                 f"wind blows on triangles, and {fabric.name!r} has none",
-                field="forces",
                 remedy="use particle_wind, which pushes particles",
             )
         velocity = np.asarray(config.velocity, np.float64)

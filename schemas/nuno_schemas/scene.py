@@ -2,31 +2,56 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError
 
 from nuno_schemas.units import quantity
 
 if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
-    Step = float
     Interval = float
+    Duration = float
     Rate = float
     Stiffness = float
     Acceleration = float
     Damping = float
     Angle = float
     Distance = float
+    Metres = float
 else:
-    Step = Interval = quantity("s", gt=0)
+    Interval = quantity("s", gt=0)
+    Duration = quantity("s", gt=0, le=1e9)
     Rate = quantity("Hz", gt=0, le=100_000)
     Stiffness = quantity("N/m", gt=0)
     Acceleration = quantity("m/s^2")
     Damping = quantity("1/s", ge=0)
     Angle = quantity("rad")
     Distance = quantity("m", gt=0)
-Vector = Annotated[tuple[float, float, float], Field(description="x, y, z; y is up")]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+    Metres = quantity("m")
+
+
+def _written(pattern: str, problem: str) -> Any:
+    """Text of a form: editors learn the pattern, people read the words."""
+
+    def check(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise ValueError(problem)
+        return text
+
+    return Annotated[str, AfterValidator(check), Field(json_schema_extra={"pattern": f"^{pattern}$"})]
+
+
+if TYPE_CHECKING:
+    Name = str
+    Colour = str
+else:
+    Name = _written(
+        "[A-Za-z][A-Za-z0-9_-]{0,63}", "not a name; write a letter, then at most 63 letters, digits, - or _"
+    )
+    Colour = _written("#[0-9a-fA-F]{6}", "not a colour; write red, green and blue as #rrggbb, for example #c04030")
+Vector = Annotated[tuple[Metres, Metres, Metres], Field(description="x, y, z [m]; y is up")]
 
 
 class Part(BaseModel):
@@ -57,9 +82,7 @@ class Object(Part):
 
     name: Name
     model: Choice
-    colour: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")] | None = Field(
-        None, description="#rrggbb; stretch is shown where it is left out"
-    )
+    colour: Colour | None = Field(None, description="#rrggbb; stretch is shown where it is left out")
 
 
 class Body(Part):
@@ -99,7 +122,7 @@ class Scene(Part):
     nuno: Literal[1] = Field(description="scene schema version")
     name: Name
     description: str = ""
-    duration: Interval
+    duration: Duration
     frame_rate: Rate = 60.0
     solver: Solver
     allow_unstable: bool = Field(False, description="accept a step above the stability limit")
@@ -116,10 +139,15 @@ class Scene(Part):
     @field_validator("objects", "bodies")
     @classmethod
     def _names_differ(cls, parts: list[Any]) -> list[Any]:
-        names = [part.name for part in parts]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"the name {name!r} is used twice")
+        first: dict[str, int] = {}
+        for i, part in enumerate(parts):
+            if first.setdefault(part.name, i) != i:
+                # pydantic places an error of a list at the list; `inside` says where in it.
+                raise PydanticCustomError(
+                    "same_name",
+                    "the name '{name}' is used twice; rename one of them",
+                    {"name": part.name, "inside": (i, "name")},
+                )
         return parts
 
     @property

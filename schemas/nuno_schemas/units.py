@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
@@ -28,13 +29,31 @@ def to_si(value: object, unit: str) -> float:
     Raises ValueError for text that is no quantity, an unknown unit or a wrong dimension.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise ValueError(f"expected a number in {unit or '1'} or a text with a unit such as '1 {unit}'")
+        raise ValueError(f"must be a quantity; {_example(unit)}")
     if isinstance(value, str):
         value = _parse(value, unit)
     number = float(value)
     if not math.isfinite(number):
         raise ValueError("must be finite")
     return number
+
+
+_POWER = r"(?:\*\*|\^)\s*\(?\s*[+-]?\d{1,2}\s*\)?\s*"
+_NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?")
+
+
+def _is_plain(text: str) -> bool:
+    """Whether a text is one number and units.
+
+    pint evaluates whole expressions: of "9**9**9**9 m" no computer would see the end. After the
+    number, digits may only stand in powers of units, and "1" in "1/s".
+    """
+    number = _NUMBER.match(text)
+    if number is None:
+        return False
+    units = text[number.end() :]
+    rest = re.sub(_POWER, " ", units)
+    return not re.search(f"(?:{_POWER}){{2}}", units) and not re.search(r"[02-9]|1\d|\*\*|\^|\+", rest)
 
 
 def _parse(text: str, unit: str) -> float:
@@ -46,15 +65,23 @@ def _parse(text: str, unit: str) -> float:
         return float(text)
     except ValueError:
         pass
+    if not _is_plain(text):
+        raise ValueError(f"not a quantity; {_example(unit)}")
     try:
-        quantity = _registry().Quantity(text)
-        return float(quantity.to(unit or "dimensionless").magnitude)
+        return float(_registry().Quantity(text).to(unit or "dimensionless").magnitude)
     except pint.UndefinedUnitError as error:
-        raise ValueError(f"unknown unit in {text!r}: {error}; expected a unit that converts to {unit or '1'}") from None
-    except pint.DimensionalityError:
-        raise ValueError(f"{text!r} cannot be converted to {unit or 'a plain number'}") from None
-    except Exception:
-        raise ValueError(f"{text!r} is not a quantity; write for example '1 {unit}'") from None
+        names = [error.unit_names] if isinstance(error.unit_names, str) else error.unit_names
+        raise ValueError(f"unknown unit {', '.join(map(repr, names))}; {_example(unit)}") from None
+    except pint.DimensionalityError as error:
+        raise ValueError(
+            f"{error.units1} cannot be converted to {unit or 'a plain number'}; {_example(unit)}"
+        ) from None
+    except Exception:  # whatever else pint says of a text that it cannot read
+        raise ValueError(f"not a quantity; {_example(unit)}") from None
+
+
+def _example(unit: str) -> str:
+    return f"write for example '1 {unit}', or a plain number in {unit}" if unit else "write a plain number"
 
 
 def quantity(unit: str, **limits: Any) -> Any:

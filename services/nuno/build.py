@@ -17,6 +17,8 @@ from nuno_schemas.plugin import BodyShape, Mover, System, Term
 BYTES_PER_VERTEX = 700
 """What a run takes at most per vertex; `nuno bench speed` measures it."""
 SECONDS_TOLERANCE = 1e-9
+MOST_STEPS = 10_000_000
+"""Steps a frame: more would keep the simulation from answering for minutes."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +42,13 @@ def check_memory(loaded: Loaded) -> int:
             raise loaded.at(f"objects[{i}].model", error) from None
     available = psutil.virtual_memory().available
     if total * BYTES_PER_VERTEX > available:
-        raise BadInput(
+        too_much = BadInput(
             "the scene does not fit in memory",
-            loaded.file,
-            field="objects",
             value=f"{total:,} vertices, about {total * BYTES_PER_VERTEX / 2**30:.1f} GiB",
             limit=f"{available / 2**30:.1f} GiB are free",
             remedy="lower the resolution",
         )
+        raise loaded.at("objects", too_much)
     return total
 
 
@@ -165,7 +166,9 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
     )
 
 
-def bind(loaded: Loaded, fabric: Fabric, frames: tuple[str, ...], poses: Poses | None) -> list[Term]:
+def bind(
+    loaded: Loaded, fabric: Fabric, pieces: list[Piece], frames: tuple[str, ...], poses: Poses | None
+) -> list[Term]:
     """Terms that carry bound vertices along with their frames.
 
     Local coordinates are those of the start, so cloth is put on where the scene places it.
@@ -175,13 +178,10 @@ def bind(loaded: Loaded, fabric: Fabric, frames: tuple[str, ...], poses: Poses |
     for binding in fabric.bindings:
         name = f"{binding.body}/{binding.frame}"
         if poses is None or name not in frames:
-            raise BadInput(
-                "cloth is attached to a frame that no body has",
-                loaded.file,
-                field="attach",
-                value=name,
-                remedy=nearest(name, frames),
-            )
+            error = BadInput("cloth is attached to a frame that no body has", value=name, remedy=nearest(name, frames))
+            vertex = int(binding.vertices[0])
+            piece = next(i for i, piece in enumerate(pieces) if vertex < piece.stop)
+            raise loaded.at(f"objects[{piece}].model.attach", error)
         index = frames.index(name)
         turn = rotation_matrices(poses.rotation[index])
         local = (fabric.position[binding.vertices] - poses.translation[index]) @ turn
@@ -190,11 +190,11 @@ def bind(loaded: Loaded, fabric: Fabric, frames: tuple[str, ...], poses: Poses |
 
 
 def build_system(
-    loaded: Loaded, fabric: Fabric, geometry: Geometry | None, poses: Poses | None, threads: int
+    loaded: Loaded, fabric: Fabric, pieces: list[Piece], geometry: Geometry | None, poses: Poses | None, threads: int
 ) -> System:
     """The fabric and everything that acts on it; poses are those of t = 0. Raises BadInput."""
     gravity = np.array(loaded.scene.gravity)
-    terms = bind(loaded, fabric, geometry.frames if geometry else (), poses)
+    terms = bind(loaded, fabric, pieces, geometry.frames if geometry else (), poses)
     for i, force in enumerate(loaded.forces):
         terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
     if geometry is not None and loaded.contact is not None and len(geometry.kind):
@@ -237,8 +237,10 @@ def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:
                     remedy="use symplectic_euler, leapfrog or rk4, or give a dt and allow_unstable: true",
                 ),
             )
+        _require_few(loaded, frame, 0.7 * limit, "softer or heavier cloth, or a higher frame_rate")
         steps = max(1, int(np.ceil(frame / (0.7 * limit)))) if np.isfinite(limit) else 1
         return steps, frame / steps
+    _require_few(loaded, frame, dt, "a larger dt, or a higher frame_rate")
     steps = max(1, round(frame / dt))
     if abs(frame / steps - dt) > SECONDS_TOLERANCE * dt + 1e-15:
         near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
@@ -264,10 +266,18 @@ def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:
     return steps, frame / steps
 
 
+def _require_few(loaded: Loaded, frame: float, dt: float, remedy: str) -> None:
+    if frame > MOST_STEPS * dt:
+        value, limit = f"steps of {dt:.3g} s in frames of {frame:.3g} s", f"{MOST_STEPS:,} steps a frame"
+        error = BadInput("too many steps in a frame", value=value, limit=limit, remedy=remedy)
+        raise loaded.at("solver.dt", error)
+
+
 def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
     """Pairs and rest lengths of the structural springs (all springs if none is), for display."""
-    if fabric.springs is None:
+    springs = fabric.springs
+    if springs is None:
         return np.zeros((0, 2), np.int32), np.zeros(0)
-    kinds = np.repeat(fabric.springs.kind, fabric.springs.count)
-    chosen = kinds == 0 if (kinds == 0).any() else np.ones(len(kinds), bool)
-    return fabric.springs.pairs()[chosen], fabric.springs.per_spring(fabric.springs.rest)[chosen]
+    if (springs.kind == 0).any() and not (springs.kind == 0).all():
+        springs = springs.of_kind(0)
+    return springs.pairs(), springs.per_spring(springs.rest)

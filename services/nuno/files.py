@@ -23,12 +23,16 @@ class SceneFiles:
         """The existing file `name`. Raises BadInput if it is missing or outside every root."""
         inside = False
         for root in (self.folder, *self.roots):
-            base = root.resolve()
-            path = (base / name).resolve()
+            try:
+                base = root.resolve()
+                path = (base / name).resolve()
+                found = path.is_file()
+            except (OSError, ValueError, RuntimeError):  # a link to itself, a NUL, a name too long
+                raise BadInput("not the name of a file", value=name, remedy="check the name") from None
             if not path.is_relative_to(base):
                 continue
             inside = True
-            if path.is_file():
+            if found:
                 self.used[name] = path
                 return path
         allowed = ", ".join(str(root) for root in (self.folder, *self.roots))

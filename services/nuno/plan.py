@@ -21,6 +21,8 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
     """Choose the services for a scene and the user's options."""
     services, left_out = ["simulation"], []
     scene = loaded.scene
+    if not scene.objects:
+        left_out.append("cloth, and all that acts on it: the scene has no objects")
     if scene.bodies:
         services.append("collision")
     else:

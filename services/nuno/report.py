@@ -47,12 +47,21 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
             "recorded": recorder["counts"].get("sim/state", 0) if "counts" in recorder else None,
             "shown": viewer.get("shown", 0),
         },
-        "missing": sum(n for s in services.values() for n in (s.get("missing") or {}).values()),
-        "refused": sum(n for s in services.values() for n in (s.get("refused") or {}).values()),
+        "missing": _count("missing", services),
+        "refused": _count("refused", services),
         "recorded_bytes": recorder.get("bytes", 0),
         "services": list(outcome.plan.services),
         "left_out": list(outcome.plan.left_out),
     }
+
+
+def _count(name: str, services: dict[str, dict[str, Any]]) -> int:
+    """Messages counted under a name; what several services counted is counted once."""
+    most: dict[str, int] = {}
+    for service in services.values():
+        for topic, number in (service.get(name) or {}).items():
+            most[topic] = max(most.get(topic, 0), number)
+    return sum(most.values())
 
 
 def show_report(report: Report, out: TextIO) -> None:
@@ -65,7 +74,7 @@ def lines(report: Report) -> list[tuple[str, str]]:
     """The report as (heading, text) rows."""
     rows = [("run", f"{report['run']}: {report['state']}")]
     sizes = ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)
-    rows.append(("size", f"{sizes}; {report['threads']}"))
+    rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall, factor = report["simulated_seconds"], report["wall_seconds"], report["real_time_factor"]
     prepared = report["prepare_seconds"]
     took = f"{simulated:.3g} s simulated in {wall:.3g} s: {factor:.2f}x real time"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
-import typing
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files as package_files
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from nuno import registry, yaml_lines
+from nuno.explain import OVERRIDDEN, explain, located
 from nuno.files import SceneFiles
 from nuno.yaml_lines import dotted
 from nuno_schemas.errors import BadInput, nearest
@@ -53,7 +52,21 @@ class Loaded:
 
     def at(self, field: str, error: BadInput) -> BadInput:
         """The same error with this scene's file, line and the field's full path."""
+        if error.field is None and error.file is None and isinstance(error.value, str):
+            # Whoever resolves a file's name does not know which field it came from.
+            inside = (path for path in self.lines if dotted(path).startswith(f"{field}."))
+            field = next((dotted(path) for path in inside if _item(self.data, path) == error.value), field)
         return located(error, self.file, self.lines, field)
+
+
+def _item(data: Any, path: yaml_lines.Path) -> Any:
+    """What stands at a path, None where nothing does."""
+    for part in path:
+        try:
+            data = data[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return data
 
 
 def shipped() -> dict[str, Path]:
@@ -76,44 +89,63 @@ def find(name: str) -> Path:
 
 def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = ()) -> Loaded:
     """Read, override and validate a scene file. Raises BadInput."""
+    roots = tuple(roots)
+    for root in roots:
+        if not root.is_dir():
+            raise BadInput("no such folder", field="--root", value=str(root), remedy="name an existing folder")
     try:
-        text = path.read_text(encoding="utf-8")
+        size = path.stat().st_size
+        if size > yaml_lines.MAX_BYTES:
+            raise yaml_lines.too_large(str(path), size)
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise BadInput("not a text file", str(path), remedy="a scene is YAML in UTF-8") from None
     except OSError as error:
         raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
     data, lines = yaml_lines.parse(text, str(path))
     for item in overrides:
-        apply_override(data, item)
-    return replace(
-        load(data, lines, str(path), SceneFiles(path.resolve().parent, tuple(roots))), overrides=tuple(overrides)
-    )
+        lines = overridden(lines, apply_override(data, item))
+    return replace(load(data, lines, str(path), SceneFiles(path.resolve().parent, roots)), overrides=tuple(overrides))
 
 
-def apply_override(data: dict[str, Any], item: str) -> None:
-    """Set `a.b.0.c=value` in place. Raises BadInput for a path that cannot be there."""
+def overridden(lines: Mapping[yaml_lines.Path, int], place: yaml_lines.Path) -> dict[yaml_lines.Path, int]:
+    """Lines of a scene, one place of which the user has replaced."""
+    kept = {path: n for path, n in lines.items() if path[: len(place)] != place}
+    return {place[:i]: OVERRIDDEN for i in range(1, len(place) + 1)} | kept
+
+
+def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
+    """Set `a.b.0.c=value` in place; where that is. Raises BadInput for a path that cannot be there."""
     key, equals, text = item.partition("=")
-    if not equals or not key:
+    parts = key.replace("[", ".").replace("]", "").split(".")
+    if not equals or not all(parts):
         raise BadInput(
             "an override is written key=value", "--set", value=item, remedy="for example --set solver.dt=1ms"
         )
-    *parents, last = key.replace("[", ".").replace("]", "").split(".")
-    place: Any = data
-    for part in parents:
-        if isinstance(place, list) and part.isdigit() and int(part) < len(place):
-            place = place[int(part)]
-        elif isinstance(place, dict):
-            place = place.setdefault(part, {})
+    try:
+        value = yaml_lines.parse_value(text)
+    except BadInput as error:
+        raise BadInput(error.problem, "--set", None, key, text, error.limit, error.remedy) from None
+    here: Any = data
+    place: list[str | int] = []
+    for i, part in enumerate(parts):
+        if isinstance(here, list) and part.isdecimal() and int(part) < len(here):
+            place.append(int(part))
+        elif isinstance(here, dict):
+            place.append(part)
         else:
-            raise BadInput(
-                "no such field", "--set", field=key, value=part, remedy="name an existing list item or field"
-            )
-    if isinstance(place, list) and last.isdigit() and int(last) < len(place):
-        place[int(last)] = yaml_lines.parse_value(text)
-    elif isinstance(place, dict):
-        place[last] = yaml_lines.parse_value(text)
-    else:
-        raise BadInput("no such field", "--set", field=key, value=last, remedy="name an existing list item or field")
+            remedy = f"{dotted(tuple(place))} holds {_kind(here)}; name what is there"
+            raise BadInput("no such field", "--set", field=key, value=part, remedy=remedy)
+        if i < len(parts) - 1:
+            here = here.setdefault(part, {}) if isinstance(here, dict) else here[int(part)]
+    here[place[-1]] = value
+    return tuple(place)
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, list):
+        return f"a list of {len(value)}, counted from 0"
+    return f"the value {value!r:.60}"
 
 
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
@@ -121,16 +153,18 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
     try:
         scene = Scene.model_validate(data)
     except ValidationError as error:
-        raise _explain(error, Scene, (), file, lines) from None
+        raise explain(error, data, (), file, lines, Scene) from None
 
     def chosen(group: str, choice: Choice, field: yaml_lines.Path) -> Chosen:
         try:
             plugin = registry.load(group, choice.plugin)
-            return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(field))
-        except ValidationError as error:
-            raise _explain(error, plugin.Config, field, file, lines) from None
         except BadInput as error:
             raise located(error, file, lines, dotted((*field, "plugin"))) from None
+        try:
+            return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(field))
+        except ValidationError as error:
+            beside = tuple(type(choice).model_fields)
+            raise explain(error, choice.config, field, file, lines, plugin.Config, beside) from None
 
     return Loaded(
         scene,
@@ -148,67 +182,3 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
         contact=chosen("nuno.contacts", scene.contact, ("contact",)) if scene.bodies else None,
     )
-
-
-def located(error: BadInput, file: str, lines: dict[yaml_lines.Path, int], field: str) -> BadInput:
-    """Fill in where an error stands, keeping what it already says."""
-    if error.file is not None and error.field is not None:
-        return error
-    full = f"{field}.{error.field}" if error.field else field
-    line = next(
-        (n for path, n in sorted(lines.items(), key=lambda item: -len(item[0])) if _under(full, dotted(path))), None
-    )
-    return BadInput(error.problem, error.file or file, error.line or line, full, error.value, error.limit, error.remedy)
-
-
-def _under(field: str, path: str) -> bool:
-    return field == path or (path != "" and field.startswith(path) and field[len(path)] in ".[")
-
-
-def _explain(
-    error: ValidationError,
-    model: type[BaseModel],
-    prefix: yaml_lines.Path,
-    file: str,
-    lines: dict[yaml_lines.Path, int],
-) -> BadInput:
-    """The first of pydantic's errors in the user's words."""
-    first = min(error.errors(), key=lambda e: (e["type"] == "missing", len(e["loc"])))
-    loc: yaml_lines.Path = tuple(part for part in first["loc"] if isinstance(part, int) or not _is_branch(part))
-    path = (*prefix, *loc)
-    problem, value, remedy = first["msg"].removeprefix("Value error, "), first.get("input"), None
-    if first["type"] == "extra_forbidden":
-        problem, value = "no such field", loc[-1]
-        remedy = nearest(str(loc[-1]), _fields_at(model, loc[:-1]))
-    elif first["type"] == "missing":
-        problem, value, remedy = "the field is missing", None, "add it"
-    return located(BadInput(problem, value=value, remedy=remedy), file, lines, dotted(path))
-
-
-def _is_branch(part: str) -> bool:
-    """pydantic names the branch of a union in its location; those are no fields."""
-    return (
-        part.startswith(
-            ("function-", "constrained-", "literal[", "float", "int", "str", "bool", "tuple", "list", "dict")
-        )
-        and not part.isidentifier()
-    ) or part in {"float", "int", "str", "bool"}
-
-
-def _fields_at(model: Any, loc: yaml_lines.Path) -> list[str]:
-    """Field names of the model that a location in `model` points at."""
-    for part in loc:
-        if isinstance(part, int):
-            continue
-        fields = getattr(model, "model_fields", {})
-        if part not in fields:
-            return []
-        model = next(iter(_models_in(fields[part].annotation)), None)
-    names = list(getattr(model, "model_fields", {}))
-    return names
-
-
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if inspect.isclass(annotation) and typing.get_origin(annotation) is None and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [m for arg in typing.get_args(annotation) for m in _models_in(arg)]

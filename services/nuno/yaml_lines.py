@@ -42,12 +42,19 @@ class _Reader:
         if isinstance(node, yaml.SequenceNode) and node.tag in _PLAIN:
             return [self.read(child, (*path, i)) for i, child in enumerate(node.value)]
         if isinstance(node, yaml.ScalarNode) and node.tag in _PLAIN:
-            return self.scalars.construct_object(node)
+            return self._scalar(node, path)
         if node.tag == "tag:yaml.org,2002:timestamp":
             return node.value
         raise BadInput(
             "YAML tags are not allowed in scenes", self.file, line, dotted(path), node.tag, remedy="remove the tag"
         )
+
+    def _scalar(self, node: yaml.ScalarNode, path: Path) -> Any:
+        try:
+            return self.scalars.construct_object(node)
+        except ValueError:  # an integer of more digits than Python converts, for one
+            problem, line = "not a number that can be read", node.start_mark.line + 1
+            raise BadInput(problem, self.file, line, dotted(path), node.value, remedy="write fewer digits") from None
 
     def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
         if node.tag not in _PLAIN:
@@ -85,39 +92,45 @@ def dotted(path: Path) -> str:
 def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:
     """YAML text -> the mapping and the line of every path in it. Raises BadInput."""
     if len(text) > MAX_BYTES:
-        raise BadInput(
-            "the scene file is too large",
-            file,
-            value=f"{len(text)} characters",
-            limit=f"{MAX_BYTES}",
-            remedy="put arrays into .npz files",
-        )
-    try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = mark.line + 1 if mark else None
-        raise BadInput(
-            f"not valid YAML: {getattr(error, 'problem', error)}",
-            file,
-            line,
-            remedy="check indentation, colons and brackets on that line",
-        ) from None
-    except RecursionError:
-        raise BadInput("the scene nests too deep", file, limit=f"{MAX_DEPTH} levels") from None
+        raise too_large(file, len(text))
+    node = _compose(text, file)
     reader = _Reader(file)
+    if node is None:
+        raise BadInput("the scene is empty", file, remedy="start from a shipped one: nuno scenes --paths")
     if not isinstance(node, yaml.MappingNode):
-        raise BadInput("a scene is a mapping of fields", file, 1, remedy="start from a shipped one: nuno scenes")
+        remedy = "write `name: value` lines; start from a shipped one: nuno scenes --paths"
+        raise BadInput("a scene is a mapping of fields", file, node.start_mark.line + 1, remedy=remedy)
     return reader.read(node, ()), reader.lines
 
 
-def parse_value(text: str) -> Any:
-    """The right side of --set key=value. Raises BadInput."""
+def too_large(file: str, size: int) -> BadInput:
+    remedy = "put arrays into .npz files"
+    return BadInput("the scene file is too large", file, None, None, f"{size} bytes", f"{MAX_BYTES} bytes", remedy)
+
+
+def _compose(text: str, file: str) -> yaml.Node | None:
+    """The text's tree of nodes, None for an empty text. Raises BadInput."""
+    remedy = "check indentation, colons and brackets on that line"
     try:
-        return _Reader("--set").read(
-            yaml.compose(text, Loader=yaml.SafeLoader) or yaml.ScalarNode("tag:yaml.org,2002:null", ""), ()
-        )
-    except yaml.YAMLError:
-        raise BadInput(
-            "not a valid value", "--set", value=text, remedy="quote it, or write a number, [a, b, c] or {key: value}"
-        ) from None
+        return yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        problem = f"not valid YAML: the character U+{ord(text[error.position]):04X} is not allowed"
+        raise BadInput(problem, file, line, remedy="remove it; was the file saved as plain text?") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        problem = f"not valid YAML: {getattr(error, 'problem', error)}"
+        raise BadInput(problem, file, mark.line + 1 if mark else None, remedy=remedy) from None
+    except RecursionError:
+        remedy = "remove brackets and indentation"
+        raise BadInput("the scene nests too deep", file, limit=f"{MAX_DEPTH} levels", remedy=remedy) from None
+
+
+def parse_value(text: str) -> Any:
+    """The value that a YAML text stands for. Raises BadInput."""
+    try:
+        node = _compose(text, "")
+    except BadInput:
+        remedy = "quote it, or write a number, [a, b, c] or {key: value}"
+        raise BadInput("not a valid value", remedy=remedy) from None
+    return None if node is None else _Reader("").read(node, ())

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import build
-from nuno.scene_file import Loaded, apply_override, load
+from nuno.scene_file import Loaded, apply_override, load, overridden
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Memory, State
@@ -50,11 +50,29 @@ class Simulation:
     def _prepare(self, arrays: dict[str, NDArray[Any]]) -> None:
         """(Re)build what follows from the scene; `arrays` is memory to keep."""
         integrator = self.loaded.integrator
-        self.system = build.build_system(self.loaded, self.fabric, self.geometry, self.start_poses, self.threads)
+        bodies = (self.geometry, self.start_poses)
+        self.system = build.build_system(self.loaded, self.fabric, self.pieces, *bodies, self.threads)
+        # The limit comes before the solver's memory: both at once would be a run's peak.
+        self.limit = self._find_limit()
+        self.steps, self.dt = build.choose_step(self.loaded, self.limit.dt)
         self.memory = integrator.plugin.prepare(integrator.config, self.system, self.state)
         self._restore(arrays)
-        self.limit = integrator.plugin.limit(integrator.config, self.system, build.start_state(self.fabric))
-        self.steps, self.dt = build.choose_step(self.loaded, self.limit.dt)
+
+    def _find_limit(self) -> StepLimit:
+        integrator = self.loaded.integrator
+        try:
+            with np.errstate(all="ignore"):
+                start = self.state if self.frame == 0 else build.start_state(self.fabric)
+                found: StepLimit = integrator.plugin.limit(integrator.config, self.system, start)
+        except (np.linalg.LinAlgError, ArithmeticError):
+            found = StepLimit(np.nan, np.nan, np.nan)
+        if np.isnan(found.dt):
+            error = BadInput(
+                "no stable step can be found: numbers of the scene are too large or too small for float64",
+                remedy="look for a stiffness, mass or length that is off by many orders of magnitude",
+            )
+            raise self.loaded.at("objects", error)
+        return found
 
     def _restore(self, arrays: dict[str, NDArray[Any]]) -> None:
         for name, values in arrays.items():
@@ -128,8 +146,8 @@ class Simulation:
             )
         before, kept = self.loaded, self.memory.arrays
         data = _copied(before.data)
-        apply_override(data, item)
-        changed = load(data, before.lines, before.file, before.files)
+        lines = overridden(before.lines, apply_override(data, item))
+        changed = load(data, lines, before.file, before.files)
         try:
             # dt stays what it was: a recording's frames and digests must not depend on when it was set.
             self.loaded = changed

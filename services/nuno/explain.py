@@ -1,0 +1,151 @@
+"""Errors of validation in the words of a scene's author: where, what is wrong, what to write."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import typing
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel, Tag, ValidationError
+
+from nuno.yaml_lines import Path, dotted
+from nuno_schemas.errors import BadInput, nearest
+
+OVERRIDDEN = 0
+"""Line of a field that was given on the command line."""
+
+Words = tuple[str, object, str | None, str | None]
+"""Problem, value, limit and remedy."""
+
+_WRONG_TYPE = {
+    "int": "must be a whole number",
+    "float": "must be a number",
+    "bool": "must be true or false",
+    "string": "must be text",
+    "list": "must be a list, such as [a, b, c]",
+    "tuple": "must be a list, such as [a, b, c]",
+    "dict": "must be a mapping of fields, such as {field: value}",
+    "model": "must be a mapping of fields, such as {field: value}",
+    "finite": "must be finite",
+}
+_BOUNDS = {"greater_than": "more than", "less_than": "less than"}
+_BOUNDS |= {"greater_than_equal": "at least", "less_than_equal": "at most"}
+
+
+def located(error: BadInput, file: str, lines: Mapping[Path, int], field: str) -> BadInput:
+    """Fill in where an error stands, keeping what it already says."""
+    if error.file == file and error.field is not None:
+        return error
+    full = f"{field}.{error.field}" if error.field and error.file is None else field
+    line = next((n for path, n in sorted(lines.items(), key=lambda i: -len(i[0])) if _under(full, dotted(path))), None)
+    if line == OVERRIDDEN:
+        file, line = "--set", None
+    if error.file is None:
+        return BadInput(error.problem, file, line, full, error.value, error.limit, error.remedy)
+    # It stands in another file: say also who names that file.
+    place = file if line is None else f"{file}:{line}"
+    problem = f"{error.problem} (the file is named in {place}: {full})"
+    return BadInput(problem, error.file, error.line, error.field, error.value, error.limit, error.remedy)
+
+
+def _under(field: str, path: str) -> bool:
+    return field == path or (path != "" and field.startswith(path) and field[len(path)] in ".[")
+
+
+def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: Mapping[Path, int],
+            model: type[BaseModel], beside: Sequence[str] = ()) -> BadInput:  # fmt: skip
+    """The first of pydantic's errors about `data`, which a scene has at `prefix`.
+
+    `beside` names fields that may stand beside the model's own. Where a value may be one of
+    several kinds, pydantic has an error for each; they are told as one.
+    """
+    found = [(_place(e["loc"], data, e["type"]), e) for e in error.errors(include_url=False)]
+    place, first = min(found, key=lambda item: (item[1]["type"] == "missing", len(item[0])))
+    if first["type"] == "extra_forbidden":
+        known = [*_fields_at(model, first["loc"][:-1]), *(beside if len(place) == 1 else ())]
+        words: Words = "no such field", None, None, nearest(str(place[-1]), known)
+    else:
+        words = _merged([e for where, e in found if where == place])
+    context = first.get("ctx") or {}
+    full = (*prefix, *place, *context.get("inside", ()))
+    problem, value, limit, remedy = words
+    return located(BadInput(problem, None, None, None, value, limit, remedy), file, lines, dotted(full))
+
+
+def _place(loc: Path, data: Any, kind: str) -> Path:
+    """The part of a location that is in the data: pydantic also names the branches of unions."""
+    place: list[str | int] = []
+    for i, part in enumerate(loc):
+        inside = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
+        if inside:
+            data = data[part]
+        if inside or (kind == "missing" and i == len(loc) - 1):
+            place.append(part)
+    return tuple(place)
+
+
+def _merged(errors: Sequence[Any]) -> Words:
+    """One explanation of all errors about one value."""
+    names = [name for e in errors if e["type"] == "literal_error" for name in _expected(e)]
+    others = [e for e in errors if e["type"] != "literal_error"]
+    value = errors[0].get("input")
+    if not others:
+        if isinstance(value, str) and len(names) > 1:
+            return "unknown value", value, None, nearest(value, names)
+        return f"must be {' or '.join(names)}", value, None, None
+    problem, value, limit, remedy = _words(others[0])
+    if names and isinstance(value, str) and problem in _WRONG_TYPE.values():
+        return "unknown value", value, limit, nearest(value, names)
+    if names and len(names) < 4:
+        remedy = "; or ".join(filter(None, [remedy, f"write {' or '.join(names)}"]))
+    return problem, value, limit, remedy
+
+
+def _expected(error: Any) -> list[str]:
+    text = str(error["ctx"]["expected"])
+    return re.findall(r"'([^']*)'", text) or [text]
+
+
+def _words(error: Any) -> Words:
+    kind, value, context = str(error["type"]), error.get("input"), error.get("ctx") or {}
+    if kind in _BOUNDS:
+        return "out of range", value, f"{_BOUNDS[kind]} {next(iter(context.values())):g}", None
+    if kind == "missing":
+        short = isinstance(error["loc"][-1], int)
+        return ("the list is too short" if short else "the field is missing"), None, None, "add it"
+    if kind in ("too_short", "too_long"):
+        limit = context.get("min_length", context.get("max_length"))
+        return f"{kind.replace('_', ' ')} a list", value, f"{limit} items", None
+    for name, problem in _WRONG_TYPE.items():
+        if kind.startswith(name + "_"):
+            return problem, value, None, None
+    if "inside" in context:
+        value = None
+    problem, _, remedy = str(error["msg"]).removeprefix("Value error, ").partition("; ")
+    return problem, value, None, remedy or None
+
+
+def _fields_at(model: Any, loc: Path) -> list[str]:
+    """Field names of the model that a location in `model` points at."""
+    here: Any = model
+    for part in loc:
+        if not isinstance(part, int):
+            fields = next((m.model_fields for m in _models_in(here) if part in m.model_fields), None)
+            here = fields[part].annotation if fields else _tagged(here, part) or here
+    return [name for m in _models_in(here)[:1] for name in m.model_fields]
+
+
+def _tagged(annotation: Any, label: str) -> Any:
+    """The branch of a tagged union that pydantic calls `label`."""
+    arguments = typing.get_args(annotation)
+    if any(isinstance(argument, Tag) and argument.tag == label for argument in arguments):
+        return annotation
+    return next((found for argument in arguments if (found := _tagged(argument, label)) is not None), None)
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if inspect.isclass(annotation) and typing.get_origin(annotation) is None and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for argument in typing.get_args(annotation) for m in _models_in(argument)]
