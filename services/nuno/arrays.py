@@ -55,11 +55,30 @@ def arrays_schema() -> bytes:
 
 
 def encode_arrays(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any] | None = None) -> bytes:
-    """Named arrays and a JSON-able mapping -> bytes."""
-    message = _arrays_class()(text=json.dumps(dict(text or {})))
+    """Named arrays and a JSON-able mapping -> bytes.
+
+    Each array's bytes are written between lengths put together here: through protobuf's own
+    classes a checkpoint would be copied three times, and be most of a run's memory.
+    """
+    parts: list[Any] = [_arrays_class()(text=json.dumps(dict(text or {}))).SerializeToString()]
     for name, values in arrays.items():
-        message.arrays.add(name=name, dtype=str(values.dtype), shape=values.shape, data=values.tobytes())
-    return bytes(message.SerializeToString())
+        described = _arrays_class()()
+        described.arrays.add(name=name, dtype=str(values.dtype), shape=values.shape)
+        head = described.arrays[0].SerializeToString()
+        data = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
+        field = _tagged(4, len(data)) if len(data) else b""
+        parts += [_tagged(2, len(head) + len(field) + len(data)), head, field, data]
+    return b"".join(parts)
+
+
+def _tagged(field: int, length: int) -> bytes:
+    """Key of a length-delimited protobuf field, and its length as a varint."""
+    found = bytearray([field << 3 | 2])
+    while length > 127:
+        found.append(length & 127 | 128)
+        length >>= 7
+    found.append(length)
+    return bytes(found)
 
 
 def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -67,8 +86,10 @@ def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, An
     try:
         message = _arrays_class().FromString(payload)
         text = json.loads(message.text or "{}")
-    except (DecodeError, ValueError) as error:
+    except (DecodeError, ValueError, RecursionError) as error:
         raise BadMessage(f"not a nuno.Arrays message: {error}") from None
+    if not isinstance(text, dict):
+        raise BadMessage("the text of a nuno.Arrays message is not a mapping")
     arrays = {}
     for array in message.arrays:
         if array.dtype not in _DTYPES:
@@ -76,7 +97,10 @@ def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, An
         dtype = np.dtype(array.dtype)
         if math.prod(array.shape) * dtype.itemsize != len(array.data):
             raise BadMessage(f"array {array.name!r} has {len(array.data)} bytes for shape {tuple(array.shape)}")
-        arrays[array.name] = np.frombuffer(array.data, dtype).reshape(tuple(array.shape))
+        try:
+            arrays[array.name] = np.frombuffer(array.data, dtype).reshape(tuple(array.shape))
+        except ValueError as error:  # more axes, or longer ones, than numpy can have
+            raise BadMessage(f"array {array.name!r}: {error}") from None
     return arrays, text
 
 
@@ -98,7 +122,7 @@ def encode_points(x: NDArray[np.float64], t: float) -> bytes:
 
     origin = np.round(x[0]) if len(x) and np.isfinite(x[0]).all() else np.zeros(3)
     with np.errstate(over="ignore"):  # a diverging run's last frame may not fit; it is kept as inf
-        points = np.ascontiguousarray(x - origin, dtype=np.float32)
+        points = np.subtract(x, origin, out=np.empty(x.shape, np.float32), casting="same_kind")
     seconds, nanos = divmod(round(t * 1e9), 10**9)
     pose = messages.Pose(
         position=messages.Vector3(x=float(origin[0]), y=float(origin[1]), z=float(origin[2])),

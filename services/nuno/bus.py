@@ -33,7 +33,11 @@ def free_port() -> int:
 
 
 def _config(mode: str, listen: list[str], connect: list[str], extra: str | None) -> zenoh.Config:
-    config = zenoh.Config.from_file(extra) if extra else zenoh.Config()
+    try:
+        config = zenoh.Config.from_file(extra) if extra else zenoh.Config()
+    except (zenoh.ZError, OSError) as error:
+        remedy = "give a zenoh configuration file (JSON5)"
+        raise BadInput(f"cannot be read: {_short(error)}", field="--config", value=extra, remedy=remedy) from None
     settings: dict[str, Any] = {
         "mode": mode,
         "listen/endpoints": listen,
@@ -45,7 +49,10 @@ def _config(mode: str, listen: list[str], connect: list[str], extra: str | None)
         "transport/link/tx/lease": LEASE_MS,
     }
     for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError:
+            raise BadInput("not an endpoint", value=value[0], remedy="for example tcp/127.0.0.1:7447") from None
     return config
 
 
@@ -55,14 +62,14 @@ def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
 
     `extra` is a zenoh configuration file (TLS, access control) that is read first.
     """
+    config = _config("router", [endpoint], [], extra)
     try:
-        session = zenoh.open(_config("router", [endpoint], [], extra))
+        session = zenoh.open(config)
     except zenoh.ZError as error:
-        raise BadInput(
-            f"cannot listen: {_short(error)}",
-            value=endpoint,
-            remedy="another program holds the port: leave --listen out for a free one",
-        ) from None
+        taken = "in use" in str(error)
+        problem = "another program listens there" if taken else f"cannot listen: {_short(error)}"
+        remedy = "choose another port, or leave --listen out for a free one" if taken else "check the endpoint"
+        raise BadInput(problem, value=endpoint, remedy=remedy) from None
     with session:
         yield session
 
@@ -95,6 +102,8 @@ class Message:
     topic: str
     header: Header
     payload: bytes
+    skipped: int = 0
+    """Messages missing just before this one."""
 
 
 @dataclass
@@ -140,9 +149,14 @@ class Question:
         """The payload as a mapping; anything else counts as empty."""
         try:
             value = json.loads(self.payload)
-        except ValueError:
+        except (ValueError, RecursionError):
             return {}
         return value if isinstance(value, dict) else {}
+
+    def refuse(self, problem: str) -> None:
+        """Answer that this was no good question."""
+        self.query.reply_err(problem)
+        self.query.drop()
 
     def answer(self, payload: bytes) -> None:
         self.query.reply(self.key, payload)
@@ -192,6 +206,19 @@ class Inbox:
             if message is not None:
                 return message
 
+    def refuse(self, item: Message | Question) -> None:
+        """Drop what is not what its topic promises, and count it.
+
+        A message's number is expected again: the one that it belongs to may still come.
+        """
+        if isinstance(item, Question):
+            self.counts.refused[item.name] += 1
+            return
+        self.counts.refused[item.topic] += 1
+        self.counts.received[item.topic] -= 1
+        self.counts.missing[item.topic] -= item.skipped
+        self._next[item.topic] = item.header.seq - item.skipped
+
     def close(self) -> None:
         """Take in nothing more; whoever waits for an answer learns at once that none comes."""
         while self._handles:
@@ -215,10 +242,11 @@ class Inbox:
         if not known or not math.isfinite(header.t) or header.seq < expected:
             self.counts.refused[topic] += 1
             return None
-        self.counts.missing[topic] += header.seq - expected
+        skipped = header.seq - expected
+        self.counts.missing[topic] += skipped
         self._next[topic] = header.seq + 1
         self.counts.received[topic] += 1
-        return Message(topic, header, sample.payload.to_bytes())
+        return Message(topic, header, sample.payload.to_bytes(), skipped)
 
 
 class Bus:
@@ -261,11 +289,18 @@ class Bus:
         ):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
+            if reply.err is not None:
+                raise RunFailed(f"{name}: {reply.err.payload.to_bytes().decode(errors='replace')}")
         raise RunFailed(f"no answer from {name} within {timeout:g} s", peer=name.split("/")[0])
 
     def ask_json(self, name: str, value: dict[str, Any], timeout: float = 10.0) -> dict[str, Any]:
-        answer = json.loads(self.ask(name, json.dumps(value).encode(), timeout))
-        return answer if isinstance(answer, dict) else {}
+        try:
+            answer = json.loads(self.ask(name, json.dumps(value).encode(), timeout))
+        except (ValueError, RecursionError):
+            answer = None
+        if not isinstance(answer, dict):
+            raise RunFailed(f"the answer of {name} cannot be read", peer=name.split("/")[0])
+        return answer
 
     def alive(self) -> zenoh.LivelinessToken:
         """A token that disappears with this service."""
@@ -300,8 +335,13 @@ class Watch:
         with self._changed:
             return name in self._seen and name not in self._alive
 
-    def wait_for(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all are alive; the ones still missing when the time [s] is over."""
+    def wait_for(self, names: set[str], timeout: float, while_alive: str | None = None) -> set[str]:
+        """Wait until all are alive; the ones still missing when the time [s] is over.
+
+        There is no point in waiting on when `while_alive` has gone.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: names <= self._alive, timeout)
+            self._changed.wait_for(
+                lambda: names <= self._alive or (while_alive in self._seen and while_alive not in self._alive), timeout
+            )
             return names - self._alive

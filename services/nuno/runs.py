@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,14 @@ from pathlib import Path
 import psutil
 
 from nuno_schemas.errors import BadInput, nearest
+
+
+def check_id(run: str) -> str:
+    """The same id. Raises BadInput where it could not be part of a key and a file's name."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,127}", run):
+        remedy = "use letters, digits, and - _ . after the first; at most 128"
+        raise BadInput("not a run's name", field="--run", value=run, remedy=remedy)
+    return run
 
 
 def folder() -> Path:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nuno.bus import Bus, Inbox, Message, Question, Watch
 from nuno.scene_file import Loaded
@@ -45,6 +46,11 @@ class Options:
     """Most threads for kernels; 0 = all."""
     must_see: tuple[str, ...] = ()
     """Services that acknowledge every frame before the simulation runs far ahead."""
+
+    def __post_init__(self) -> None:
+        if self.threads < 0:
+            problem, remedy = "the number of threads must not be negative", "0 stands for all cores"
+            raise BadInput(problem, field="--threads", value=self.threads, limit="at least 0", remedy=remedy)
 
 
 @dataclass
@@ -88,6 +94,29 @@ def ack_topic(service: str) -> Topic:
     return Topic(f"ack/{service}", "json", "nuno.Ack", recorded=False)
 
 
+class Finish(BaseModel):
+    """The question that ends a service; the recorder's holds what else it needs to close the file."""
+
+    model_config = ConfigDict(strict=True)
+    error: str = ""
+    discard: bool = False
+    expected: dict[str, int] = {}
+    """Messages sent per topic."""
+    state: str = "done"
+    report: dict[str, Any] | None = None
+
+
+def asks_to_finish(inbox: Inbox, question: Question) -> bool:
+    """Whether the run is over; a question that cannot be read is refused and counted."""
+    try:
+        Finish.model_validate_json(question.payload)
+    except ValidationError as error:
+        inbox.refuse(question)
+        question.refuse(f"not a question to finish: {error.errors(include_url=False)[0]['msg']}")
+        return False
+    return True
+
+
 def each_message(
     context: Context, inbox: Inbox, handle: Callable[[Message], None], answer: Callable[[Question], None] | None = None
 ) -> Question:
@@ -104,8 +133,9 @@ def each_message(
                 handle(item)
             elif isinstance(item, Question):
                 if item.name == finish:
-                    return item
-                if answer is not None:
+                    if asks_to_finish(inbox, item):
+                        return item
+                elif answer is not None:
                     answer(item)
             elif context.orphaned():
                 raise RunFailed("the supervisor has gone")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import secrets
 import subprocess
@@ -22,7 +23,7 @@ from nuno.plan import Plan, make_plan
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options, run_service
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import STATUS, Event, Status, Topic
+from nuno_schemas.messages import EVENT, STATUS, Event, Status, Topic
 
 START_TIMEOUT = 120.0
 """Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
@@ -75,6 +76,7 @@ class Supervisor:
     def __init__(self, loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str) -> None:
         self.loaded, self.options, self.plan, self.run = loaded, options, plan, run
         self.bus = Bus(session, run, SUPERVISOR)
+        self.alive = self.bus.alive()
         self.watch = Watch(self.bus)
         self.inbox = Inbox(self.bus, [STATUS, Topic("run/event/*", "json", "nuno.Event")])
         self.errors: dict[str, str] = {}
@@ -107,22 +109,34 @@ class Supervisor:
         """Take in what services say; whether the simulation has ended."""
         item = self.inbox.get(timeout)
         while isinstance(item, Message):
-            if item.topic == STATUS.name:
-                if progress is not None:
-                    progress(Status.model_validate_json(item.payload))
-            else:
-                event = Event.model_validate_json(item.payload)
-                if event.kind == "error":
-                    self.errors[event.service] = event.text
-                    self.blamed = self.blamed or str(event.args.get("peer", ""))
-                    if event.args.get("bad_input"):
-                        self.bad_input = BadInput(event.text)
-                elif event.kind == "end":
-                    self.ended = event.args["summary"]
-                elif event.kind in ("start", "warning") and progress is not None:
-                    progress(event.text)
+            try:
+                if item.topic == STATUS.name:
+                    status = Status.model_validate_json(item.payload)
+                    if progress is not None:
+                        progress(status)
+                else:
+                    self._note(item.topic, Event.model_validate_json(item.payload), progress)
+            except ValueError:
+                self.inbox.refuse(item)
             item = self.inbox.get(0)
         return self.ended is not None
+
+    def _note(self, topic: str, event: Event, progress: Progress | None) -> None:
+        """Take in one event. Raises ValueError where it does not come from a service of this run."""
+        if topic != f"{EVENT.name}/{event.service}" or event.service not in self.plan.services:
+            raise ValueError(f"{topic} speaks for {event.service}")
+        if event.kind == "error":
+            self.errors[event.service] = event.text
+            self.blamed = self.blamed or str(event.args.get("peer", ""))
+            if event.args.get("bad_input"):
+                self.bad_input = BadInput(event.text)
+        elif event.kind == "end":
+            summary = event.args.get("summary")
+            if event.service != "simulation" or not isinstance(summary, dict):
+                raise ValueError("not the end of a simulation")
+            self.ended = summary
+        elif event.kind in ("start", "warning") and progress is not None:
+            progress(event.text)
 
     def follow(self, progress: Progress | None) -> str:
         """Let the simulation run to its end; the error that ended it early, or ""."""
@@ -143,8 +157,11 @@ class Supervisor:
         """Ask each service to finish, the recorder last, and collect what they counted.
 
         `discard` leaves no recording behind: nothing has happened that could be in it.
+        Services that are not ready yet learn from the supervisor's absence that they are not needed.
         """
         answers: dict[str, dict[str, Any]] = {}
+        if discard and "recorder" in self.plan.services:
+            self._await_recorder()
         order = [name for name in ("simulation", "collision", "viewer", "recorder") if name in self.plan.services]
         for name in order:
             if name not in self.watch.alive():
@@ -158,7 +175,16 @@ class Supervisor:
                 answers[name] = self.bus.ask_json(f"finish/{name}", request, FINISH_TIMEOUT)
             except RunFailed as failure:
                 self.errors.setdefault(name, str(failure))
+        answers[SUPERVISOR] = {"missing": dict(self.inbox.counts.missing), "refused": dict(self.inbox.counts.refused)}
+        self.alive.undeclare()
         return answers
+
+    def _await_recorder(self) -> None:
+        """Wait until the recorder can be told to discard: it may be creating its file just now."""
+        end = time.monotonic() + FINISH_TIMEOUT
+        while "recorder" not in self.exited() and time.monotonic() < end:
+            if not self.watch.wait_for({"recorder"}, 0.05):
+                return
 
 
 @contextlib.contextmanager
@@ -180,9 +206,12 @@ def _threads(
     threads = [threading.Thread(target=body, args=(name,), name=name, daemon=True) for name in plan.services]
     for thread in threads:
         thread.start()
-    yield lambda: dict(over)
-    for thread in threads:
-        thread.join(FINISH_TIMEOUT)
+    try:
+        yield lambda: dict(over)
+    finally:
+        # The session closes after this; a thread must not be using it then.
+        for thread in threads:
+            thread.join(FINISH_TIMEOUT)
 
 
 @contextlib.contextmanager
@@ -247,7 +276,6 @@ def supervise(
         )
         session = stack.enter_context(opened)
         supervisor = Supervisor(loaded, options, plan, session, run)
-        stack.enter_context(supervisor.bus.alive())
         stack.enter_context(runs.announced(run, endpoint))
         if deployment.processes:
             supervisor.exited = stack.enter_context(_processes(loaded, options, plan, endpoint, run))
@@ -295,6 +323,8 @@ def control(run: str, endpoint: str, request: dict[str, Any]) -> dict[str, Any]:
 def record_path(folder: Path, run: str) -> Path:
     """Where a run's recording goes. Raises BadInput if the folder cannot be written."""
     try:
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "it is a file")
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".{run}.probe"
         probe.write_text(json.dumps(run))

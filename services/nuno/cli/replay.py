@@ -63,7 +63,8 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
     require(view, args.save)
     if args.loop and args.save:
         raise BadInput("a loop has no end to save", field="--save", remedy="leave --loop out")
-    run = args.run or supervisor.new_run_id(f"replay-{recording.scene.get('name', 'run')}")
+    name = f"replay-{recording.scene.get('name', 'run')}"
+    run = supervisor.new_run_id(name) if args.run is None else runs.check_id(args.run)
     endpoint = args.listen or f"tcp/127.0.0.1:{free_port()}"
     shown = view is not None or args.save is not None
     options = Options(view=view, save=args.save, must_see=("viewer",) if args.save else ())

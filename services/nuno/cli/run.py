@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nuno import supervisor
+from nuno import runs, supervisor
 from nuno.cli.common import add_scene, load_scene
 from nuno.cli.progress import ProgressLine
 from nuno.recording.reader import open_recording
@@ -71,8 +71,11 @@ def main(args: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
     """The scene given, or that of the recording to resume."""
-    if (args.scene is None) == (args.resume is None):
+    if args.scene is None and args.resume is None:
         raise BadInput("give a scene, or a recording to resume", remedy="for example: nuno run skirt-hula")
+    if args.scene is not None and args.resume is not None:
+        remedy = "leave the scene out, and change it with --set"
+        raise BadInput("a recording is resumed with its own scene", value=args.scene, remedy=remedy)
     if args.resume is None:
         yield load_scene(args)
         return
@@ -81,7 +84,7 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
 
 
 def _run(loaded: Loaded, args: argparse.Namespace) -> int:
-    run = args.run or supervisor.new_run_id(loaded.scene.name)
+    run = supervisor.new_run_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
     return execute(
         loaded,
@@ -94,8 +97,6 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
 def _options(args: argparse.Namespace, run: str) -> Options:
     from nuno.viewer.require import has_screen, require
 
-    if args.threads < 0:
-        raise BadInput("the number of threads must not be negative", field="--threads", value=args.threads)
     record = None
     if not args.no_record:
         target: Path | None = args.record

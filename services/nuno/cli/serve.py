@@ -7,7 +7,7 @@ import signal
 import threading
 from pathlib import Path
 
-from nuno import bus, scene_file
+from nuno import bus, runs, scene_file
 from nuno.service import MODULES, Options, run_service
 from nuno_schemas.errors import BadInput
 
@@ -52,6 +52,7 @@ def main(args: argparse.Namespace) -> int:
                 f"the {args.service} service needs {'a scene' if name == 'scene' else '--' + name}",
                 remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447",
             )
+    runs.check_id(args.run)
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     with bus.spoke(args.connect, args.config, PATIENCE) as session:

@@ -21,7 +21,7 @@ def decode_geometry(payload: bytes) -> Geometry:
     arrays, text = decode_arrays(payload)
     try:
         return Geometry(tuple(text["bodies"]), tuple(text["frames"]), *(arrays[name] for name in _ARRAYS))
-    except KeyError as error:
+    except (KeyError, TypeError) as error:
         raise BadMessage(f"geometry without {error}") from None
 
 
@@ -34,7 +34,7 @@ def decode_poses(payload: bytes) -> Poses:
     arrays, text = decode_arrays(payload)
     try:
         rotation, translation, t = arrays["rotation"], arrays["translation"], float(text["t"])
-    except KeyError as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise BadMessage(f"poses without {error}") from None
     if (
         rotation.shape != (len(translation), 4)

@@ -24,9 +24,9 @@ KEPT = 16
 class Collision:
     """Bodies of one run."""
 
-    def __init__(self, context: Context, bodies: Bodies) -> None:
-        self.context, self.bodies = context, bodies
-        self.rate = context.loaded.scene.frame_rate
+    def __init__(self, context: Context, bodies: Bodies, inbox: Inbox) -> None:
+        self.context, self.bodies, self.inbox = context, bodies, inbox
+        self.rate, self.frames = context.loaded.scene.frame_rate, context.loaded.scene.frames
         self.seconds = 0.0
         self.deepest = 0.0
         self.cache: dict[int, Poses] = {}
@@ -36,7 +36,11 @@ class Collision:
         if question.name == GEOMETRY_QUESTION:
             question.answer(encode_geometry(self.bodies.geometry))
             return
-        frame = int(question.json().get("frame", 0))
+        frame = question.json().get("frame")
+        if type(frame) is not int or not 0 <= frame <= self.frames:
+            self.inbox.refuse(question)
+            question.refuse(f"poses are asked for by frame, 0 to {self.frames}")
+            return
         question.answer(encode_poses(self.poses(frame), frame))
         # While the simulation steps with these, get ready what it will ask next.
         self.poses(frame + 1)
@@ -46,7 +50,7 @@ class Collision:
         if frame not in self.cache:
             self.cache[frame] = self.bodies.poses(frame / self.rate)
             while len(self.cache) > KEPT:
-                del self.cache[min(self.cache)]
+                del self.cache[next(iter(self.cache))]
         return self.cache[frame]
 
     def publish(self, header: Header) -> None:
@@ -87,8 +91,8 @@ class Collision:
 
 def main(context: Context) -> None:
     """Serve one run's bodies until asked to finish."""
-    collision = Collision(context, build_bodies(context.loaded))
     inbox = Inbox(context.bus, [STATE])
+    collision = Collision(context, build_bodies(context.loaded), inbox)
     inbox.answer(GEOMETRY_QUESTION)
     inbox.answer(POSES_QUESTION)
 
@@ -96,7 +100,7 @@ def main(context: Context) -> None:
         try:
             collision.measure(message)
         except BadMessage:
-            inbox.counts.refused[message.topic] += 1
+            inbox.refuse(message)
 
     finish = each_message(context, inbox, handle, collision.answer)
     finish.answer_json(context.counts(inbox) | {"seconds": collision.seconds, "deepest": collision.deepest})

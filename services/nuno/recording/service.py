@@ -76,7 +76,7 @@ class Recorder:
         try:
             self._writer.write(message.topic, header, message.payload)
         except BadMessage:
-            self._inbox.counts.refused[message.topic] += 1
+            self._inbox.refuse(message)
             return
         if message.topic == STATE.name:
             self._digest = header.digest or self._digest
@@ -120,6 +120,7 @@ class Recorder:
             "bytes": size,
             "seconds": self._writer.seconds,
             "missing": missing,
+            "refused": {topic: number for topic, number in self._inbox.counts.refused.items() if number},
             "complete": end["complete"] == "true",
         }
 

@@ -16,7 +16,7 @@ from nuno.build import structural_edges
 from nuno.bus import Inbox, Message, Question
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.service import GEOMETRY_QUESTION, POSES_QUESTION
-from nuno.service import Context, ack_topic
+from nuno.service import SUPERVISOR, Context, ack_topic, asks_to_finish
 from nuno.simulation.run import Frame, Simulation
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
@@ -57,14 +57,17 @@ class Driver:
             try:
                 ack = Ack.model_validate_json(item.payload)
             except ValidationError:
-                self.inbox.counts.refused[item.topic] += 1
+                self.inbox.refuse(item)
                 return
-            if ack.service in self.acked:
+            if item.topic != ack_topic(ack.service).name or ack.frame > self.simulation.frame:
+                self.inbox.refuse(item)
+            elif ack.service in self.acked:
                 self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
         elif isinstance(item, Question) and item.name == CONTROL:
             item.answer_json(self.control(item.json()))
         elif isinstance(item, Question):
-            self.finish = item
+            if asks_to_finish(self.inbox, item):
+                self.finish = item
         elif timeout > 0 and self.context.orphaned():
             raise RunFailed("the supervisor has gone")
 
@@ -77,7 +80,11 @@ class Driver:
         elif action == "pause":
             self.state = "paused"
         elif action == "step":
-            self.state, self.single = "running", int(request.get("frames", 1))
+            frames = request.get("frames", 1)
+            if type(frames) is not int or not 1 <= frames <= self.scene.frames:
+                problem = f"step takes a number of frames, 1 to {self.scene.frames}: {frames!r:.60}"
+                return {"ok": False, "error": problem}
+            self.state, self.single = "running", frames
         elif action == "stop":
             self.state = "stopped"
         elif action == "set":
@@ -88,7 +95,8 @@ class Driver:
         elif action != "status":
             return {"ok": False, "error": f"unknown action {action!r}; known: pause, resume, step, stop, set, status"}
         if action not in ("start", "status"):
-            self.context.event("control", action, simulation.frame, simulation.t, **request)
+            args = {name: request[name] for name in ("item", "frames") if name in request}
+            self.context.event("control", action, simulation.frame, simulation.t, **args)
         return {
             "ok": True,
             "state": self.state,
@@ -219,7 +227,9 @@ def ask_poses(context: Context, frame: int) -> Poses:
 
 
 def ask_geometry(context: Context) -> Geometry:
-    missing = context.watch.wait_for({"collision"}, 30.0)
+    missing = context.watch.wait_for({"collision"}, 30.0, while_alive=SUPERVISOR)
+    if context.orphaned():
+        raise RunFailed("the supervisor has gone")
     if missing:
         raise RunFailed("the collision service did not start within 30 s")
     return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
@@ -232,6 +242,15 @@ def resume(context: Context, simulation: Simulation, path: Path, poses: Poses | 
 
     with open_recording(path) as recording:
         point = recording.last_checkpoint()
+        frames = context.loaded.scene.frames
+        if point.frame > frames:
+            raise BadInput(
+                "the recording goes on after the end of the scene",
+                str(path),
+                value=f"frame {point.frame}",
+                limit=f"{frames} frames",
+                remedy="lengthen the scene, for example --set duration=10s",
+            )
         for event in control_events(recording):
             if event.text == "set" and event.frame <= point.frame:
                 simulation.set(str(event.args["item"]))
