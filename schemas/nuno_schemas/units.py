@@ -32,7 +32,10 @@ def to_si(value: object, unit: str) -> float:
         raise ValueError(f"must be a quantity; {_example(unit)}")
     if isinstance(value, str):
         value = _parse(value, unit)
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # an integer of more than 308 digits
+        number = math.inf
     if not math.isfinite(number):
         raise ValueError("must be finite")
     return number

@@ -70,7 +70,8 @@ class _Reader:
         for key_node, child in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
-                raise BadInput("a field name must be plain text", self.file, line, dotted(path))
+                remedy = "write name: value"
+                raise BadInput("a field name must be plain text", self.file, line, dotted(path), remedy=remedy)
             key = str(key_node.value)
             if key in result:
                 raise BadInput(

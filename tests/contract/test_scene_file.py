@@ -1,0 +1,268 @@
+"""Scenes that are wrong: every error names file, line, field, value, and what to write instead."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nuno import scene_file, yaml_lines
+from nuno_schemas.errors import BadInput
+
+GOOD: dict[str, Any] = {
+    "nuno": 1,
+    "name": "cloth",
+    "duration": "1 s",
+    "solver": {"plugin": "rk4", "dt": "1 ms"},
+    "objects": [{"name": "sheet", "model": {"plugin": "sheet", "resolution": [4, 4]}}],
+    "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "radius": 0.1}}],
+}
+SKIRT = {"plugin": "skirt", "waist_radius": 0.1, "hem_radius": 0.2, "length": 0.3}
+
+
+def refused(folder: Path, text: str | bytes, *overrides: str) -> BadInput:
+    """The error of a scene's text."""
+    path = folder / "scene.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(BadInput) as caught:
+        scene_file.read(path, overrides)
+    return caught.value
+
+
+def with_model(**fields: Any) -> dict[str, Any]:
+    return {"objects": [{"name": "sheet", "model": {"plugin": "sheet"} | fields}]}
+
+
+FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
+    # What is wrong: the change, the field, and words of the problem and of the remedy or limit.
+    "unknown field": ({"durration": 3}, "durration", "no such field", "did you mean 'duration'?"),
+    "unknown solver field": ({"solver": {"plugin": "rk4", "dtt": 1}}, "solver.dtt", "no such field", "'dt'"),
+    "unknown model field": (with_model(sise=1), "objects[0].model.sise", "no such field", "'size'"),
+    "unknown nested field": (
+        with_model(rotate={"angel": 1}), "objects[0].model.rotate.angel", "no such field", "'angle'",
+    ),
+    "unknown field of a union": (
+        with_model(fabric={"preset": "denim", "densty": 1}),
+        "objects[0].model.fabric.densty", "no such field", "'density'",
+    ),
+    "unknown field of the other branch": (
+        with_model(fabric={"density": 0.2, "structural": 8, "sheer": 1}),
+        "objects[0].model.fabric.sheer", "no such field", "'shear'",
+    ),
+    "unknown integrator": ({"solver": {"plugin": "rk5"}}, "solver.plugin", "no plugin 'rk5'", "'rk4'"),
+    "unknown model": (with_model(plugin="shet"), "objects[0].model.plugin", "no plugin 'shet'", "'sheet'"),
+    "unknown force": ({"forces": [{"plugin": "wnd"}]}, "forces[0].plugin", "no plugin 'wnd'", "'wind'"),
+    "unknown preset": (with_model(fabric="denimm"), "objects[0].model.fabric", "unknown fabric preset", "'denim'"),
+    "unknown name in a list": (with_model(pin=["top-rwo"]), "objects[0].model.pin[0]", "unknown value", "'top-row'"),
+    "unknown choice": (with_model(plane="zy"), "objects[0].model.plane", "unknown value", "known: xy, xz, yz"),
+    "unknown unit": ({"duration": "1 secnd"}, "duration", "unknown unit 'secnd'", "write for example '1 s'"),
+    "wrong dimension": (with_model(size=["1 m", "1 kg"]), "objects[0].model.size[1]", "converted to m", "1 m"),
+    "not a quantity": ({"duration": "soon"}, "duration", "not a quantity", "write for example '1 s'"),
+    "neither quantity nor word": (
+        {"bodies": [GOOD["bodies"][0] | {"stiffness": "automatic"}]},
+        "bodies[0].stiffness", "not a quantity", "or write auto",
+    ),
+    "dt 0": ({"solver": {"plugin": "rk4", "dt": 0}}, "solver.dt", "out of range", "more than 0"),
+    "dt negative": ({"solver": {"plugin": "rk4", "dt": "-1 ms"}}, "solver.dt", "out of range", "more than 0"),
+    "dt nan": ({"solver": {"plugin": "rk4", "dt": float("nan")}}, "solver.dt", "must be finite", ""),
+    "duration endless": ({"duration": 1e300}, "duration", "out of range", "at most 1e+09"),
+    "gravity infinite": ({"gravity": [0, float("-inf"), 0]}, "gravity[1]", "must be finite", ""),
+    "gravity of one number": ({"gravity": 9.81}, "gravity", "must be a list", ""),
+    "gravity too short": ({"gravity": [0, 1]}, "gravity[2]", "too short", ""),
+    "gravity too long": ({"gravity": [0, 1, 2, 3]}, "gravity", "too long", "3 items"),
+    "view not finite": ({"view": {"target": [0, float("nan"), 0]}}, "view.target[1]", "must be finite", ""),
+    "half a vertex": (with_model(resolution=[3.5, 4]), "objects[0].model.resolution[0]", "must be a whole number", ""),
+    "too few vertices": (with_model(resolution=[0, 4]), "objects[0].model.resolution[0]", "out of range", "at least 2"),
+    "text for a flag": ({"allow_unstable": "perhaps"}, "allow_unstable", "must be true or false", ""),
+    "text for a mapping": ({"solver": "rk4"}, "solver", "must be a mapping of fields", ""),
+    "mapping for a list": ({"objects": {"name": "x"}}, "objects", "must be a list", ""),
+    "text for an object": ({"objects": ["sheet"]}, "objects[0]", "must be a mapping of fields", ""),
+    "nothing for a name": ({"name": None}, "name", "must be text", ""),
+    "name with a slash": ({"name": "a/b"}, "name", "not a name", "a letter"),
+    "colour by name": (
+        {"objects": [GOOD["objects"][0] | {"colour": "red"}]}, "objects[0].colour", "not a colour", "#rrggbb",
+    ),
+    "two names alike": ({"bodies": GOOD["bodies"] * 2}, "bodies[1].name", "the name 'ball' is used twice", "rename"),
+    "scene version": ({"nuno": 2}, "nuno", "must be 1", ""),
+    "plugin left out": ({"solver": {"dt": 1}}, "solver.plugin", "the field is missing", "add it"),
+    "part of attach left out": (
+        with_model(**SKIRT, attach={"body": "ball"}), "objects[0].model.attach.frame", "the field is missing", "",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FIELDS)
+def test_wrong_fields_are_named_with_their_line_and_a_remedy(fault: str, tmp_path: Path) -> None:
+    change, field, problem, advice = FIELDS[fault]
+    text = yaml.safe_dump(GOOD | change, sort_keys=False)
+    error = refused(tmp_path, text)
+    assert error.field == field
+    assert problem in error.problem
+    assert advice in f"{error.limit} {error.remedy}"
+    assert error.file == str(tmp_path / "scene.yaml")
+    assert error.line is not None
+    line = text.splitlines()[error.line - 1]
+    last = field.split(".")[-1]
+    if "missing" in problem or "too short" in problem:
+        assert line.strip()  # what is not there has no line; its surroundings have
+    else:
+        assert line.lstrip().startswith("- ") if last.endswith("]") else f"{last}:" in line
+
+
+PYDANTIC = ("Input should", "valid ", "Tuple", "String should", "after validation", "function-", "union", "literal[")
+
+
+@pytest.mark.parametrize("fault", FIELDS)
+def test_errors_are_not_in_the_librarys_words(fault: str, tmp_path: Path) -> None:
+    message = str(refused(tmp_path, yaml.safe_dump(GOOD | FIELDS[fault][0])))
+    assert not [phrase for phrase in PYDANTIC if phrase in message]
+
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{after}: &{after} [{', '.join([f'*{before}'] * 10)}]\n"
+    for before, after in zip("abcdefghi", "bcdefghij", strict=True)
+)
+TEXTS: dict[str, tuple[str | bytes, int | None, str]] = {
+    # What is wrong: the text, the line that is named, and words of the problem.
+    "billion laughs": (BOMB, None, "too large or nests too deep"),
+    "alias of itself": ("a: &a [*a]\n", 1, "nests too deep"),
+    "deep": ("a: " + "[" * 200 + "]" * 200, None, "nests too deep"),
+    "deeper than the stack": ("a: " + "[" * 50_000, None, "nests too deep"),
+    "python object": ("nuno: 1\nname: !!python/object/apply:os.system ['exit 1']\n", 2, "tags are not allowed"),
+    "python name": ("nuno: !!python/name:os.system x\n", 1, "tags are not allowed"),
+    "own tag": ("nuno: !mine x\n", 1, "tags are not allowed"),
+    "tag of a mapping": ("solver: !!omap {a: 1}\n", 1, "tags are not allowed"),
+    "binary": ("nuno: !!binary aGk=\n", 1, "tags are not allowed"),
+    "duplicate": ("nuno: 1\nname: a\nname: b\n", 3, "given twice"),
+    "duplicate inside": ("nuno: 1\nsolver: {dt: 1,\n  dt: 2}\n", 3, "given twice"),
+    "not UTF-8": ("nuno: 1\nname: caf\xe9\n".encode("latin-1"), None, "not a text file"),
+    "UTF-16": ("nuno: 1\n".encode("utf-16"), None, "not a text file"),
+    "control character": (b"nuno: 1\nname: \x00\n", 2, "the character U+0000 is not allowed"),
+    "empty": ("", None, "the scene is empty"),
+    "only a comment": ("# a scene\n", None, "the scene is empty"),
+    "a word": ("hello\n", 1, "a scene is a mapping"),
+    "a list": ("# first\n- a\n", 2, "a scene is a mapping"),
+    "two documents": ("nuno: 1\n---\nnuno: 1\n", 2, "another document"),
+    "open bracket": ("nuno: 1\nname: [a, b\nduration: 3\n", 3, "expected ',' or ']'"),
+    "tab": ("nuno: 1\n\tname: a\n", 2, "not valid YAML"),
+    "undefined alias": ("nuno: 1\nname: *x\n", 2, "undefined alias"),
+    "list as a key": ("? [a, b]\n: 1\n", 1, "a field name must be plain text"),
+    "number of 5,000 digits": ("nuno: 1\nseed: " + "9" * 5000, 2, "not a number that can be read"),
+}
+
+
+@pytest.mark.parametrize("fault", TEXTS)
+def test_texts_that_are_no_scene(fault: str, tmp_path: Path) -> None:
+    text, line, problem = TEXTS[fault]
+    error = refused(tmp_path, text)
+    assert problem in error.problem
+    assert error.file == str(tmp_path / "scene.yaml")
+    if line is not None:
+        assert error.line == line
+    assert error.remedy
+    assert "\n" not in error.problem
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    with path.open("wb") as stream:
+        stream.truncate(2**40)  # sparse: a terabyte that nobody could read
+    with pytest.raises(BadInput, match="too large") as caught:
+        scene_file.read(path)
+    assert caught.value.limit == f"{yaml_lines.MAX_BYTES} bytes"
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_field(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(b"\xef\xbb\xbf" + yaml.safe_dump(GOOD).encode())
+    assert scene_file.read(path).scene.name == "cloth"
+
+
+OVERRIDES = {
+    "x": ("", "written key=value"),
+    "=3": ("", "written key=value"),
+    "solver..dt=1": ("", "written key=value"),
+    "objects[1].name=a": ("objects[1].name", "no such field"),
+    "objects[-1].name=a": ("objects[-1].name", "no such field"),
+    "objects.first=a": ("objects.first", "no such field"),
+    "solver.dt.unit=s": ("solver.dt.unit", "no such field"),
+    "solver.dtt=1": ("solver.dtt", "no such field"),
+    "a.b.c=1": ("a", "no such field"),
+    "solver.dt=1 kg": ("solver.dt", "cannot be converted to s"),
+    "solver.dt=": ("solver.dt", "must be a quantity"),
+    "solver.dt=[1": ("solver.dt", "not a valid value"),
+    "solver.dt=*x": ("solver.dt", "not a valid value"),
+    "solver.dt=!!python/name:os.system": ("solver.dt", "tags are not allowed"),
+    "solver.dt=\0": ("solver.dt", "not a valid value"),
+    "seed=" + "9" * 5000: ("seed", "not a number that can be read"),
+    "objects[0].model.resolution=[4, 1]": ("objects[0].model.resolution[1]", "out of range"),
+}
+
+
+@pytest.mark.parametrize("item", OVERRIDES, ids=lambda item: repr(item[:40]))
+def test_wrong_overrides_are_blamed_on_the_command_line(item: str, tmp_path: Path) -> None:
+    field, problem = OVERRIDES[item]
+    error = refused(tmp_path, yaml.safe_dump(GOOD), item)
+    assert error.file == "--set"
+    assert error.line is None
+    assert error.field == (field or None)
+    assert problem in error.problem
+
+
+def test_fields_beside_an_override_keep_their_line(tmp_path: Path) -> None:
+    text = yaml.safe_dump(GOOD | {"solver": {"plugin": "rk4", "dtt": 1}}, sort_keys=False)
+    error = refused(tmp_path, text, "solver.dt=1 ms")
+    assert error.file == str(tmp_path / "scene.yaml")
+    assert error.line == 1 + text.splitlines().index("  dtt: 1")
+
+
+def reads_or_refuses(text: str, *overrides: str) -> None:
+    """Anything else than BadInput fails the test."""
+    with contextlib.suppress(BadInput):
+        data, lines = yaml_lines.parse(text, "scene.yaml")
+        for item in overrides:
+            lines = scene_file.overridden(lines, scene_file.apply_override(data, item))
+        scene_file.load(data, lines, "scene.yaml", scene_file.SceneFiles(Path()))
+
+
+VALUES = st.recursive(
+    st.one_of(
+        st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8), st.sampled_from(["1 s", "auto"])
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3), st.dictionaries(st.sampled_from(["plugin", "dt", "name", "x"]), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+PLACES = st.sampled_from(
+    [*GOOD, "gravity", "record", "view", "forces", "contact", "solver.dt", "objects.0.model.fabric"]
+)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.one_of(st.text(max_size=40), st.text("{}[]:,-?&*!|>'\"%@ \nab1", max_size=40)))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    reads_or_refuses(text)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(PLACES, VALUES)
+def test_any_value_anywhere_is_read_or_refused(place: str, value: object) -> None:
+    data = yaml.safe_load(yaml.safe_dump(GOOD))
+    here: Any = data
+    *parents, last = place.split(".")
+    for part in parents:
+        here = here[int(part) if part.isdigit() else part]
+    here[last] = value
+    reads_or_refuses(yaml.safe_dump(data, allow_unicode=True))
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.one_of(st.text(max_size=30), st.builds("{}={}".format, PLACES, st.text("{}[]:,!&*ab1. ms", max_size=20))))
+def test_any_override_is_taken_or_refused(item: str) -> None:
+    reads_or_refuses(yaml.safe_dump(GOOD), item)

@@ -1,0 +1,89 @@
+"""Quantities: converted once to SI, or refused in words; no text may hang or leak an exception."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nuno_schemas.units import to_si
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        (2, "s", 2.0),
+        ("2", "s", 2.0),
+        ("1 ms", "s", 1e-3),
+        ("-3.5e2 cm", "m", -3.5),
+        ("27 N/m", "N/m", 27.0),
+        ("0.5/s", "1/s", 0.5),
+        ("0.5 1/s", "1/s", 0.5),
+        ("9.81 m/s**2", "m/s^2", 9.81),
+        ("9.81 m*s^-2", "m/s^2", 9.81),
+        ("200 g/m^2", "kg/m^2", 0.2),
+        ("90 degree", "rad", math.pi / 2),
+        ("30 %", "", 0.3),
+    ],
+)
+def test_quantities_are_converted(text: object, unit: str, value: float) -> None:
+    assert to_si(text, unit) == pytest.approx(value, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "words"),
+    [
+        ("1 lightyer", "m", "unknown unit 'lightyer'; write for example '1 m'"),
+        ("1 kg", "m", "kilogram cannot be converted to m; write for example '1 m'"),
+        ("1 kg", "", "kilogram cannot be converted to a plain number"),
+        ("soon", "s", "not a quantity; write for example '1 s', or a plain number in s"),
+        ("", "s", "not a quantity"),
+        ("ms", "s", "not a quantity"),
+        ("1 m + 2 m", "m", "not a quantity"),
+        ("x" * 101, "s", "at most 100 characters"),
+        (True, "s", "must be a quantity"),
+        (None, "s", "must be a quantity"),
+        ([1], "s", "must be a quantity"),
+        (math.nan, "s", "must be finite"),
+        pytest.param(10**400, "s", "must be finite", id="400 digits"),
+        ("1e400 s", "s", "must be finite"),
+        ("inf", "s", "must be finite"),
+        ("-inf", "s", "must be finite"),
+    ],
+)
+def test_what_is_no_quantity_is_refused_in_words(text: object, unit: str, words: str) -> None:
+    with pytest.raises(ValueError) as caught:
+        to_si(text, unit)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "9**9**9**9 m",
+        "1 m**9**9**9",
+        "1 m^(9^9^9)",
+        "1 m*9**99999999",
+        "2**99999999",
+        "1 (m**99)**99**99",
+        "1 m**999999",
+    ],
+)
+def test_expressions_are_not_evaluated(text: str) -> None:
+    # Each would keep pint busy for longer than anybody waits.
+    with pytest.raises(ValueError, match="not a quantity"):
+        to_si(text, "m")
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(
+    st.one_of(st.text(max_size=30), st.text("0123456789.eE+-*/^() msNkg", max_size=30)), st.sampled_from(["s", "m/s^2"])
+)
+def test_any_text_is_a_finite_number_or_a_value_error(text: str, unit: str) -> None:
+    try:
+        value = to_si(text, unit)
+    except ValueError:
+        return
+    assert math.isfinite(value)
