@@ -104,6 +104,39 @@ def decode_arrays(payload: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, An
     return arrays, text
 
 
+_FIXED = {1: 8, 5: 4}
+"""Bytes of protobuf's wire types of fixed length."""
+
+
+def check_protobuf(payload: bytes) -> None:
+    """Raises BadMessage where fields do not fill a payload exactly; nothing is copied."""
+    at = 0
+    while at < len(payload):
+        key, at = _varint(payload, at)
+        kind = key & 7
+        if kind == 0:
+            _, at = _varint(payload, at)
+        elif kind == 2:
+            length, at = _varint(payload, at)
+            at += length
+        elif kind in _FIXED:
+            at += _FIXED[kind]
+        else:
+            raise BadMessage(f"no protobuf message: wire type {kind} at byte {at}")
+    if at != len(payload) or not payload:
+        raise BadMessage(f"no protobuf message: fields of {at} bytes in {len(payload)}")
+
+
+def _varint(payload: bytes, at: int) -> tuple[int, int]:
+    """A number of at most ten bytes, and where it ends. Raises BadMessage."""
+    value = 0
+    for i, byte in enumerate(payload[at : at + 10]):
+        value |= (byte & 127) << (7 * i)
+        if byte < 128:
+            return value, at + i + 1
+    raise BadMessage(f"no protobuf message: cut at byte {len(payload)}")
+
+
 @functools.cache
 def _point_cloud_fields() -> Any:
     from foxglove import messages

@@ -11,7 +11,7 @@ from nuno.bus import Inbox, Message, Question
 from nuno.recording.provenance import assets, describe_run
 from nuno.recording.reader import END, open_recording
 from nuno.recording.restore import copy_until
-from nuno.recording.writer import RecordingWriter, topic_of
+from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.service import Context, ack_topic, each_message
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import REPORT, STATE, Ack, Header, Topic
@@ -71,9 +71,11 @@ class Recorder:
     def handle(self, message: Message) -> None:
         """Write one message; acknowledge a frame once the writer has it."""
         header = message.header
-        if topic_of(message.topic) is None:
+        topic = topic_of(message.topic)
+        if topic is None:
             return
         try:
+            check_payload(topic, message.payload)
             self._writer.write(message.topic, header, message.payload)
         except BadMessage:
             self._inbox.refuse(message)

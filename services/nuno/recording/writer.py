@@ -11,9 +11,9 @@ from collections import defaultdict
 from pathlib import Path
 from typing import BinaryIO
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
-from nuno.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, points_schema
+from nuno.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, points_schema
 from nuno.recording.mcap_file import CHUNK_BYTES, MAGIC, McapFile
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, TOPICS, Event, Header, Penetration, Status, Topic
@@ -30,12 +30,26 @@ def topic_of(name: str) -> Topic | None:
     return topic if topic is not None and topic.recorded else None
 
 
+_MODELS: dict[str, type[BaseModel]] = {"nuno.Status": Status, "nuno.Penetration": Penetration, "nuno.Event": Event}
+
+
+def check_payload(topic: Topic, payload: bytes) -> None:
+    """Raises BadMessage for bytes that are not of their topic's encoding; arrays are not decoded."""
+    model = _MODELS.get(topic.schema)
+    if topic.encoding == "protobuf":
+        check_protobuf(payload)
+    elif model is not None:
+        try:
+            model.model_validate_json(payload)
+        except ValidationError as error:
+            raise BadMessage(f"not a {topic.schema} message: {error}") from None
+
+
 def schema_of(topic: Topic) -> tuple[str, bytes]:
     """Encoding and text of a topic's schema."""
     if topic.encoding == "protobuf":
         return "protobuf", arrays_schema() if topic.schema == ARRAYS_SCHEMA else points_schema()
-    models: dict[str, type[BaseModel]] = {"nuno.Status": Status, "nuno.Penetration": Penetration, "nuno.Event": Event}
-    model = models.get(topic.schema)
+    model = _MODELS.get(topic.schema)
     schema = model.model_json_schema() if model else {"title": topic.schema, "type": "object"}
     return "jsonschema", json.dumps(schema).encode()
 
