@@ -22,8 +22,17 @@ from nuno_kernels.contact import (
     commit_contact_parallel,
 )
 from nuno_kernels.hinges import HingeLists, HingeRuns, add_hinge_lists, add_hinge_runs
+from nuno_kernels.simd import WIDTH, load, write
 from nuno_kernels.springs import SpringLists, SpringRuns, add_lists, add_runs
-from nuno_kernels.wind import ParticleWind, Wind, gather_wind, measure_wind
+from nuno_kernels.wind import (
+    Air,
+    ParticleWind,
+    WindLists,
+    WindRuns,
+    add_particle_wind,
+    add_wind_lists,
+    add_wind_runs,
+)
 from nuno_schemas.fabric import Float
 
 
@@ -35,7 +44,7 @@ class Packed(NamedTuple):
     damping       [1/s], a -= damping v
     threads       None: compiled for one thread; else how many run
     late          None: all forces go by blocks, and a block is finished while it is in the core's
-                  cache; True: contact, wind or Python adds to the forces afterwards
+                  cache; True: contact or Python adds to the forces afterwards
     velocity_matters  whether any force reads the velocity
     frozen_damping    [1/s] of a method that takes it at the step's start (rk4_printed)
     """
@@ -49,7 +58,9 @@ class Packed(NamedTuple):
     hinge_lists: HingeLists | None = None
     bindings: Bindings | None = None
     contact: Contact | None = None
-    wind: Wind | None = None
+    air: Air | None = None
+    wind_runs: WindRuns | None = None
+    wind_lists: WindLists | None = None
     particle_wind: ParticleWind | None = None
     threads: int | None = None
     late: bool | None = None
@@ -59,16 +70,16 @@ class Packed(NamedTuple):
 
 @kernel
 def force_block(
-    block: int, x: Any, v: Any, a: Any, runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, particle_wind: Any
-) -> None:
+    block: int, x: Any, v: Any, a: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
+    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any,
+) -> None:  # fmt: skip
     """Forces [N] on a block's vertices, summed in the core's cache and written to a (3, n)."""
     origin = block * BLOCK
     width = min(BLOCK, x.shape[1] - origin)
     force = np.zeros((3, width + PADDING))
     if particle_wind is not None:
-        for row in range(3):
-            for q in range(width):
-                force[row, q] = particle_wind.force[row]
+        add_particle_wind(particle_wind, force)
     if runs is not None:
         add_runs(block, origin, x, v, force, runs.start, runs.task, runs.constants, runs.each, runs.damped)
     if lists is not None:
@@ -79,9 +90,14 @@ def force_block(
     if hinge_lists is not None:
         g = hinge_lists
         add_hinge_lists(block, x, force, g.start, g.corners, g.constants, g.curved)
-    for row in range(3):
-        for q in range(width):
-            a[row, origin + q] = force[row, q]
+    if wind_runs is not None:
+        add_wind_runs(block, origin, x, v, force, wind_runs.start, wind_runs.task, air)
+    if wind_lists is not None:
+        add_wind_lists(block, x, v, force, wind_lists.start, wind_lists.corners, air)
+    for q in range(0, width, WIDTH):
+        m = min(WIDTH, width - q)
+        for row in range(3):
+            write(a, row, origin + q, m, load(force, row, q))
 
 
 @kernel
@@ -90,7 +106,7 @@ def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, da
     low, high = block * BLOCK, min((block + 1) * BLOCK, a.shape[1])
     for row in range(3):
         g = gravity[row]
-        for p in range(low, high):
+        for p in range(np.uint64(low), np.uint64(high)):
             w = inverse_mass[p]
             own = g - damping * v[row, p]
             a[row, p] = w * a[row, p] + (own if w > 0.0 else 0.0)
@@ -98,11 +114,14 @@ def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, da
 
 def _force(
     x: Any, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, particle_wind: Any, late: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
+    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, late: Any,
 ) -> None:  # fmt: skip
     """All terms that go by blocks: forces [N] into a (3, n), or accelerations where nothing follows."""
     for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
-        force_block(block, x, v, a, runs, lists, hinge_runs, hinge_lists, particle_wind)
+        force_block(
+            block, x, v, a, runs, lists, hinge_runs, hinge_lists, air, wind_runs, wind_lists, particle_wind
+        )  # fmt: skip
         if late is None:
             finish_block(block, v, a, inverse_mass, gravity, damping)
 
@@ -113,22 +132,12 @@ def _finish(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> 
         finish_block(block, v, a, inverse_mass, gravity, damping)
 
 
-def _wind(x: Any, v: Any, a: Any, wind: Any) -> None:
-    """Add the wind's force [N] to a (3, n); chunks of faces, then of vertices."""
-    faces, vertices = wind.faces.shape[1], x.shape[1]
-    for chunk in prange((faces + BLOCK - 1) // BLOCK):
-        measure_wind(x, v, wind, chunk * BLOCK, min((chunk + 1) * BLOCK, faces))
-    for chunk in prange((vertices + BLOCK - 1) // BLOCK):
-        gather_wind(wind, a, chunk * BLOCK, min((chunk + 1) * BLOCK, vertices))
-
-
 force_serial, force_parallel = both_kernels(_force)
 finish_serial, finish_parallel = both_kernels(_finish)
-wind_serial, wind_parallel = both_kernels(_wind)
 
 
 @kernel
-def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact: Any, wind: Any, threads: Any) -> None:
+def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact: Any, threads: Any) -> None:
     """Forces [N] at fraction s of the frame into a (3, n), or accelerations unless p.late.
 
     Puts bound vertices in their place first.
@@ -137,29 +146,16 @@ def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact:
         place_bound(x, v, s, bindings)
     if threads is None:
         force_serial(
-            x,
-            v,
-            a,
-            p.inverse_mass,
-            p.gravity,
-            p.damping,
-            p.runs,
-            p.lists,
-            p.hinge_runs,
-            p.hinge_lists,
-            p.particle_wind,
-            p.late,
-        )
+            x, v, a, p.inverse_mass, p.gravity, p.damping,
+            p.runs, p.lists, p.hinge_runs, p.hinge_lists,
+            p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.late,
+        )  # fmt: skip
     else:
         force_parallel(
             x, v, a, p.inverse_mass, p.gravity, p.damping,
-            p.runs, p.lists, p.hinge_runs, p.hinge_lists, p.particle_wind, p.late,
+            p.runs, p.lists, p.hinge_runs, p.hinge_lists,
+            p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.late,
         )  # fmt: skip
-    if wind is not None:
-        if threads is None:
-            wind_serial(x, v, a, wind)
-        else:
-            wind_parallel(x, v, a, wind)
     if contact is not None:
         if threads is None:
             add_contact(x, v, s, contact, a)
@@ -183,7 +179,7 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
     `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
     """
-    add_forces(x, v, s, a, p, p.bindings, p.contact, p.wind, p.threads)
+    add_forces(x, v, s, a, p, p.bindings, p.contact, p.threads)
     if extra is not None:
         extra(x, v, s, a)
     finish(v, a, p, p.late, p.threads)

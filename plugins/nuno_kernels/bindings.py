@@ -12,7 +12,7 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.blocks import Long
-from nuno_kernels.contact_poses import pose_frame, set_poses
+from nuno_kernels.contact_poses import pose_frame, write_interval
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
 
@@ -71,5 +71,4 @@ def set_binding_poses(bindings: Bindings, start: Poses, end: Poses) -> None:
     """Write the interval into `bindings`; one without duration stands still at its start."""
     used = bindings.frames.shape[0]
     first, last = (Poses(p.t, p.rotation[:used], p.translation[:used]) for p in (start, end))
-    moved: Any = bindings
-    set_poses(moved, first, last)
+    write_interval(bindings, first, last)

@@ -35,7 +35,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.contact_distance import LANES, find_bounds
+from nuno_kernels.contact_distance import find_bounds
 from nuno_kernels.contact_poses import pose_bodies, set_poses
 from nuno_kernels.contact_response import add_body, commit_body, drop_anchors, find_deepest
 from nuno_schemas.bodies import Geometry
@@ -89,14 +89,14 @@ class Contact(NamedTuple):
     """(f, 18) frames posed, and their velocities; see contact_distance"""
     posed: Float
     """(p, 14) primitives posed"""
+    posed_at: Float
+    """(1,) fraction of the interval at which frames and primitives are posed, NaN where they are not"""
     distance: Float
     """(n,) scratch: least distance to the primitives of one body, 0 where none is negative"""
     deepest: NDArray[np.int64]
     """(b, n) scratch of the last evaluation: the body's deepest primitive, -1 where none touches"""
     near: NDArray[np.bool_]
     """(b, B) scratch of the last evaluation: whether the body was within reach of the block"""
-    lanes: Float
-    """(B, 16) scratch"""
     bounds: Float
     """(B, 6) scratch: bounds of a block's vertices"""
     tally: NDArray[np.int64]
@@ -113,7 +113,7 @@ def count_contacts(contact: Contact) -> dict[str, int]:
 def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) -> None:
     """Add the contact force [N] on the vertices of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    find_bounds(x, low, high, contact.lanes, contact.bounds, block)
+    find_bounds(x, low, high, contact.bounds, block)
     for body in range(contact.friction.shape[0]):
         if find_deepest(
             x, low, high, contact.first[body], contact.first[body + 1], contact.kind, contact.frame, contact.posed,
@@ -211,10 +211,10 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         anchor_frame=np.full((bodies, n), -1, np.int32),
         frames=np.zeros((frames, 18)),
         posed=np.zeros((order.shape[0], 14)),
+        posed_at=np.full(1, np.nan),
         distance=np.zeros(n),
         deepest=np.full((bodies, n), -1, np.int64),
         near=np.zeros((bodies, blocks), np.bool_),
-        lanes=np.zeros((blocks, 2 * LANES)),
         bounds=np.zeros((blocks, 6)),
         tally=np.zeros((blocks, 2), np.int64),
     )

@@ -22,6 +22,7 @@ SHORTEST = 1e-300
 """A capsule whose squared length [m^2] is no more is a sphere: the reciprocal would overflow."""
 
 if TYPE_CHECKING:
+    from nuno_kernels.bindings import Bindings
     from nuno_kernels.contact import Contact
 
 
@@ -38,19 +39,22 @@ def rotation_between(q0: Float, q1: Float) -> Float:
     return turn
 
 
-def set_poses(contact: Contact, poses0: Poses, poses1: Poses) -> None:
-    """Write the interval from poses0.t to poses1.t into `contact`, in place.
-
-    An interval without duration stands still at its start.
-    """
+def write_interval(moved: Contact | Bindings, poses0: Poses, poses1: Poses) -> None:
+    """Write the interval from poses0.t to poses1.t in place; one without duration stands still at its start."""
     duration = poses1.t - poses0.t
     moving = duration > 0.0
-    contact.rotation0[:] = rotation_matrices(poses0.rotation).reshape(-1, 9)
-    contact.origin0[:] = poses0.translation
-    contact.spin[:] = rotation_between(poses0.rotation, poses1.rotation) if moving else 0.0
-    contact.shift[:] = poses1.translation - poses0.translation if moving else 0.0
-    contact.frames[:, 12:15] = contact.shift / duration if moving else 0.0
-    contact.frames[:, 15:18] = contact.spin / duration if moving else 0.0
+    moved.rotation0[:] = rotation_matrices(poses0.rotation).reshape(-1, 9)
+    moved.origin0[:] = poses0.translation
+    moved.spin[:] = rotation_between(poses0.rotation, poses1.rotation) if moving else 0.0
+    moved.shift[:] = poses1.translation - poses0.translation if moving else 0.0
+    moved.frames[:, 12:15] = moved.shift / duration if moving else 0.0
+    moved.frames[:, 15:18] = moved.spin / duration if moving else 0.0
+
+
+def set_poses(contact: Contact, poses0: Poses, poses1: Poses) -> None:
+    """Write the interval into `contact`, in place; see `write_interval`."""
+    write_interval(contact, poses0, poses1)
+    contact.posed_at[0] = np.nan
 
 
 @kernel
@@ -94,7 +98,13 @@ def pose_primitive(p: int, kind: int, f: int, a: Float, b: Float, radius: Float,
 
 @kernel
 def pose_bodies(s: float, contact: Contact) -> None:
-    """Pose all frames and primitives at fraction s in [0, 1] of the interval."""
+    """Pose all frames and primitives at fraction s in [0, 1] of the interval.
+
+    A step's end is the next one's start: where s is what it was, they stand there already.
+    """
+    if contact.posed_at[0] == s:
+        return
+    contact.posed_at[0] = s
     for f in range(contact.frames.shape[0]):
         pose_frame(s, f, contact.rotation0, contact.origin0, contact.spin, contact.shift, contact.frames)
     for p in range(contact.posed.shape[0]):

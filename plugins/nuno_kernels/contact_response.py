@@ -205,8 +205,10 @@ def commit_body(
     touching = 0
     mu = friction[body]
     for i in range(np.uint64(low), np.uint64(high)):
+        kept = anchor_frame[body, i]
+        anchor_frame[body, i] = kept if deepest[body, i] >= 0 else np.int32(-1)
+    for i in range(np.uint64(low), np.uint64(high)):
         if deepest[body, i] < 0:
-            anchor_frame[body, i] = -1
             continue
         p = np.uint64(deepest[body, i])
         f, k = np.uint64(frame[p]), stiffness[body, i]

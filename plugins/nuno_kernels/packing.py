@@ -61,7 +61,7 @@ def pack(system: System) -> Packed:
         **_find_fused(system),
     )
     python = any(term.kind == "python" for term in system.terms)
-    late = True if python or packed.contact is not None or packed.wind is not None else None
+    late = True if python or packed.contact is not None else None
     return packed._replace(velocity_matters=python or reads_velocity(packed), late=late)
 
 
@@ -72,7 +72,9 @@ def silence_bodies(packed: Packed) -> Packed:
     """
     contact, bindings = packed.contact, packed.bindings
     if contact is not None:
-        contact = contact._replace(bounds=contact.bounds[:0], frames=contact.frames[:0], posed=contact.posed[:0])
+        contact = contact._replace(
+            bounds=contact.bounds[:0], frames=contact.frames[:0], posed=contact.posed[:0], posed_at=np.full(1, np.nan)
+        )
     if bindings is not None:
         bindings = bindings._replace(vertices=bindings.vertices[:0], frames=bindings.frames[:0])
     return packed._replace(contact=contact, bindings=bindings)
@@ -81,7 +83,7 @@ def silence_bodies(packed: Packed) -> Packed:
 def reads_velocity(packed: Packed) -> bool:
     """Whether any of the compiled forces depends on the velocity."""
     damped = any(part is not None and part.damped is not None for part in (packed.runs, packed.lists))
-    return damped or packed.damping != 0.0 or packed.contact is not None or packed.wind is not None
+    return damped or packed.damping != 0.0 or packed.contact is not None or packed.air is not None
 
 
 def _find_bindings(system: System) -> Bindings | None:
@@ -112,7 +114,8 @@ def _find_fused(system: System) -> dict[str, Any]:
                 limit=f"one of {', '.join((*FUSED, 'bindings', 'python'))}",
                 remedy='use kind "python" with a function f(x, v, t, out)',
             )
-    return found
+    wind = found.pop("wind", None)
+    return found if wind is None else found | {"air": wind.air, "wind_runs": wind.runs, "wind_lists": wind.lists}
 
 
 def _own_copy(data: Any) -> Any:

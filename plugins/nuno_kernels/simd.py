@@ -24,7 +24,7 @@ from nuno_kernels import kernel
 WIDTH = 8
 """Lanes of a vector."""
 
-_LANES = ir.VectorType(ir.DoubleType(), WIDTH)
+LANES = ir.VectorType(ir.DoubleType(), WIDTH)
 _I32 = ir.IntType(32)
 
 
@@ -39,10 +39,10 @@ vector = _VectorType()
 @register_model(_VectorType)
 class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, frontend: Any) -> None:
-        super().__init__(manager, frontend, _LANES)
+        super().__init__(manager, frontend, LANES)
 
 
-def _splat(builder: Any, value: Any, of: Any = _LANES) -> Any:
+def spread(builder: Any, value: Any, of: Any = LANES) -> Any:
     first = builder.insert_element(ir.Constant(of, ir.Undefined), value, ir.Constant(_I32, 0))
     mask = ir.Constant(ir.VectorType(_I32, WIDTH), [0] * WIDTH)
     return builder.shuffle_vector(first, ir.Constant(of, ir.Undefined), mask)
@@ -61,7 +61,7 @@ def _define(op: Callable[..., Any], method: str) -> None:
     infer_global(op)(Template)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pair = [a if t is vector or t == vector else _splat(builder, a) for t, a in zip(sig.args, args, strict=True)]
+        pair = [a if t is vector or t == vector else spread(builder, a) for t, a in zip(sig.args, args, strict=True)]
         return getattr(builder, method)(*pair)
 
     for case in Template.cases:
@@ -77,7 +77,7 @@ for _op, _method in (
     _define(_op, _method)
 
 
-def _instruction(function: Callable[..., Any]) -> Any:
+def instruction(function: Callable[..., Any]) -> Any:
     """A function that compiled code calls without the leading typing context."""
     return intrinsic(function)
 
@@ -92,14 +92,14 @@ def _address(context: Any, builder: Any, kind: Any, array: Any, row: Any, column
 def _mask(builder: Any, count: Any) -> Any:
     """Lanes 0 .. count - 1."""
     index = ir.VectorType(ir.IntType(64), WIDTH)
-    return builder.icmp_signed("<", ir.Constant(index, list(range(WIDTH))), _splat(builder, count, index))
+    return builder.icmp_signed("<", ir.Constant(index, list(range(WIDTH))), spread(builder, count, index))
 
 
 def _plane(array: Any) -> bool:
     return isinstance(array, types.Array) and array.ndim == 2 and array.layout == "C" and array.dtype == types.float64
 
 
-@_instruction
+@instruction
 def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
     """Eight values from array[row, column] on."""
     if not _plane(array):
@@ -107,12 +107,12 @@ def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _address(context, builder, sig.args[0], *args)
-        return builder.load(builder.bitcast(pointer, _LANES.as_pointer()), align=8)
+        return builder.load(builder.bitcast(pointer, LANES.as_pointer()), align=8)
 
     return vector(array, types.int64, types.int64), build
 
 
-@_instruction
+@instruction
 def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
     """Write eight values to array[row, column] and on."""
     if not _plane(array):
@@ -120,38 +120,38 @@ def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _address(context, builder, sig.args[0], *args[:3])
-        builder.store(args[3], builder.bitcast(pointer, _LANES.as_pointer()), align=8)
+        builder.store(args[3], builder.bitcast(pointer, LANES.as_pointer()), align=8)
         return context.get_dummy_value()
 
     return types.void(array, types.int64, types.int64, vector), build
 
 
-@_instruction
+@instruction
 def load_first(typing: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
     """The first `count` of eight values, zeros in the other lanes; reads nothing else."""
     if not _plane(array):
         return None
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pointer = builder.bitcast(_address(context, builder, sig.args[0], *args[:3]), _LANES.as_pointer())
+        pointer = builder.bitcast(_address(context, builder, sig.args[0], *args[:3]), LANES.as_pointer())
         mask = _mask(builder, args[3])
-        kind = ir.FunctionType(_LANES, [pointer.type, _I32, mask.type, _LANES])
+        kind = ir.FunctionType(LANES, [pointer.type, _I32, mask.type, LANES])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.load.v8f64.p0")
-        return builder.call(function, [pointer, ir.Constant(_I32, 8), mask, ir.Constant(_LANES, [0.0] * WIDTH)])
+        return builder.call(function, [pointer, ir.Constant(_I32, 8), mask, ir.Constant(LANES, [0.0] * WIDTH)])
 
     return vector(array, types.int64, types.int64, types.int64), build
 
 
-@_instruction
+@instruction
 def store_first(typing: Any, array: Any, row: Any, column: Any, count: Any, value: Any) -> Any:
     """Write the first `count` of eight values and nothing else."""
     if not _plane(array):
         return None
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pointer = builder.bitcast(_address(context, builder, sig.args[0], *args[:3]), _LANES.as_pointer())
+        pointer = builder.bitcast(_address(context, builder, sig.args[0], *args[:3]), LANES.as_pointer())
         mask = _mask(builder, args[3])
-        kind = ir.FunctionType(ir.VoidType(), [_LANES, pointer.type, _I32, mask.type])
+        kind = ir.FunctionType(ir.VoidType(), [LANES, pointer.type, _I32, mask.type])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.store.v8f64.p0")
         builder.call(function, [args[4], pointer, ir.Constant(_I32, 8), mask])
         return context.get_dummy_value()
@@ -159,7 +159,7 @@ def store_first(typing: Any, array: Any, row: Any, column: Any, count: Any, valu
     return types.void(array, types.int64, types.int64, types.int64, vector), build
 
 
-@_instruction
+@instruction
 def gather(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any) -> Any:
     """array[row, index[which, start + lane]] for eight lanes; index is (w, m) int32."""
     if not _plane(array):
@@ -168,7 +168,7 @@ def gather(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         base = _address(context, builder, sig.args[0], args[0], args[1], ir.Constant(ir.IntType(64), 0))
         places = _address(context, builder, sig.args[2], args[2], args[3], args[4])
-        value = ir.Constant(_LANES, ir.Undefined)
+        value = ir.Constant(LANES, ir.Undefined)
         for lane in range(WIDTH):
             place = builder.load(builder.gep(places, [ir.Constant(ir.IntType(64), lane)]))
             item = builder.load(builder.gep(base, [builder.sext(place, ir.IntType(64))]))
@@ -178,7 +178,7 @@ def gather(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any
     return vector(array, types.int64, index, types.int64, types.int64), build
 
 
-@_instruction
+@instruction
 def add_at(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any, value: Any) -> Any:
     """array[row, index[which, start + lane]] += value[lane], lane after lane."""
     if not _plane(array):
@@ -197,49 +197,36 @@ def add_at(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any
     return types.void(array, types.int64, index, types.int64, types.int64, vector), build
 
 
-@_instruction
+@instruction
 def splat(typing: Any, value: Any) -> Any:
     """The same number in all lanes."""
-    return vector(types.float64), lambda context, builder, sig, args: _splat(builder, args[0])
+    return vector(types.float64), lambda context, builder, sig, args: spread(builder, args[0])
 
 
-@_instruction
+@instruction
 def root(typing: Any, value: Any) -> Any:
     """Square root of every lane."""
     if value != vector:
         return None
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_LANES, [_LANES]), "llvm.sqrt.v8f64")
+        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(LANES, [LANES]), "llvm.sqrt.v8f64")
         return builder.call(function, args)
 
     return vector(vector), build
 
 
-@_instruction
-def where_not_zero(typing: Any, test: Any, value: Any) -> Any:
-    """`value` where `test` is not 0, NaN included, and 0 elsewhere."""
-    if test != vector or value != vector:
+@instruction
+def magnitude(typing: Any, value: Any) -> Any:
+    """Absolute value of every lane."""
+    if value != vector:
         return None
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        zero = ir.Constant(_LANES, [0.0] * WIDTH)
-        return builder.select(builder.fcmp_unordered("!=", args[0], zero), args[1], zero)
+        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(LANES, [LANES]), "llvm.fabs.v8f64")
+        return builder.call(function, args)
 
-    return vector(vector, vector), build
-
-
-@_instruction
-def where_greater(typing: Any, test: Any, limit: Any, value: Any) -> Any:
-    """0 where `test` <= `limit`, `value` elsewhere (also where either is NaN)."""
-    if test != vector or limit != vector or value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        zero = ir.Constant(_LANES, [0.0] * WIDTH)
-        return builder.select(builder.fcmp_unordered(">", args[0], args[1]), args[2], zero)
-
-    return vector(vector, vector, vector), build
+    return vector(vector), build
 
 
 @kernel

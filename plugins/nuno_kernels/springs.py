@@ -13,7 +13,8 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
-from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, where_not_zero, write
+from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.simd_choose import where_not_zero
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
 LONGEST = 256

@@ -11,15 +11,17 @@ from numba import prange
 
 from nuno_kernels import both_kernels, kernel
 from nuno_kernels.blocks import BLOCK
+from nuno_kernels.simd import WIDTH, read, write
 
 
 @kernel
 def add_block(block: int, out: Any, y: Any, h: float, k: Any) -> None:
     """out = y + h k on a block's vertices."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, out.shape[1])
-    for row in range(3):
-        for p in range(low, high):
-            out[row, p] = y[row, p] + h * k[row, p]
+    for p in range(low, high, WIDTH):
+        m = min(WIDTH, high - p)
+        for row in range(3):
+            write(out, row, p, m, read(y, row, p, m) + h * read(k, row, p, m))
 
 
 def _add_twice(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any) -> None:

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels.acceleration import evaluate
+from nuno_kernels.blocks import BLOCK, PADDING, block_count
 from nuno_kernels.packing import pack, python_terms, to_rows
+from nuno_kernels.wind import add_wind_lists, add_wind_runs
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs, State
 from nuno_schemas.plugin import System, Term
 
@@ -48,6 +50,20 @@ def make_system(
 
 def start(system: System) -> State:
     return State(system.fabric.position.copy(), system.fabric.velocity.copy())
+
+
+def wind_force(wind: Any, x: Float, v: Float) -> Float:
+    """(n, 3) force [N] of a prepared Wind at x, v (n, 3), block by block."""
+    rows, moving, out = to_rows(x), to_rows(v), np.zeros((3, x.shape[0]))
+    for block in range(block_count(x.shape[0])):
+        own = slice(block * BLOCK, min((block + 1) * BLOCK, x.shape[0]))
+        force = np.zeros((3, own.stop - own.start + PADDING))
+        if wind.runs is not None:
+            add_wind_runs(block, own.start, rows, moving, force, wind.runs.start, wind.runs.task, wind.air)
+        if wind.lists is not None:
+            add_wind_lists(block, rows, moving, force, wind.lists.start, wind.lists.corners, wind.air)
+        out[:, own] = force[:, :-PADDING]
+    return np.ascontiguousarray(out.T)
 
 
 def accelerations(system: System, x: Float, v: Float) -> Float:

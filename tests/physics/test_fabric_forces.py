@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nets import accelerations, make_system
+from nets import accelerations, make_system, wind_force
 
 from nuno_cloth.energy import elastic_energy
 from nuno_cloth.sheet import Sheet
 from nuno_cloth.skirt import Skirt
 from nuno_cloth.wind import ParticleWindConfig, ParticleWindForce, Wind, WindConfig
-from nuno_kernels.wind import add_particle_wind, add_wind
 
 GARMENTS: list[tuple[Any, dict[str, Any]]] = [
     (Sheet(), {"resolution": (9, 13), "size": (0.2, 0.3), "pin": ["top-row"], "fabric": "jacket"}),
@@ -30,10 +29,8 @@ def test_compiled_forces_are_the_energies_gradients(model: Any, config: dict[str
     force = -elastic_energy(fabric, x)[1]
     wind = Wind().prepare(WindConfig(velocity=(3.0, 1.0, -2.0)), fabric, 0)
     push = ParticleWindForce().prepare(ParticleWindConfig(strength=1e-3, beta=0.3, gamma=0.8), fabric, 0)
-    blown = np.zeros((3, fabric.number))
-    add_wind(np.ascontiguousarray(x.T), np.ascontiguousarray(still.T), wind.data, blown)
-    add_particle_wind(push.data, blown)
-    expected = (force + blown.T) / fabric.mass[:, None]
+    blown = wind_force(wind.data, x, still)
+    expected = (force + blown + push.data.force) / fabric.mass[:, None]
     got = accelerations(make_system(fabric, terms=(wind, push)), x, still)
     free = ~fabric.pinned
     assert got[free] == pytest.approx(expected[free], rel=1e-9, abs=1e-9 * np.abs(expected).max())
