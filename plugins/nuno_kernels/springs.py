@@ -169,37 +169,56 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | N
     direct = per_run & (springs.stride == 1) & (springs.count >= SHORTEST)
     first = np.sort(springs.first[direct], axis=1).astype(np.int64)
     runs = np.column_stack([first, springs.count[direct], np.arange(first.shape[0])])
-    constants = np.stack([springs.k, springs.rest, springs.c])
+    named = (springs.k, springs.rest, springs.c)
+    constants = np.stack(named) if per_run else np.empty((3, 0))
     if direct.all():
         return _pack_runs(runs, constants, False, blocks), None
-    constants = constants[:, direct] if per_run else constants[:, :0]
-    rest = ~np.repeat(direct, springs.count)
-    pairs = np.sort(springs.pairs()[rest], axis=1).astype(np.int64)
-    order = np.lexsort((pairs[:, 0], pairs[:, 1] - pairs[:, 0]))
-    each = np.stack([springs.per_spring(a)[rest][order] for a in (springs.k, springs.rest, springs.c)])
-    return _pack_pairs(pairs[order], each, runs, constants, vertices)
+    # Constants per spring are most of a net's memory: from here on they are copied once.
+    pairs, order = _sort_pairs(springs, direct)
+    each = np.empty((3, order.shape[0]))
+    for row, values in zip(each, named, strict=True):
+        np.take(springs.per_spring(values), order, out=row)
+    del order
+    return _pack_pairs(pairs, each, runs, constants[:, direct] if per_run else constants, vertices)
+
+
+def _sort_pairs(springs: Springs, direct: Bool) -> tuple[Int, Long]:
+    """Springs outside of the runs marked (m,), by distance of their ends, then by vertex: (s, 2) and
+    where each stands among all springs.
+    """
+    pairs = springs.pairs()
+    pairs.sort(axis=1)
+    key = (pairs[:, 1] - pairs[:, 0]).astype(np.int64)
+    key <<= 32
+    key |= pairs[:, 0]
+    key[np.repeat(direct, springs.count)] = np.iinfo(np.int64).max
+    order = np.argsort(key, kind="stable")[: key.shape[0] - int(springs.count[direct].sum())]
+    return pairs[order], order
 
 
 def _pack_pairs(
-    pairs: Long, each: Float, runs: Long, constants: Float, vertices: int
+    pairs: Int, each: Float, runs: Long, constants: Float, vertices: int
 ) -> tuple[SpringRuns | None, SpringLists | None]:
     """Find the runs in sorted pairs (s, 2) with constants (3, s); join them to the `runs` there are.
 
     Constants per spring are kept only where runs of equal constants would cover much less.
     """
     follows = (np.diff(pairs, axis=0) == 1).all(axis=1)
-    alike = follows & (np.diff(each, axis=1) == 0).all(axis=0)
+    alike = follows.copy()
+    for row in each:
+        alike &= row[1:] == row[:-1]
     varied = runs.shape[0] == 0 and _long_share(alike) < 0.9 * _long_share(follows)
     first = np.flatnonzero(np.concatenate([[True], ~(follows if varied else alike)]))
     count = np.diff(np.concatenate([first, [pairs.shape[0]]]))
     long = count >= SHORTEST
     found = np.column_stack([pairs[first], count, first + constants.shape[1]])[long]
     listed = np.flatnonzero(np.repeat(~long, count))
-    lists = _pack_lists(pairs[listed], each[:, listed], vertices) if listed.size else None
+    lists = _pack_lists(pairs[listed].astype(np.int64), each[:, listed], vertices) if listed.size else None
     runs = np.concatenate([runs, found])
     if runs.shape[0] == 0:
         return None, lists
-    return _pack_runs(runs, np.concatenate([constants, each], axis=1), varied, block_count(vertices)), lists
+    joined = np.concatenate([constants, each], axis=1) if constants.shape[1] else each
+    return _pack_runs(runs, joined, varied, block_count(vertices)), lists
 
 
 def _long_share(follows: Bool) -> float:
