@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import numba
 import numpy as np
 from pydantic import BaseModel
 
+from nuno_integrators.profile import profile_steps
 from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.bindings import set_binding_poses
@@ -78,19 +80,32 @@ class Explicit(ABC):
         work: Work = memory.work  # type: ignore[assignment]
         packed = _set_poses(work.packed, poses)
         _restore(packed, memory)
-        extra = python_terms(system, state.t, state.t + steps * dt)
-        if packed.threads is not None:
-            numba.set_num_threads(packed.threads)
-        to_rows(state.x, work.x)
-        to_rows(state.v, work.v)
-        loop: Any = type(self).loop
-        if extra is not None:
-            loop = loop.py_func
+        loop, extra = self._enter(system, state, work, state.t + steps * dt)
         loop(work.x, work.v, work.stages, steps, dt, packed, extra)
         state.x[...] = work.x.T
         state.v[...] = work.v.T
         state.t += steps * dt
         return _report(system, work, packed, steps, time.perf_counter() - began)
+
+    def profile(
+        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
+    ) -> Mapping[str, float]:
+        """Wall time of a step by part [s]; see nuno_schemas.plugin.Integrator."""
+        work: Work = memory.work  # type: ignore[assignment]
+        packed = _set_poses(work.packed, poses)
+        _restore(packed, memory)
+        loop, extra = self._enter(system, state, work, state.t)
+        return profile_steps(loop, packed, work.x, work.v, work.stages, extra)
+
+    def _enter(self, system: System, state: State, work: Work, end: float) -> tuple[Any, Any]:
+        """Put the state into the kernels' layout; the loop to call and the forces written in Python."""
+        if work.packed.threads is not None:
+            numba.set_num_threads(work.packed.threads)
+        to_rows(state.x, work.x)
+        to_rows(state.v, work.v)
+        extra = python_terms(system, state.t, end)
+        loop: Any = type(self).loop
+        return (loop if extra is None else loop.py_func), extra
 
     def about(self, system: System) -> str:
         """Threads for this system, and what limits them."""

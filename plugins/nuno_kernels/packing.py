@@ -10,6 +10,7 @@ import numpy as np
 from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.bindings import Bindings, make_bindings
+from nuno_kernels.contact import Contact
 from nuno_kernels.hinges import pack_hinges
 from nuno_kernels.springs import pack_springs
 from nuno_schemas.errors import BadInput
@@ -65,19 +66,38 @@ def pack(system: System) -> Packed:
     return packed._replace(velocity_matters=python or reads_velocity(packed), late=late)
 
 
-def silence_bodies(packed: Packed) -> Packed:
-    """The same system, of the same types, whose contact and bindings do nothing.
+PARTS = {
+    "springs": ("runs", "lists"),
+    "hinges": ("hinge_runs", "hinge_lists"),
+    "wind": ("wind_runs", "wind_lists"),
+    "contact": ("contact",),
+}
+"""What a step's forces can be told apart into, and the fields of Packed that hold each."""
+
+
+def silence(packed: Packed, part: str) -> Packed:
+    """The same system, of the same types, one of whose PARTS does nothing.
 
     Being of the same types, it runs the kernels that are compiled already.
     """
-    contact, bindings = packed.contact, packed.bindings
-    if contact is not None:
-        contact = contact._replace(
-            bounds=contact.bounds[:0], frames=contact.frames[:0], posed=contact.posed[:0], posed_at=np.full(1, np.nan)
+    held = {name: getattr(packed, name) for name in PARTS[part]}
+    return packed._replace(**{name: _silent(data) for name, data in held.items() if data is not None})
+
+
+def _silent(data: Any) -> Any:
+    if isinstance(data, Contact):
+        return data._replace(
+            bounds=data.bounds[:0], frames=data.frames[:0], posed=data.posed[:0], posed_at=np.full(1, np.nan)
         )
+    return data._replace(start=np.zeros_like(data.start))
+
+
+def silence_bodies(packed: Packed) -> Packed:
+    """The same system, of the same types, whose contact and bindings do nothing."""
+    bindings = packed.bindings
     if bindings is not None:
         bindings = bindings._replace(vertices=bindings.vertices[:0], frames=bindings.frames[:0])
-    return packed._replace(contact=contact, bindings=bindings)
+    return silence(packed, "contact")._replace(bindings=bindings)
 
 
 def reads_velocity(packed: Packed) -> bool:
@@ -106,7 +126,7 @@ def _find_fused(system: System) -> dict[str, Any]:
                     limit="one of each kind",
                     remedy="leave one out",
                 )
-            found[term.kind] = _own_copy(term.data)
+            found[term.kind] = own_copy(term.data)
         elif term.kind not in ("bindings", "python"):
             raise BadInput(
                 f"no kernel for a force of kind {term.kind!r}",
@@ -118,7 +138,7 @@ def _find_fused(system: System) -> dict[str, Any]:
     return found if wind is None else found | {"air": wind.air, "wind_runs": wind.runs, "wind_lists": wind.lists}
 
 
-def _own_copy(data: Any) -> Any:
+def own_copy(data: Any) -> Any:
     """A term's tuple with arrays of its own: anchors and scratch belong to one solver's memory."""
     return type(data)(*(value.copy() if isinstance(value, np.ndarray) else value for value in data))
 

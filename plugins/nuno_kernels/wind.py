@@ -87,6 +87,12 @@ class ParticleWind(NamedTuple):
 
 
 @kernel
+def read_air(air: Any) -> Any:
+    """Velocity and coefficients as numbers: inside a loop, reading a tuple's array counts a reference."""
+    return air.velocity[0], air.velocity[1], air.velocity[2], air.normal, air.tangential
+
+
+@kernel
 def mean_flow(air: float, v0: Any, v1: Any, v2: Any) -> Any:
     """One component of the air's velocity relative to eight triangles."""
     return air - (1.0 / 3.0) * (v0 + v1 + v2)
@@ -94,20 +100,21 @@ def mean_flow(air: float, v0: Any, v1: Any, v2: Any) -> Any:
 
 @kernel
 def wind_forces(x0: Any, x1: Any, x2: Any, v0: Any, v1: Any, v2: Any, air: Any) -> Any:
-    """A third of the force [N] on each of eight triangles."""
+    """A third of the force [N] on each of eight triangles; `air` is what read_air gives."""
+    wx, wy, wz, normal, tangential = air
     m = cross(minus(x1, x0), minus(x2, x0))
     u = (
-        mean_flow(air.velocity[0], v0[0], v1[0], v2[0]),
-        mean_flow(air.velocity[1], v0[1], v1[1], v2[1]),
-        mean_flow(air.velocity[2], v0[2], v1[2], v2[2]),
+        mean_flow(wx, v0[0], v1[0], v2[0]),
+        mean_flow(wy, v0[1], v1[1], v2[1]),
+        mean_flow(wz, v0[2], v1[2], v2[2]),
     )
     mm, um = dot(m, m), dot(u, m)
     along = where_not_zero(mm, um / mm)
-    push = air.normal * magnitude(um) * along
+    push = normal * magnitude(um) * along
     fx, fy, fz = push * m[0], push * m[1], push * m[2]
-    if air.tangential != 0.0:
+    if tangential != 0.0:
         tx, ty, tz = u[0] - along * m[0], u[1] - along * m[1], u[2] - along * m[2]
-        drag = air.tangential * root(mm * (tx * tx + ty * ty + tz * tz))
+        drag = tangential * root(mm * (tx * tx + ty * ty + tz * tz))
         fx, fy, fz = fx + drag * tx, fy + drag * ty, fz + drag * tz
     return fx, fy, fz
 
@@ -122,7 +129,7 @@ def third_corner(x: Any, even: int, odd: int, m: int, i: int) -> Any:
 @kernel
 def add_wind_runs(block: int, origin: int, x: Any, v: Any, force: Any, start: Any, task: Any, air: Any) -> None:
     """Add the wind on a block's runs to its forces (3, w); see add_hinge_runs."""
-    wait = np.empty((3, LONGEST + WIDTH))
+    flow, wait = read_air(air), np.empty((3, LONGEST + WIDTH))
     for t in range(start[block], start[block + 1]):
         i, j, even, odd, count, mark = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4], task[t, 6]
         for q in range(0, count, WIDTH):
@@ -130,7 +137,7 @@ def add_wind_runs(block: int, origin: int, x: Any, v: Any, force: Any, start: An
             f = wind_forces(
                 run_corner(x, i + q, m), run_corner(x, j + q, m), third_corner(x, even + q, odd + q, m, i),
                 run_corner(v, i + q, m), run_corner(v, j + q, m), third_corner(v, even + q, odd + q, m, i),
-                air,
+                flow,
             )  # fmt: skip
             for row in range(3):
                 store(wait, row, q, f[row])
@@ -150,11 +157,12 @@ def add_wind_runs(block: int, origin: int, x: Any, v: Any, force: Any, start: An
 @kernel
 def add_wind_lists(block: int, x: Any, v: Any, force: Any, start: Any, corners: Any, air: Any) -> None:
     """Add the wind on a block's listed triangles to its forces (3, w)."""
+    flow = read_air(air)
     for p in range(start[block], start[block + 1], WIDTH):
         f = wind_forces(
             listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p), listed_corner(x, corners, 2, p),
             listed_corner(v, corners, 0, p), listed_corner(v, corners, 1, p), listed_corner(v, corners, 2, p),
-            air,
+            flow,
         )  # fmt: skip
         for row in range(3):
             for c in range(3):

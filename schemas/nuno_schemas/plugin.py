@@ -164,6 +164,17 @@ class Integrator(Protocol):
         """
         ...
 
+    def profile(
+        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
+    ) -> Mapping[str, float]:
+        """Wall time of one step by part [s], measured here and now on `state`: "springs", "hinges",
+        "wind", "contact", "python" as far as the system has them, and "rest".
+
+        Changes neither state nor memory; poses as in `advance`. Meant for the end of a run: a run's
+        own steps are not slowed down by it.
+        """
+        ...
+
     def about(self, system: System) -> str:
         """How its kernels run this system, in words for the report: threads, and why."""
         ...

@@ -1,0 +1,52 @@
+"""What each part of a step costs, found by leaving it out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels.acceleration import Packed
+from nuno_kernels.packing import PARTS, own_copy, silence
+from nuno_schemas.fabric import Float
+
+REPEATS = 5
+"""Each variant is timed this often; the fastest counts, since other programs can only slow it down."""
+
+LONG = 2e-3
+"""Steps are run together until they take this long [s], so that entering the kernel does not show."""
+
+MOST = 64
+"""Steps run together at most."""
+
+
+def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, extra: Any) -> Mapping[str, float]:
+    """Seconds per step by part: those of PARTS that the system has, "python" where a force is written
+    in Python, and "rest": attachments, gravity, the update. Together they are a whole step.
+
+    Steps of no duration leave x and v (3, n) where they are, and the loop is the one that the run
+    compiled, over tuples of the same types, so nothing is compiled for it. A part's cost is what a
+    step saves without it. Anchors are those of a copy.
+    """
+    own = packed if packed.contact is None else packed._replace(contact=own_copy(packed.contact))
+    place, speed = x.copy(), v.copy()
+
+    def run(variant: Packed, force: Any, steps: int) -> float:
+        began = time.perf_counter()
+        loop(place, speed, stages, steps, 0.0, variant, force)
+        return (time.perf_counter() - began) / steps
+
+    steps = max(1, min(MOST, int(LONG / max(run(own, extra, 1), 1e-9))))
+    variants: dict[str, tuple[Packed, Callable[..., None] | None]] = {"": (own, extra)}
+    for part, fields in PARTS.items():
+        if any(getattr(own, name) is not None for name in fields):
+            variants[part] = (silence(own, part), extra)
+    if extra is not None:
+        variants["python"] = (own, lambda x, v, s, a: None)
+    # Round after round, so that a disturbance falls on all variants alike.
+    rounds = [[run(variant, force, steps) for variant, force in variants.values()] for _ in range(REPEATS)]
+    whole, *without = np.min(rounds, axis=0).tolist()
+    saved = {part: max(0.0, whole - rest) for part, rest in zip(list(variants)[1:], without, strict=True)}
+    return saved | {"rest": max(0.0, whole - sum(saved.values()))}
