@@ -129,11 +129,13 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     with np.load(path, allow_pickle=False) as file:
         for name in KEYS:
             try:
-                arrays[name] = file[name]
+                array = file[name]
             except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
                 raise BadInput(f"cannot be read: {error}", file=str(path), field=name) from None
-    _require_indices(path, arrays["springs"], sizes["n"])
-    return {name: np.ascontiguousarray(array, DTYPES[KEYS[name][2]]) for name, array in arrays.items()}
+            if name == "springs":
+                _require_indices(path, array, sizes["n"])
+            arrays[name] = np.ascontiguousarray(array, DTYPES[KEYS[name][2]])
+    return arrays
 
 
 def _require_indices(path: Path, springs: NDArray[Any], number: int) -> None:
@@ -172,11 +174,12 @@ def _require_distinct(path: Path, springs: Int) -> None:
         raise BadInput(
             "a spring from a vertex to itself", file=str(path), field=f"springs[{row}]", value=springs[row].tolist()
         )
-    ordered = np.sort(springs, axis=1)
-    order = np.lexsort((ordered[:, 1], ordered[:, 0]))
-    same = np.flatnonzero((ordered[order[1:]] == ordered[order[:-1]]).all(axis=1))
+    # One number per pair: a net's springs are most of its memory, and sorting pairs copies them.
+    key = springs.min(axis=1).astype(np.int64) << 32 | springs.max(axis=1)
+    known = np.sort(key)
+    same = known[1:][known[1:] == known[:-1]]
     if same.size:
-        first, second = sorted((int(order[same[0]]), int(order[same[0] + 1])))
+        first, second = (int(row) for row in np.flatnonzero(key == same[0])[:2])
         raise BadInput(
             f"the same two vertices as springs[{first}]",
             file=str(path),

@@ -44,23 +44,29 @@ def weigh(u: Any, w: Any, mass: Any) -> float:
 def largest_eigenvalue(multiply: Callable[[Float], Float], mass: Float) -> float:
     """Upper bound on the largest eigenvalue, 0 at least, of an operator on rows (3, n).
 
-    It is symmetric in the inner product weighted by mass (n,); vertices of mass 0 are held.
+    It is symmetric in the inner product weighted by mass (n,); vertices of mass 0 are held. The
+    array that `multiply` returns is its own: it is read before the next call.
     """
     free = mass > 0.0
     size = 3 * int(free.sum())
     if size == 0:
         return 0.0
-    noise = np.random.default_rng(20240229).standard_normal((3, mass.shape[0]))
-    u = np.where(free, noise, 0.0) / np.sqrt(np.where(free, mass, 1.0))
+    u = np.random.default_rng(20240229).standard_normal((3, mass.shape[0]))
+    u[:, ~free] = 0.0
+    u /= np.sqrt(np.where(free, mass, 1.0))
     u /= np.sqrt(weigh(u, u, mass))
+    # Two vectors are enough: the next one is written over the one before. On a large sheet this
+    # is where a run needs most memory.
     before, beta, bound = np.zeros_like(u), 0.0, 0.0
     alphas: list[float] = []
     betas: list[float] = []
     while len(alphas) < min(size, MOST):
-        w = multiply(u)
-        w -= beta * before
+        w = before
+        w *= -beta
+        w += multiply(u)
         alphas.append(weigh(w, u, mass))
-        w -= alphas[-1] * u
+        for row in range(3):
+            w[row] -= alphas[-1] * u[row]
         beta = float(np.sqrt(weigh(w, w, mass)))
         last = len(alphas) == min(size, MOST)
         scale = max(map(abs, alphas))
@@ -72,7 +78,8 @@ def largest_eigenvalue(multiply: Callable[[Float], Float], mass: Float) -> float
             if residual <= MARGIN * values[-1] or beta <= 1e-9 * scale:
                 break
         betas.append(beta)
-        before, u = u, w / beta
+        w /= beta
+        before, u = u, w
     return max(0.0, float(bound))
 
 
@@ -83,22 +90,24 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
     """
     packed, extra, x, v, reach = _prepare(system, state)
     mass = np.where(system.fabric.pinned, 0.0, system.fabric.mass)
-    a, b = np.empty_like(x), np.empty_like(x)
+    moved, a, b = np.empty_like(x), np.empty_like(x), np.empty_like(x)
 
-    def difference(dx: Float, dv: Float, width: float) -> Float:
-        evaluate(x + dx, v + dv, 0.0, a, packed, extra)
-        evaluate(x - dx, v - dv, 0.0, b, packed, extra)
-        return (b - a) / (2.0 * width)
-
-    still = np.zeros_like(x)
+    def difference(u: Float, base: Float, step: float) -> Float:
+        """-(da/dx) u or -(da/dv) u, whichever of x and v is `base`."""
+        width = step / max(float(u.max()), -float(u.min()))
+        for sign, out in ((width, a), (-width, b)):
+            np.multiply(u, sign, out=moved)
+            np.add(moved, base, out=moved)
+            evaluate(moved if base is x else x, moved if base is v else v, 0.0, out, packed, extra)
+        np.subtract(b, a, out=b)
+        np.divide(b, 2.0 * width, out=b)
+        return b
 
     def stiffness(u: Float) -> Float:
-        width = reach / np.abs(u).max()
-        return difference(width * u, still, width)
+        return difference(u, x, reach)
 
     def friction(u: Float) -> Float:
-        width = 1e-3 / np.abs(u).max()
-        return difference(still, width * u, width)
+        return difference(u, v, 1e-3)
 
     squared = largest_eigenvalue(stiffness, mass) + sum(term.omega_squared for term in system.terms)
     uniform = extra is None and not reads_velocity(packed._replace(damping=0.0, contact=None))

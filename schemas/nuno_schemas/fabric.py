@@ -51,12 +51,26 @@ class Springs:
         return int(self.count.sum())
 
     def pairs(self) -> Int:
-        """(s, 2) int32 vertices of every spring."""
+        """(s, 2) int32 vertices of every spring, an array of its own."""
+        if self.first.shape[0] == self.number:
+            return self.first.copy()
         return _expand(self.first, self.count, self.stride)
 
     def per_spring(self, values: Float) -> Float:
         """(s,) values of a constant that may be stored per run."""
         return values if values.shape[0] == self.number else np.repeat(values, self.count)
+
+    def of_kind(self, kind: int) -> Springs:
+        """The springs of one kind."""
+        runs = self.kind == kind
+        each = np.repeat(runs, self.count)
+
+        def values(name: str) -> Float:
+            array: Float = getattr(self, name)
+            return array[runs if array.shape == runs.shape else each]
+
+        first, count, stride = self.first[runs], self.count[runs], self.stride[runs]
+        return Springs(first, count, stride, values("k"), values("rest"), values("c"), self.kind[runs])
 
     @staticmethod
     def from_pairs(pairs: Int, k: Float, rest: Float, c: Float, kind: int = 0) -> Springs:

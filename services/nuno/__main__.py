@@ -1,5 +1,5 @@
 """`python -m nuno` is the `nuno` command."""
 
-from nuno.cli import main
+from nuno.cli import command
 
-raise SystemExit(main())
+command()

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from nuno import process
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 COMMANDS = {
@@ -31,6 +32,12 @@ It is imported only when its command is given, so that `nuno run` does not pay f
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise BadInput(message, remedy=f"{self.prog} --help")
+
+
+def command() -> NoReturn:
+    """The console script: run a command, then leave with its exit code."""
+    process.return_large_arrays()
+    process.leave(main())
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -12,7 +12,9 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import BinaryIO
 
 from mcap.data_stream import RecordBuilder
@@ -119,10 +121,23 @@ class McapFile:
         length = self._stream.write(record_bytes(Metadata(name, data)))
         self._metadata_indexes.append(MetadataIndex(offset, length, name))
 
-    def add_attachment(self, name: str, data: bytes) -> None:
+    def add_attachment(self, name: str, source: bytes | Path) -> None:
+        """Attach bytes, or a file in pieces: a net's arrays would not fit a second time."""
         offset = self._stream.tell()
-        length = self._stream.write(record_bytes(Attachment(0, 0, name, BINARY, data)))
-        self._attachment_indexes.append(AttachmentIndex(offset, length, 0, 0, len(data), name, BINARY))
+        # opcode, length | times, name, type | size of the data (here 0), checksum
+        empty = record_bytes(Attachment(0, 0, name, BINARY, b""))
+        size = len(source) if isinstance(source, bytes) else source.stat().st_size
+        head = empty[9:-12] + struct.pack("<Q", size)
+        self._stream.write(empty[:1] + struct.pack("<Q", len(head) + size + 4) + head)
+        crc, written = zlib.crc32(head), 0
+        for piece in _pieces(source):
+            self._stream.write(piece)
+            crc, written = zlib.crc32(piece, crc), written + len(piece)
+        if written != size:
+            raise OSError(f"{name} changed while it was read")
+        self._stream.write(struct.pack("<I", crc))
+        length = self._stream.tell() - offset
+        self._attachment_indexes.append(AttachmentIndex(offset, length, 0, 0, size, name, BINARY))
 
     def flush(self) -> None:
         """Write the chunk in progress and its message indexes, and hand all to the system."""
@@ -179,3 +194,12 @@ class McapFile:
             metadata_count=len(self._metadata_indexes),
             schema_count=len(self._schemas),
         )
+
+
+def _pieces(source: bytes | Path) -> Iterator[bytes]:
+    if isinstance(source, bytes):
+        yield source
+        return
+    with source.open("rb") as stream:
+        while piece := stream.read(1 << 20):
+            yield piece

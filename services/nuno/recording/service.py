@@ -34,9 +34,7 @@ def main(context: Context) -> None:
     if path is None:
         raise BadInput("the recorder needs a file", field="--record", remedy="name one: --record FILE")
     inbox = Inbox(context.bus, [ALL])
-    files = {name: file.read_bytes() for name, file in assets(context.loaded).items()}
-    writer = RecordingWriter(path, describe_run(context.loaded, context.bus.run), files)
-    files.clear()
+    writer = RecordingWriter(path, describe_run(context.loaded, context.bus.run), assets(context.loaded))
     if context.options.resume is not None:
         with open_recording(context.options.resume) as before:
             copy_until(before, before.last_checkpoint(), writer)

@@ -8,6 +8,7 @@ import math
 import os
 import time
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -93,13 +94,15 @@ class RecordingWriter:
     """One MCAP file of a run: `path` + ".part" until `finish`, then `path`.
 
     metadata     name -> fields, written first
-    attachments  name -> bytes, the files that the scene used
+    attachments  name -> bytes or path, the files that the scene used
 
     Raises BadInput where the file cannot be created, RunFailed when writing fails later (disk
     full): the ".part" then ends with its last whole chunk and reads up to there.
     """
 
-    def __init__(self, path: Path, metadata: dict[str, dict[str, str]], attachments: dict[str, bytes]) -> None:
+    def __init__(
+        self, path: Path, metadata: dict[str, dict[str, str]], attachments: Mapping[str, bytes | Path]
+    ) -> None:
         self.path = path
         self.counts: dict[str, int] = defaultdict(int)
         self.seconds = 0.0
