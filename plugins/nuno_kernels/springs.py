@@ -170,7 +170,7 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | N
     first = np.sort(springs.first[direct], axis=1).astype(np.int64)
     runs = np.column_stack([first, springs.count[direct], np.arange(first.shape[0])])
     named = (springs.k, springs.rest, springs.c)
-    constants = np.stack(named) if per_run else np.empty((3, 0))
+    constants = np.stack([values[direct] for values in named]) if per_run else np.empty((3, 0))
     if direct.all():
         return _pack_runs(runs, constants, False, blocks), None
     # Constants per spring are most of a net's memory: from here on they are copied once.
@@ -179,7 +179,7 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | N
     for row, values in zip(each, named, strict=True):
         np.take(springs.per_spring(values), order, out=row)
     del order
-    return _pack_pairs(pairs, each, runs, constants[:, direct] if per_run else constants, vertices)
+    return _pack_pairs(pairs, each, runs, constants, vertices)
 
 
 def _sort_pairs(springs: Springs, direct: Bool) -> tuple[Int, Long]:
