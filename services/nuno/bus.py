@@ -335,13 +335,8 @@ class Watch:
         with self._changed:
             return name in self._seen and name not in self._alive
 
-    def wait_for(self, names: set[str], timeout: float, while_alive: str | None = None) -> set[str]:
-        """Wait until all are alive; the ones still missing when the time [s] is over.
-
-        There is no point in waiting on when `while_alive` has gone.
-        """
+    def wait_for(self, names: set[str], timeout: float) -> set[str]:
+        """Wait until all are alive; the ones still missing when the time [s] is over."""
         with self._changed:
-            self._changed.wait_for(
-                lambda: names <= self._alive or (while_alive in self._seen and while_alive not in self._alive), timeout
-            )
+            self._changed.wait_for(lambda: names <= self._alive, timeout)
             return names - self._alive

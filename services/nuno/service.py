@@ -8,6 +8,7 @@ disappears, which ends the run; if the supervisor disappears, it ends by itself.
 from __future__ import annotations
 
 import importlib
+import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -60,6 +61,8 @@ class Context:
     loaded: Loaded
     bus: Bus
     options: Options
+    stop: threading.Event = field(default_factory=threading.Event)
+    """Set when the supervisor needs this service no more, though it may never have become ready."""
     watch: Watch = field(init=False)
 
     def __post_init__(self) -> None:
@@ -74,7 +77,7 @@ class Context:
 
     def orphaned(self) -> bool:
         """Whether the supervisor was there and has gone."""
-        return self.watch.gone(SUPERVISOR)
+        return self.stop.is_set() or self.watch.gone(SUPERVISOR)
 
     def counts(self, inbox: Inbox | None = None) -> dict[str, Any]:
         """What this service sent and saw, for the report."""
@@ -141,10 +144,12 @@ def each_message(
                 raise RunFailed("the supervisor has gone")
 
 
-def run_service(name: str, loaded: Loaded, session: zenoh.Session, run: str, options: Options) -> None:
-    """Run one service until it is asked to finish. Raises what the service raised."""
+def run_service(
+    name: str, loaded: Loaded, session: zenoh.Session, run: str, options: Options, stop: threading.Event | None = None
+) -> None:
+    """Run one service until it is asked to finish, or `stop`. Raises what the service raised."""
     bus = Bus(session, run, name)
-    context = Context(loaded, bus, options)
+    context = Context(loaded, bus, options, stop or threading.Event())
     try:
         importlib.import_module(MODULES[name]).main(context)
     except BadInput as error:

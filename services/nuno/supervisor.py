@@ -96,6 +96,7 @@ class Supervisor:
             over = self.exited()
             if gone := missing & set(over):
                 name = min(gone)
+                self._hear(name, progress)
                 raise RunFailed(self.errors.get(name) or over[name] or f"the {name} service ended before it was ready")
             waited = time.monotonic() - begin
             if progress is not None and not told and waited > COMPILING_AFTER:
@@ -104,6 +105,14 @@ class Supervisor:
             if waited > START_TIMEOUT:
                 raise RunFailed(f"not ready within {START_TIMEOUT:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
+
+    def _hear(self, name: str, progress: Progress | None) -> None:
+        """Wait for the last words of a service that is over: they may still be on the way."""
+        end = time.monotonic() + 0.5
+        while name not in self.errors and time.monotonic() < end:
+            self._drain(progress, timeout=0.05)
+        if self.bad_input is not None:
+            raise self.bad_input
 
     def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> bool:
         """Take in what services say; whether the simulation has ended."""
@@ -160,7 +169,7 @@ class Supervisor:
         Services that are not ready yet learn from the supervisor's absence that they are not needed.
         """
         answers: dict[str, dict[str, Any]] = {}
-        if discard and "recorder" in self.plan.services:
+        if "recorder" in self.plan.services:
             self._await_recorder()
         order = [name for name in ("simulation", "collision", "viewer", "recorder") if name in self.plan.services]
         for name in order:
@@ -180,9 +189,9 @@ class Supervisor:
         return answers
 
     def _await_recorder(self) -> None:
-        """Wait until the recorder can be told to discard: it may be creating its file just now."""
+        """Wait until the recorder can be told what becomes of its file: it may be creating it just now."""
         end = time.monotonic() + FINISH_TIMEOUT
-        while "recorder" not in self.exited() and time.monotonic() < end:
+        while "recorder" not in self.exited() and not self.watch.gone("recorder") and time.monotonic() < end:
             if not self.watch.wait_for({"recorder"}, 0.05):
                 return
 
@@ -193,10 +202,11 @@ def _threads(
 ) -> Iterator[Callable[[], dict[str, str]]]:
     """All services as threads of this process."""
     over: dict[str, str] = {}
+    stop = threading.Event()
 
     def body(name: str) -> None:
         try:
-            run_service(name, loaded, session, run, options)
+            run_service(name, loaded, session, run, options, stop)
             over[name] = ""
         except (BadInput, RunFailed) as error:
             over[name] = str(error)
@@ -210,6 +220,7 @@ def _threads(
         yield lambda: dict(over)
     finally:
         # The session closes after this; a thread must not be using it then.
+        stop.set()
         for thread in threads:
             thread.join(FINISH_TIMEOUT)
 

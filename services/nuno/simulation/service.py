@@ -16,7 +16,7 @@ from nuno.build import structural_edges
 from nuno.bus import Inbox, Message, Question
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.service import GEOMETRY_QUESTION, POSES_QUESTION
-from nuno.service import SUPERVISOR, Context, ack_topic, asks_to_finish
+from nuno.service import Context, ack_topic, asks_to_finish
 from nuno.simulation.run import Frame, Simulation
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
@@ -27,6 +27,7 @@ WINDOW = 4
 """Frames that the simulation may run ahead of a service that must see every one."""
 ACK_TIMEOUT = 60.0
 """Silence [s] after which such a service counts as hung."""
+COLLISION_TIMEOUT = 30.0
 CONTROL = "control"
 
 
@@ -227,11 +228,12 @@ def ask_poses(context: Context, frame: int) -> Poses:
 
 
 def ask_geometry(context: Context) -> Geometry:
-    missing = context.watch.wait_for({"collision"}, 30.0, while_alive=SUPERVISOR)
-    if context.orphaned():
-        raise RunFailed("the supervisor has gone")
-    if missing:
-        raise RunFailed("the collision service did not start within 30 s")
+    end = time.monotonic() + COLLISION_TIMEOUT
+    while context.watch.wait_for({"collision"}, 0.1):
+        if context.orphaned():
+            raise RunFailed("the supervisor has gone")
+        if time.monotonic() > end:
+            raise RunFailed(f"the collision service did not start within {COLLISION_TIMEOUT:g} s")
     return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
 
 

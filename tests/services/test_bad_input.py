@@ -1,0 +1,470 @@
+"""Bad input as a user meets it: exit code 2 before the start, 1 once running, and no false recording."""
+
+from __future__ import annotations
+
+import os
+import resource
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+import yaml
+from scenes import BALL, write_scene
+
+import nuno
+from nuno.cli import main
+from nuno.recording.writer import part_of
+from nuno_schemas.errors import BadInput
+
+NO_SPRINGS = {"springs": np.zeros((0, 2), int), "k": np.zeros(0), "rest": np.zeros(0), "c": np.zeros(0)}
+SKIRT = {"plugin": "skirt", "waist_radius": 0.1, "hem_radius": 0.2, "length": 0.3}
+
+
+def sheet(**fields: Any) -> list[dict[str, Any]]:
+    return [{"name": "cloth", "model": {"plugin": "sheet", "resolution": [4, 4]} | fields}]
+
+
+def of_file(name: str, plugin: str = "net") -> list[dict[str, Any]]:
+    return [{"name": "cloth", "model": {"plugin": plugin, "file": name}}]
+
+
+def write_net(path: Path, number: int = 3, **changed: Any) -> None:
+    """A straight net of two springs, with any array replaced."""
+    arrays: dict[str, Any] = {
+        "x": np.arange(number)[:, None] * np.array([1.0, 0.0, 0.0]),
+        "v": np.zeros((number, 3)),
+        "m": np.ones(number),
+        "pinned": np.arange(number) == 0,
+        "springs": np.array([[0, 1], [1, 2]]),
+        "k": np.ones(2),
+        "rest": np.ones(2),
+        "c": np.zeros(2),
+    }
+    np.savez(path, **(arrays | changed))
+
+
+class Refused:
+    """What a command printed."""
+
+    def __init__(self, capfd: pytest.CaptureFixture[str], folder: Path) -> None:
+        self.capfd, self.folder = capfd, folder
+
+    def __call__(self, *command: object, code: int = 2) -> str:
+        """Run a command that must end with `code`, without a trace; what it said."""
+        self.capfd.readouterr()
+        assert main([str(part) for part in command]) == code
+        said = self.capfd.readouterr().err
+        assert "Traceback" not in said
+        assert "error:" in said if code == 2 else said
+        return said
+
+    def run(self, *flags: object, code: int = 2, **fields: Any) -> str:
+        """Run a scene that must be refused; nothing may be left that looks like a recording."""
+        scene = write_scene(self.folder, **fields)
+        record = self.folder / "out" / "run.mcap"
+        said = self("run", scene, "--no-view", "--record", record, *flags, code=code)
+        assert not record.parent.exists() or list(record.parent.iterdir()) == []
+        return said
+
+
+@pytest.fixture
+def refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Refused:
+    return Refused(capfd, tmp_path)
+
+
+NETS: dict[str, tuple[dict[str, Any], str]] = {
+    "nan": ({"x": np.full((3, 3), np.nan)}, "x[0, 0]: not a finite number"),
+    "inf": ({"v": np.full((3, 3), np.inf)}, "v[0, 0]: not a finite number"),
+    "zero mass": ({"m": np.array([1.0, 0, 1])}, "m[1]: a mass must be positive"),
+    "negative mass": ({"m": np.array([1.0, 1, -1])}, "m[2]: a mass must be positive"),
+    "spring to itself": ({"springs": np.array([[0, 1], [2, 2]])}, "springs[1]: a spring from a vertex to itself"),
+    "index too large": ({"springs": np.array([[0, 1], [1, 3]])}, "springs[1, 1]: no such vertex"),
+    "index -1": ({"springs": np.array([[0, 1], [1, -1]])}, "springs[1, 1]: no such vertex"),
+    "duplicate": ({"springs": np.array([[0, 1], [1, 0]])}, "springs[1]: the same two vertices as springs[0]"),
+    "unknown key": ({"masses": np.ones(3)}, "masses: unknown key"),
+}
+
+
+@pytest.mark.parametrize("fault", NETS)
+def test_bad_nets_name_file_place_and_who_named_them(fault: str, refused: Refused, tmp_path: Path) -> None:
+    change, words = NETS[fault]
+    write_net(tmp_path / "bad.npz", **change)
+    said = refused.run(objects=of_file("bad.npz"))
+    assert f"{tmp_path / 'bad.npz'}: {words}" in said
+    assert f"{tmp_path / 'scene.yaml'}:" in said
+
+
+FILES: dict[str, tuple[str, str, bytes | None, str]] = {
+    "missing net": ("net", "bad.npz", None, "no such file"),
+    "empty net": ("net", "bad.npz", b"", "not a readable .npz file"),
+    "truncated net": ("net", "bad.npz", b"PK\x03\x04" + b"\0" * 50, "not a readable .npz file"),
+    "missing mesh": ("mesh", "bad.obj", None, "no such file"),
+    "empty mesh": ("mesh", "bad.obj", b"", "the mesh has no triangles"),
+    "noise for a mesh": ("mesh", "bad.ply", bytes(range(256)) * 4, "cannot be read as PLY"),
+    "mesh that promises too much": (
+        "mesh", "bad.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 99999999999\n"
+        b"property float x\nproperty float y\nproperty float z\nend_header\n", "cannot be read as PLY",
+    ),
+    "mesh of another kind": ("mesh", "bad.docx", b"x", "unknown kind of mesh"),
+    "name with a NUL": ("net", "a\0b", None, "not the name of a file"),
+    "name too long": ("net", "a" * 5000, None, "not the name of a file"),
+    "empty name": ("net", "", None, "no such file"),
+    "folder": ("net", ".", None, "no such file"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FILES)
+def test_files_that_cannot_be_used(fault: str, refused: Refused, tmp_path: Path) -> None:
+    plugin, name, content, words = FILES[fault]
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    said = refused.run(objects=of_file(name, plugin))
+    assert words in said
+    assert f"{tmp_path / 'scene.yaml'}:" in said
+    assert "objects[0].model" in said
+
+
+@pytest.fixture
+def outside(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that is not the scene's, with a net."""
+    folder = tmp_path_factory.mktemp("outside")
+    write_net(folder / "net.npz")
+    return folder
+
+
+@pytest.mark.parametrize("how", ["relative", "absolute", "link", "link to itself"])
+def test_paths_that_leave_the_folder(how: str, refused: Refused, tmp_path: Path, outside: Path) -> None:
+    names = {
+        "relative": os.path.relpath(outside / "net.npz", tmp_path),
+        "absolute": str(outside / "net.npz"),
+        "link": "link.npz",
+        "link to itself": "loop.npz",
+    }
+    (tmp_path / "link.npz").symlink_to(outside / "net.npz")
+    (tmp_path / "loop.npz").symlink_to(tmp_path / "loop.npz")
+    said = refused.run(objects=of_file(names[how]))
+    assert "objects[0].model.file" in said
+    if how != "link to itself":
+        assert "leaves the scene's folder" in said
+        assert "--root DIR" in said
+        assert str(tmp_path) in said
+
+
+def test_a_root_opens_its_folder_and_no_other(refused: Refused, tmp_path: Path, outside: Path) -> None:
+    command = ["run", write_scene(tmp_path, objects=of_file("net.npz"), duration=0.1), "--no-view", "--no-record"]
+    assert main([*map(str, command), "--root", str(outside)]) == 0
+    (outside / "link.npz").symlink_to("/etc/passwd")
+    for name in ("../secret.npz", "/etc/passwd", "link.npz"):
+        said = refused.run("--root", outside, objects=of_file(name))
+        assert "leaves the scene's folder" in said or "no such file" in said
+        assert str(outside) in said
+    assert "--root: no such folder" in refused.run("--root", tmp_path / "nowhere")
+
+
+STEPS: dict[str, tuple[dict[str, Any], str]] = {
+    "does not divide a frame": (
+        {"solver": {"plugin": "rk4", "dt": "3 ms"}}, "0.00285714286 s (7 steps) or 0.00333333333 s (6 steps)",
+    ),
+    "longer than a frame": ({"solver": {"plugin": "rk4", "dt": "30 ms"}}, "0.02 s (1 steps)"),
+    "above the limit": (
+        {"solver": {"plugin": "rk4", "dt": "20 ms"}, "objects": sheet()}, "above the stability limit",
+    ),
+    "so small that no frame ends": ({"solver": {"plugin": "rk4", "dt": 1e-300}}, "10,000,000 steps a frame"),
+    "unstable whatever it is": ({"solver": {"plugin": "euler"}}, "use symplectic_euler, leapfrog or rk4"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", STEPS)
+def test_steps_that_cannot_be_taken(fault: str, refused: Refused, tmp_path: Path) -> None:
+    change, words = STEPS[fault]
+    said = refused.run(**change)
+    assert words in said
+    assert f"{tmp_path / 'scene.yaml'}:" in said
+    assert "solver." in said
+
+
+def test_numbers_beyond_float64_are_refused(refused: Refused, tmp_path: Path) -> None:
+    for change in ({"k": np.full(2, 1e300)}, {"m": np.full(3, 1e-300)}, {"x": np.diag([0, 1e300, 1e308])}):
+        write_net(tmp_path / "bad.npz", **change)
+        said = refused.run(objects=of_file("bad.npz"), solver={"plugin": "rk4"})
+        assert "too large or too small" in said
+        assert "Warning" not in said
+
+
+PARTS: dict[str, tuple[dict[str, Any], str, str]] = {
+    "attached to no body": (
+        {"objects": [{"name": "skirt", "model": SKIRT | {"attach": {"body": "bal", "frame": "world"}}}],
+         "bodies": BALL},
+        "objects[0].model.attach: cloth is attached to a frame that no body has", "did you mean 'ball/world'?",
+    ),
+    "attached to no frame": (
+        {"objects": [*sheet(), {"name": "s", "model": SKIRT | {"attach": {"body": "ball", "frame": "hips"}}}],
+         "bodies": BALL},
+        "objects[1].model.attach: cloth is attached", "known: ball/world",
+    ),
+    "attached where there are no bodies": (
+        {"objects": [{"name": "skirt", "model": SKIRT | {"attach": {"body": "ball", "frame": "world"}}}]},
+        "objects[0].model.attach", "known: none",
+    ),
+    "no such joint": (
+        {"bodies": [{"name": "b", "collider": {"plugin": "sphere", "radius": 1, "joint": "hip"},
+                     "motion": {"plugin": "hula"}}]},
+        "bodies[0].collider.joint: no such joint", "did you mean 'hips'?",
+    ),
+    "missing motion": (
+        {"bodies": [{"name": "b", "collider": {"plugin": "skeleton"}, "motion": {"plugin": "bvh", "file": "no.bvh"}}]},
+        "bodies[0].motion.file: no such file", "--root DIR",
+    ),
+    "pin -1": ({"objects": sheet(pin=[-1])}, "objects[0].model.pin[0]: no such vertex", "0 to 15"),
+    "wind on a net": ({"forces": [{"plugin": "wind"}]}, "forces[0]: wind blows on triangles", "use particle_wind"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", PARTS)
+def test_parts_that_do_not_fit_together(fault: str, refused: Refused, tmp_path: Path) -> None:
+    change, words, advice = PARTS[fault]
+    said = refused.run(**change)
+    assert words in said
+    assert advice in said
+    assert f"{tmp_path / 'scene.yaml'}:" in said.replace("scene.yaml: ", "")  # with its line
+
+
+def test_a_refusal_leaves_no_service_behind(refused: Refused, tmp_path: Path) -> None:
+    """A service that refuses ends the others, also those that wait for it."""
+    began = time.monotonic()
+    refused.run(bodies=[{"name": "b", "collider": {"plugin": "skeleton"}, "motion": {"plugin": "bvh", "file": "no"}}])
+    names = {thread.name for thread in threading.enumerate()}
+    assert not {"simulation", "collision", "recorder"} & names
+    # Waiting for the collision service would take 30 s.
+    assert time.monotonic() - began < 25
+
+
+def test_processes_refuse_alike(refused: Refused, tmp_path: Path) -> None:
+    said = refused.run("--processes", objects=of_file("no.npz"))
+    assert "objects[0].model.file: no such file" in said
+
+
+def test_a_scene_larger_than_memory_is_refused_before_it_is_built(refused: Refused) -> None:
+    before = psutil.Process().memory_info().rss
+    said = refused.run(objects=sheet(resolution=[16384, 16384]))
+    assert "268,435,456 vertices, about 175.0 GiB" in said
+    assert "GiB are free" in said
+    assert "lower the resolution" in said
+    assert "scene.yaml:5: objects" in said
+    # Positions alone would be 6 GiB.
+    assert psutil.Process().memory_info().rss - before < 500 * 2**20
+
+
+def test_the_same_estimate_without_that_machine(refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Memory:
+        available = 100_000
+
+    monkeypatch.setattr(psutil, "virtual_memory", Memory)
+    assert "400 vertices" in refused.run(objects=sheet(resolution=[20, 20]))
+    write_net(refused.folder / "net.npz", 300, pinned=np.zeros(300, bool))
+    assert "300 vertices" in refused.run(objects=of_file("net.npz"))
+
+
+COMMANDS: dict[str, tuple[list[str], str]] = {
+    "unknown command": (["rnu"], "did you mean 'run'?"),
+    "unknown flag": (["run", "SCENE", "--recrd", "x"], "nuno run --help"),
+    "no scene": (["run"], "for example: nuno run skirt-hula"),
+    "no such scene": (["run", "skirt-hulla"], "did you mean 'skirt-hula'?"),
+    "no such file": (["run", "FOLDER/none.yaml"], "no such scene"),
+    "a folder": (["run", "FOLDER"], "no such scene"),
+    "an array for a scene": (["run", "FOLDER/chain.npz"], "a scene is YAML in UTF-8"),
+    "negative threads": (["run", "SCENE", "--threads", "-1"], "--threads: the number of threads must not be negative"),
+    "threads in words": (["run", "SCENE", "--threads", "two"], "--threads"),
+    "run id with a slash": (["run", "SCENE", "--run", "../x"], "--run: not a run's name"),
+    "run id that is a pattern": (["run", "SCENE", "--run", "*"], "--run: not a run's name"),
+    "empty run id": (["run", "SCENE", "--run", ""], "--run: not a run's name"),
+    "endpoint without protocol": (["run", "SCENE", "--listen", "7447"], "for example tcp/127.0.0.1:7447"),
+    "no such configuration": (["run", "SCENE", "--config", "FOLDER/none.json5"], "--config: cannot be read"),
+    "no configuration": (["run", "SCENE", "--config", "SCENE"], "--config: cannot be read"),
+    "wrong override": (["run", "SCENE", "--set", "solver.dtt=1"], "--set: solver.dtt: no such field"),
+    "half an override": (["run", "SCENE", "--set", "solver.dt"], "written key=value"),
+    "resume noise": (["run", "--resume", "FOLDER/noise.mcap"], "not an MCAP file"),
+    "resume nothing": (["run", "--resume", "FOLDER/none.mcap"], "No such file"),
+    "resume with a scene": (["run", "SCENE", "--resume", "FOLDER/noise.mcap"], "leave the scene out"),
+    "replay noise": (["replay", "FOLDER/noise.mcap"], "not an MCAP file"),
+    "info of a folder": (["info", "FOLDER"], "Is a directory"),
+    "export noise": (["export", "FOLDER/noise.mcap", "--npz", "FOLDER/o.npz"], "not an MCAP file"),
+    "control nothing": (["control", "no-such-run", "pause"], "no such run is going on"),
+    "control in no way": (["control", "last", "dance"], "invalid choice: 'dance'"),
+    "serve nothing": (["serve", "simulatoin"], "invalid choice"),
+    "serve without a run": (["serve", "simulation", "SCENE"], "needs --run"),
+}
+
+
+@pytest.mark.parametrize("fault", COMMANDS)
+def test_wrong_commands(fault: str, refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    command, words = COMMANDS[fault]
+    monkeypatch.chdir(tmp_path)
+    scene = write_scene(tmp_path)
+    (tmp_path / "noise.mcap").write_bytes(bytes(range(256)) * 4)
+    said = refused(*(part.replace("SCENE", str(scene)).replace("FOLDER", str(tmp_path)) for part in command))
+    assert words in said
+    assert not list((tmp_path / "recordings").glob("*"))
+
+
+def test_the_port_is_taken(refused: Refused) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        said = refused.run("--listen", endpoint)
+        assert "another program listens there" in said
+        assert endpoint in said
+        assert "choose another port" in said
+        assert "another program listens" in refused("serve", "router", "--listen", endpoint)
+
+
+def test_nobody_listens_where_it_connects(refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nuno.supervisor.CONNECT_PATIENCE", 0.1)
+    said = refused.run("--connect", "tcp/127.0.0.1:9")
+    assert "nothing answers there" in said
+    assert "nuno serve router" in said
+
+
+def test_recordings_that_cannot_be_written(refused: Refused, tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "other.mcap").write_text("my notes")
+    (tmp_path / "open.mcap.part").write_text("")
+    for name, words in {
+        "folder.mcap": "Is a directory",
+        "other.mcap": "what is there is no recording and would be lost",
+        "open.mcap": "an unfinished recording is there",
+        "chain.npz": "a recording's name ends in .mcap",
+        "chain.npz/run.mcap": "cannot be written: it is a file",
+    }.items():
+        said = refused("run", scene, "--no-view", "--record", tmp_path / name)
+        assert words in said
+        assert str(tmp_path) in said
+    assert (tmp_path / "other.mcap").read_text() == "my notes"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="a folder is always writable to root")
+def test_a_folder_without_permission(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "closed").mkdir(mode=0o500)
+    said = refused("run", write_scene(tmp_path), "--no-view", "--record", tmp_path / "closed" / "run.mcap")
+    assert "cannot be written: Permission denied" in said
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """The system refuses to let any file of this process grow beyond `size` bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_no_room_while_recording_ends_the_run_and_keeps_what_was_whole(refused: Refused, tmp_path: Path) -> None:
+    scene = write_scene(
+        tmp_path, objects=sheet(resolution=[32, 32]), solver={"plugin": "symplectic_euler"}, duration=20.0
+    )
+    assert main(["run", str(scene), "--no-view", "--no-record", "--set", "duration=0.1"]) == 0  # compiles
+    record = tmp_path / "run.mcap"
+    with largest_file(6_000_000):
+        said = refused("run", scene, "--no-view", "--record", record, code=1)
+    assert "recorder service died: recording stopped: File too large" in said
+    assert not record.exists()
+    with nuno.open(part_of(record)) as kept:
+        assert not kept.complete
+        assert len(list(kept.frames())) > 50
+
+
+def test_an_unstable_run_exits_with_1(refused: Refused, tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, solver={"plugin": "euler", "dt": "20 ms"}, allow_unstable=True, duration=20.0)
+    said = refused("run", scene, "--no-view", "--record", tmp_path / "run.mcap", code=1)
+    assert "diverged: vertex" in said
+    with nuno.open(tmp_path / "run.mcap") as recording:
+        assert recording.report()["state"] == "diverged"
+
+
+def test_a_recording_of_another_scene_is_not_gone_on_from(refused: Refused, tmp_path: Path) -> None:
+    nuno.run(write_scene(tmp_path, duration=0.2), record=tmp_path / "chain.mcap")
+    flags = ["--resume", tmp_path / "chain.mcap", "--no-view", "--record", tmp_path / "on.mcap"]
+    other = refused("run", *flags, "--set", "objects=[{name: a, model: {plugin: sheet, resolution: [4, 4]}}]")
+    assert "the checkpoint does not fit this scene" in other
+    assert "recording's own scene" in other
+    assert "after the end of the scene" in refused("run", *flags, "--set", "duration=0.1")
+    assert not list(tmp_path.glob("on*"))
+
+
+def finished(folder: Path, **fields: Any) -> nuno.Result:
+    return nuno.run(write_scene(folder, **fields), record=folder / "run.mcap")
+
+
+def test_nothing_at_all_runs_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for bodies in ([], BALL):
+        scene = write_scene(tmp_path, objects=[], bodies=bodies, solver={"plugin": "rk4"}, duration=0.1)
+        flags = ["--record", str(tmp_path / "run.mcap"), *(["--no-view"] if bodies else [])]
+        for command in (["run", str(scene), *flags], ["plan", str(scene)]):
+            assert main(command) == 0
+            assert "the scene has no objects" in capsys.readouterr().out
+        with nuno.open(tmp_path / "run.mcap") as recording:
+            assert recording.complete
+            assert len(list(recording.frames())) == 6
+            assert recording.last_checkpoint().x.shape == (0, 3)
+        assert (tmp_path / "run.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("number", [1, 3])
+def test_particles_without_springs_fall_by_the_steps_closed_form(number: int, tmp_path: Path) -> None:
+    write_net(tmp_path / "bare.npz", number, pinned=np.zeros(number, bool), **NO_SPRINGS)
+    dt, steps = 0.02 / 4, 40
+    result = finished(
+        tmp_path, objects=of_file("bare.npz"), solver={"plugin": "symplectic_euler", "dt": dt}, duration=0.2
+    )
+    # Symplectic Euler: v grows by g dt each step, so y = g dt^2 (1 + 2 + ... + n).
+    assert result.x[:, 1] == pytest.approx(-9.81 * dt**2 * steps * (steps + 1) / 2, rel=1e-12)
+    assert result.x[:, 0] == pytest.approx(np.arange(number), abs=1e-15)
+
+
+def test_a_duration_shorter_than_a_frame_is_one_frame(tmp_path: Path) -> None:
+    result = finished(tmp_path, duration=0.0001)
+    assert result.t == pytest.approx(0.02)
+    assert result.report["frames"]["recorded"] == 2
+
+
+def test_more_threads_than_cores_give_the_same_bits(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, duration=0.1)
+    assert nuno.run(scene, threads=10**6).digest == nuno.run(scene, threads=1).digest
+
+
+def test_the_api_refuses_alike(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    data = yaml.safe_load(scene.read_text())
+    calls: list[tuple[Callable[[], object], str]] = [
+        (lambda: nuno.run(scene, threads=-1), "must not be negative"),
+        (lambda: nuno.run(scene, "solver.dtt=1"), "no such field"),
+        (lambda: nuno.run(data | {"durration": 1}), "no such field"),
+        (lambda: nuno.run(tmp_path / "none.yaml"), "no such scene"),
+        (lambda: nuno.open(scene), "not an MCAP file"),
+    ]
+    for call, words in calls:
+        with pytest.raises(BadInput, match=words):
+            call()
+
+
+def test_exit_codes_of_the_command_itself(tmp_path: Path) -> None:
+    """As typed: code and message reach the shell."""
+    command = [sys.executable, "-m", "nuno", "run", str(write_scene(tmp_path, durration=1)), "--no-view"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"error: {tmp_path / 'scene.yaml'}:2: durration: no such field")
+    assert not (tmp_path / "recordings").exists()
