@@ -76,8 +76,9 @@ class Springs:
     def from_pairs(pairs: Int, k: Float, rest: Float, c: Float, kind: int = 0) -> Springs:
         """Runs of one spring each, constants per spring."""
         number = pairs.shape[0]
-        one = np.ones(number, np.int32)
-        return Springs(np.ascontiguousarray(pairs, np.int32), one, one, k, rest, c, np.full(number, kind, np.int8))
+        one = np.broadcast_to(np.int32(1), number)  # no memory: a net may have millions
+        kinds = np.broadcast_to(np.int8(kind), number)
+        return Springs(np.ascontiguousarray(pairs, np.int32), one, one, k, rest, c, kinds)
 
     @staticmethod
     def join(parts: list[Springs]) -> Springs:

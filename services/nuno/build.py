@@ -280,4 +280,5 @@ def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
         return np.zeros((0, 2), np.int32), np.zeros(0)
     if (springs.kind == 0).any() and not (springs.kind == 0).all():
         springs = springs.of_kind(0)
-    return springs.pairs(), springs.per_spring(springs.rest)
+    single = springs.first.shape[0] == springs.number
+    return springs.first if single else springs.pairs(), springs.per_spring(springs.rest)

@@ -180,11 +180,14 @@ class Driver:
 
     def publish_fabric(self) -> None:
         """What viewers and recordings need to know about the cloth, once."""
+        self.context.bus.publisher(FABRIC).put(self.encode_fabric(), self.simulation.frame, self.simulation.t)
+
+    def encode_fabric(self) -> bytes:
         fabric = self.simulation.fabric
         edges, rest = structural_edges(fabric)
         arrays = {
             "faces": fabric.faces,
-            "edges": edges.astype(np.int32),
+            "edges": edges,
             "edge_rest": rest.astype(np.float32),
             "pinned": fabric.pinned,
         }
@@ -195,7 +198,7 @@ class Driver:
             "scene": self.scene.name,
             "objects": [vars(piece) for piece in self.simulation.pieces],
         }
-        self.context.bus.publisher(FABRIC).put(encode_arrays(arrays, text), self.simulation.frame, self.simulation.t)
+        return encode_arrays(arrays, text)
 
     def publish_checkpoint(self) -> None:
         """The whole float64 state, enough to go on from in the same bits."""
