@@ -14,7 +14,7 @@ from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.service import Context, ack_topic, each_message
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import REPORT, STATE, Ack, Header, Topic
+from nuno_schemas.messages import ACK, REPORT, STATE, Ack, Header, Topic
 
 ALL = Topic("**", "json", "")
 """One subscription to all topics: between several, messages overtake each other."""
@@ -107,7 +107,7 @@ class Recorder:
             "digest": self._digest,
             "counts": json.dumps(counts),
             "missing": json.dumps(missing),
-            "refused": json.dumps({topic: number for topic, number in self._inbox.counts.refused.items() if number}),
+            "refused": json.dumps(self._refused()),
             "complete": "true" if expected and not missing and state != "failed" else "false",
         }
         path = self._writer.finish({END: end})
@@ -120,7 +120,7 @@ class Recorder:
             "bytes": size,
             "seconds": self._writer.seconds,
             "missing": missing,
-            "refused": {topic: number for topic, number in self._inbox.counts.refused.items() if number},
+            "refused": self._refused(),
             "complete": end["complete"] == "true",
         }
 
@@ -138,6 +138,11 @@ class Recorder:
     def _written(self, topic: str) -> int:
         """Messages of this run in the file."""
         return self._writer.counts[topic] - self._before.get(topic, 0)
+
+    def _refused(self) -> dict[str, int]:
+        """Messages dropped per topic; acknowledgements are for the simulation to judge."""
+        counts = self._inbox.counts.refused
+        return {topic: number for topic, number in counts.items() if number and not topic.startswith(f"{ACK.name}/")}
 
     def _missing(self, expected: dict[str, int]) -> dict[str, int]:
         """What is not in the file, per topic: lost on the way, or refused by the writer."""
