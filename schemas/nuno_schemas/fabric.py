@@ -67,7 +67,8 @@ class Springs:
 
         def values(name: str) -> Float:
             array: Float = getattr(self, name)
-            return array[runs if array.shape == runs.shape else each]
+            chosen: Float = array[runs if array.shape == runs.shape else each]
+            return chosen
 
         first, count, stride = self.first[runs], self.count[runs], self.stride[runs]
         return Springs(first, count, stride, values("k"), values("rest"), values("c"), self.kind[runs])

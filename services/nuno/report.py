@@ -30,6 +30,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "parts_seconds": parts
         | {"bus": sum(float(s.get("bus_seconds", 0.0)) for s in services.values())}
         | {name: float(s["seconds"]) for name, s in services.items() if "seconds" in s},
+        "step_seconds": summary.get("step_seconds", {}),
         "solver": loaded.integrator.name,
         "dt": summary.get("dt"),
         "dt_limit": (summary.get("limit") or {}).get("dt"),
@@ -80,6 +81,9 @@ def lines(report: Report) -> list[tuple[str, str]]:
     took = f"{simulated:.3g} s simulated in {wall:.3g} s: {factor:.2f}x real time"
     rows.append(("time", f"{took} (prepared in {prepared:.2g} s)"))
     parts = {name: seconds for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005}
+    inside = {name: seconds for name, seconds in report.get("step_seconds", {}).items() if seconds >= 0.0005}
+    if inside:
+        rows.append(("steps", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in inside.items())))
     rows.append(("parts", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in parts.items())))
     rows.append(("step", _step(report)))
     rows += _physics(report)

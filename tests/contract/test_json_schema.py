@@ -7,6 +7,7 @@ from typing import Any
 import jsonschema
 import pytest
 import yaml
+
 from nuno import scene_file
 from nuno.json_schema import scene_schema
 

@@ -104,6 +104,13 @@ class Simulation:
         """How the solver's kernels run, in words."""
         return str(self.loaded.integrator.plugin.about(self.system))
 
+    def shares(self, poses: Poses | None) -> dict[str, float]:
+        """How a step's time divides among its parts, in the present state; the sum is 1."""
+        plugin, pair = self.loaded.integrator.plugin, (poses, poses) if poses else None
+        parts: dict[str, float] = dict(plugin.profile(self.system, self.state, self.memory, pair))
+        total = sum(parts.values()) or 1.0
+        return {name: seconds / total for name, seconds in parts.items()}
+
     def measure(self, poses: Poses | None) -> StepReport:
         """The present state's energy and stretch, without a step."""
         report: StepReport = self.loaded.integrator.plugin.advance(

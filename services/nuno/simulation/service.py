@@ -215,6 +215,35 @@ class Driver:
         }
         self.context.bus.publisher(CHECKPOINT).put(encode_arrays(arrays, text), simulation.frame, simulation.t, digest)
 
+    def summary(self, ended: str, wall: float) -> dict[str, Any]:
+        """What the report says of this service."""
+        simulation, fabric = self.simulation, self.simulation.fabric
+        parts: dict[str, float] = {}
+        if ended in ("done", "stopped") and self.seconds["steps"] > 0.0:
+            parts = {n: share * self.seconds["steps"] for n, share in simulation.shares(self.poses).items()}
+        limit = simulation.limit
+        return {
+            "state": ended,
+            "message": self.message,
+            "frame": simulation.frame,
+            "t": simulation.t,
+            "digest": simulation.digest(),
+            "wall_seconds": wall,
+            "seconds": self.seconds,
+            "step_seconds": parts,
+            "steps_per_frame": simulation.steps,
+            "dt": simulation.dt,
+            "limit": {"dt": limit.dt, "omega": limit.omega, "damping": limit.damping},
+            "energy": self.energy,
+            "stretch": self.stretch,
+            "counts": self.counts,
+            "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
+            "threads": simulation.about(),
+            "vertices": fabric.number,
+            "springs": fabric.springs.number if fabric.springs else 0,
+            "hinges": fabric.hinges.number if fabric.hinges else 0,
+        }
+
     def wait_for(self, frame: int) -> None:
         """Wait until every service that must see `frame` has. Raises RunFailed for a hung one."""
         start = time.perf_counter()
@@ -277,27 +306,7 @@ def main(context: Context) -> None:
             driver.listen(0.5)
         begin = time.perf_counter()
         ended = driver.run() if driver.finish is None else "failed"
-        wall = time.perf_counter() - begin
-        summary = {
-            "state": ended,
-            "message": driver.message,
-            "frame": simulation.frame,
-            "t": simulation.t,
-            "digest": simulation.digest(),
-            "wall_seconds": wall,
-            "seconds": driver.seconds,
-            "steps_per_frame": simulation.steps,
-            "dt": simulation.dt,
-            "limit": {"dt": simulation.limit.dt, "omega": simulation.limit.omega, "damping": simulation.limit.damping},
-            "energy": driver.energy,
-            "stretch": driver.stretch,
-            "counts": driver.counts,
-            "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
-            "threads": simulation.about(),
-            "vertices": simulation.fabric.number,
-            "springs": simulation.fabric.springs.number if simulation.fabric.springs else 0,
-            "hinges": simulation.fabric.hinges.number if simulation.fabric.hinges else 0,
-        }
+        summary = driver.summary(ended, time.perf_counter() - begin)
         context.event("end", ended, simulation.frame, simulation.t, summary=summary)
         while driver.finish is None:
             driver.listen(0.5)
