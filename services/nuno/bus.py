@@ -1,16 +1,13 @@
-"""The message bus: zenoh sessions that expose nothing, numbered messages, checked inboxes."""
+"""The message bus: numbered messages, checked inboxes, who is alive."""
 
 from __future__ import annotations
 
 import json
 import math
 import queue
-import socket
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,81 +15,8 @@ import zenoh
 from pydantic import ValidationError
 
 from nuno_schemas import SCHEMA_VERSION
-from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import Header, Topic
-
-LEASE_MS = 2000
-"""A peer that stays silent this long is gone; zenoh's default of 10 s hides a dead service."""
-
-
-def free_port() -> int:
-    """A TCP port on loopback that is free now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def _config(mode: str, listen: list[str], connect: list[str], extra: str | None) -> zenoh.Config:
-    try:
-        config = zenoh.Config.from_file(extra) if extra else zenoh.Config()
-    except (zenoh.ZError, OSError) as error:
-        remedy = "give a zenoh configuration file (JSON5)"
-        raise BadInput(f"cannot be read: {_short(error)}", field="--config", value=extra, remedy=remedy) from None
-    settings: dict[str, Any] = {
-        "mode": mode,
-        "listen/endpoints": listen,
-        "connect/endpoints": connect,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        # Nobody is scouted for, so nothing is gained by waiting half a second for an answer.
-        "scouting/delay": 0,
-        "transport/link/tx/lease": LEASE_MS,
-    }
-    for key, value in settings.items():
-        try:
-            config.insert_json5(key, json.dumps(value))
-        except zenoh.ZError:
-            raise BadInput("not an endpoint", value=value[0], remedy="for example tcp/127.0.0.1:7447") from None
-    return config
-
-
-@contextmanager
-def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
-    """A session that others connect to, e.g. "tcp/127.0.0.1:7447". Raises BadInput if taken.
-
-    `extra` is a zenoh configuration file (TLS, access control) that is read first.
-    """
-    config = _config("router", [endpoint], [], extra)
-    try:
-        session = zenoh.open(config)
-    except zenoh.ZError as error:
-        taken = "in use" in str(error)
-        problem = "another program listens there" if taken else f"cannot listen: {_short(error)}"
-        remedy = "choose another port, or leave --listen out for a free one" if taken else "check the endpoint"
-        raise BadInput(problem, value=endpoint, remedy=remedy) from None
-    with session:
-        yield session
-
-
-@contextmanager
-def spoke(endpoint: str, extra: str | None = None, patience: float = 0.0) -> Iterator[zenoh.Session]:
-    """A session connected to a hub. Raises BadInput if there is none within `patience` [s]."""
-    config = _config("client", [], [endpoint], extra)
-    config.insert_json5("connect/timeout_ms", json.dumps(round(1000 * patience)))
-    try:
-        session = zenoh.open(config)
-    except zenoh.ZError as error:
-        raise BadInput(
-            f"nothing answers there: {_short(error)}",
-            value=endpoint,
-            remedy="start the hub first (nuno serve router), or check --connect",
-        ) from None
-    with session:
-        yield session
-
-
-def _short(error: Exception) -> str:
-    return str(error).split(" at /")[0].strip()
 
 
 @dataclass

@@ -6,28 +6,26 @@ import contextlib
 import errno
 import json
 import secrets
-import subprocess
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from nuno import runs
-from nuno.bus import Bus, Inbox, Message, Watch, free_port, hub, spoke
+from nuno import launch, runs
+from nuno.bus import Bus, Inbox, Message, Watch
+from nuno.launch import FINISH_TIMEOUT
 from nuno.plan import Plan, make_plan
 from nuno.scene_file import Loaded
-from nuno.service import SUPERVISOR, Options, run_service
+from nuno.service import SUPERVISOR, Options
+from nuno.sessions import free_port, hub, spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, STATUS, Event, Status, Topic
 
 START_TIMEOUT = 120.0
 """Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
-FINISH_TIMEOUT = 30.0
 CONNECT_PATIENCE = 20.0
 
 COMPILING_AFTER = 1.5
@@ -196,71 +194,6 @@ class Supervisor:
                 return
 
 
-@contextlib.contextmanager
-def _threads(
-    loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str
-) -> Iterator[Callable[[], dict[str, str]]]:
-    """All services as threads of this process."""
-    over: dict[str, str] = {}
-    stop = threading.Event()
-
-    def body(name: str) -> None:
-        try:
-            run_service(name, loaded, session, run, options, stop)
-            over[name] = ""
-        except (BadInput, RunFailed) as error:
-            over[name] = str(error)
-        except Exception as error:
-            over[name] = f"{type(error).__name__}: {error}"
-
-    threads = [threading.Thread(target=body, args=(name,), name=name, daemon=True) for name in plan.services]
-    for thread in threads:
-        thread.start()
-    try:
-        yield lambda: dict(over)
-    finally:
-        # The session closes after this; a thread must not be using it then.
-        stop.set()
-        for thread in threads:
-            thread.join(FINISH_TIMEOUT)
-
-
-@contextlib.contextmanager
-def _processes(
-    loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str
-) -> Iterator[Callable[[], dict[str, str]]]:
-    """One process per service."""
-    children = {
-        name: subprocess.Popen(serve_command(name, loaded, options, endpoint, run), stdin=subprocess.DEVNULL)
-        for name in plan.services
-    }
-    try:
-        yield lambda: {
-            name: f"exit code {code}" for name, child in children.items() if (code := child.poll()) is not None
-        }
-        for child in children.values():
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                child.wait(FINISH_TIMEOUT)
-    finally:
-        for child in children.values():
-            if child.poll() is None:
-                child.kill()
-            child.wait()
-
-
-def serve_command(name: str, loaded: Loaded, options: Options, endpoint: str, run: str) -> list[str]:
-    """The command line that runs one service."""
-    command = [sys.executable, "-m", "nuno", "serve", name, loaded.file, "--run", run, "--connect", endpoint]
-    flags: list[tuple[str, object]] = [("--set", item) for item in loaded.overrides]
-    flags += [("--root", root) for root in loaded.files.roots]
-    flags += [("--must-see", service) for service in options.must_see]
-    flags += [(f"--{name}", getattr(options, name)) for name in ("record", "save", "view", "resume")]
-    for flag, value in flags:
-        if value is not None:
-            command += [flag, str(value)]
-    return [*command, "--threads", str(options.threads)]
-
-
 def supervise(
     loaded: Loaded,
     options: Options,
@@ -289,9 +222,9 @@ def supervise(
         supervisor = Supervisor(loaded, options, plan, session, run)
         stack.enter_context(runs.announced(run, endpoint))
         if deployment.processes:
-            supervisor.exited = stack.enter_context(_processes(loaded, options, plan, endpoint, run))
+            supervisor.exited = stack.enter_context(launch.processes(loaded, options, plan, endpoint, run))
         elif not deployment.connect:
-            supervisor.exited = stack.enter_context(_threads(loaded, options, plan, session, run))
+            supervisor.exited = stack.enter_context(launch.threads(loaded, options, plan, session, run))
         return _conduct(supervisor, began, progress, report)
 
 

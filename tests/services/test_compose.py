@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import nuno
-from nuno.bus import free_port
+from nuno.sessions import free_port
 
 FILE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
 

@@ -18,10 +18,11 @@ from scenes import BALL, write_scene
 import nuno
 from nuno import runs, scene_file, supervisor
 from nuno.arrays import BadMessage, check_protobuf, decode_arrays, decode_points, encode_arrays, encode_points
-from nuno.bus import Bus, Inbox, Message, free_port, hub, spoke
+from nuno.bus import Bus, Inbox, Message
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.report import Report, make_report
 from nuno.service import Options
+from nuno.sessions import free_port, hub, spoke
 from nuno.supervisor import Deployment, Outcome
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import ACK, STATE, Event, Status

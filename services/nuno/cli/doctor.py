@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 
 from nuno import scene_file
-from nuno.bus import free_port, hub
+from nuno.sessions import free_port, hub
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
 

@@ -9,12 +9,13 @@ import threading
 from pathlib import Path
 
 from nuno import runs, supervisor
-from nuno.bus import Bus, free_port, hub
+from nuno.bus import Bus
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options, run_service
+from nuno.sessions import free_port, hub
 from nuno_schemas.errors import BadInput
 
 

@@ -7,7 +7,7 @@ import signal
 import threading
 from pathlib import Path
 
-from nuno import bus, runs, scene_file
+from nuno import runs, scene_file, sessions
 from nuno.service import MODULES, Options, run_service
 from nuno_schemas.errors import BadInput
 
@@ -55,7 +55,7 @@ def main(args: argparse.Namespace) -> int:
     runs.check_id(args.run)
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
-    with bus.spoke(args.connect, args.config, PATIENCE) as session:
+    with sessions.spoke(args.connect, args.config, PATIENCE) as session:
         run_service(args.service, loaded, session, args.run, options)
     return 0
 
@@ -64,7 +64,7 @@ def _route(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with bus.hub(args.listen, args.config):
+    with sessions.hub(args.listen, args.config):
         print(f"router at {args.listen}", flush=True)
         stop.wait()
     return 0

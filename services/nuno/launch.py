@@ -1,0 +1,84 @@
+"""Where a run's services run: threads of this process, or processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+
+import zenoh
+
+from nuno.plan import Plan
+from nuno.scene_file import Loaded
+from nuno.service import Options, run_service
+from nuno_schemas.errors import BadInput, RunFailed
+
+FINISH_TIMEOUT = 30.0
+"""How long a service may take to end when it is asked to [s]."""
+
+
+@contextlib.contextmanager
+def threads(
+    loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str
+) -> Iterator[Callable[[], dict[str, str]]]:
+    """All services as threads of this process."""
+    over: dict[str, str] = {}
+    stop = threading.Event()
+
+    def body(name: str) -> None:
+        try:
+            run_service(name, loaded, session, run, options, stop)
+            over[name] = ""
+        except (BadInput, RunFailed) as error:
+            over[name] = str(error)
+        except Exception as error:
+            over[name] = f"{type(error).__name__}: {error}"
+
+    threads = [threading.Thread(target=body, args=(name,), name=name, daemon=True) for name in plan.services]
+    for thread in threads:
+        thread.start()
+    try:
+        yield lambda: dict(over)
+    finally:
+        # The session closes after this; a thread must not be using it then.
+        stop.set()
+        for thread in threads:
+            thread.join(FINISH_TIMEOUT)
+
+
+@contextlib.contextmanager
+def processes(
+    loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str
+) -> Iterator[Callable[[], dict[str, str]]]:
+    """One process per service."""
+    children = {
+        name: subprocess.Popen(serve_command(name, loaded, options, endpoint, run), stdin=subprocess.DEVNULL)
+        for name in plan.services
+    }
+    try:
+        yield lambda: {
+            name: f"exit code {code}" for name, child in children.items() if (code := child.poll()) is not None
+        }
+        for child in children.values():
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.wait(FINISH_TIMEOUT)
+    finally:
+        for child in children.values():
+            if child.poll() is None:
+                child.kill()
+            child.wait()
+
+
+def serve_command(name: str, loaded: Loaded, options: Options, endpoint: str, run: str) -> list[str]:
+    """The command line that runs one service."""
+    command = [sys.executable, "-m", "nuno", "serve", name, loaded.file, "--run", run, "--connect", endpoint]
+    flags: list[tuple[str, object]] = [("--set", item) for item in loaded.overrides]
+    flags += [("--root", root) for root in loaded.files.roots]
+    flags += [("--must-see", service) for service in options.must_see]
+    flags += [(f"--{name}", getattr(options, name)) for name in ("record", "save", "view", "resume")]
+    for flag, value in flags:
+        if value is not None:
+            command += [flag, str(value)]
+    return [*command, "--threads", str(options.threads)]
