@@ -11,7 +11,6 @@ import functools
 import hashlib
 import os
 import sys
-import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -64,17 +63,6 @@ def parallel_kernel(function: F) -> F:
 def shared_source(function: F) -> F:
     """A function that compiled code compiles and Python interprets."""
     return cast(F, register_jitable(function))
-
-
-def both_kernels(function: F) -> tuple[F, F]:
-    """`function` compiled for one thread and for several, each only when it is called.
-
-    Numba's cache tells functions apart by name, not by flags, so the second gets one of its own.
-    """
-    name = function.__name__ + "_parallel"
-    copy = types.FunctionType(function.__code__, function.__globals__, name)
-    copy.__qualname__ = name
-    return kernel(function), parallel_kernel(cast(F, copy))
 
 
 @functools.cache

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import prange
 
-from nuno_kernels import both_kernels, kernel, shared_source
+from nuno_kernels import kernel, parallel_kernel, shared_source
 from nuno_kernels.bindings import Bindings, place_bound
 from nuno_kernels.blocks import BLOCK, PADDING
 from nuno_kernels.contact import (
@@ -69,10 +69,22 @@ class Packed(NamedTuple):
 
 
 @kernel
+def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
+    """Turn a block's forces into accelerations, in place; pinned vertices get none."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, a.shape[1])
+    for row in range(3):
+        g = gravity[row]
+        for p in range(np.uint64(low), np.uint64(high)):
+            w = inverse_mass[p]
+            own = g - damping * v[row, p]
+            a[row, p] = w * a[row, p] + (own if w > 0.0 else 0.0)
+
+
+@kernel
 def force_block(
-    block: int, x: Any, v: Any, a: Any,
+    block: int, x: Any, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
-    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any,
+    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, late: Any,
 ) -> None:  # fmt: skip
     """Forces [N] on a block's vertices, summed in the core's cache and written to a (3, n)."""
     origin = block * BLOCK
@@ -98,63 +110,54 @@ def force_block(
         m = min(WIDTH, width - q)
         for row in range(3):
             write(a, row, origin + q, m, load(force, row, q))
+    if late is None:
+        finish_block(block, v, a, inverse_mass, gravity, damping)
 
 
-@kernel
-def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
-    """Turn a block's forces into accelerations, in place; pinned vertices get none."""
-    low, high = block * BLOCK, min((block + 1) * BLOCK, a.shape[1])
-    for row in range(3):
-        g = gravity[row]
-        for p in range(np.uint64(low), np.uint64(high)):
-            w = inverse_mass[p]
-            own = g - damping * v[row, p]
-            a[row, p] = w * a[row, p] + (own if w > 0.0 else 0.0)
-
-
-def _force(
+@parallel_kernel
+def force_parallel(
     x: Any, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
     air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, late: Any,
 ) -> None:  # fmt: skip
-    """All terms that go by blocks: forces [N] into a (3, n), or accelerations where nothing follows."""
+    """All blocks on several threads: forces [N] into a (3, n), or accelerations where nothing follows."""
     for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
         force_block(
-            block, x, v, a, runs, lists, hinge_runs, hinge_lists, air, wind_runs, wind_lists, particle_wind
+            block, x, v, a, inverse_mass, gravity, damping, runs, lists, hinge_runs, hinge_lists,
+            air, wind_runs, wind_lists, particle_wind, late,
         )  # fmt: skip
-        if late is None:
-            finish_block(block, v, a, inverse_mass, gravity, damping)
 
 
-def _finish(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
-    """Forces in a (3, n) become accelerations [m/s^2]."""
+@parallel_kernel
+def finish_parallel(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
+    """Forces in a (3, n) become accelerations [m/s^2], on several threads."""
     for block in prange((a.shape[1] + BLOCK - 1) // BLOCK):
         finish_block(block, v, a, inverse_mass, gravity, damping)
 
 
-force_serial, force_parallel = both_kernels(_force)
-finish_serial, finish_parallel = both_kernels(_finish)
-
-
 @kernel
-def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact: Any, threads: Any) -> None:
-    """Forces [N] at fraction s of the frame into a (3, n), or accelerations unless p.late.
+def add_forces(
+    x: Any, v: Any, s: float, a: Any, inverse_mass: Any, gravity: Any, damping: float,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, bindings: Any, contact: Any,
+    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, threads: Any, late: Any,
+) -> None:  # fmt: skip
+    """Forces [N] at fraction s of the frame into a (3, n), or accelerations unless `late`.
 
-    Puts bound vertices in their place first.
+    Puts bound vertices in their place first. Loops over blocks stand here, not in functions of
+    their own: every level of calls is optimised once more with all that it calls.
     """
     if bindings is not None:
         place_bound(x, v, s, bindings)
     if threads is None:
-        force_serial(
-            x, v, a, p.inverse_mass, p.gravity, p.damping,
-            p.runs, p.lists, p.hinge_runs, p.hinge_lists,
-            p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.late,
-        )  # fmt: skip
+        for block in range((x.shape[1] + BLOCK - 1) // BLOCK):
+            force_block(
+                block, x, v, a, inverse_mass, gravity, damping, runs, lists, hinge_runs, hinge_lists,
+                air, wind_runs, wind_lists, particle_wind, late,
+            )  # fmt: skip
     else:
         force_parallel(
-            x, v, a, p.inverse_mass, p.gravity, p.damping,
-            p.runs, p.lists, p.hinge_runs, p.hinge_lists,
-            p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.late,
+            x, v, a, inverse_mass, gravity, damping, runs, lists, hinge_runs, hinge_lists,
+            air, wind_runs, wind_lists, particle_wind, late,
         )  # fmt: skip
     if contact is not None:
         if threads is None:
@@ -164,13 +167,14 @@ def add_forces(x: Any, v: Any, s: float, a: Any, p: Any, bindings: Any, contact:
 
 
 @kernel
-def finish(v: Any, a: Any, p: Any, late: Any, threads: Any) -> None:
+def finish(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float, late: Any, threads: Any) -> None:
     """Forces in a (3, n) become accelerations [m/s^2] where they did not at once."""
     if late is not None:
         if threads is None:
-            finish_serial(v, a, p.inverse_mass, p.gravity, p.damping)
+            for block in range((a.shape[1] + BLOCK - 1) // BLOCK):
+                finish_block(block, v, a, inverse_mass, gravity, damping)
         else:
-            finish_parallel(v, a, p.inverse_mass, p.gravity, p.damping)
+            finish_parallel(v, a, inverse_mass, gravity, damping)
 
 
 @shared_source
@@ -179,10 +183,13 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
     `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
     """
-    add_forces(x, v, s, a, p, p.bindings, p.contact, p.threads)
+    add_forces(
+        x, v, s, a, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
+        p.bindings, p.contact, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.threads, p.late,
+    )  # fmt: skip
     if extra is not None:
         extra(x, v, s, a)
-    finish(v, a, p, p.late, p.threads)
+    finish(v, a, p.inverse_mass, p.gravity, p.damping, p.late, p.threads)
 
 
 @kernel

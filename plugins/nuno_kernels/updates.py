@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import prange
 
-from nuno_kernels import both_kernels, kernel
+from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.blocks import BLOCK
 from nuno_kernels.simd import WIDTH, read, write
 
@@ -24,28 +24,27 @@ def add_block(block: int, out: Any, y: Any, h: float, k: Any) -> None:
             write(out, row, p, m, read(y, row, p, m) + h * read(k, row, p, m))
 
 
-def _add_twice(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any) -> None:
-    """first = y + h k, then second = z + g m, block by block."""
+@parallel_kernel
+def add_twice_parallel(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any) -> None:
+    """first = y + h k, then second = z + g m, block by block on several threads."""
     for block in prange((first.shape[1] + BLOCK - 1) // BLOCK):
         add_block(block, first, y, h, k)
         add_block(block, second, z, g, m)
 
 
-def _add(out: Any, y: Any, h: float, k: Any) -> None:
-    """out = y + h k, block by block."""
+@parallel_kernel
+def add_parallel(out: Any, y: Any, h: float, k: Any) -> None:
+    """out = y + h k, block by block on several threads."""
     for block in prange((out.shape[1] + BLOCK - 1) // BLOCK):
         add_block(block, out, y, h, k)
-
-
-add_serial, add_parallel = both_kernels(_add)
-add_twice_serial, add_twice_parallel = both_kernels(_add_twice)
 
 
 @kernel
 def add(out: Any, y: Any, h: float, k: Any, threads: Any) -> None:
     """out = y + h k, all (3, n)."""
     if threads is None:
-        add_serial(out, y, h, k)
+        for block in range((out.shape[1] + BLOCK - 1) // BLOCK):
+            add_block(block, out, y, h, k)
     else:
         add_parallel(out, y, h, k)
 
@@ -54,6 +53,8 @@ def add(out: Any, y: Any, h: float, k: Any, threads: Any) -> None:
 def add_twice(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any, threads: Any) -> None:
     """first = y + h k, then second = z + g m, all (3, n); the second may use the first."""
     if threads is None:
-        add_twice_serial(first, y, h, k, second, z, g, m)
+        for block in range((first.shape[1] + BLOCK - 1) // BLOCK):
+            add_block(block, first, y, h, k)
+            add_block(block, second, z, g, m)
     else:
         add_twice_parallel(first, y, h, k, second, z, g, m)
