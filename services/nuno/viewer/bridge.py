@@ -9,16 +9,13 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from nuno.arrays import BadMessage, decode_arrays, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.viewer import layout
-from nuno.viewer.cloth import Cloth, ReadImage, pack, read_image
-from nuno.viewer.kernels import vertex_normals
-from nuno_schemas.bodies import PLANE, Geometry, rotation_matrices
-from nuno_schemas.colour import parse_hex
+from nuno.viewer.bodies import INSET, Bodies
+from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
     BODIES,
@@ -34,12 +31,10 @@ from nuno_schemas.messages import (
     Status,
 )
 from nuno_schemas.scene import View
-from nuno_schemas.surface import surface
 
-BODY, GROUND = "#b9c0c9", "#d3d6d9"
-INSET = 0.002
-"""Bodies are drawn thinner by this much [m], so that cloth resting on them is not cut by them."""
 APPLICATION = "nuno"
+BATCH = 32
+"""Moments whose poses are written to a file together."""
 
 
 class Bridge:
@@ -50,8 +45,8 @@ class Bridge:
     live       the viewer follows the newest frame instead of playing from the start
     images     reads a texture by its path; None where it cannot
 
-    `feed` raises BadMessage for a payload that is not what its topic promises; what is shown
-    stays as it was.
+    Poses are logged in batches: `flush` hands over the last ones. `feed` raises BadMessage for a
+    payload that is not what its topic promises; what is shown stays as it was.
     """
 
     def __init__(
@@ -62,10 +57,7 @@ class Bridge:
         self._cloths: list[Cloth] = []
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
-        self._geometry: Geometry | None = None
-        self._body_paths: list[str] = []
-        self._surface: tuple[Float, NDArray[np.int32]] | None = None
-        self._poses: tuple[Float, Float] | None = None
+        self._bodies: Bodies | None = None
         self._energy: list[str] = []
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
@@ -73,8 +65,8 @@ class Bridge:
             FABRIC.name: self._fabric,
             STATE.name: self._state,
             STATUS.name: self._status,
-            GEOMETRY.name: self._bodies,
-            BODIES.name: self._move,
+            GEOMETRY.name: self._geometry,
+            BODIES.name: self._poses,
             PENETRATION.name: self._penetration,
             EVENT.name: self._event,
             REPORT.name: self._report,
@@ -103,6 +95,11 @@ class Bridge:
         except (KeyError, TypeError, IndexError, AttributeError, ValidationError, ValueError) as error:
             raise BadMessage(f"{topic}: {error}") from None
 
+    def flush(self) -> None:
+        """Log what waits to be logged in a batch; to be called at the end."""
+        if self._bodies is not None:
+            self._bodies.flush()
+
     def _log(self, path: str, *what: Any, static: bool = False) -> None:
         self.recording.log(path, *what, static=static, strict=True)
 
@@ -126,7 +123,7 @@ class Bridge:
         self._vertices, self._pinned = number, arrays["pinned"].astype(bool)
         self._cloths = []
         for spec in text["objects"]:
-            path = "/" + rr.new_entity_path(["world", "cloth", str(spec["name"])]).lstrip("/")
+            path = layout.entity("world", "cloth", str(spec["name"]))
             cloth = Cloth(self.recording, path, spec, arrays, self.images)
             self._cloths.append(cloth)
             if cloth.untextured:
@@ -153,17 +150,13 @@ class Bridge:
 
     def _aim(self, positions: Float) -> None:
         """Arrange the window round what is there at the first frame."""
-        bodies = np.zeros((0, 3))
-        if self._surface is not None and self._poses is not None:
-            vertices, frames = self._surface
-            turned = np.einsum("nij,nj->ni", rotation_matrices(self._poses[0])[frames], vertices)
-            bodies = turned + self._poses[1][frames]
+        bodies = np.zeros((0, 3)) if self._bodies is None else self._bodies.points()
         self._eye = layout.fit_eye(layout.stage(positions, self._pinned, bodies), self.view)
         self._arrange()
 
     def _arrange(self) -> None:
         if self._eye is not None:
-            blueprint = layout.arrange(self._eye, self._geometry is not None, self.live)
+            blueprint = layout.arrange(self._eye, self._bodies is not None, self.live)
             self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _status(self, payload: bytes) -> None:
@@ -181,38 +174,17 @@ class Bridge:
         if status.message:
             self._log("/log", rr.TextLog(status.message, level="WARN" if status.state == "diverged" else "INFO"))
 
-    def _bodies(self, payload: bytes) -> None:
-        geometry = decode_geometry(payload)
-        vertices, faces, frames = surface(geometry, INSET)
-        plane = np.isin(frames, geometry.frame[geometry.kind == PLANE])
-        self._surface = vertices[~plane], frames[~plane]
-        self._body_paths = [
-            "/" + rr.new_entity_path(["world", "bodies", *name.split("/", 1)]).lstrip("/") for name in geometry.frames
-        ]
-        for frame, path in enumerate(self._body_paths):
-            mine = frames == frame
-            if mine.any():
-                own = (np.cumsum(mine) - 1)[faces[mine[faces[:, 0]]]]
-                plain = (geometry.kind[geometry.frame == frame] == PLANE).all()
-                self._log(path, solid(vertices[mine], own, GROUND if plain else BODY), static=True)
+    def _geometry(self, payload: bytes) -> None:
+        self.flush()
+        self._bodies = Bodies(self.recording, decode_geometry(payload), 1 if self.live else BATCH)
         self._log("/plots/penetration", layout.names(["deepest", "mean of those inside"]), static=True)
-        self._geometry, self._poses = geometry, None
         self._arrange()
 
-    def _move(self, payload: bytes) -> None:
+    def _poses(self, payload: bytes) -> None:
         poses = decode_poses(payload)
-        if len(poses.rotation) != len(self._body_paths):
-            raise BadMessage(f"{len(poses.rotation)} poses for {len(self._body_paths)} frames")
-        before = self._poses
-        for i, path in enumerate(self._body_paths):
-            w, x, y, z = poses.rotation[i]
-            if (
-                before is None
-                or (before[0][i] != poses.rotation[i]).any()
-                or (before[1][i] != poses.translation[i]).any()
-            ):
-                self._log(path, rr.Transform3D(translation=poses.translation[i], quaternion=[x, y, z, w]))
-        self._poses = poses.rotation, poses.translation
+        if self._bodies is None:
+            raise BadMessage("poses of bodies that are not known yet")
+        self._bodies.move(self._latest[0], poses)
 
     def _penetration(self, payload: bytes) -> None:
         report = Penetration.model_validate_json(payload)
@@ -233,27 +205,6 @@ def number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def solid(vertices: Float, faces: NDArray[Any], colour: str) -> Any:
-    """A mesh that is smooth but for its edges: where a face and its vertex's mean normal differ
-    by more than 40 degrees, the face's own is used, so that boxes have edges.
-    """
-    x, triangles = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
-    mean = np.zeros((len(x), 3), np.float32)
-    vertex_normals(x, triangles, mean)
-    corners = x[triangles].reshape(-1, 3)
-    flat = np.zeros_like(corners)
-    unshared = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-    vertex_normals(corners, unshared, flat)
-    smooth = mean[triangles].reshape(-1, 3)
-    near = (smooth * flat).sum(axis=1, keepdims=True) > np.cos(np.radians(40.0))
-    return rr.Mesh3D(
-        vertex_positions=corners,
-        triangle_indices=unshared,
-        vertex_normals=np.where(near, smooth, flat),
-        albedo_factor=int(pack(parse_hex(colour))[0]),
-    )
-
-
 def about(scene: str, vertices: int, faces: int) -> str:
     """What a user should know about the picture, as Markdown."""
     return f"""# {scene}
@@ -264,8 +215,8 @@ def about(scene: str, vertices: int, faces: int) -> str:
 | colour | stretch |
 | --- | --- |
 | violet | 0.1 % and less |
-| blue | 0.6 % |
-| green | 6 % |
+| blue | 1 % |
+| green | 10 % |
 | yellow | 100 % and more |
 | grey | not a number |
 

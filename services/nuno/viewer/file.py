@@ -2,46 +2,111 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from pathlib import Path
+from typing import BinaryIO
 
 import rerun as rr
 
 from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.require import part_of
-from nuno_schemas.errors import RunFailed
+from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.scene import View
 
 FLUSH_SECONDS = 60.0
+BLOCK = 2**20
+PIPES = Path("/dev/fd")
 
 
 class RerunFile:
     """Writes `path` + ".part", which gets its name when it is whole.
 
     run  the recording's id in rerun. Every message handed to `feed` is written.
+
+    Raises BadInput where the file cannot be created, RunFailed when writing fails later (disk
+    full).
     """
 
     def __init__(self, path: Path, run: str, view: View | None = None) -> None:
         self.path = path
         self._recording = rr.RecordingStream(APPLICATION, recording_id=run, send_properties=False)
-        self._recording.save(part_of(path))
+        try:
+            self._file = part_of(path).open("wb")
+        except OSError as error:
+            remedy = "choose a folder that exists and can be written"
+            raise BadInput(f"cannot write there: {error.strerror}", value=str(path), remedy=remedy) from None
+        self._copy = _save(self._recording, self._file)
         self.bridge = Bridge(self._recording, view)
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
-        """Write one message. Raises BadMessage."""
+        """Write one message. Raises BadMessage, RunFailed."""
         self.bridge.feed(topic, frame, t, payload)
+        if self._copy is not None and self._copy.error is not None:
+            raise self._failed(self._copy.error)
 
     def abort(self) -> None:
         """Stop writing and leave nothing behind."""
-        self._recording.disconnect()
+        self._close()
         part_of(self.path).unlink(missing_ok=True)
 
     def finish(self) -> Path:
         """Write what is left and give the file its name. Raises RunFailed if it cannot be written."""
-        part = part_of(self.path)
+        self.bridge.flush()
+        error = self._close()
+        if error is not None:
+            raise self._failed(error)
+        part_of(self.path).replace(self.path)
+        return self.path
+
+    def _close(self) -> Exception | None:
+        """Let everything reach the disk; what went wrong."""
         try:
             self._recording.flush(timeout_sec=FLUSH_SECONDS)
             self._recording.disconnect()
-            part.replace(self.path)
+            if self._copy is not None:
+                self._copy.join(FLUSH_SECONDS)
+            self._file.close()
         except (OSError, RuntimeError, ValueError) as error:
-            raise RunFailed(f"the rerun file could not be written: {error}; {part} holds what was") from None
-        return self.path
+            return error
+        return self._copy.error if self._copy is not None else None
+
+    def _failed(self, error: Exception) -> RunFailed:
+        return RunFailed(f"the rerun file could not be written: {error}; {part_of(self.path)} holds what was")
+
+
+def _save(recording: rr.RecordingStream, file: BinaryIO) -> _Copy | None:
+    """Let a recording write to an open file, through a pipe where the system has them.
+
+    rerun's own writer stops without a word when the disk is full, and then neither flushing nor
+    leaving the program ever ends. So it writes to a pipe, which never fails.
+    """
+    if not PIPES.is_dir():
+        recording.save(file.name)
+        return None
+    source, sink = os.pipe()
+    try:
+        recording.save(PIPES / str(sink))
+    finally:
+        os.close(sink)
+    copy = _Copy(source, file)
+    copy.start()
+    return copy
+
+
+class _Copy(threading.Thread):
+    """Copies a pipe to a file until its end; after an error it goes on reading, and drops."""
+
+    def __init__(self, source: int, file: BinaryIO) -> None:
+        super().__init__(daemon=True)
+        self.error: OSError | None = None
+        self._source, self._file = source, file
+
+    def run(self) -> None:
+        while block := os.read(self._source, BLOCK):
+            if self.error is None:
+                try:
+                    self._file.write(block)
+                except OSError as error:
+                    self.error = error
+        os.close(self._source)

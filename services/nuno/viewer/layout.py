@@ -20,6 +20,7 @@ HALF_VIEW = 0.5 * np.radians(58.0)
 CURVES = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 228, 66], [213, 94, 0]]
 """Colours told apart with the common colour-vision deficiencies (Okabe and Ito, 2008)."""
 TOTAL = [235, 235, 235]
+BACKGROUND = [226, 230, 234]
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
     scene = rrb.Spatial3DView(
         name="Scene",
         origin="/world",
-        background=rrb.Background(color=[226, 230, 234]),
+        background=rrb.Background(color=BACKGROUND),
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=[0, 1, 0]
@@ -97,6 +98,11 @@ def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
         auto_views=False,
         auto_layout=False,
     )
+
+
+def entity(*parts: str) -> str:
+    """A path in rerun, whatever characters the names have."""
+    return "/" + str(rr.new_entity_path(list(parts))).lstrip("/")
 
 
 def names(labels: list[str]) -> Any:

@@ -11,6 +11,8 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+import psutil
+
 from nuno_schemas.messages import STATE
 from nuno_schemas.scene import View
 
@@ -87,9 +89,12 @@ class LiveView:
         self.error = ""
         self._announce = announce
         self._ring = Ring()
-        command = [sys.executable, "-m", "nuno.viewer.stream", view, run, scene_view.model_dump_json()]
+        # -P: a module of the user's folder must not stand in for one of ours.
+        command = [sys.executable, "-P", "-m", "nuno.viewer.stream", view, run, scene_view.model_dump_json()]
         pipe = subprocess.PIPE
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, start_new_session=True)
+        self._process = subprocess.Popen(
+            command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, start_new_session=True
+        )
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._write, self._read)]
         for thread in self._threads:
             thread.start()
@@ -114,7 +119,7 @@ class LiveView:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(FINISH_SECONDS)
         if self._process.poll() is None:
-            self.error = self.error or "it was too slow for the last frames"
+            self._fail("the viewer was too slow for the last frames")
             self._process.kill()
             self._process.wait()
         self._ring.close(forget=True)
@@ -138,11 +143,33 @@ class LiveView:
         stdout = self._process.stdout
         assert stdout is not None
         for line in stdout:
+            if not line.startswith(b"{"):
+                continue
             said = json.loads(line)
             self.shown = said.get("shown", self.shown)
             if "pid" in said:
                 self.pid, self.page = said["pid"], said["page"]
                 self._announce("start", f"the viewer is at {self.page}" if self.page else "the viewer is open")
             if "error" in said:
-                self.error = said["error"]
-                self._announce("warning", f"the run goes on without a view: {self.error}")
+                self._fail(said["error"])
+        if self._process.wait() != 0:
+            self._fail("it ended unexpectedly")
+
+    def _fail(self, error: str) -> None:
+        """Note and announce the first error."""
+        if not self.error:
+            self.error = error
+            self._announce("warning", f"the run goes on without a view: {error}")
+
+
+def keep_page(pid: int) -> None:
+    """Wait until a web viewer ends; an interrupt (Ctrl-C) ends it."""
+    try:
+        viewer = psutil.Process(pid)
+        try:
+            viewer.wait()
+        except KeyboardInterrupt:
+            viewer.terminate()
+            viewer.wait()
+    except psutil.NoSuchProcess:
+        return

@@ -1,0 +1,116 @@
+"""Bodies in rerun: one mesh a frame of the skeleton, moved by transforms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from nuno.arrays import BadMessage
+from nuno.viewer import layout
+from nuno.viewer.cloth import pack
+from nuno.viewer.kernels import vertex_normals
+from nuno_schemas.bodies import PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.fabric import Float
+from nuno_schemas.surface import surface
+
+BODY, GROUND = "#b9c0c9", "#d3d6d9"
+INSET = 0.002
+"""Bodies are drawn thinner by this much [m], so that cloth resting on them is not cut by them."""
+
+
+class Bodies:
+    """Logs a scene's bodies: meshes at once, poses in batches.
+
+    recording  the rerun stream
+    geometry   what the bodies are
+    batch      poses of so many moments are logged together: rerun takes 0.1 ms for a call, and
+               a skeleton has dozens of frames
+
+    Raises BadMessage where the geometry does not fit together.
+    """
+
+    def __init__(self, recording: Any, geometry: Geometry, batch: int) -> None:
+        number = len(geometry.frames)
+        if len(geometry.frame) and not (geometry.frame.min() >= 0 and geometry.frame.max() < number):
+            raise BadMessage(f"a primitive of a frame that is not among the {number}")
+        self.recording, self.batch = recording, batch
+        self.paths = [layout.entity("world", "bodies", *name.split("/", 1)) for name in geometry.frames]
+        vertices, faces, frames = surface(geometry, INSET)
+        for frame, path in enumerate(self.paths):
+            mine = frames == frame
+            if mine.any():
+                own = (np.cumsum(mine) - 1)[faces[mine[faces[:, 0]]]]
+                plain = (geometry.kind[geometry.frame == frame] == PLANE).all()
+                recording.log(path, solid(vertices[mine], own, GROUND if plain else BODY), static=True, strict=True)
+        # Planes have no end and are no part of what should be in view.
+        ended = ~np.isin(frames, geometry.frame[geometry.kind == PLANE])
+        self._vertices, self._frames = vertices[ended], frames[ended]
+        self._last: Poses | None = None
+        self._shown: Poses | None = None
+        self._waiting: list[tuple[int, Poses]] = []
+
+    def points(self) -> Float:
+        """(n, 3) where the bodies' surfaces are now; none before they have been placed."""
+        if self._last is None:
+            return np.zeros((0, 3))
+        turns = rotation_matrices(self._last.rotation)[self._frames]
+        return np.asarray(np.einsum("nij,nj->ni", turns, self._vertices) + self._last.translation[self._frames])
+
+    def move(self, frame: int, poses: Poses) -> None:
+        """Where the bodies are in a frame of animation. Raises BadMessage for a wrong number."""
+        if len(poses.rotation) != len(self.paths):
+            raise BadMessage(f"{len(poses.rotation)} poses for {len(self.paths)} frames")
+        self._last = poses
+        self._waiting.append((frame, poses))
+        if len(self._waiting) >= self.batch:
+            self.flush()
+
+    def flush(self) -> None:
+        """Log the poses that wait; of each body only those where it has moved."""
+        if not self._waiting:
+            return
+        numbers = np.array([frame for frame, _ in self._waiting])
+        times = np.array([poses.t for _, poses in self._waiting])
+        pose = np.array([np.hstack([p.rotation, p.translation]) for _, p in self._waiting])
+        shown = self._shown
+        first = (
+            np.full_like(pose[:1], np.nan) if shown is None else np.hstack([shown.rotation, shown.translation])[None]
+        )
+        moved = (np.diff(pose, axis=0, prepend=first) != 0.0).any(axis=2)
+        for i, path in enumerate(self.paths):
+            rows = moved[:, i]
+            if rows.any():
+                index = [
+                    rr.TimeColumn("frame", sequence=numbers[rows]),
+                    rr.TimeColumn(layout.TIMELINE, duration=times[rows]),
+                ]
+                turn, shift = pose[rows, i, :4][:, [1, 2, 3, 0]], pose[rows, i, 4:]
+                columns = rr.Transform3D.columns(translation=shift, quaternion=turn)
+                self.recording.send_columns(path, index, columns, strict=True)
+        self._shown = self._waiting[-1][1]
+        self._waiting = []
+
+
+def solid(vertices: Float, faces: NDArray[Any], colour: str) -> Any:
+    """A mesh that is smooth but for its edges: where a face and its vertex's mean normal differ
+    by more than 40 degrees, the face's own is used, so that boxes have edges.
+    """
+    x, triangles = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
+    mean = np.zeros((len(x), 3), np.float32)
+    vertex_normals(x, triangles, mean)
+    corners = x[triangles].reshape(-1, 3)
+    flat = np.zeros_like(corners)
+    unshared = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+    vertex_normals(corners, unshared, flat)
+    smooth = mean[triangles].reshape(-1, 3)
+    near = (smooth * flat).sum(axis=1, keepdims=True) > np.cos(np.radians(40.0))
+    return rr.Mesh3D(
+        vertex_positions=corners,
+        triangle_indices=unshared,
+        vertex_normals=np.where(near, smooth, flat),
+        albedo_factor=int(pack(parse_hex(colour))[0]),
+    )

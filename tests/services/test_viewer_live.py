@@ -1,0 +1,162 @@
+"""Live views: whatever the viewer does, the run is not held up, and the counts say what was shown."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import psutil
+import pytest
+from scenes import write_scene
+from viewer_run import messages
+
+from nuno import scene_file
+from nuno.bus import Bus, Inbox, Message, Watch
+from nuno.service import Options, ack_topic, run_service
+from nuno.sessions import free_port, hub
+from nuno.viewer.live import LiveView, Ring
+from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
+from nuno_schemas.scene import View
+
+pytest.importorskip("rerun", reason="needs nuno[view]")
+
+FRAMES = 40
+SOON = 60.0
+"""How long a test waits for what must come: a bound against hanging, not a measurement."""
+
+
+@contextmanager
+def hung_viewer() -> Iterator[str]:
+    """The address of one that accepts connections and never says a word."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield f"rerun+http://127.0.0.1:{server.getsockname()[1]}/proxy"
+
+
+def topic_of(name: str) -> Topic:
+    return TOPICS.get(name) or Topic(name, "json", "nuno.Event")
+
+
+@dataclass
+class Played:
+    """What a viewer service answered at the end of a made-up run, and what else was heard."""
+
+    answer: dict[str, Any]
+    acknowledged: list[int]
+    events: list[str]
+
+
+def play(folder: Path, options: Options, frames: int = FRAMES) -> Played:
+    """Send a run to a viewer service in a thread, as a simulation would."""
+    loaded = scene_file.read(write_scene(folder))
+    with hub(f"tcp/127.0.0.1:{free_port()}") as session:
+        bus = Bus(session, "run", "simulation")
+        inbox = Inbox(bus, [ack_topic("viewer"), Topic("run/event/viewer", "json", "nuno.Event")])
+        work = threading.Thread(target=run_service, args=("viewer", loaded, session, "run", options), daemon=True)
+        work.start()
+        assert not Watch(bus).wait_for({"viewer"}, SOON)
+        for topic, frame, t, payload in messages(frames, 16, 12):
+            bus.publisher(topic_of(topic)).put(payload, frame, t)
+        answer = bus.ask_json("finish/viewer", {}, SOON)
+        work.join(SOON)
+        assert not work.is_alive()
+        heard = []
+        while isinstance(item := inbox.get(0.2), Message):
+            heard.append(item)
+    acknowledged = [m.header.frame for m in heard if m.topic.startswith("ack")]
+    return Played(answer, acknowledged, [m.payload.decode() for m in heard if not m.topic.startswith("ack")])
+
+
+def test_a_file_gets_every_frame_and_acknowledges_it(tmp_path: Path) -> None:
+    played = play(tmp_path, Options(save=tmp_path / "run.rrd", must_see=("viewer",)))
+    assert played.answer["saved"] == played.answer["shown"] == FRAMES
+    assert played.acknowledged == list(range(FRAMES))
+    assert not any(played.answer["missing"].values())
+    assert (tmp_path / "run.rrd").exists()
+
+
+def test_a_hung_viewer_does_not_hold_up_a_run_or_the_file_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nuno.viewer.live.FINISH_SECONDS", 1.0)
+    with hung_viewer() as address:
+        played = play(tmp_path, Options(view=address, save=tmp_path / "run.rrd"))
+    assert played.answer["frames"] == played.answer["saved"] == FRAMES
+    assert played.answer["shown"] == 0
+    assert played.answer["skipped"] == FRAMES
+    assert any("too slow" in event for event in played.events)
+    assert played.acknowledged == []
+
+
+def test_an_absent_viewer_is_said_and_does_not_end_a_run(tmp_path: Path) -> None:
+    played = play(tmp_path, Options(view=f"rerun+http://127.0.0.1:{free_port()}/proxy"))
+    assert played.answer["frames"] == FRAMES
+    assert "no viewer listens" in played.answer["error"]
+    assert any("no viewer listens" in event for event in played.events)
+
+
+def test_a_killed_view_takes_nothing_along() -> None:
+    said: list[str] = []
+    with hung_viewer() as address:
+        live = LiveView(address, "run", View(), lambda kind, text: said.append(text))
+        fed = list(messages(FRAMES, 16, 12))
+        for i, message in enumerate(fed):
+            if i == len(fed) // 2:
+                os.kill(live._process.pid, signal.SIGKILL)
+                live._process.wait(SOON)
+            live.feed(*message)
+        live.finish()
+    assert live.frames == FRAMES
+    assert live.skipped == FRAMES
+    assert said == ["the run goes on without a view: it ended unexpectedly"]
+
+
+def test_a_view_ends_with_the_run_that_started_it() -> None:
+    """The process between run and viewer ends when its input does, so that none is left behind."""
+    with hung_viewer() as address:
+        live = LiveView(address, "run", View(), lambda kind, text: None)
+        assert live._process.stdin is not None
+        live._process.stdin.close()
+        assert live._process.wait(SOON) == 0
+
+
+def test_the_web_view_shows_a_run_and_listens_on_loopback_only() -> None:
+    opened = threading.Event()
+    live = LiveView("web", "run", View(), lambda kind, text: opened.set())
+    try:
+        assert opened.wait(SOON)
+        assert not live.error
+        for message in messages(FRAMES, 16, 12):
+            live.feed(*message)
+        live.finish()
+        assert live.shown == FRAMES
+        assert live.pid is not None
+        listening = [c.laddr.ip for c in psutil.Process(live.pid).net_connections() if c.status == "LISTEN"]
+        assert set(listening) == {"127.0.0.1"}
+        assert len(listening) == 2
+        with urlopen(live.page.split("?")[0], timeout=SOON) as page:
+            assert page.status == 200
+    finally:
+        if live.pid is not None:
+            psutil.Process(live.pid).kill()
+
+
+def test_the_ring_gives_up_the_oldest_frames_and_nothing_else() -> None:
+    ring = Ring(limit=300)
+    for frame in range(5):
+        ring.put((STATE.name, frame, 0.0, bytes(100)))
+        ring.put((STATUS.name, frame, 0.0, bytes(100)))
+    ring.put((STATE.name, 5, 0.0, bytes(900)))
+    ring.close()
+    kept = []
+    while (item := ring.get()) is not None:
+        kept.append(item)
+    assert [frame for topic, frame, _, _ in kept if topic == STATE.name] == [5]
+    assert [frame for topic, frame, _, _ in kept if topic == STATUS.name] == list(range(5))

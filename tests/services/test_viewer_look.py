@@ -1,0 +1,88 @@
+"""The picture in the viewer: cloth in the middle, coloured and shaded, on a plain background."""
+
+from __future__ import annotations
+
+import io
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from viewer_run import messages
+
+from nuno.sessions import free_port
+
+pytest.importorskip("rerun", reason="needs nuno[view]")
+
+from nuno.viewer.file import RerunFile
+from nuno.viewer.layout import BACKGROUND
+
+DRIVERS = [Path(folder) for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")]
+pytestmark = pytest.mark.skipif(
+    not any(list(folder.glob("*.json")) for folder in DRIVERS if folder.is_dir()),
+    reason="needs a Vulkan driver, in software too (Debian: mesa-vulkan-drivers)",
+)
+SOON = 60.0
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.int64]:
+    """The 3-D view at half a second, (height, width, 3)."""
+    import rerun_cli
+    from rerun.experimental import ViewerClient
+
+    path = tmp_path_factory.mktemp("look") / "run.rrd"
+    file = RerunFile(path, "run")
+    for message in messages(31):
+        file.feed(*message)
+    file.finish()
+    binary = os.path.join(rerun_cli.__path__[0], "rerun")
+    with ViewerClient.spawn(headless=True, port=free_port(), executable_path=binary) as client:
+        client.open(str(path))
+        end = time.monotonic() + SOON
+        while not (views := [v.view_id for v in client.get_state().views if v.view_class == "3D"]):
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        client.set_time("sim_time", duration=0.5, play_state="paused")
+        previous = b""
+        # The first pictures may come before all is loaded: two equal ones say that nothing moves.
+        while True:
+            png = client.take_screenshot(view_id=views[0])
+            if png == previous and len(np.unique(pixels(png).reshape(-1, 3), axis=0)) > 100:
+                break
+            assert time.monotonic() < end
+            previous = png
+            time.sleep(0.3)
+    return pixels(png)
+
+
+def pixels(png: bytes) -> NDArray[np.int64]:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int64)
+
+
+def test_the_corner_of_the_sky_has_the_background_colour(picture: NDArray[np.int64]) -> None:
+    assert np.abs(picture[40, 40] - BACKGROUND).max() <= 2
+
+
+def test_cloth_stands_whole_in_the_middle(picture: NDArray[np.int64]) -> None:
+    """Stretched cloth is the only thing with saturated colour."""
+    cloth = picture.max(axis=2) - picture.min(axis=2) > 40
+    rows, columns = np.nonzero(cloth)
+    height, width = cloth.shape
+    assert cloth.mean() > 0.05
+    assert rows.min() > 0.03 * height
+    assert rows.max() < 0.97 * height
+    assert columns.min() > 0.03 * width
+    assert columns.max() < 0.97 * width
+    assert abs(columns.mean() - 0.5 * width) < 0.2 * width
+
+
+def test_cloth_shows_the_range_of_its_stretch(picture: NDArray[np.int64]) -> None:
+    red, green, blue = np.moveaxis(picture, 2, 0)
+    violet = (blue > green + 30) & (red > green + 20)
+    bright = (green > red + 40) & (green > blue + 20)
+    assert violet.sum() > 200
+    assert bright.sum() > 200
