@@ -1,19 +1,23 @@
 """Compiled loops of the viewer: normals, stretch and colours of a frame.
 
 With numpy alone (cross products, `bincount`, look-ups) a frame takes several times as long, and
-holds the interpreter's lock meanwhile: time that a simulation in the same process loses.
+holds the interpreter's lock meanwhile: time that a simulation in the same process loses. With
+their types written out they compile, once, where the module is imported, not in a run's first frame.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
+FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit("void(float32[:, ::1], int32[:, ::1], float32[:, ::1])", **FLAGS)  # type: ignore[untyped-decorator]
 def vertex_normals(x: Float32, faces: NDArray[np.int32], out: Float32) -> None:
     """Unit normals (n, 3) of a mesh: the mean of the faces' normals, weighted by area.
 
@@ -36,7 +40,7 @@ def vertex_normals(x: Float32, faces: NDArray[np.int32], out: Float32) -> None:
             out[v] /= length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit("void(float32[:, ::1], int32[:, ::1], float32[::1], float32[::1])", **FLAGS)  # type: ignore[untyped-decorator]
 def edge_stretch(x: Float32, edges: NDArray[np.int32], rest: Float32, out: Float32) -> None:
     """|d| / rest - 1 of each edge (e,)."""
     for e in range(edges.shape[0]):
@@ -45,7 +49,7 @@ def edge_stretch(x: Float32, edges: NDArray[np.int32], rest: Float32, out: Float
         out[e] = np.sqrt(dx * dx + dy * dy + dz * dz) / rest[e] - 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit("void(float32[::1], int32[:, ::1], float32[::1])", **FLAGS)  # type: ignore[untyped-decorator]
 def vertex_stretch(stretch: Float32, edges: NDArray[np.int32], out: Float32) -> None:
     """The largest stretch among each vertex's edges (n,); NaN where an edge's is NaN."""
     out[:] = -1.0
@@ -55,7 +59,7 @@ def vertex_stretch(stretch: Float32, edges: NDArray[np.int32], out: Float32) -> 
                 out[v] = stretch[e]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit("void(float32[::1], uint32[::1], float64, float64, uint32, uint32[::1])", **FLAGS)  # type: ignore[untyped-decorator]
 def paint(
     stretch: Float32, table: NDArray[np.uint32], low: float, high: float, missing: int, out: NDArray[np.uint32]
 ) -> None:

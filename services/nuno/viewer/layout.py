@@ -19,7 +19,8 @@ HALF_VIEW = 0.5 * np.radians(58.0)
 
 CURVES = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 228, 66], [213, 94, 0]]
 """Colours told apart with the common colour-vision deficiencies (Okabe and Ito, 2008)."""
-TOTAL = [235, 235, 235]
+TOTAL = [128, 128, 128]
+"""To be seen on the dark and the light theme."""
 BACKGROUND = [226, 230, 234]
 
 
@@ -106,6 +107,6 @@ def entity(*parts: str) -> str:
 
 
 def names(labels: list[str]) -> Any:
-    """Names and colours of a plot's curves; a curve named "total" is white."""
+    """Names and colours of a plot's curves; a curve named "total" is grey."""
     colours = [TOTAL if label == "total" else CURVES[i % len(CURVES)] for i, label in enumerate(labels)]
     return rr.SeriesLines(names=labels, colors=colours, widths=[2.0] * len(labels))

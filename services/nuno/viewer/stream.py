@@ -12,6 +12,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from typing import Any, BinaryIO
 
@@ -21,6 +22,7 @@ START_SECONDS = 20.0
 """How long a viewer may take until it listens."""
 FLUSH_SECONDS = 10.0
 """How long it may take to accept one frame."""
+GOODBYE_SECONDS = 2.0
 LOOPBACK = "127.0.0.1"
 
 
@@ -124,6 +126,9 @@ def pump(source: BinaryIO, recording: Any, view: View) -> int:
 
 def main(mode: str, run: str, view: str) -> None:
     """Show what comes on standard input in a new viewer ("window", "web") or the one at an address."""
+    if hasattr(os, "nice"):
+        # The viewer inherits it: on a machine with few cores the solver goes first.
+        os.nice(5)
     try:
         address = mode
         if mode in ("window", "web"):
@@ -131,6 +136,10 @@ def main(mode: str, run: str, view: str) -> None:
             say(pid=viewer.pid, address=address, page=page)
         recording = connect(address, run)
         pump(sys.stdin.buffer, recording, View.model_validate_json(view))
+        # A viewer that is left without a word shows an error; one that hangs is not waited for.
+        goodbye = threading.Thread(target=recording.disconnect, daemon=True)
+        goodbye.start()
+        goodbye.join(GOODBYE_SECONDS)
     except Exception as error:
         say(error=str(error) or type(error).__name__)
     # Leaving in the ordinary way would wait for a viewer that may never answer.
