@@ -140,7 +140,9 @@ def _restore(packed: Packed, memory: Memory) -> None:
 
 
 def _report(system: System, work: Work, packed: Packed, steps: int, seconds: float) -> StepReport:
-    energy = measure_energy(work.x, work.v, system.fabric.mass, packed)
+    energy = measure_energy(
+        work.x, work.v, system.fabric.mass, packed._replace(gravity=np.asarray(system.gravity, np.float64))
+    )
     counts = {"zero_length_springs": int(energy.zero_length)}
     if packed.contact is not None:
         counts |= count_contacts(packed.contact)

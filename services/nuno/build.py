@@ -212,11 +212,10 @@ def _prepared(loaded: Loaded, field: str, chosen: Chosen, *args: object) -> Term
 
 
 def start_state(fabric: Fabric) -> State:
-    return State(
-        np.ascontiguousarray(fabric.position, np.float64).copy(),
-        np.ascontiguousarray(fabric.velocity, np.float64).copy(),
-        0.0,
-    )
+    """The state at the start; pinned vertices stand still, whatever velocity the cloth has."""
+    velocity = np.array(fabric.velocity, np.float64, order="C")
+    velocity[fabric.pinned] = 0.0
+    return State(np.array(fabric.position, np.float64, order="C"), velocity, 0.0)
 
 
 def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:

@@ -54,7 +54,9 @@ def processes(
 ) -> Iterator[Callable[[], dict[str, str]]]:
     """One process per service."""
     children = {
-        name: subprocess.Popen(serve_command(name, loaded, options, endpoint, run), stdin=subprocess.DEVNULL)
+        name: subprocess.Popen(
+            serve_command(name, loaded, options, endpoint, run), stdin=subprocess.DEVNULL, start_new_session=True
+        )
         for name in plan.services
     }
     try:

@@ -13,7 +13,7 @@ Report = dict[str, Any]
 def make_report(loaded: Loaded, outcome: Outcome) -> Report:
     """What a run's services counted, in one mapping that JSON can hold."""
     summary, services = outcome.summary, outcome.services
-    simulated = float(summary.get("t", 0.0))
+    simulated = float(summary.get("simulated_seconds", 0.0))
     wall = float(summary.get("wall_seconds", 0.0))
     parts = dict(summary.get("seconds", {}))
     recorder, collision, viewer = (services.get(name, {}) for name in ("recorder", "collision", "viewer"))

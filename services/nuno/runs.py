@@ -32,6 +32,9 @@ def folder() -> Path:
         else Path(tempfile.gettempdir()) / f"nuno-{os.getuid()}"
     )
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    state = path.lstat()
+    if path.is_symlink() or state.st_uid != os.getuid() or state.st_mode & 0o077:
+        raise BadInput("the folder for running runs is not this user's alone", value=str(path), remedy="remove it")
     return path
 
 
@@ -47,15 +50,17 @@ def announced(run: str, endpoint: str) -> Iterator[None]:
 
 
 def running() -> dict[str, str]:
-    """Run id -> endpoint of the runs that are alive; notes of dead ones are removed."""
+    """Run id -> endpoint of the runs that are alive, oldest first; notes of dead ones are removed."""
     found = {}
-    for path in sorted(folder().glob("*.json")):
+    notes = [(path.stat().st_mtime_ns, path) for path in folder().glob("*.json")]
+    for _, path in sorted(notes):
         try:
             note = json.loads(path.read_text())
-        except (OSError, ValueError):
+            pid, endpoint = int(note["pid"]), str(note["endpoint"])
+        except (OSError, ValueError, KeyError, TypeError):
             continue
-        if psutil.pid_exists(note["pid"]):
-            found[path.stem] = str(note["endpoint"])
+        if psutil.pid_exists(pid):
+            found[path.stem] = endpoint
         else:
             path.unlink(missing_ok=True)
     return found
@@ -64,7 +69,9 @@ def running() -> dict[str, str]:
 def find(run: str) -> tuple[str, str]:
     """A running run by id, unique prefix, or "last". Raises BadInput."""
     alive = running()
-    matches = sorted(name for name in alive if name.startswith(run)) if run != "last" else sorted(alive)[-1:]
+    matches = [run] if run in alive else [name for name in alive if name.startswith(run)]
+    if run == "last":
+        matches = list(alive)[-1:]
     if len(matches) != 1:
         problem = "no such run is going on" if not matches else "several runs begin with that"
         raise BadInput(problem, value=run, remedy=nearest(run, alive) if alive else "start one: nuno run SCENE")

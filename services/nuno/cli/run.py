@@ -20,6 +20,9 @@ from nuno.service import Options
 from nuno.supervisor import Deployment
 from nuno_schemas.errors import BadInput
 
+RESUMABLE = ("duration", "record", "view")
+"""Fields that may change on resuming: with any other, the recording could not be simulated again."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, optional=True)
@@ -79,6 +82,15 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
     if args.resume is None:
         yield load_scene(args)
         return
+    for item in args.overrides:
+        if item.partition("=")[0].split(".")[0] not in RESUMABLE:
+            raise BadInput(
+                "this field cannot change when a run goes on from a checkpoint",
+                "--set",
+                value=item,
+                limit=", ".join(RESUMABLE),
+                remedy="change the others while it runs: nuno control last set ...",
+            )
     with open_recording(args.resume) as recording, restored_scene(recording, tuple(args.overrides)) as loaded:
         yield loaded
 

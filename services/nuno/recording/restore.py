@@ -57,8 +57,10 @@ def copy_until(recording: Recording, checkpoint: Checkpoint, writer: RecordingWr
     """Write everything from before a checkpoint, and the checkpoint itself: what a resumed run
     has in common with the one it goes on from.
     """
+    control = f"{EVENT.name}/simulation"  # a change made at the checkpoint's frame comes after it
     for message in recording.messages():
         earlier = message.t < checkpoint.t - 1e-9
-        if message.topic != REPORT.name and (earlier or message.topic == CHECKPOINT.name):
+        same = message.t < checkpoint.t + 1e-9 and message.topic in (CHECKPOINT.name, control)
+        if message.topic != REPORT.name and (earlier or same):
             header = Header(run="", service="", seq=message.seq, frame=0, t=message.t)
             writer.write(message.topic, header, message.payload)

@@ -115,7 +115,7 @@ class Recorder:
         return {
             "file": str(path),
             "messages": sum(counts.values()),
-            "counts": dict(counts),
+            "counts": {topic: self._written(topic) for topic in counts},
             "payload_bytes": self._writer.bytes,
             "bytes": size,
             "seconds": self._writer.seconds,

@@ -45,6 +45,7 @@ class Driver:
         self.energy: list[dict[str, float]] = []
         self.stretch = 0.0
         self.message = ""
+        self.begin = simulation.t
         self.inbox = Inbox(context.bus, [ack_topic("*")])
         self.inbox.answer(CONTROL)
         self.inbox.answer("finish/simulation")
@@ -75,6 +76,8 @@ class Driver:
         """Carry out one control request; the answer says what happened."""
         action, simulation = str(request.get("action")), self.simulation
         before = self.state
+        if action in ("pause", "resume", "stop"):
+            self.single = 0
         if action in ("start", "resume"):
             self.state = "running"
         elif action == "pause":
@@ -226,6 +229,7 @@ class Driver:
             "message": self.message,
             "frame": simulation.frame,
             "t": simulation.t,
+            "simulated_seconds": simulation.t - self.begin,
             "digest": simulation.digest(),
             "wall_seconds": wall,
             "seconds": self.seconds,

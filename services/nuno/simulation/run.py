@@ -151,20 +151,17 @@ class Simulation:
                 limit=", ".join(SETTABLE),
                 remedy="stop, and run again with --set",
             )
-        before, kept = self.loaded, self.memory.arrays
+        before, kept, step = self.loaded, self.memory.arrays, (self.steps, self.dt)
         data = _copied(before.data)
         lines = overridden(before.lines, apply_override(data, item))
         changed = load(data, lines, before.file, before.files)
         try:
-            # dt stays what it was: a recording's frames and digests must not depend on when it was set.
             self.loaded = changed
-            step = (self.steps, self.dt)
             self._prepare(dict(kept))
-            self.steps, self.dt = step
-            if self.dt > self.limit.dt and not before.scene.allow_unstable:
+            if step[1] > self.limit.dt and not before.scene.allow_unstable:
                 raise BadInput(
                     "that would make the present step unstable",
-                    value=f"{self.dt:g} s",
+                    value=f"{step[1]:g} s",
                     limit=f"{self.limit.dt:.4g} s",
                     remedy="choose a smaller change",
                 )
@@ -172,6 +169,9 @@ class Simulation:
             self.loaded = before
             self._prepare(dict(kept))
             raise
+        finally:
+            # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
+            self.steps, self.dt = step
 
 
 def _copied(data: Any) -> Any:

@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from nuno.arrays import BadMessage
+from nuno.export.cloth import read_texture
 from nuno.recording.reader import Recording
 from nuno.viewer.file import RerunFile
 from nuno_schemas.errors import BadInput
@@ -21,7 +22,7 @@ def convert(recording: Recording, path: Path) -> Path:
         view = View.model_validate(recording.scene.get("view", {}))
     except ValidationError:
         view = View()
-    file = RerunFile(path, run, view)
+    file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture))
     try:
         for message in recording.messages():
             frame, _ = marks.get(message.log_time, (-1, ""))

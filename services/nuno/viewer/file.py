@@ -10,6 +10,7 @@ from typing import BinaryIO
 import rerun as rr
 
 from nuno.viewer.bridge import APPLICATION, Bridge
+from nuno.viewer.cloth import ReadImage, read_image
 from nuno.viewer.require import part_of
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.scene import View
@@ -28,7 +29,7 @@ class RerunFile:
     full).
     """
 
-    def __init__(self, path: Path, run: str, view: View | None = None) -> None:
+    def __init__(self, path: Path, run: str, view: View | None = None, images: ReadImage = read_image) -> None:
         self.path = path
         self._recording = rr.RecordingStream(APPLICATION, recording_id=run, send_properties=False)
         try:
@@ -37,7 +38,7 @@ class RerunFile:
             remedy = "choose a folder that exists and can be written"
             raise BadInput(f"cannot write there: {error.strerror}", value=str(path), remedy=remedy) from None
         self._copy = _save(self._recording, self._file)
-        self.bridge = Bridge(self._recording, view)
+        self.bridge = Bridge(self._recording, view, images=images)
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Write one message. Raises BadMessage, RunFailed."""
