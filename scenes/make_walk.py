@@ -48,7 +48,7 @@ FLAT, RISE, OFF = 0.12, 0.38, 0.62
 HEEL_UP, TOES_UP = math.radians(-58.0), math.radians(14.0)
 LIFT = 2.0
 """What the swinging ankle is raised by, so that the toes clear the floor [cm]."""
-PELVIS, DROP = 0.531 * HEIGHT, 0.03 * HEIGHT
+PELVIS, DROP = 0.5305 * HEIGHT, 0.03 * HEIGHT
 """Mean height of the pelvis, and how far below it the hip joints lie [cm]."""
 HALF_STEP_WIDTH = 0.033 * HEIGHT
 ANKLE, BALL = 0.045 * HEIGHT, 0.02 * HEIGHT

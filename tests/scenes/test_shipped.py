@@ -1,0 +1,78 @@
+"""Every shipped scene runs: finite, held together, outside of its bodies, and the same twice."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nuno import build, scene_file
+from nuno.collision.distance import penetration
+from nuno.simulation.run import Simulation
+
+FRAMES = 5
+STRETCH = 0.25
+"""No shipped scene stretches a spring further than this in its first frames."""
+DEPTH = 5e-3
+"""No shipped scene lets cloth deeper into a body than this [m] in its first frames."""
+
+
+def simulate(name: str) -> tuple[Simulation, list[float], list[float]]:
+    """A few frames: the simulation, and the largest stretch and depth of each frame."""
+    loaded = scene_file.read(scene_file.shipped()[name])
+    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+    start = bodies.poses(0.0) if bodies else None
+    simulation = Simulation(loaded, bodies.geometry if bodies else None, start, 1)
+    stretches, depths = [], []
+    for frame in range(1, FRAMES + 1):
+        end = bodies.poses(frame / loaded.scene.frame_rate) if bodies else None
+        report = simulation.advance(start, end).report
+        assert report.status == "ok"
+        stretches.append(report.stretch)
+        if bodies and end:
+            depths.append(float(penetration(simulation.state.x, bodies.geometry, end).max()))
+        start = end
+    return simulation, stretches, depths
+
+
+@pytest.mark.parametrize("name", sorted(scene_file.shipped()))
+def test_scene_holds_together_and_runs_the_same_twice(name: str) -> None:
+    first, stretches, depths = simulate(name)
+    assert np.isfinite(first.state.x).all()
+    assert max(stretches) < STRETCH
+    assert max(depths, default=0.0) < DEPTH
+    assert simulate(name)[0].digest() == first.digest()
+
+
+@pytest.mark.parametrize("name", ["skirt-hula", "skirt-walk", "skirt-paper"])
+def test_waist_follows_its_frame(name: str) -> None:
+    simulation, _, _ = simulate(name)
+    bodies = build.build_bodies(simulation.loaded)
+    binding = simulation.fabric.bindings[0]
+    index = bodies.geometry.frames.index(f"{binding.body}/{binding.frame}")
+    rate = simulation.loaded.scene.frame_rate
+    place = [bodies.poses(frame / rate) for frame in (0, FRAMES)]
+    waist = [simulation.fabric.position[binding.vertices], simulation.state.x[binding.vertices]]
+    local = [
+        (x - p.translation[index]) @ build.rotation_matrices(p.rotation[index])
+        for x, p in zip(waist, place, strict=True)
+    ]
+    np.testing.assert_allclose(local[1], local[0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("script", "made"), [("make_walk.py", "walk.bvh"), ("make_pattern.py", "seigaiha.png")])
+def test_files_are_what_their_scripts_make(script: str, made: str, tmp_path: Path) -> None:
+    folder = scene_file.shipped()["skirt-walk"].parent
+    copy = tmp_path / script
+    copy.write_text((folder / script).read_text())
+    subprocess.run([sys.executable, str(copy)], check=True, cwd=tmp_path)
+    if made.endswith(".png"):
+        from PIL import Image
+
+        new, old = (np.asarray(Image.open(path / made)) for path in (tmp_path, folder))
+        np.testing.assert_array_equal(new, old)
+    else:
+        assert (tmp_path / made).read_text() == (folder / made).read_text()
