@@ -18,6 +18,9 @@ from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import Header, Topic
 
+FURTHEST = 100_000
+"""A message this far ahead of the last is none of the run's: believing it would refuse all others."""
+
 
 @dataclass
 class Message:
@@ -163,7 +166,7 @@ class Inbox:
             return None
         expected = self._next.get(topic, header.seq if self._newest_only else 0)
         known = header.run == self._bus.run and header.schema_version == SCHEMA_VERSION
-        if not known or not math.isfinite(header.t) or header.seq < expected:
+        if not known or not math.isfinite(header.t) or not expected <= header.seq < expected + FURTHEST:
             self.counts.refused[topic] += 1
             return None
         skipped = header.seq - expected

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 from scenes import BALL, write_scene
@@ -19,6 +20,7 @@ from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.recording.writer import RecordingWriter
 from nuno.service import Options
+from nuno.simulation.run import Simulation
 from nuno.supervisor import Deployment, Outcome
 from nuno.verify import Verification, verify
 from nuno_schemas.errors import BadInput, RunFailed
@@ -227,3 +229,42 @@ def test_a_change_while_running_is_replayed_at_its_frame(long_run: Callable[...,
     run.join()
     with nuno.open(run.options.record) as recording:  # type: ignore[arg-type]
         assert verify(recording).frame is None
+
+
+def test_a_change_at_the_last_checkpoint_outlives_a_resume(long_run: Callable[..., Run], tmp_path: Path) -> None:
+    run = long_run()
+    run.control("pause")
+    frame = int(str(run.control("status")["frame"]))
+    run.control("set", item="damping=3.0")
+    run.control("stop")
+    run.join()
+    target = tmp_path / "on.mcap"
+    duration = (frame + 10) / 50
+    command = ["run", "--resume", str(run.options.record), "--set", f"duration={duration}", "--record", str(target)]
+    assert main([*command, "--no-view"]) == 0
+    with nuno.open(target) as recording:
+        assert [event.args["item"] for event in control_events(recording) if event.text == "set"] == ["damping=3.0"]
+        assert verify(recording).frame is None
+
+
+def test_a_refused_change_leaves_the_step_alone(tmp_path: Path) -> None:
+    solver = {"plugin": "symplectic_euler", "dt": "auto"}
+    simulation = Simulation(scene_file.read(write_scene(tmp_path, solver=solver)), None, None, 1)
+    step = (simulation.steps, simulation.dt)
+    simulation.set("damping=100")
+    with pytest.raises(BadInput):
+        simulation.set("damping=1e9")
+    assert (simulation.steps, simulation.dt) == step
+    assert simulation.loaded.scene.damping == 100.0
+
+
+def test_pinned_vertices_stand_still_whatever_their_velocity(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    with np.load(tmp_path / "chain.npz") as file:
+        arrays = dict(file)
+    arrays["v"][:] = [1.0, 2.0, 3.0]
+    np.savez(tmp_path / "chain.npz", **arrays)
+    result = nuno.run(scene)
+    assert (result.x[0] == arrays["x"][0]).all()
+    assert not result.v[0].any()
+    assert (result.x[1:] != arrays["x"][1:]).any()

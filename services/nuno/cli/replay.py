@@ -95,7 +95,7 @@ class _Viewer:
     def __init__(self, loaded: Loaded, bus: Bus, options: Options) -> None:
         from nuno.bus import Watch
 
-        self.bus = bus
+        self.bus, self.view = bus, options.view
         self.thread = threading.Thread(
             target=run_service, args=("viewer", loaded, bus.session, bus.run, options), daemon=True
         )
@@ -108,3 +108,8 @@ class _Viewer:
         self.thread.join(10.0)
         if answer.get("file"):
             print(f"rerun file {answer['file']}")
+        if self.view == "web" and answer.get("pid"):
+            from nuno.viewer.live import keep_page
+
+            print("the page stays until you press Ctrl-C", flush=True)
+            keep_page(int(answer["pid"]))

@@ -125,6 +125,16 @@ def _wants_picture(args: argparse.Namespace, options: Options) -> bool:
     return not args.no_view and options.view is None and options.record is not None
 
 
+def _keep_page(options: Options, outcome: supervisor.Outcome) -> None:
+    """Leave the page of a web view there until the user ends it."""
+    pid = outcome.services.get("viewer", {}).get("pid")
+    if options.view == "web" and pid:
+        from nuno.viewer.live import keep_page
+
+        print("the page stays until you press Ctrl-C", flush=True)
+        keep_page(int(pid))
+
+
 def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool) -> int:
     """Run, show progress, print the report; the exit code."""
     started = time.perf_counter()
@@ -138,13 +148,14 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         print(f"recording  {options.record}")
     if options.save is not None:
         print(f"rerun file {options.save}  (look: rerun {options.save})")
-    if picture and outcome.state in ("done", "stopped") and options.record is not None:
+    if picture and outcome.state in ("done", "stopped") and options.record is not None and options.record.exists():
         from nuno.export.pictures import export_picture
 
         target = options.record.with_suffix(".png")
         export_picture(options.record, target)
         print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
     print(f"total      {time.perf_counter() - started:.1f} s")
+    _keep_page(options, outcome)
     if outcome.state in ("failed", "diverged"):
         print(
             f"\n{outcome.state}: {outcome.error or outcome.summary.get('message') or 'positions are no longer finite'}",
