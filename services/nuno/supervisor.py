@@ -27,6 +27,8 @@ from nuno_schemas.messages import EVENT, STATUS, Event, Status, Topic
 START_TIMEOUT = 120.0
 """Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
 CONNECT_PATIENCE = 20.0
+LAST_WORDS = 2.0
+"""How long the reason is waited for when a service has gone [s]."""
 
 COMPILING_AFTER = 1.5
 """Preparing takes this long [s] only where kernels are compiled, and then it is said."""
@@ -151,12 +153,20 @@ class Supervisor:
         while self.ended is None:
             self._drain(progress, timeout=0.2)
             if dead := [name for name in self.plan.services if name not in self.watch.alive()]:
-                if self._drain(progress, timeout=0.2):
+                if self._last_words(set(dead), progress):
                     break
                 name = self.blamed or dead[0]
                 why = self.errors.get(name) or self.exited().get(name) or "its process ended or the connection broke"
                 return f"the {name} service died: {why}"
         return ""
+
+    def _last_words(self, dead: set[str], progress: Progress | None) -> bool:
+        """Hear why services died, which may come after their tokens are gone; whether the run was over."""
+        end = time.monotonic() + LAST_WORDS
+        while not self._drain(progress, timeout=0.1) and time.monotonic() < end:
+            if any(self.errors.get(name) or self.exited().get(name) for name in dead):
+                break
+        return self.ended is not None
 
     def finish(
         self, error: str, report: Callable[[dict[str, dict[str, Any]]], dict[str, Any]], discard: bool = False

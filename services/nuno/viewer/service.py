@@ -15,6 +15,8 @@ from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, 
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
 TOPICS = [FABRIC, GEOMETRY, BODIES, STATE, STATUS, PENETRATION, EVENTS, REPORT]
+MOST_EARLY = 64
+"""Messages that are kept until the cloth is known: more than a simulation runs ahead."""
 DRAIN_SECONDS = 0.1
 """How long the bus must be quiet, after the end of a run, until nothing more is on its way."""
 
@@ -26,6 +28,8 @@ class Viewer:
         self.context = context
         self.seconds = 0.0
         self.frames = 0
+        self.early: list[Message] | None = []
+        """What came before the cloth did."""
         options, view = context.options, context.loaded.scene.view
         self.file: Any = None
         if options.save is not None:
@@ -41,6 +45,24 @@ class Viewer:
         self.context.event(kind, text)
 
     def handle(self, message: Message) -> None:
+        """Show one message, after the cloth that it is about.
+
+        zenoh keeps no order between topics, and a frame without its cloth could not be drawn. A
+        viewer that comes late never hears of the cloth, and waits for nothing.
+        """
+        if self.early is not None:
+            if message.topic != FABRIC.name and len(self.early) < MOST_EARLY:
+                self.early.append(message)
+                return
+            waiting, self.early = self.early, None
+            # Without the cloth after all, what waited still goes first.
+            order = [message, *waiting] if message.topic == FABRIC.name else [*waiting, message]
+            for each in order:
+                self.show(each)
+            return
+        self.show(message)
+
+    def show(self, message: Message) -> None:
         """Show one message, and acknowledge it if it is a frame that must be seen."""
         start = time.perf_counter()
         header = message.header
@@ -63,6 +85,9 @@ class Viewer:
         """Handle what is still on its way."""
         while isinstance(item := self.inbox.get(DRAIN_SECONDS), Message):
             self.handle(item)
+        for message in self.early or ():
+            self.show(message)
+        self.early = None
 
     def close(self) -> dict[str, Any]:
         """End the views; what they showed. Raises RunFailed if the file could not be written."""
