@@ -55,6 +55,16 @@ def kernel(function: F) -> F:
     return cast(F, numba.njit(**FLAGS)(function))
 
 
+def inlined(function: F) -> F:
+    """A small function whose source goes into every kernel that calls it, compiled only there.
+
+    Compiling a kernel optimises all that it calls once more, so a call costs a user's first run
+    about as much as the function itself. For functions without optional arguments: numba prunes
+    the branches of a None before it inlines.
+    """
+    return cast(F, numba.njit(inline="always", **FLAGS)(function))
+
+
 def parallel_kernel(function: F) -> F:
     """Compile `function` so that its `prange` loops run on several threads."""
     return cast(F, numba.njit(parallel=True, **FLAGS)(function))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_schemas.fabric import Int
+from nuno_schemas.fabric import Bool, Int
 
 Long = NDArray[np.int64]
 
@@ -21,6 +21,13 @@ out better, larger ones compute fewer springs twice: of a grid 256 wide 10 %, ag
 
 PADDING = 8
 """Columns after a block's forces that take what belongs to other blocks' vertices."""
+
+SHORTEST = 6
+"""Runs with fewer elements than this go through lists of indices,"""
+
+FEW = 1 / 16
+"""unless they hold no more than this share of all: then they are computed as runs too, and the
+kernel for lists is not even compiled. A grid's borders are such."""
 
 
 def block_count(vertices: int) -> int:
@@ -107,3 +114,11 @@ def assign_runs(cut: Long, blocks: int) -> tuple[Long, Long]:
     order = np.lexsort((*task[:, :corners].T[::-1], block))
     start = np.searchsorted(block[order], np.arange(blocks + 1))
     return np.ascontiguousarray(task[order], np.int64), start.astype(np.int64)
+
+
+def choose_runs(count: Int, stride: Int) -> Bool:
+    """(m,) which of the runs with (m,) counts and strides are taken as they are."""
+    straight: Bool = stride == 1
+    long: Bool = straight & (count >= SHORTEST)
+    few = int(count[straight & ~long].sum()) <= FEW * int(count.sum())
+    return straight if few else long

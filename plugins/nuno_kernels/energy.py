@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from nuno_kernels import kernel
+from nuno_kernels import inlined, kernel
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK
 from nuno_kernels.hinges import FLAT, cross, dot
@@ -33,7 +33,7 @@ class Energy(NamedTuple):
         return self.kinetic + self.gravitational + self.springs + self.hinges
 
 
-@kernel
+@inlined
 def measure_spring(x: Any, i: int, j: int, k: float, rest: float, stretch: float, shortest: float) -> Any:
     """Energy of one spring, and the running stretch, shortest length and zero-length mark."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
@@ -79,7 +79,7 @@ def measure_springs(x: Any, runs: Any, lists: Any) -> Any:
     return energy, stretch if stretch > -1.0 else 0.0, shortest, zeros
 
 
-@kernel
+@inlined
 def edge(x: Any, i: int, j: int) -> Any:
     """x_j - x_i."""
     return x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
@@ -127,17 +127,19 @@ def measure_hinges(x: Any, runs: Any, lists: Any) -> float:
 
 
 @kernel
-def measure(x: Any, v: Any, mass: Any, gravity: Any, runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any) -> Any:
-    """All fields of Energy, for x, v (3, n) and masses (n,) [kg]."""
+def measure_vertices(x: Any, v: Any, mass: Any, gravity: Any) -> Any:
+    """Kinetic and gravitational energy for x, v (3, n) and masses (n,) [kg]."""
     kinetic, potential = 0.0, 0.0
     for p in range(x.shape[1]):
         kinetic += 0.5 * mass[p] * (v[0, p] * v[0, p] + v[1, p] * v[1, p] + v[2, p] * v[2, p])
         potential -= mass[p] * (gravity[0] * x[0, p] + gravity[1] * x[1, p] + gravity[2] * x[2, p])
-    energy, stretch, shortest, zeros = measure_springs(x, runs, lists)
-    return kinetic, potential, energy, measure_hinges(x, hinge_runs, hinge_lists), stretch, shortest, zeros
+    return kinetic, potential
 
 
 def measure_energy(x: Float, v: Float, mass: Float, packed: Packed) -> Energy:
     """Energy and stretch of a packed system at x, v (3, n) with masses (n,) [kg]."""
     p = packed
-    return Energy(*measure(x, v, mass, p.gravity, p.runs, p.lists, p.hinge_runs, p.hinge_lists))
+    kinetic, gravitational = measure_vertices(x, v, mass, p.gravity)
+    springs, stretch, shortest, zeros = measure_springs(x, p.runs, p.lists)
+    hinges = measure_hinges(x, p.hinge_runs, p.hinge_lists)
+    return Energy(kinetic, gravitational, springs, hinges, stretch, shortest, zeros)

@@ -27,13 +27,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
+from nuno_kernels.blocks import (
+    Long,
+    assign_runs,
+    block_count,
+    choose_runs,
+    cut_runs,
+    local_targets,
+    owned_copies,
+    pad_lists,
+)
 from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.simd_choose import where_greater
 from nuno_schemas.fabric import Bool, Float, Hinges, Int
-
-SHORTEST = 6
-"""Runs with fewer hinges than this go through lists."""
 
 FLAT = 1e-20
 """Squared sine of a triangle's angle at x0 below which rounding alone decides its normal."""
@@ -184,7 +190,7 @@ def pack_hinges(hinges: Hinges | None, vertices: int) -> tuple[HingeRuns | None,
     if hinges is None or hinges.number == 0:
         return None, None
     per_run = hinges.k.shape == hinges.rest.shape == hinges.count.shape
-    direct = per_run & (hinges.stride == 1) & (hinges.count >= SHORTEST)
+    direct = per_run & choose_runs(hinges.count, hinges.stride)
     listed = ~np.repeat(direct, hinges.count)
     runs = _pack_hinge_runs(hinges, direct, vertices) if direct.any() else None
     return runs, _pack_hinge_lists(hinges, listed, vertices) if listed.any() else None

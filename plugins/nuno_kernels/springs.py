@@ -12,16 +12,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
+from nuno_kernels.blocks import (
+    SHORTEST,
+    Long,
+    assign_runs,
+    block_count,
+    choose_runs,
+    cut_runs,
+    local_targets,
+    owned_copies,
+    pad_lists,
+)
 from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.simd_choose import where_not_zero
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
 LONGEST = 256
 """Springs of a piece of a run: its forces wait in a buffer of 6 kB."""
-
-SHORTEST = 6
-"""Runs with fewer springs than this go through lists."""
 
 FAR = 32
 """Vertices between the ends from which both ends can be updated in one pass: nearer, a read
@@ -166,7 +173,7 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | N
         return None, None
     blocks = block_count(vertices)
     per_run = springs.k.shape == springs.rest.shape == springs.c.shape == springs.count.shape
-    direct = per_run & (springs.stride == 1) & (springs.count >= SHORTEST)
+    direct = per_run & choose_runs(springs.count, springs.stride)
     first = np.sort(springs.first[direct], axis=1).astype(np.int64)
     runs = np.column_stack([first, springs.count[direct], np.arange(first.shape[0])])
     named = (springs.k, springs.rest, springs.c)
