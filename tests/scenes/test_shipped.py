@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,10 @@ def test_waist_follows_its_frame(name: str) -> None:
     np.testing.assert_allclose(local[1], local[0], atol=1e-12)
 
 
-@pytest.mark.parametrize(("script", "made"), [("make_walk.py", "walk.bvh"), ("make_pattern.py", "seigaiha.png")])
+SCRIPTS = {"make_walk.py": "walk.bvh", "make_pattern.py": "seigaiha.png", "make_net.py": "pendulum.npz"}
+
+
+@pytest.mark.parametrize(("script", "made"), SCRIPTS.items())
 def test_files_are_what_their_scripts_make(script: str, made: str, tmp_path: Path) -> None:
     folder = scene_file.shipped()["skirt-walk"].parent
     copy = tmp_path / script
@@ -74,5 +78,16 @@ def test_files_are_what_their_scripts_make(script: str, made: str, tmp_path: Pat
 
         new, old = (np.asarray(Image.open(path / made)) for path in (tmp_path, folder))
         np.testing.assert_array_equal(new, old)
+    elif made.endswith(".npz"):  # the arrays' own bytes: how they are packed is the zip library's matter
+        with zipfile.ZipFile(tmp_path / made) as new_file, zipfile.ZipFile(folder / made) as old_file:
+            assert new_file.namelist() == old_file.namelist()
+            for member in old_file.namelist():
+                assert new_file.read(member) == old_file.read(member), member
     else:
         assert (tmp_path / made).read_text() == (folder / made).read_text()
+
+
+def test_every_shipped_data_file_has_its_script() -> None:
+    folder = scene_file.shipped()["skirt-walk"].parent
+    data = {path.name for path in folder.iterdir() if path.suffix not in (".yaml", ".py") and path.is_file()}
+    assert data == set(SCRIPTS.values())
