@@ -8,6 +8,7 @@ import queue
 import threading
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -211,14 +212,23 @@ class Bus:
 
     def ask(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> bytes:
         """The answer of one service's queryable. Raises RunFailed if none comes."""
-        for reply in self.session.get(
+        return self.ask_ahead(name, payload, timeout)()
+
+    def ask_ahead(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> Callable[[], bytes]:
+        """Ask now; the function that is returned waits for the answer and raises as `ask` does."""
+        replies = self.session.get(
             self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK
-        ):
-            if reply.ok is not None:
-                return reply.ok.payload.to_bytes()
-            if reply.err is not None:
-                raise RunFailed(f"{name}: {reply.err.payload.to_bytes().decode(errors='replace')}")
-        raise RunFailed(f"no answer from {name} within {timeout:g} s", peer=name.split("/")[0])
+        )
+
+        def answer() -> bytes:
+            for reply in replies:
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
+                if reply.err is not None:
+                    raise RunFailed(f"{name}: {reply.err.payload.to_bytes().decode(errors='replace')}")
+            raise RunFailed(f"no answer from {name} within {timeout:g} s", peer=name.split("/")[0])
+
+        return answer
 
     def ask_json(self, name: str, value: dict[str, Any], timeout: float = 10.0) -> dict[str, Any]:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ class Driver:
         self.state = "paused"
         self.single = 0
         self.finish: Question | None = None
+        self.coming: Callable[[], Poses] | None = None
         self.acked = dict.fromkeys(context.options.must_see, -1)
         self.seconds = {"steps": 0.0, "bodies": 0.0, "waiting": 0.0, "encoding": 0.0}
         self.counts: dict[str, int] = {}
@@ -136,7 +138,7 @@ class Driver:
         """Ask for the bodies, step, publish."""
         simulation = self.simulation
         start = time.perf_counter()
-        end = ask_poses(self.context, simulation.frame + 1) if self.poses is not None else None
+        end = self.next_poses() if self.poses is not None else None
         self.seconds["bodies"] += time.perf_counter() - start
         frame = simulation.advance(self.poses, end)
         self.poses = end
@@ -156,6 +158,18 @@ class Driver:
             self.publish_checkpoint()
         self.wait_for(frame.number - WINDOW)
         return frame.report
+
+    def next_poses(self) -> Poses:
+        """Poses at the end of the next frame.
+
+        Those of the frame after it are asked for at once: the collision service answers between two
+        measurements, and the steps do not wait for it.
+        """
+        frame = self.simulation.frame + 1
+        answer = self.coming or ask_poses(self.context, frame)
+        poses = answer()
+        self.coming = ask_poses(self.context, frame + 1) if frame < self.scene.frames else None
+        return poses
 
     def publish(self, frame: Frame, state: str) -> None:
         start = time.perf_counter()
@@ -258,8 +272,10 @@ class Driver:
         self.seconds["waiting"] += time.perf_counter() - start
 
 
-def ask_poses(context: Context, frame: int) -> Poses:
-    return decode_poses(context.bus.ask(POSES_QUESTION, json.dumps({"frame": frame}).encode()))
+def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
+    """Ask for a frame's poses now; the function that is returned waits for them."""
+    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode())
+    return lambda: decode_poses(answer())
 
 
 def ask_geometry(context: Context) -> Geometry:

@@ -32,13 +32,13 @@ def resume(context: Context, simulation: Simulation, path: Path, poses: Poses | 
             if event.text == "set" and event.frame <= point.frame:
                 simulation.set(str(event.args["item"]))
         simulation.resume(point.frame, point.x, point.v, point.memory)
-    return ask_poses(context, point.frame) if poses is not None else None
+    return ask_poses(context, point.frame)() if poses is not None else None
 
 
 def main(context: Context) -> None:
     """Simulate one run: prepare, wait for the start, step through the frames, answer the end."""
     geometry = ask_geometry(context) if context.loaded.scene.bodies else None
-    poses = ask_poses(context, 0) if geometry is not None else None
+    poses = ask_poses(context, 0)() if geometry is not None else None
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads)
     if context.options.resume is not None:
         poses = resume(context, simulation, context.options.resume, poses)
