@@ -12,7 +12,7 @@ from nuno_cloth.grid import Grid, build_faces, build_hinges, build_springs
 from nuno_cloth.material import FabricChoice, resolve
 from nuno_cloth.placement import PinName, Point, Rotation, Velocity, find_texture, pin_grid
 from nuno_cloth.quantities import Length
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric, Float, Preset
 from nuno_schemas.plugin import Config, Files
 
 Vertices = Annotated[int, Field(ge=2, le=16384)]
@@ -63,6 +63,12 @@ class Sheet:
 
     def count(self, config: SheetConfig, files: Files) -> int:
         return config.resolution[0] * config.resolution[1]
+
+    def presets(self) -> tuple[Preset, ...]:
+        """Fabrics known by name, to every model here; the virtual tests take about a second."""
+        from nuno_cloth.catalogue import list_presets
+
+        return list_presets()
 
     def build(self, config: SheetConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a pin that does not exist, a missing texture, elongated cells."""

@@ -8,7 +8,8 @@ per element, whichever is shorter, and `pairs()` or `quads()` writes the plain l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,7 +154,10 @@ class Fabric:
     mass     (n,)   float64  [kg], > 0
     pinned   (n,)   bool     held where they are, or moved by a binding
     faces    (f, 3) int32    triangles, counter-clockwise seen from outside; f may be 0
-    uv       (n, 2) float32  texture coordinates in [0, 1], or None
+    uv       (n, 2) float32  texture coordinates in [0, 1], or None: u to the right as seen from
+                             outside, v upwards: (0, 1) is the image's upper left corner, as in
+                             OBJ files. Image rows run down, so what samples an image, such as
+                             plugin.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
     springs, hinges          or None where there are none
     bindings                 pinned vertices that follow a body
     texture                  path of an image, or None
@@ -174,9 +178,6 @@ class Fabric:
     @property
     def number(self) -> int:
         return int(self.mass.shape[0])
-
-    def with_texture(self, path: str | None) -> Fabric:
-        return replace(self, texture=path)
 
 
 @dataclass
@@ -201,3 +202,27 @@ class Memory:
 
     arrays: dict[str, NDArray[np.generic]] = field(default_factory=dict)
     work: object = None
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One property of a fabric.
+
+    unit      of all its values, as a scene may write it; "" for a ratio
+    given     what the fabric's source says
+    measured  what virtual tests find on a mesh, by the test's name
+    """
+
+    name: str
+    unit: str
+    given: float
+    measured: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A fabric that a scene can name. A model that knows some lists them by `presets()`."""
+
+    name: str
+    source: str
+    measures: tuple[Measure, ...]

@@ -1,0 +1,60 @@
+"""`nuno fabrics`: every preset with its own values in the table's units, measured, and in the docs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nuno.cli import main
+from nuno.cli.fabrics import find_presets, table
+from nuno_cloth.presets import PRESETS
+from nuno_schemas.fabric import Preset
+from nuno_schemas.units import to_si
+
+DOCS = Path(__file__).parents[2] / "docs" / "scenes.md"
+SI = {"density": "kg/m^2", "bend_warp": "N*m", "bend_weft": "N*m"}
+
+
+@pytest.fixture(scope="module")
+def presets() -> dict[str, Preset]:
+    return find_presets()
+
+
+def test_values_are_the_materials_in_units_that_scenes_take(presets: dict[str, Preset]) -> None:
+    assert list(presets) == list(PRESETS)
+    for name, preset in presets.items():
+        assert preset.source == PRESETS[name].source
+        for measure in preset.measures:
+            value = to_si(f"{measure.given!r} {measure.unit}", SI.get(measure.name, measure.unit))
+            assert value == pytest.approx(getattr(PRESETS[name], measure.name), rel=1e-12), (name, measure.name)
+
+
+def test_held_specimens_give_the_source_and_free_ones_less(presets: dict[str, Preset]) -> None:
+    for preset in presets.values():
+        by_name = {measure.name: measure for measure in preset.measures}
+        for measure in preset.measures[:-1]:
+            assert measure.measured["sides held"] == pytest.approx(measure.given, rel=1e-4)
+        for name in ("warp", "weft", "shear"):
+            assert 0 < by_name[name].measured["sides free"] < by_name[name].given
+
+
+def test_the_command_prints_units_values_and_sources(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fabrics", "denim", "jacket"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split() == ["[g/m^2]", "[N/m]", "[N/m]", "[N/m]", "[uN*m]", "[uN*m]", "[1]"]
+    assert lines[2].split() == ["denim", "324", "410.7", "2028", "26.69", "24.24", "16.05", "0.05"]
+    assert any(line.startswith("denim: Wang et al. 2011, sample 11oz-black-denim") for line in lines)
+    assert not any("swimwear" in line for line in lines)
+
+
+def test_an_unknown_fabric_is_answered_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fabrics", "denm"]) == 2
+    assert "did you mean 'denim'?" in capsys.readouterr().err
+
+
+def test_the_docs_show_what_the_command_prints(presets: dict[str, Preset]) -> None:
+    shown = DOCS.read_text()
+    for line in table([presets["denim"]]):
+        assert line in shown
+    assert all(f"`{name}`" in shown for name in presets)
