@@ -50,12 +50,14 @@ def threads(
 
 @contextlib.contextmanager
 def processes(
-    loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str
+    loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str, config: str | None = None
 ) -> Iterator[Callable[[], dict[str, str]]]:
-    """One process per service."""
+    """One process per service. `config` is the zenoh configuration of the hub at `endpoint`, for its spokes."""
     children = {
         name: subprocess.Popen(
-            serve_command(name, loaded, options, endpoint, run), stdin=subprocess.DEVNULL, start_new_session=True
+            serve_command(name, loaded, options, endpoint, run, config),
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
         )
         for name in plan.services
     }
@@ -73,13 +75,16 @@ def processes(
             child.wait()
 
 
-def serve_command(name: str, loaded: Loaded, options: Options, endpoint: str, run: str) -> list[str]:
+def serve_command(
+    name: str, loaded: Loaded, options: Options, endpoint: str, run: str, config: str | None = None
+) -> list[str]:
     """The command line that runs one service."""
     command = [sys.executable, "-m", "nuno", "serve", name, loaded.file, "--run", run, "--connect", endpoint]
     flags: list[tuple[str, object]] = [("--set", item) for item in loaded.overrides]
     flags += [("--root", root) for root in loaded.files.roots]
     flags += [("--must-see", service) for service in options.must_see]
     flags += [(f"--{name}", getattr(options, name)) for name in ("record", "save", "view", "resume")]
+    flags.append(("--config", config))
     for flag, value in flags:
         if value is not None:
             command += [flag, str(value)]

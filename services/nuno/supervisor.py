@@ -232,7 +232,9 @@ def supervise(
         supervisor = Supervisor(loaded, options, plan, session, run)
         stack.enter_context(runs.announced(run, endpoint))
         if deployment.processes:
-            supervisor.exited = stack.enter_context(launch.processes(loaded, options, plan, endpoint, run))
+            supervisor.exited = stack.enter_context(
+                launch.processes(loaded, options, plan, endpoint, run, deployment.config)
+            )
         elif not deployment.connect:
             supervisor.exited = stack.enter_context(launch.threads(loaded, options, plan, session, run))
         return _conduct(supervisor, began, progress, report)
@@ -268,9 +270,12 @@ def _conduct(
     return result
 
 
-def control(run: str, endpoint: str, request: dict[str, Any]) -> dict[str, Any]:
-    """Send one control request to a running run. Raises BadInput or RunFailed."""
-    with spoke(endpoint) as session:
+def control(run: str, endpoint: str, request: dict[str, Any], config: str | None = None) -> dict[str, Any]:
+    """Send one control request to a running run, whose hub may ask for a zenoh configuration.
+
+    Raises BadInput or RunFailed.
+    """
+    with spoke(endpoint, config) as session:
         return Bus(session, run, "control").ask_json("control", request)
 
 

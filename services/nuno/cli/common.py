@@ -31,5 +31,9 @@ def add_scene(parser: argparse.ArgumentParser, optional: bool = False) -> None:
     )
 
 
+def add_config(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument("--config", metavar="FILE", help="zenoh configuration: TLS, access control")
+
+
 def load_scene(args: argparse.Namespace) -> Loaded:
     return scene_file.read(scene_file.find(args.scene), args.overrides, args.root)

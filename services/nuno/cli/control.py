@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from nuno import runs
+from nuno.cli.common import add_config
 from nuno.supervisor import control
 from nuno_schemas.errors import BadInput
 
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("action", choices=["status", "pause", "resume", "step", "stop", "set"])
     parser.add_argument("item", nargs="?", help="set: KEY=VALUE, e.g. gravity='[0, -1.6, 0]'; step: how many frames")
     parser.add_argument("--connect", metavar="ENDPOINT", help="the run's hub, if it is on another host")
+    add_config(parser)
 
 
 def main(args: argparse.Namespace) -> int:
@@ -27,7 +29,7 @@ def main(args: argparse.Namespace) -> int:
         if args.item is not None and not args.item.isdigit():
             raise BadInput("step takes a number of frames", value=args.item)
         request["frames"] = int(args.item or 1)
-    answer = control(run, endpoint, request)
+    answer = control(run, endpoint, request, args.config)
     if not answer.get("ok"):
         raise BadInput(str(answer.get("error", "refused")))
     print(f"{run}: {answer['state']} at frame {answer['frame']} of {answer['frames']}, t = {answer['t']:.3f} s")

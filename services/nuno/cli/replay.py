@@ -10,6 +10,7 @@ from pathlib import Path
 
 from nuno import runs, supervisor
 from nuno.bus import Bus
+from nuno.cli.common import add_config
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--listen", metavar="ENDPOINT", help="where subscribers connect (default: a free port on loopback)"
     )
     parser.add_argument("--run", metavar="ID", help="name of the run it is published as")
+    add_config(parser)
 
 
 def main(args: argparse.Namespace) -> int:
@@ -71,7 +73,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
     options = Options(view=view, save=args.save, must_see=("viewer",) if args.save else ())
     replay = Replay(None if args.fast else args.rate, args.start, args.loop, options.must_see)
     with contextlib.ExitStack() as stack:
-        session = stack.enter_context(hub(endpoint))
+        session = stack.enter_context(hub(endpoint, args.config))
         stack.enter_context(runs.announced(run, endpoint))
         bus = Bus(session, run, SUPERVISOR)
         stack.enter_context(bus.alive())

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nuno import runs, supervisor
-from nuno.cli.common import add_scene, load_scene
+from nuno.cli.common import add_config, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--connect", metavar="ENDPOINT", help="start no service: services started by hand wait at this hub"
     )
     where.add_argument("--run", metavar="ID", help="name of the run (default: scene, time and four random digits)")
-    where.add_argument("--config", metavar="FILE", help="zenoh configuration: TLS, access control")
+    add_config(where)
     where.add_argument(
         "--threads",
         type=int,

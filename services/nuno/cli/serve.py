@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 
 from nuno import runs, scene_file, sessions
+from nuno.cli.common import add_config
 from nuno.service import MODULES, Options, run_service
 from nuno_schemas.errors import BadInput
 
@@ -26,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="tcp/127.0.0.1:7447",
         help="where the router listens (default: %(default)s)",
     )
-    parser.add_argument("--config", metavar="FILE", help="zenoh configuration: TLS, access control")
+    add_config(parser)
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
     parser.add_argument("--root", action="append", default=[], type=Path, metavar="DIR")
     parser.add_argument(
