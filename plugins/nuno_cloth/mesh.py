@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, BeforeValidator, Field
 
 from nuno_cloth.material import FabricChoice, HandSet, resolve
 from nuno_cloth.placement import Direction, Point, Rotation, Velocity, find_texture, vertices
@@ -28,6 +28,19 @@ class Box(Config):
     high: Point
 
 
+def _not_a_name(pin: object) -> object:
+    """A sheet's edges have names; a mesh has neither rows nor edges that could bear them."""
+    if isinstance(pin, str):
+        raise ValueError(
+            "a mesh has no pins with names; give vertex numbers, such as pin: [0, 7], "
+            "or boxes, such as pin: [{low: [-1, 0.9, -1], high: [1, 2, 1]}]"
+        )
+    return pin
+
+
+Pin = Annotated[int | Box, BeforeValidator(_not_a_name)]
+
+
 class MeshConfig(Config):
     """file: OBJ, PLY or STL; scale: metres per unit of the file; then rotate about the file's
     origin and move by `centre`. warp: direction of the warp yarns in the file's axes, laid onto
@@ -42,7 +55,7 @@ class MeshConfig(Config):
     velocity: Velocity = (0.0, 0.0, 0.0)
     warp: Direction = (0.0, 1.0, 0.0)
     merge: bool = False
-    pin: tuple[int | Box, ...] = ()
+    pin: tuple[Pin, ...] = ()
     fabric: FabricChoice = "denim"
     texture: str | None = None
 

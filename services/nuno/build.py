@@ -9,6 +9,7 @@ import numpy as np
 import psutil
 
 from nuno.scene_file import Chosen, Loaded
+from nuno.worn import check_worn
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Springs, State
@@ -167,22 +168,27 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
 
 
 def bind(
-    loaded: Loaded, fabric: Fabric, pieces: list[Piece], frames: tuple[str, ...], poses: Poses | None
+    loaded: Loaded, fabric: Fabric, pieces: list[Piece], geometry: Geometry | None, poses: Poses | None
 ) -> list[Term]:
     """Terms that carry bound vertices along with their frames.
 
     Local coordinates are those of the start, so cloth is put on where the scene places it.
-    Raises BadInput for a body or frame that does not exist.
+    Raises BadInput for a body or frame that does not exist, or that the cloth is far from.
     """
     terms = []
+    frames = geometry.frames if geometry else ()
     for binding in fabric.bindings:
         name = f"{binding.body}/{binding.frame}"
-        if poses is None or name not in frames:
-            error = BadInput("cloth is attached to a frame that no body has", value=name, remedy=nearest(name, frames))
+        try:
+            if geometry is None or poses is None or name not in frames:
+                remedy = nearest(name, frames)
+                raise BadInput("cloth is attached to a frame that no body has", value=name, remedy=remedy)
+            index = frames.index(name)
+            check_worn(fabric.position[binding.vertices], geometry, poses, index)
+        except BadInput as error:
             vertex = int(binding.vertices[0])
             piece = next(i for i, piece in enumerate(pieces) if vertex < piece.stop)
-            raise loaded.at(f"objects[{piece}].model.attach", error)
-        index = frames.index(name)
+            raise loaded.at(f"objects[{piece}].model.attach", error) from None
         turn = rotation_matrices(poses.rotation[index])
         local = (fabric.position[binding.vertices] - poses.translation[index]) @ turn
         terms.append(Term("bindings", (binding.vertices, local, np.full(len(local), index, np.int32))))
@@ -194,7 +200,7 @@ def build_system(
 ) -> System:
     """The fabric and everything that acts on it; poses are those of t = 0. Raises BadInput."""
     gravity = np.array(loaded.scene.gravity)
-    terms = bind(loaded, fabric, pieces, geometry.frames if geometry else (), poses)
+    terms = bind(loaded, fabric, pieces, geometry, poses)
     for i, force in enumerate(loaded.forces):
         terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
     if geometry is not None and loaded.contact is not None and len(geometry.kind):

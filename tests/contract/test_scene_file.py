@@ -57,6 +57,10 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
     "unknown integrator": ({"solver": {"plugin": "rk5"}}, "solver.plugin", "no plugin 'rk5'", "'rk4'"),
     "unknown model": (with_model(plugin="shet"), "objects[0].model.plugin", "no plugin 'shet'", "'sheet'"),
     "unknown force": ({"forces": [{"plugin": "wnd"}]}, "forces[0].plugin", "no plugin 'wnd'", "'wind'"),
+    "pin of a mesh by name": (
+        with_model(plugin="mesh", file="m.obj", pin=[0, "top-row"]), "objects[0].model.pin[1]",
+        "a mesh has no pins with names", "give vertex numbers, such as pin: [0, 7], or boxes",
+    ),
     "unknown preset": (with_model(fabric="denimm"), "objects[0].model.fabric", "unknown fabric preset", "'denim'"),
     "unknown name in a list": (with_model(pin=["top-rwo"]), "objects[0].model.pin[0]", "unknown value", "'top-row'"),
     "unknown choice": (with_model(plane="zy"), "objects[0].model.plane", "unknown value", "known: xy, xz, yz"),

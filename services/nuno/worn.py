@@ -1,0 +1,66 @@
+"""Whether cloth that is attached to a body's frame starts anywhere near it.
+
+Attached vertices keep their place in the frame from the start on, wherever that is: a skirt whose
+centre was forgotten would be dragged along from a metre away, without an error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from nuno.collision.distance import signed_distance
+from nuno_schemas.bodies import BOX, PLANE, Geometry, Poses
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+FARTHEST = 2.0
+"""Largest distance of attached cloth from the body's surface, in radii of the body there. A waist
+lies within a few centimetres; a cape on a chest that is attached to the hips within one radius."""
+
+
+def check_worn(x: Float, geometry: Geometry, poses: Poses, frame: int) -> None:
+    """Raises BadInput where attached vertices x (n, 3) [m] start far from their frame, an index.
+
+    What counts is the nearest of them and of their middle: a flag is held at one end, and a
+    wide ring has its middle on the body. Planes have no end, so nothing is far from them.
+    """
+    places = np.concatenate([x, x.mean(axis=0, keepdims=True)])
+    distance, radius = _nearest(places, geometry, poses, frame)
+    if distance <= FARTHEST * radius:
+        return
+    centre = ", ".join(f"{value:.3g}" for value in poses.translation[frame])
+    raise BadInput(
+        "cloth is attached to a frame that it is far from",
+        value=f"{geometry.frames[frame]}: {distance:.3g} m from the body's surface there",
+        limit=f"{FARTHEST * radius:.3g} m, {FARTHEST:g} times the body's radius there",
+        remedy=f"place the cloth at the frame, which starts at [{centre}] m, or attach it to a nearer frame",
+    )
+
+
+def _nearest(places: Float, geometry: Geometry, poses: Poses, frame: int) -> tuple[float, float]:
+    """Distance of places (m, 3) to the nearest primitive that the frame carries, and its radius [m].
+
+    A frame that carries none counts as a ball round its origin, as thick as its body at most.
+    """
+    found = [
+        (float(signed_distance(places, _only(geometry, i), poses).min()), _radius(geometry, i))
+        for i in np.flatnonzero(geometry.frame == frame)
+    ]
+    if found:
+        return min(found)
+    body = geometry.bodies.index(geometry.frames[frame].partition("/")[0])
+    radius = max((_radius(geometry, i) for i in np.flatnonzero(geometry.body == body)), default=0.0)
+    return float(np.linalg.norm(places - poses.translation[frame], axis=1).min()) - radius, radius
+
+
+def _only(geometry: Geometry, i: int) -> Geometry:
+    chosen = {name: getattr(geometry, name)[i : i + 1] for name in ("kind", "frame", "body", "a", "b", "radius")}
+    return replace(geometry, **chosen)
+
+
+def _radius(geometry: Geometry, i: int) -> float:
+    if geometry.kind[i] == PLANE:
+        return np.inf
+    return float(geometry.b[i].max() if geometry.kind[i] == BOX else geometry.radius[i])
