@@ -1,4 +1,4 @@
-"""docker-compose.yml: valid, consistent, and its very commands run as plain processes."""
+"""docker-compose.yml: valid, consistent, its very commands run as plain processes, and who leaves last."""
 
 from __future__ import annotations
 
@@ -50,12 +50,21 @@ def test_its_commands_make_a_complete_recording(compose: dict[str, Any], tmp_pat
 
     children = {n: subprocess.Popen(command(n), stdout=subprocess.DEVNULL) for n in compose["services"]}
     try:
-        codes = {name: children[name].wait(150) for name in children if name != "router"}
+        codes = {"run": children["run"].wait(150)}
+        # What starts the containers goes on from here: nobody may be needed any more.
+        with nuno.open(tmp_path / "skirt.mcap") as recording:
+            assert recording.complete
+            assert recording.counts["sim/state"] == 7
+        codes |= {name: children[name].wait(30) for name in children if name not in ("router", "run")}
     finally:
         for child in children.values():
             child.terminate()
         assert children["router"].wait(20) == 0
     assert set(codes.values()) == {0}, codes
-    with nuno.open(tmp_path / "skirt.mcap") as recording:
-        assert recording.complete
-        assert recording.counts["sim/state"] == 7
+
+
+def test_the_commands_it_gives_follow_the_service_that_leaves_last(compose: dict[str, Any]) -> None:
+    """`run` asks the others to finish, and starts them: what a user types must wait for it alone."""
+    given = [line.split("#")[1].split() for line in FILE.read_text().splitlines() if line.startswith("#   ")]
+    assert given == [["docker", "compose", "run", "--rm", "run"], ["docker", "compose", "down"]]
+    assert set(compose["services"]["run"]["depends_on"]) == set(compose["services"]) - {"run"}
