@@ -7,9 +7,11 @@ from typing import Any
 
 from nuno.arrays import BadMessage
 from nuno.bus import Inbox, Message
+from nuno.recording.provenance import assets
 from nuno.service import Context, ack_topic, each_message
 from nuno.viewer.live import LiveView
 from nuno.viewer.require import require
+from nuno.viewer.textures import with_own_textures
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS, Ack, Topic
 
@@ -66,11 +68,14 @@ class Viewer:
         """Show one message, and acknowledge it if it is a frame that must be seen."""
         start = time.perf_counter()
         header = message.header
+        payload = message.payload
+        if message.topic == FABRIC.name:
+            payload = with_own_textures(payload, assets(self.context.loaded))
         if self.live is not None:
-            self.live.feed(message.topic, header.frame, header.t, message.payload)
+            self.live.feed(message.topic, header.frame, header.t, payload)
         if self.file is not None:
             try:
-                self.file.feed(message.topic, header.frame, header.t, message.payload)
+                self.file.feed(message.topic, header.frame, header.t, payload)
             except BadMessage:
                 self.inbox.counts.refused[message.topic] += 1
         if message.topic == STATE.name:
