@@ -24,14 +24,22 @@ def _known(preset: str) -> str:
 class Measured(Config):
     """A fabric in measured units: a preset, some of its values replaced, or all of them given."""
 
-    preset: str | None = None
-    density: Density | None = None
-    warp: Tensile | None = None
-    weft: Tensile | None = None
-    shear: Modulus | None = None
-    bend_warp: Rigidity | None = None
-    bend_weft: Rigidity | None = None
-    damping_ratio: Ratio | None = None
+    preset: str | None = Field(
+        default=None, description="whose values hold where none is given (nuno fabrics lists them)"
+    )
+    density: Density | None = Field(default=None, description="areal density [kg/m^2]")
+    warp: Tensile | None = Field(
+        default=None, description="tensile stiffness along the warp, per width, width held [N/m]"
+    )
+    weft: Tensile | None = Field(
+        default=None, description="tensile stiffness along the weft, per width, width held [N/m]"
+    )
+    shear: Modulus | None = Field(default=None, description="shear stiffness: force per width and shear angle [N/m]")
+    bend_warp: Rigidity | None = Field(default=None, description="bending rigidity of the warp yarns, per width [N*m]")
+    bend_weft: Rigidity | None = Field(default=None, description="bending rigidity of the weft yarns, per width [N*m]")
+    damping_ratio: Ratio | None = Field(
+        default=None, description="damping of each spring as a part of its critical damping; 0.05 unless given"
+    )
 
     @field_validator("preset")
     @classmethod
@@ -58,22 +66,23 @@ def _pair(value: object) -> object:
     return value if isinstance(value, (list, tuple)) else (value, value)
 
 
+Pair = Annotated[
+    tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
+]
+
+
 class HandSet(Config):
-    """Constants per spring, as the papers tune them: they do not follow the mesh.
+    """Constants per spring, as the papers tune them: they do not follow the mesh."""
 
-    structural and bending may be one number or [warp, weft].
-    """
-
-    density: Density
-    structural: Annotated[
-        tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
-    ]
-    shear: Modulus = 0.0
-    bending: Annotated[
-        tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
-    ] = (0.0, 0.0)
-    hinge: Rigidity = 0.0
-    damping: SpringDamping = 0.0
+    density: Density = Field(description="areal density [kg/m^2]")
+    structural: Pair = Field(description="springs between neighbours [N/m]: one number, or [warp, weft]")
+    shear: Modulus = Field(default=0.0, description="springs along diagonals [N/m]")
+    bending: Pair = Field(
+        default=(0.0, 0.0),
+        description="the papers' springs between vertices two apart [N/m]: one number, or [warp, weft]",
+    )
+    hinge: Rigidity = Field(default=0.0, description="stiffness of each fold line [N*m]")
+    damping: SpringDamping = Field(default=0.0, description="of each spring, along it [N*s/m]")
 
 
 def _form(value: object) -> Literal["name", "by hand", "measured"]:
@@ -83,6 +92,10 @@ def _form(value: object) -> Literal["name", "by hand", "measured"]:
     return "by hand" if by_hand else "measured"
 
 
+FABRIC = (
+    "a preset's name (nuno fabrics lists them), a preset with some values replaced, measured values, or constants "
+    "per spring set by hand"
+)
 FabricChoice = Annotated[
     Annotated[str, Field(json_schema_extra={"enum": sorted(PRESETS)}), BeforeValidator(_known), Tag("name")]
     | Annotated[Measured, Tag("measured")]

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, Field
 
-from nuno_cloth.material import FabricChoice, HandSet, resolve
-from nuno_cloth.placement import Direction, Point, Rotation, Velocity, find_texture, vertices
+from nuno_cloth.material import FABRIC, FabricChoice, HandSet, resolve
+from nuno_cloth.placement import STILL, TEXTURE, VELOCITY, Direction, Point, Rotation, Velocity, find_texture, vertices
 from nuno_cloth.presets import Material
-from nuno_cloth.quantities import Length
+from nuno_cloth.quantities import Scale
 from nuno_cloth.triangles import Edges, face_areas, find_edges, hinge_stiffness, spring_stiffness, yarn_axes
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
@@ -22,10 +22,10 @@ STRUCTURAL, BENDING = 0, 2
 
 
 class Box(Config):
-    """Vertices inside it are pinned; corners in the world [m]."""
+    """Vertices inside it are pinned."""
 
-    low: Point
-    high: Point
+    low: Point = Field(description="corner with the smallest x, y and z, in the world [m]")
+    high: Point = Field(description="corner with the largest x, y and z, in the world [m]")
 
 
 def _not_a_name(pin: object) -> object:
@@ -42,22 +42,26 @@ Pin = Annotated[int | Box, BeforeValidator(_not_a_name)]
 
 
 class MeshConfig(Config):
-    """file: OBJ, PLY or STL; scale: metres per unit of the file; then rotate about the file's
-    origin and move by `centre`. warp: direction of the warp yarns in the file's axes, laid onto
-    each triangle. merge: join vertices at the same place (OBJ files with texture seams need it;
-    STL has no shared vertices and is always merged). pin: vertex numbers or boxes.
-    """
+    """A file's triangles: scaled, turned about the file's origin, then moved by `centre`."""
 
-    file: str
-    scale: Annotated[Length, Field(le=1e6)] = 1.0
-    rotate: Rotation | None = None
-    centre: Point = (0.0, 0.0, 0.0)
-    velocity: Velocity = (0.0, 0.0, 0.0)
-    warp: Direction = (0.0, 1.0, 0.0)
-    merge: bool = False
-    pin: tuple[Pin, ...] = ()
-    fabric: FabricChoice = "denim"
-    texture: str | None = None
+    file: str = Field(description="a mesh beside the scene: OBJ, PLY or STL")
+    scale: Scale = Field(default=1.0, description="length of one of the file's units [m]")
+    rotate: Rotation | None = Field(default=None, description="a turn about the file's origin")
+    centre: Point = Field(default=(0.0, 0.0, 0.0), description="where the file's origin comes to lie [m]")
+    velocity: Velocity = Field(default=STILL, description=VELOCITY)
+    warp: Direction = Field(
+        default=(0.0, 1.0, 0.0), description="direction of the warp yarns in the file's axes, laid onto each triangle"
+    )
+    merge: bool = Field(
+        default=False,
+        description="join vertices at the same place: OBJ files with texture seams need it; STL, which has no shared "
+        "vertices, is always merged",
+    )
+    pin: tuple[Pin, ...] = Field(
+        default=(), description="vertex numbers, counted from 0, or boxes of the world {low, high} [m]"
+    )
+    fabric: FabricChoice = Field(default="denim", description=FABRIC)
+    texture: str | None = Field(default=None, description=TEXTURE)
 
 
 class Mesh:

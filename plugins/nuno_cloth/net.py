@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, Springs
@@ -30,11 +30,12 @@ DTYPES = {"fiu": "float64", "iu": "int32", "b": "bool"}
 
 
 class NetConfig(Config):
-    """file: a .npz with x (n, 3) [m], v (n, 3) [m/s], m (n,) [kg], pinned (n,) bool,
-    springs (s, 2), k (s,) [N/m], rest (s,) [m], c (s,) [N s/m]; no other key.
-    """
+    """Arrays of a file, as they are."""
 
-    file: str
+    file: str = Field(
+        description="a .npz beside the scene with x (n, 3) [m], v (n, 3) [m/s], m (n,) [kg], pinned (n,) bool, "
+        "springs (s, 2), k (s,) [N/m], rest (s,) [m], c (s,) [N*s/m]; no other key"
+    )
 
 
 class Net:

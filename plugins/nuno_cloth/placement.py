@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from nuno_cloth.grid import Grid
 from nuno_cloth.quantities import Angle, Metres, Number, Speed
@@ -28,10 +28,10 @@ Direction = Annotated[tuple[Number, Number, Number], AfterValidator(_not_zero)]
 
 
 class Rotation(Config):
-    """A turn by `angle` [rad] about `axis` (any length but zero), right-handed."""
+    """A right-handed turn about an axis."""
 
-    axis: Direction = (0.0, 1.0, 0.0)
-    angle: Angle
+    axis: Direction = Field(default=(0.0, 1.0, 0.0), description="of any length but zero")
+    angle: Angle = Field(description="[rad]")
 
     def matrix(self) -> Float:
         """(3, 3), by Rodrigues' formula."""
@@ -44,9 +44,13 @@ class Rotation(Config):
 class Attach(Config):
     """The body and frame that pinned vertices follow."""
 
-    body: str
-    frame: str
+    body: str = Field(description="name of a body of the scene")
+    frame: str = Field(description="one of its joints; bodies that do not move have the frame world")
 
+
+STILL = (0.0, 0.0, 0.0)
+VELOCITY = "of all free vertices at the start [m/s]"
+TEXTURE = "an image beside the scene, shown on the outside and the inside"
 
 PinName = Literal[
     "top-row",

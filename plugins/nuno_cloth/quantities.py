@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     Rigidity = float
     SpringDamping = float
     Newtons = float
+    Scale = float
+    Fullness = float
+    Flatness = float
 else:
     from nuno_schemas.units import quantity
 
@@ -37,3 +40,6 @@ else:
     Rigidity = quantity("N*m", ge=0)
     SpringDamping = quantity("N*s/m", ge=0)
     Newtons = quantity("N")
+    Scale = quantity("m", gt=0, le=1e6)
+    Fullness = quantity("", ge=1, le=6)
+    Flatness = quantity("", gt=0.2, lt=5)

@@ -9,8 +9,8 @@ from pydantic import BaseModel, Field
 
 from nuno_cloth.constants import Lattice, grid_constants
 from nuno_cloth.grid import Grid, build_faces, build_hinges, build_springs
-from nuno_cloth.material import FabricChoice, resolve
-from nuno_cloth.placement import PinName, Point, Rotation, Velocity, find_texture, pin_grid
+from nuno_cloth.material import FABRIC, FabricChoice, resolve
+from nuno_cloth.placement import STILL, TEXTURE, VELOCITY, PinName, Point, Rotation, Velocity, find_texture, pin_grid
 from nuno_cloth.quantities import Length
 from nuno_schemas.fabric import Fabric, Float, Preset
 from nuno_schemas.plugin import Config, Files
@@ -27,21 +27,21 @@ PLANES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]]
 
 
 class SheetConfig(Config):
-    """size: width and height [m]; resolution: vertices across and down; centre [m].
+    """A rectangle; warp yarns run down it."""
 
-    plane xy hangs with its outside to +z, yz hangs to +x, xz lies with its outside up; rotate
-    turns it about its centre afterwards. Warp yarns run down the sheet.
-    """
-
-    size: tuple[Length, Length] = (1.0, 1.0)
-    resolution: tuple[Vertices, Vertices] = (32, 32)
-    centre: Point = (0.0, 0.0, 0.0)
-    plane: Literal["xy", "xz", "yz"] = "xy"
-    rotate: Rotation | None = None
-    velocity: Velocity = (0.0, 0.0, 0.0)
-    pin: tuple[PinName | int, ...] = ()
-    fabric: FabricChoice = "denim"
-    texture: str | None = None
+    size: tuple[Length, Length] = Field(default=(1.0, 1.0), description="width and height [m]")
+    resolution: tuple[Vertices, Vertices] = Field(default=(32, 32), description="vertices across and down")
+    centre: Point = Field(default=(0.0, 0.0, 0.0), description="of the sheet [m]")
+    plane: Literal["xy", "xz", "yz"] = Field(
+        default="xy", description="xy hangs with its outside to +z, yz hangs to +x, xz lies with its outside up"
+    )
+    rotate: Rotation | None = Field(default=None, description="a turn about the centre, after `plane`")
+    velocity: Velocity = Field(default=STILL, description=VELOCITY)
+    pin: tuple[PinName | int, ...] = Field(
+        default=(), description="names of edges or corners, or vertices: row * columns + column"
+    )
+    fabric: FabricChoice = Field(default="denim", description=FABRIC)
+    texture: str | None = Field(default=None, description=TEXTURE)
 
 
 def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:

@@ -9,16 +9,16 @@ really there, not a texture, and they stay when the skirt swings.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field, field_validator
 
 from nuno_cloth.constants import Lattice, grid_constants
 from nuno_cloth.grid import Grid, build_faces, build_hinges, build_springs
-from nuno_cloth.material import FabricChoice, resolve
-from nuno_cloth.placement import Attach, Point, Rotation, Velocity, find_texture
-from nuno_cloth.quantities import Length, Number
+from nuno_cloth.material import FABRIC, FabricChoice, resolve
+from nuno_cloth.placement import STILL, TEXTURE, VELOCITY, Attach, Point, Rotation, Velocity, find_texture
+from nuno_cloth.quantities import Flatness, Fullness, Length
 from nuno_cloth.sheet import grid_mass, texture_coordinates
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Fabric, Float
@@ -31,29 +31,30 @@ ROUNDS = 4
 
 
 class SkirtConfig(Config):
-    """Radii and length (along the cloth, waist to hem) [m]; vertices around and down.
+    """A cone whose top row is pinned. Columns start at +x and run towards -z.
 
-    fullness is the cloth's length at the hem over the circle it starts on; ratio is the waist's
-    depth over its width (z over x). centre is the middle of the waist [m]; the axis points down
-    (-y) before `rotate`. Columns start at +x and run towards -z. The top row is pinned; with
-    `attach` it moves with that body's frame. Texture: u runs from 0 to 1 and back around the
-    waist, so that an image has no seam; v is 1 at the waist and 0 at the hem.
+    Texture: u runs from 0 to 1 and back around the waist, so that an image has no seam; v is 1 at
+    the waist and 0 at the hem.
     """
 
-    waist_radius: Length = 0.13
-    hem_radius: Length = 0.28
-    length: Length = 0.5
-    columns: Annotated[int, Field(ge=4, le=16384)] = 128
-    rows: Annotated[int, Field(ge=2, le=16384)] = 64
-    fullness: Annotated[Number, Field(ge=1, le=6)] = 1.0
-    pleats: Annotated[int, Field(ge=2, le=200)] = 12
-    ratio: Annotated[Number, Field(gt=0.2, lt=5)] = 1.0
-    centre: Point = (0.0, 0.0, 0.0)
-    rotate: Rotation | None = None
-    velocity: Velocity = (0.0, 0.0, 0.0)
-    attach: Attach | None = None
-    fabric: FabricChoice = "denim"
-    texture: str | None = None
+    waist_radius: Length = Field(default=0.13, description="of the waist, half its width [m]")
+    hem_radius: Length = Field(default=0.28, description="of the circle on which the hem starts [m]")
+    length: Length = Field(default=0.5, description="along the cloth, from waist to hem [m]")
+    columns: int = Field(default=128, ge=4, le=16384, description="vertices around, an even number")
+    rows: int = Field(default=64, ge=2, le=16384, description="vertices from waist to hem")
+    fullness: Fullness = Field(default=1.0, description="the cloth's length at the hem over the circle it starts on")
+    pleats: int = Field(default=12, ge=2, le=200, description="folds around, where fullness is above 1")
+    ratio: Flatness = Field(default=1.0, description="the waist's depth over its width, z over x")
+    centre: Point = Field(default=(0.0, 0.0, 0.0), description="middle of the waist [m]")
+    rotate: Rotation | None = Field(
+        default=None, description="a turn about the centre; before it the axis points down (-y)"
+    )
+    velocity: Velocity = Field(default=STILL, description=VELOCITY)
+    attach: Attach | None = Field(
+        default=None, description="the body and frame that the waist moves with; it stands unless given"
+    )
+    fabric: FabricChoice = Field(default="denim", description=FABRIC)
+    texture: str | None = Field(default=None, description=TEXTURE)
 
     @field_validator("columns")
     @classmethod

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from nuno_cloth.placement import Velocity
 from nuno_cloth.quantities import AirDensity, Angle, Newtons, Ratio
@@ -16,16 +16,19 @@ from nuno_schemas.plugin import Config, Term
 
 
 class WindConfig(Config):
-    """velocity of the air [m/s] (zero is still air: drag alone), its density [kg/m^3], and the
-    coefficients of a flat plate: normal 1.17 is a square plate across the flow (Hoerner,
-    Fluid-Dynamic Drag, 1965); tangential 0.01 is laminar skin friction on two sides at a
-    Reynolds number of about 10^5 (2 x 1.328 / sqrt(Re), Blasius).
+    """Air, and the coefficients of a flat plate in it.
+
+    normal 1.17 is a square plate across the flow (Hoerner, Fluid-Dynamic Drag, 1965); tangential
+    0.01 is laminar skin friction on two sides at a Reynolds number of about 10^5 (2 x 1.328 /
+    sqrt(Re), Blasius).
     """
 
-    velocity: Velocity = (0.0, 0.0, 0.0)
-    density: AirDensity = 1.2
-    normal: Ratio = 1.17
-    tangential: Ratio = 0.01
+    velocity: Velocity = Field(default=(0.0, 0.0, 0.0), description="of the air [m/s]; zero is still air: drag alone")
+    density: AirDensity = Field(default=1.2, description="of the air [kg/m^3]")
+    normal: Ratio = Field(default=1.17, description="drag coefficient of cloth across the flow")
+    tangential: Ratio = Field(
+        default=0.01, description="friction coefficient of cloth along the flow, both sides together"
+    )
 
 
 class Wind:
@@ -47,13 +50,11 @@ class Wind:
 
 
 class ParticleWindConfig(Config):
-    """strength alpha [N per particle]; beta and gamma [rad]: the direction is
-    (cos beta sin gamma, sin beta sin gamma, cos gamma).
-    """
+    """The direction is (cos beta sin gamma, sin beta sin gamma, cos gamma)."""
 
-    strength: Newtons
-    beta: Angle = 0.0
-    gamma: Angle = 0.0
+    strength: Newtons = Field(description="the skirt paper's alpha, on each particle [N]")
+    beta: Angle = Field(default=0.0, description="angle of the wind's direction about z, from x [rad]")
+    gamma: Angle = Field(default=0.0, description="angle of the wind's direction from z [rad]")
 
 
 class ParticleWindForce:

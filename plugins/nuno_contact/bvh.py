@@ -9,46 +9,43 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
+from nuno_contact.quantities import Later, Point, Rate, Size, Span
 from nuno_contact.rotations import AXES, from_axis_angle, multiply, pose_skeleton, slerp
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files, Mover
-from nuno_schemas.units import quantity
 
 LARGEST_FILE = 256 * 2**20
 
 
 class BvhConfig(Config):
-    """A captured motion.
+    """A captured motion."""
 
-    file        the BVH file
-    height      of the body [m]: scales the file's unit so that the skeleton at rest is this tall
-    scale       or: metres in one of the file's units; goes before `height`
-    start, stop the part of the file to use [s from its first frame]; to its end unless given
-    end         what follows: "hold" the last pose, or "loop"
-    blend       in a loop, time over which the end fades into the beginning [s]
-    ramp        the motion starts still and reaches its own speed after this time [s]
-    frame_rate  of the file [Hz], unless its own is right
-    up          vertical axis of the file
-    position    where the body starts [m]: its hips stand over x, z, and its lowest point is at y
-    travel      keep its way over the ground; off, it stays in place (mean velocity taken out)
-    """
-
-    file: str
-    height: quantity("m", gt=0) = 1.7  # type: ignore[valid-type]
-    scale: quantity("m", gt=0) | None = None  # type: ignore[valid-type]
-    start: quantity("s", ge=0) = 0.0  # type: ignore[valid-type]
-    stop: quantity("s", gt=0) | None = None  # type: ignore[valid-type]
-    end: Literal["hold", "loop"] = "hold"
-    blend: quantity("s", ge=0) = 0.25  # type: ignore[valid-type]
-    ramp: quantity("s", ge=0) = 0.0  # type: ignore[valid-type]
-    frame_rate: quantity("Hz", gt=0) | None = None  # type: ignore[valid-type]
-    up: Literal["y", "z"] = "y"
-    position: tuple[quantity("m"), quantity("m"), quantity("m")] = (0.0, 0.0, 0.0)  # type: ignore[valid-type]
-    travel: bool = True
+    file: str = Field(description="the BVH file, beside the scene")
+    height: Size = Field(
+        default=1.7, description="of the body [m]: scales the file's unit so that the skeleton at rest fits"
+    )
+    scale: Size | None = Field(
+        default=None, description="or: length of one of the file's units [m]; goes before height"
+    )
+    start: Span = Field(default=0.0, description="where the motion begins [s], counted from the file's first frame")
+    stop: Later | None = Field(
+        default=None, description="where it ends [s], counted likewise; with the file unless given"
+    )
+    end: Literal["hold", "loop"] = Field(default="hold", description="what follows: hold the last pose, or loop")
+    blend: Span = Field(default=0.25, description="in a loop, time over which the end fades into the beginning [s]")
+    ramp: Span = Field(default=0.0, description="the motion starts still and reaches its own speed after this time [s]")
+    frame_rate: Rate | None = Field(default=None, description="of the file [Hz]; its own unless given")
+    up: Literal["y", "z"] = Field(default="y", description="vertical axis of the file")
+    position: Point = Field(
+        default=(0.0, 0.0, 0.0), description="where the body starts [m]: hips over x and z, its lowest point at y"
+    )
+    travel: bool = Field(
+        default=True, description="keep its way over the ground; off: mean velocity taken out, it stays"
+    )
 
 
 def read_bvh(path: Path) -> Any:

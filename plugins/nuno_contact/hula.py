@@ -12,14 +12,14 @@ import math
 from typing import ClassVar, cast
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
+from nuno_contact.quantities import Point, Reach, Size, Span, Tempo, Tilt, Turn
 from nuno_contact.rotations import AXES, from_axis_angle, from_euler, from_matrices, invert, multiply, pose_skeleton
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files, Mover
-from nuno_schemas.units import quantity
 
 _SPINE = [
     ("hips", "", (0.0, 0.55, 0.0)),
@@ -60,24 +60,17 @@ def build_skeleton(height: float) -> tuple[list[str], Int, Float]:
 
 
 class HulaConfig(Config):
-    """The dance.
+    """The dance."""
 
-    height     of the body [m]
-    tempo      hip circles per second [Hz]
-    amplitude  radius of the hips' circle [m]; refused where a foot would leave the floor
-    sway       largest sideways tilt of the hips [rad]
-    twist      largest turn of the hips about the vertical [rad]
-    ramp       time in which the dance grows from standing still [s]
-    position   where the dancer stands [m]
-    """
-
-    height: quantity("m", gt=0) = 1.65  # type: ignore[valid-type]
-    tempo: quantity("Hz", ge=0) = 0.8  # type: ignore[valid-type]
-    amplitude: quantity("m", ge=0) = 0.07  # type: ignore[valid-type]
-    sway: quantity("rad", ge=0, le=0.5) = 0.16  # type: ignore[valid-type]
-    twist: quantity("rad", ge=0, le=0.8) = 0.2  # type: ignore[valid-type]
-    ramp: quantity("s", ge=0) = 2.0  # type: ignore[valid-type]
-    position: tuple[quantity("m"), quantity("m"), quantity("m")] = (0.0, 0.0, 0.0)  # type: ignore[valid-type]
+    height: Size = Field(default=1.65, description="of the body [m]")
+    tempo: Tempo = Field(default=0.8, description="circles of the hips per second [Hz]")
+    amplitude: Reach = Field(
+        default=0.07, description="radius of the hips' circle [m]; refused where a foot would leave the floor"
+    )
+    sway: Tilt = Field(default=0.16, description="largest sideways tilt of the hips [rad]")
+    twist: Turn = Field(default=0.2, description="largest turn of the hips about the vertical [rad]")
+    ramp: Span = Field(default=2.0, description="time in which the dance grows from standing still [s]")
+    position: Point = Field(default=(0.0, 0.0, 0.0), description="where the dancer stands [m]")
 
 
 def grow(t: float, ramp: float) -> float:

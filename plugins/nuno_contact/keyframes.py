@@ -9,17 +9,13 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, cast
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
+from nuno_contact.quantities import Angle, Point, Time
 from nuno_contact.rotations import from_axis_angle, from_euler, slerp
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config, Files, Mover
-from nuno_schemas.units import quantity
-
-Time = quantity("s")
-Length = quantity("m")
-Angle = quantity("rad")
 
 WIDTH = {"euler": 3, "axis_angle": 4, "quaternion": 4}
 
@@ -27,23 +23,25 @@ WIDTH = {"euler": 3, "axis_angle": 4, "quaternion": 4}
 class KeyframesConfig(Config):
     """Where a body is at given times.
 
-    times      [s], increasing
-    positions  of the body's origin [m], one for each time; at rest at the origin unless given
-    rotations  one for each time, in the form that `form` says:
-               euler       [x, y, z] angles [rad]: about world x first, then y, then z
-               axis_angle  [x, y, z, angle [rad]]
-               quaternion  [w, x, y, z], normalised here
-               Between keys a body turns the shorter way round: a key at least every half turn.
-    between    "linear", or "ease" (starts and stops softly at every key)
-    end        "hold" the last key, or "loop" from the first
+    Between keys a body turns the shorter way round: a key at least every half turn.
     """
 
-    times: list[Time]  # type: ignore[valid-type]
-    positions: list[tuple[Length, Length, Length]] | None = None  # type: ignore[valid-type]
-    rotations: list[list[Angle]] | None = None  # type: ignore[valid-type]
-    form: Literal["euler", "axis_angle", "quaternion"] = "euler"
-    between: Literal["linear", "ease"] = "linear"
-    end: Literal["hold", "loop"] = "hold"
+    times: list[Time] = Field(description="of the keys [s], increasing")
+    positions: list[Point] | None = Field(
+        default=None, description="of the body's origin [m], one for each time; at rest at the origin unless given"
+    )
+    rotations: list[list[Angle]] | None = Field(
+        default=None,
+        description="one for each time, in the given form: euler [x, y, z], angles [rad] about world x first, then y, "
+        "then z; axis_angle [x, y, z, angle [rad]]; quaternion [w, x, y, z], normalised",
+    )
+    form: Literal["euler", "axis_angle", "quaternion"] = Field(default="euler", description="how rotations are written")
+    between: Literal["linear", "ease"] = Field(
+        default="linear", description="how the body moves from key to key; ease starts and stops softly at each"
+    )
+    end: Literal["hold", "loop"] = Field(
+        default="hold", description="what follows the last key: hold it, or loop from the first"
+    )
 
 
 def check_keys(config: KeyframesConfig) -> None:

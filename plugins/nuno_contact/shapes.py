@@ -5,55 +5,52 @@ from __future__ import annotations
 from typing import ClassVar, cast
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
+from nuno_contact.quantities import Direction, Point, Size
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import BodyShape, Config, Mover
-from nuno_schemas.units import quantity
 
-Length = quantity("m")
-Size = quantity("m", gt=0)
-Number = quantity("")
-Point = tuple[Length, Length, Length]  # type: ignore[valid-type]
-Direction = tuple[Number, Number, Number]  # type: ignore[valid-type]
 ORIGIN = (0.0, 0.0, 0.0)
 
 
 class OnJoint(Config):
-    """Where a shape rides: a joint of the body's motion (its first one unless named)."""
+    """A shape that rides on a joint of its body's motion."""
 
-    joint: str | None = None
+    joint: str | None = Field(
+        default=None, description="joint of the motion that carries it; its first one unless given"
+    )
 
 
 class CapsuleConfig(OnJoint):
-    """All points within `radius` [m] of the segment from a to b, in the joint's frame [m]."""
+    """All points within `radius` of the segment from a to b."""
 
-    a: Point
-    b: Point
-    radius: Size  # type: ignore[valid-type]
+    a: Point = Field(description="one end of its axis, in the joint's frame [m]")
+    b: Point = Field(description="the other end [m]; the same place makes a sphere")
+    radius: Size = Field(description="[m]")
 
 
 class SphereConfig(OnJoint):
-    """All points within `radius` [m] of `centre`, in the joint's frame [m]."""
+    """All points within `radius` of `centre`."""
 
-    centre: Point = ORIGIN
-    radius: Size  # type: ignore[valid-type]
+    centre: Point = Field(default=ORIGIN, description="in the joint's frame [m]")
+    radius: Size = Field(description="[m]")
 
 
 class PlaneConfig(OnJoint):
-    """The half space below a plane through `point` [m] whose `normal` (any length) points out."""
+    """The half space below a plane."""
 
-    point: Point = ORIGIN
-    normal: Direction = (0.0, 1.0, 0.0)
+    point: Point = Field(default=ORIGIN, description="any point of the plane, in the joint's frame [m]")
+    normal: Direction = Field(default=(0.0, 1.0, 0.0), description="direction out of the body, of any length")
 
 
 class BoxConfig(OnJoint):
-    """A box of edge lengths `size` [m] round `centre` [m], along the axes of the joint's frame."""
+    """A box along the axes of the joint's frame."""
 
-    centre: Point = ORIGIN
-    size: tuple[Size, Size, Size]  # type: ignore[valid-type]
+    centre: Point = Field(default=ORIGIN, description="in the joint's frame [m]")
+    size: tuple[Size, Size, Size] = Field(description="whole edge lengths along x, y and z [m]")
 
 
 def find_frame(joint: str | None, mover: Mover | None) -> tuple[tuple[str, ...], int]:

@@ -10,34 +10,35 @@ from typing import Annotated, ClassVar, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_contact.quantities import Size
 from nuno_contact.radii import PELVIS_HALF_WIDTH, PIECES, PROFILES, default_radius, find_part
 from nuno_schemas.bodies import CAPSULE
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import BodyShape, Config, Mover
-from nuno_schemas.units import quantity
-
-Size = quantity("m", gt=0)
 
 
 class SkeletonConfig(Config):
     """Capsules on the bones of a motion's skeleton.
 
     A bone runs from a joint to one of its children and is called by that joint's name.
-
-    split   cut bones into pieces with their own radii; off, one capsule a bone (to measure what
-            splitting buys: with one capsule the skirt paper's contact was misjudged)
-    height  of the body [m], to which default radii are proportional; the skeleton's unless given
-    radii   of bones or parts of the body (pelvis, back, neck, head, shoulder, arm, forearm, hand,
-            thigh, shin, foot, toe) [m]: one number, or a list, one for each piece from the
-            inner end on; a joint's name goes before the name of a part
-    bones   joints or parts to build, all unless given
     """
 
-    split: bool = True
-    height: Size | None = None  # type: ignore[valid-type]
-    radii: dict[str, Size | Annotated[list[Size], Field(min_length=1)]] = Field(default_factory=dict)  # type: ignore[valid-type]
-    bones: tuple[str, ...] | None = None
+    split: bool = Field(
+        default=True,
+        description="cut bones into pieces with their own radii; off: one capsule a bone (to measure what splitting "
+        "buys: with one capsule the skirt paper's contact was misjudged)",
+    )
+    height: Size | None = Field(
+        default=None, description="of the body [m], which scales default radii; the skeleton's unless given"
+    )
+    radii: dict[str, Size | Annotated[list[Size], Field(min_length=1)]] = Field(
+        default_factory=dict,
+        description="[m] of bones by joint, or of parts of the body (pelvis, back, neck, head, shoulder, arm, "
+        "forearm, hand, thigh, shin, foot, toe): one number, or a list, one for each piece from the inner end on; a "
+        "joint's name goes before the name of a part",
+    )
+    bones: tuple[str, ...] | None = Field(default=None, description="joints or parts to build; all unless given")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -23,6 +23,10 @@ def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     return value
 
 
+if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
+    Height = float
+else:
+    Height = quantity("m")
 Colour = Annotated[str, AfterValidator(_colour)]
 Direction = Annotated[tuple[float, float, float], AfterValidator(_direction)]
 
@@ -32,32 +36,39 @@ class Legend(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    label: str = Field(max_length=60)
-    low: float = Field(allow_inf_nan=False)
-    high: float = Field(allow_inf_nan=False)
-    format: Literal["g", "percent"] = "g"
+    label: str = Field(max_length=60, description="what the colours show")
+    low: float = Field(allow_inf_nan=False, description="value of the dark end")
+    high: float = Field(allow_inf_nan=False, description="value of the bright end")
+    format: Literal["g", "percent"] = Field(default="g", description="how the two values are written")
 
 
 class RasterConfig(Config):
     """Settings of the renderer `raster`."""
 
-    samples: Literal[1, 4, 8, 16] = 8
-    """Samples per pixel for edges."""
-    background: tuple[Colour, Colour] = ("#dfe3e6", "#f4f1ec")
-    """sRGB at the picture's top and bottom."""
-    ground: Literal["auto", "none"] | quantity("m") = "auto"  # type: ignore[valid-type]
-    """Height of the floor along `up`; auto is the lowest vertex drawn. For an animation give
-    the height, so that it does not follow the cloth."""
-    ground_colour: Colour = "#ebe6de"
-    up: Direction = (0.0, 0.0, 1.0)
-    light: Literal["auto"] | Direction = "auto"
-    """Direction toward the key light; auto stands to the left of the camera, 50 degrees high."""
-    light_size: float = Field(0.06, ge=0.0, le=0.5)
-    """Tangent of the key light's angular radius: how soft shadows become with distance."""
-    shadows: bool = True
-    occlusion: bool = True
-    """Whether nearby cloth and bodies hide the sky (folds, the inside of a skirt)."""
-    sheen: float = Field(0.18, ge=0.0, le=1.0)
-    """Strength of the velvet-like rim of cloth."""
-    caption: str = Field("", max_length=200)
-    legend: Legend | None = None
+    samples: Literal[1, 4, 8, 16] = Field(default=8, description="samples per pixel, for smooth edges")
+    background: tuple[Colour, Colour] = Field(
+        default=("#dfe3e6", "#f4f1ec"), description="sRGB at the picture's top and bottom"
+    )
+    ground: Literal["auto", "none"] | Height = Field(
+        default="auto",
+        description="height of the floor along `up` [m]; auto is the lowest vertex drawn. For an animation give the "
+        "height, so that it does not follow the cloth",
+    )
+    ground_colour: Colour = Field(default="#ebe6de", description="of the floor, sRGB")
+    up: Direction = Field(default=(0.0, 0.0, 1.0), description="direction away from the floor, of any length")
+    light: Literal["auto"] | Direction = Field(
+        default="auto", description="direction toward the key light; auto: left of the camera, 50 degrees high"
+    )
+    light_size: float = Field(
+        default=0.06,
+        ge=0.0,
+        le=0.5,
+        description="tangent of the key light's angular radius: how soft shadows become with distance",
+    )
+    shadows: bool = Field(default=True, description="whether the key light casts them")
+    occlusion: bool = Field(
+        default=True, description="whether nearby cloth and bodies hide the sky (folds, the inside of a skirt)"
+    )
+    sheen: float = Field(default=0.18, ge=0.0, le=1.0, description="strength of the velvet-like rim of cloth")
+    caption: str = Field(default="", max_length=200, description="written in the lower left corner")
+    legend: Legend | None = Field(default=None, description="a colour bar in the lower right corner")

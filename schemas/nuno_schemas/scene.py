@@ -51,7 +51,8 @@ else:
         "[A-Za-z][A-Za-z0-9_-]{0,63}", "not a name; write a letter, then at most 63 letters, digits, - or _"
     )
     Colour = _written("#[0-9a-fA-F]{6}", "not a colour; write red, green and blue as #rrggbb, for example #c04030")
-Vector = Annotated[tuple[Metres, Metres, Metres], Field(description="x, y, z [m]; y is up")]
+Vector = tuple[Metres, Metres, Metres]
+Pixels = Annotated[int, Field(ge=16, le=8192)]
 
 
 class Part(BaseModel):
@@ -64,7 +65,7 @@ class Choice(BaseModel):
     """A plugin and its configuration; the fields beside `plugin` are the plugin's own."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
-    plugin: str
+    plugin: str = Field(description="its name; nuno plugins lists what is installed")
 
     @property
     def config(self) -> dict[str, Any]:
@@ -74,35 +75,37 @@ class Choice(BaseModel):
 class Solver(Choice):
     """The integrator and its step."""
 
-    dt: Annotated[Interval, Field(description="step [s], or auto")] | Literal["auto"] = "auto"
+    dt: Interval | Literal["auto"] = Field(
+        default="auto", description="step [s]; whole steps make a frame; auto: the largest that is safely stable"
+    )
 
 
 class Object(Part):
     """A piece of cloth."""
 
-    name: Name
-    model: Choice
-    colour: Colour | None = Field(None, description="#rrggbb; stretch is shown where it is left out")
+    name: Name = Field(description="of the piece; no other has it")
+    model: Choice = Field(description="what builds it: a plugin and its fields")
+    colour: Colour | None = Field(default=None, description="#rrggbb; stretch is shown where it is left out")
 
 
 class Body(Part):
     """Something the cloth meets."""
 
-    name: Name
-    collider: Choice
-    motion: Choice | None = Field(None, description="left out: the body does not move")
-    stiffness: Stiffness | Literal["auto"] = "auto"
-    damping: Annotated[float, Field(ge=0, le=10)] = Field(
-        0.5, description="normal damping in contact, as a ratio of critical"
+    name: Name = Field(description="of the body; no other has it")
+    collider: Choice = Field(description="its shape: a plugin and its fields")
+    motion: Choice | None = Field(default=None, description="left out: the body does not move")
+    stiffness: Stiffness | Literal["auto"] = Field(
+        default="auto", description="of the contact, for each cloth vertex [N/m]; auto: what the cloth can bear"
     )
-    friction: Annotated[float, Field(ge=0, le=100)] = Field(0.3, description="Coulomb coefficient")
+    damping: float = Field(default=0.5, ge=0, le=10, description="normal damping in contact, as a ratio of critical")
+    friction: float = Field(default=0.3, ge=0, le=100, description="Coulomb coefficient")
 
 
 class Record(Part):
     """What goes into the recording."""
 
     checkpoint_every: Interval | None = Field(
-        default=None, description="interval of float64 checkpoints; the last state is always kept"
+        default=None, description="interval of float64 checkpoints [s]; the last state is always kept"
     )
 
 
@@ -110,31 +113,35 @@ class View(Part):
     """How pictures are taken; what is left out is fitted to the scene."""
 
     azimuth: Angle = Field(default=0.6, description="[rad] round the vertical, 0 looks along -z")
-    elevation: Angle = 0.2
-    target: Vector | None = None
-    distance: Distance | None = None
-    size: tuple[Annotated[int, Field(ge=16, le=8192)], Annotated[int, Field(ge=16, le=8192)]] = (960, 720)
+    elevation: Angle = Field(default=0.2, description="[rad] of the eye above the horizon")
+    target: Vector | None = Field(default=None, description="what is looked at: x, y, z [m]; fitted unless given")
+    distance: Distance | None = Field(default=None, description="of the eye from the target [m]; fitted unless given")
+    size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
 
 
 class Scene(Part):
     """The whole scene. Quantities carry units ("1 ms", "27 N/m"); a bare number is SI."""
 
     nuno: Literal[1] = Field(description="scene schema version")
-    name: Name
-    description: str = ""
-    duration: Duration
-    frame_rate: Rate = 60.0
-    solver: Solver
-    allow_unstable: bool = Field(False, description="accept a step above the stability limit")
-    gravity: tuple[Acceleration, Acceleration, Acceleration] = (0.0, -9.81, 0.0)
-    damping: Damping = Field(0.0, description="viscous, per unit mass [1/s]")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    objects: list[Object] = Field(default_factory=list, max_length=1000)
-    bodies: list[Body] = Field(default_factory=list, max_length=1000)
-    forces: list[Choice] = Field(default_factory=list, max_length=1000)
-    contact: Choice = Choice(plugin="penalty")
-    record: Record = Record()
-    view: View = View()
+    name: Name = Field(description="of the scene, and of its recordings")
+    description: str = Field(default="", description="what it shows, in a sentence")
+    duration: Duration = Field(description="simulated time [s]")
+    frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")
+    solver: Solver = Field(description="the integrator, a plugin with its fields, and its step")
+    allow_unstable: bool = Field(default=False, description="accept a step above the stability limit")
+    gravity: tuple[Acceleration, Acceleration, Acceleration] = Field(
+        default=(0.0, -9.81, 0.0), description="x, y, z [m/s^2]; y is up"
+    )
+    damping: Damping = Field(default=0.0, description="viscous, per unit mass [1/s]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="of all that plugins choose at random")
+    objects: list[Object] = Field(default_factory=list, max_length=1000, description="pieces of cloth")
+    bodies: list[Body] = Field(default_factory=list, max_length=1000, description="what the cloth meets")
+    forces: list[Choice] = Field(
+        default_factory=list, max_length=1000, description="beyond springs, gravity and damping, in their order"
+    )
+    contact: Choice = Field(default=Choice(plugin="penalty"), description="the force between cloth and bodies")
+    record: Record = Field(default=Record(), description="what goes into the recording beside every frame")
+    view: View = Field(default=View(), description="how pictures are taken")
 
     @field_validator("objects", "bodies")
     @classmethod

@@ -46,12 +46,12 @@ def _nearest(places: Float, geometry: Geometry, poses: Poses, frame: int) -> tup
     """
     found = [
         (float(signed_distance(places, _only(geometry, i), poses).min()), _radius(geometry, i))
-        for i in np.flatnonzero(geometry.frame == frame)
+        for i in np.flatnonzero(geometry.frame == frame).tolist()
     ]
     if found:
         return min(found)
     body = geometry.bodies.index(geometry.frames[frame].partition("/")[0])
-    radius = max((_radius(geometry, i) for i in np.flatnonzero(geometry.body == body)), default=0.0)
+    radius = max((_radius(geometry, i) for i in np.flatnonzero(geometry.body == body).tolist()), default=0.0)
     return float(np.linalg.norm(places - poses.translation[frame], axis=1).min()) - radius, radius
 
 
