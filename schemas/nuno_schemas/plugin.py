@@ -102,11 +102,13 @@ class StepReport:
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Wall time per part [s], e.g. {"forces": .., "contact": ..}, where it can be told apart."""
     counts: Mapping[str, int] = field(default_factory=dict)
-    """E.g. skipped zero-length springs, contacts, iterations."""
+    """The state at the end: skipped zero-length springs, contacts."""
     energy: Mapping[str, float] = field(default_factory=dict)
     """Energy at the end by kind [J]: kinetic, gravitational, springs, hinges."""
     stretch: float = 0.0
     """Largest |d| / rest - 1 over the springs at the end."""
+    totals: Mapping[str, int] = field(default_factory=dict)
+    """What adds up over a run: rejected steps, evaluations, iterations of a solver."""
 
 
 class Model(Protocol):
@@ -147,6 +149,8 @@ class Integrator(Protocol):
     Config: ClassVar[type[BaseModel]]
     order: ClassVar[int]
     explicit: ClassVar[bool]
+    adaptive: ClassVar[bool]
+    """Whether it chooses its own steps: `dt` is then the largest it may take."""
 
     def prepare(self, config: Any, system: System, state: State) -> Memory:
         """Memory for this system; compiles nothing before the first `advance` or `limit`."""

@@ -1,0 +1,354 @@
+"""Explicit methods that choose their own steps: an embedded pair, a PI controller, output in between.
+
+A step may reach past the end of a frame, whose state is then read from the polynomial that the
+step's slopes define; the step itself goes on into the next frame. Where bodies move or a force is
+written in Python a step ends with the frame, because what comes after is not known yet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from nuno_integrators.compiled import Compiled, Told, Work, source_of
+from nuno_integrators.tableaux import DOP853, DOPRI5, Tableau
+from nuno_kernels import kernel, shared_source
+from nuno_kernels.acceleration import Packed, commit, evaluate
+from nuno_kernels.blocks import block_count
+from nuno_kernels.combine import combine, square
+from nuno_kernels.simd import WIDTH
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.plugin import Config, StepLimit, System
+
+SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0
+"""Hairer's factors: of the step that the estimate asks for, and the bounds of one step to the next."""
+SMALLEST = 1e-10
+"""Share of the interval below which a step is given up."""
+LANDED = 1e-9
+"""Share of a step by which it may miss the end of an interval and still count as ending there."""
+ROUNDING = 8.0 * float(np.finfo(float).eps)
+
+
+class AdaptiveConfig(Config):
+    """An error a step may make; the scene's dt is the largest step."""
+
+    tolerance: float = Field(
+        1e-6, gt=0, le=1, description="error of a step, as a share of the cloth's size: root mean square over vertices"
+    )
+
+
+class Pair(NamedTuple):
+    """A tableau as compiled code reads it; see nuno_integrators.tableaux.Tableau."""
+
+    a: Float
+    aa: Float
+    c: Float
+    errors: Float
+    position_errors: Float
+
+
+class Buffers(NamedTuple):
+    """The start (x, v) of the pending step, its end (y, u), and slopes k (s, 3, n), twice the same memory."""
+
+    x: Float
+    v: Float
+    y: Float
+    u: Float
+    k: Float
+    flat: Float
+    sums: Float
+    wait: Float
+
+
+AT, PENDING, NEXT, BEFORE = 0, 1, 2, 3
+"""Places in `control` (4,): where the pending step starts, seconds after the start of the interval; its
+length, 0 for none; the step to try next; the error of the last accepted step, as a share of the allowed."""
+
+ACCEPTED, REJECTED = 0, 1
+"""Places in `counts` (2,)."""
+
+
+@shared_source
+def attempt(
+    b: Any, pair: Any, stages: int, first: int, h: float, start: float, span: float, p: Any, extra: Any
+) -> None:
+    """Stages `first` to `stages` - 1 of a step of h from (b.x, b.v); the last leaves the end in (b.y, b.u)."""
+    for i in range(first, stages):
+        s = (start + pair.c[i] * h) / span
+        if i == 0:
+            evaluate(b.x, b.v, s, b.k[0], p, extra)
+        else:
+            combine(b.x, b.v, b.flat, pair.c[i] * h, h, pair.aa[i], pair.a[i], i, b.y, b.u, p.threads)
+            evaluate(b.y, b.u, s, b.k[i], p, extra)
+
+
+@shared_source
+def estimate_error(b: Any, pair: Any, h: float, allowed: float, p: Any) -> float:
+    """Estimated error over the allowed: root mean square over the vertices, of positions and of h times velocities.
+
+    `allowed` is in metres times the root of the number of vertices. Of two estimates e5 and e3 the
+    error is e5^2 / sqrt(e5^2 + e3^2 / 100) (Hairer, Norsett & Wanner 1993, section II.10).
+    """
+    total = (
+        h
+        * h
+        * (
+            np.sqrt(square(b.flat, pair.errors[0], b.sums, b.wait, p.threads))
+            + np.sqrt(square(b.flat, pair.position_errors[0], b.sums, b.wait, p.threads))
+        )
+    )
+    if pair.errors.shape[0] == 2 and total > 0.0:
+        other = (
+            h
+            * h
+            * (
+                np.sqrt(square(b.flat, pair.errors[1], b.sums, b.wait, p.threads))
+                + np.sqrt(square(b.flat, pair.position_errors[1], b.sums, b.wait, p.threads))
+            )
+        )
+        total = total * total / np.sqrt(total * total + 0.01 * other * other)
+    return float(total / allowed)
+
+
+@kernel
+def advance_adaptive(
+    b: Any, pair: Any, stages: int, estimate: int, control: Any, counts: Any,
+    span: float, longest: float, landing: bool, allowed: float, p: Any, extra: Any,
+) -> bool:  # fmt: skip
+    """Step to the end of an interval of `span`: until the pending step ends beyond it, or just there.
+
+    A step that is accepted stays pending until the next is tried, so that the state at the end of
+    the interval can be read inside of it. False where the step has become too small.
+    """
+    alpha = 1.0 / (estimate + 1) - 0.75 * 0.04
+    first, again = 0, False
+    while True:
+        h = control[PENDING]
+        if h > 0.0:
+            over = control[AT] + h - span
+            if over > LANDED * h:
+                return True
+            control[AT] += h
+            control[PENDING] = 0.0
+            b.x[:] = b.y
+            b.v[:] = b.u
+            commit(b.x, b.v, control[AT] / span, p.bindings, p.contact, p.threads)
+            # The last slope is the next step's first, unless the friction anchors have moved.
+            first = 0
+            if p.contact is None:
+                b.k[0][:] = b.k[stages - 1]
+                first = 1
+            if over > -LANDED * h:
+                control[AT] = 0.0
+                return True
+        h = min(control[NEXT], longest)
+        left = span - control[AT]
+        if landing and h > left * (1.0 - LANDED):
+            h = left
+        elif landing and h > 0.5 * left:
+            h = 0.5 * left
+        if not h > SMALLEST * span:
+            return False
+        attempt(b, pair, stages, first, h, control[AT], span, p, extra)
+        error = estimate_error(b, pair, h, allowed, p)
+        if error <= 1.0:
+            counts[ACCEPTED] += 1
+            error = max(error, 1e-4)
+            wish = SAFETY * control[BEFORE] ** 0.04 / error**alpha
+            factor = min(1.0 if again else GROW, max(SHRINK, wish))
+            # A step cut short by the interval's end does not hold back the next.
+            control[NEXT] = max(h * factor, control[NEXT]) if h < control[NEXT] and factor > 1.0 else h * factor
+            control[BEFORE] = error
+            control[PENDING] = h
+            again = False
+        else:
+            counts[REJECTED] += 1
+            # NaN compares false with everything: such a step is shortened as far as one may.
+            control[NEXT] = h * (max(SHRINK, SAFETY / error**alpha) if error < 1e30 else SHRINK)
+            first, again = 1, True
+
+
+@kernel
+def add_output_stages(b: Any, pair: Any, first: int, stages: int, h: float, start: float, span: float, p: Any) -> None:
+    """The slopes that only the output inside a step needs; the step's end in (b.y, b.u) is kept."""
+    y, u = b.y.copy(), b.u.copy()
+    attempt(b, pair, stages, first, h, start, span, p, None)
+    b.y[:] = y
+    b.u[:] = u
+
+
+@kernel
+def attempt_again(b: Any, pair: Any, stages: int, h: float, start: float, span: float, p: Any) -> None:
+    """The pending step once more: the same bits."""
+    attempt(b, pair, stages, 0, h, start, span, p, None)
+
+
+@kernel
+def attempt_steps(b: Any, pair: Any, stages: int, steps: int, p: Any, extra: Any) -> None:
+    """Steps of no length."""
+    for _ in range(steps):
+        attempt(b, pair, stages, 0, 0.0, 0.0, 1.0, p, extra)
+
+
+@dataclass
+class AdaptiveWork(Work):
+    """`x`, `v` hold the state at an interval's end, `b` the pending step."""
+
+    b: Buffers
+    pair: Pair
+    control: Float
+    allowed: float
+    landing: bool
+    left: tuple[Float, Float, Float] | None = None
+    """x, v and `control` as the last interval left them, while the slopes still belong to them."""
+
+    def kept(self) -> dict[str, NDArray[Any]]:
+        kept: dict[str, NDArray[Any]] = {"control": self.control}
+        return kept if self.landing else kept | {"pending_x": self.b.x, "pending_v": self.b.v}
+
+
+class Adaptive(Compiled):
+    """Takes the largest steps whose estimated error stays within a tolerance."""
+
+    Config: ClassVar[type[AdaptiveConfig]] = AdaptiveConfig
+    explicit: ClassVar[bool] = True
+    adaptive: ClassVar[bool] = True
+    tableau: ClassVar[Tableau]
+
+    def make_work(self, config: AdaptiveConfig, system: System, packed: Packed) -> AdaptiveWork:
+        """Raises BadInput for a tolerance below rounding."""
+        fabric, table = system.fabric, self.tableau
+        size = cloth_size(fabric)
+        rounding = ROUNDING * float(np.abs(fabric.position).max(initial=0.0)) / size
+        if config.tolerance < rounding:
+            raise BadInput(
+                "no step can be as accurate as that: positions are rounded more",
+                field="solver.tolerance",
+                value=f"{config.tolerance:g}",
+                limit=f"{rounding:.1e} for cloth of {size:.3g} m that far from the origin",
+                remedy="raise the tolerance, or move the scene nearer to the origin",
+            )
+        n, stages = fabric.number, len(table.c)
+        k = np.zeros((stages, 3, n))
+        blocks = block_count(n)
+        x, v, y, u = np.empty((4, 3, n))
+        buffers = Buffers(x, v, y, u, k, k.reshape(3 * stages, n), np.empty(blocks), np.empty((blocks, 1, WIDTH)))
+        pair = Pair(table.a, table.aa, table.c, table.errors, table.position_errors)
+        control = np.array([0.0, 0.0, np.inf, 1e-4])
+        known_ahead = all(term.kind not in ("contact", "bindings", "python") for term in system.terms)
+        free = max(1, int((~fabric.pinned).sum()))
+        allowed = config.tolerance * size * np.sqrt(free)
+        return AdaptiveWork(
+            packed, np.empty((3, n)), np.empty((3, n)), k, buffers, pair, control, allowed, not known_ahead
+        )
+
+    def limit(self, config: AdaptiveConfig, system: System, state: State) -> StepLimit:
+        """Nothing limits the scene's step: it is the largest that may be tried."""
+        found = super().limit(config, system, state)
+        return StepLimit(float("inf"), found.omega, found.damping)
+
+    def go(self, work: AdaptiveWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
+        b, control, span = work.b, work.control, steps * dt
+        if not self._goes_on(work, packed, span):
+            b.x[...], b.v[...] = work.x, work.v
+            control[AT] = control[PENDING] = 0.0
+        counts = np.zeros(2, np.int64)
+        call = source_of(advance_adaptive, extra)
+        table = self.tableau
+        whole = call(
+            b,
+            work.pair,
+            table.stages,
+            table.estimate,
+            control,
+            counts,
+            span,
+            dt,
+            work.landing,
+            work.allowed,
+            packed,
+            extra,
+        )
+        if control[PENDING] > 0.0 and whole:
+            self._read_inside(work, packed, span)
+            control[AT] -= span
+        else:
+            work.x[...], work.v[...] = b.x, b.v
+        work.left = (work.x.copy(), work.v.copy(), control.copy())
+        accepted, rejected = int(counts[ACCEPTED]), int(counts[REJECTED])
+        problem = "" if whole else f"no step above {SMALLEST * span:.2g} s meets the tolerance"
+        return Told(accepted, problem, {"steps": accepted, "rejected_steps": rejected})
+
+    def _goes_on(self, work: AdaptiveWork, packed: Packed, span: float) -> bool:
+        """Whether the pending step leads to the present state; its slopes are made again after a resume."""
+        control = work.control
+        if not control[PENDING] > 0.0:
+            return False
+        if work.left is not None and all(map(np.array_equal, work.left, (work.x, work.v, control))):
+            return True
+        now_x, now_v = work.x.copy(), work.v.copy()
+        attempt_again(work.b, work.pair, self.tableau.stages, control[PENDING], control[AT], span, packed)
+        control[AT] += span
+        self._read_inside(work, packed, span)
+        control[AT] -= span
+        same = np.array_equal(now_x, work.x) and np.array_equal(now_v, work.v)
+        work.x[...], work.v[...] = now_x, now_v
+        return same
+
+    def _read_inside(self, work: AdaptiveWork, packed: Packed, span: float) -> None:
+        """The state `span` after the interval's start, from the pending step."""
+        b, h, table = work.b, float(work.control[PENDING]), self.tableau
+        if len(table.c) > table.stages:
+            add_output_stages(b, work.pair, table.stages, len(table.c), h, work.control[AT], span, packed)
+        theta = (span - float(work.control[AT])) / h
+        weights = table.output(theta)
+        combine(
+            b.x, b.v, b.flat, theta * h, h, weights @ table.a, weights, len(table.c), work.x, work.v, packed.threads
+        )
+
+    def step_at_rest(self, work: AdaptiveWork, extra: Any) -> Any:
+        def steps_of_no_length(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
+            work.b.x[...], work.b.v[...] = x, v
+            call = source_of(attempt_steps, force)
+            call(work.b, work.pair, self.tableau.stages, steps, p, force)
+
+        return steps_of_no_length
+
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one accepted step on x'' = -omega^2 x - damping x', state (x, v)."""
+        table, one = self.tableau, np.eye(2)
+        rate = np.array([[0.0, 1.0], [-omega * omega, -damping]])
+        slopes: list[Float] = []
+        for i in range(table.stages):
+            slopes.append(rate @ (one + dt * sum((table.a[i, j] * slopes[j] for j in range(i)), 0.0 * one)))
+        last = table.stages - 1
+        result: Float = one + dt * sum((table.a[last, j] * slopes[j] for j in range(last)), 0.0 * one)
+        return result
+
+
+def cloth_size(fabric: Fabric) -> float:
+    """Diagonal of the cloth's bounding box at the start [m], 1 where it has none."""
+    if fabric.number == 0:
+        return 1.0
+    return float(np.linalg.norm(np.ptp(fabric.position, axis=0))) or 1.0
+
+
+class Dopri5(Adaptive):
+    """Dormand & Prince's pair of orders 5 and 4 (1980, J. Comp. Appl. Math. 6, 19-26)."""
+
+    name: ClassVar[str] = "dopri5"
+    order: ClassVar[int] = 5
+    tableau: ClassVar[Tableau] = DOPRI5
+
+
+class Dop853(Adaptive):
+    """Dormand & Prince's method of order 8 with estimates of orders 5 and 3 (Hairer's DOP853)."""
+
+    name: ClassVar[str] = "dop853"
+    order: ClassVar[int] = 8
+    tableau: ClassVar[Tableau] = DOP853

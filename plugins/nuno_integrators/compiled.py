@@ -1,0 +1,184 @@
+"""What the integrators share: a system in the kernels' layout, its limits, and the report of a frame."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from nuno_integrators.profile import profile_steps
+from nuno_kernels import threads_available
+from nuno_kernels.acceleration import Packed
+from nuno_kernels.bindings import set_binding_poses
+from nuno_kernels.contact import count_contacts, set_poses
+from nuno_kernels.energy import measure_energy
+from nuno_kernels.packing import pack, python_terms, silence_bodies, thread_count, to_rows
+from nuno_kernels.stability import measure_rates, stable_step
+from nuno_schemas.bodies import Poses
+from nuno_schemas.fabric import Float, Memory, State
+from nuno_schemas.plugin import StepLimit, StepReport, System
+
+CHECKPOINTED = ("anchor", "anchor_frame")
+"""Arrays of the contact tuple that are part of the state."""
+
+
+@dataclass
+class Work:
+    """Kernel layout of one system: x, v and the stages' buffers are rows (3, n)."""
+
+    packed: Packed
+    x: Float
+    v: Float
+    stages: Float
+
+    def kept(self) -> dict[str, NDArray[Any]]:
+        """Arrays that are part of the state."""
+        return {}
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a method says of the steps it took: `problem` is empty where all is well."""
+
+    steps: int
+    problem: str = ""
+    totals: Mapping[str, int] = field(default_factory=dict)
+
+
+class Compiled(ABC):
+    """An integrator whose steps are compiled for just the forces of a system."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+    order: ClassVar[int]
+    explicit: ClassVar[bool]
+    adaptive: ClassVar[bool] = False
+
+    def prepare(self, config: Any, system: System, state: State) -> Memory:
+        """Memory for this system. Raises BadInput for a force that no kernel knows."""
+        packed = self.adapt(pack(system))
+        work = self.make_work(config, system, packed)
+        return Memory(dict(_own_arrays(packed, work)), work)
+
+    @abstractmethod
+    def make_work(self, config: Any, system: System, packed: Packed) -> Work:
+        """Buffers of the method."""
+
+    @abstractmethod
+    def go(self, work: Any, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
+        """Bring work.x and work.v from the start of an interval of steps * dt [s] to its end."""
+
+    @abstractmethod
+    def step_at_rest(self, work: Any, extra: Any) -> Any:
+        """A function (x, v, stages, steps, dt, packed, extra) of the cost of the method's steps, for `profile`."""
+
+    def adapt(self, packed: Packed) -> Packed:
+        """The packed system as this method reads it."""
+        return packed
+
+    def limit(self, config: Any, system: System, state: State) -> StepLimit:
+        """Largest stable step [s] in the present state, from bounds on its frequency and damping."""
+        omega, damping = measure_rates(system, state)
+        return StepLimit(stable_step(self.amplification, omega, damping, system.damping), omega, damping)
+
+    def advance(
+        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None, steps: int, dt: float
+    ) -> StepReport:
+        """Advance `state` in place by `steps` steps of `dt` [s]; see nuno_schemas.plugin.Integrator."""
+        began = time.perf_counter()
+        work: Work = memory.work  # type: ignore[assignment]
+        packed = _set_poses(work.packed, poses)
+        _restore(packed, work, memory)
+        extra = _enter(system, state, work, state.t + steps * dt)
+        told = self.go(work, packed, extra, steps, dt) if steps else Told(0)
+        state.x[...] = work.x.T
+        state.v[...] = work.v.T
+        state.t += steps * dt
+        return _report(system, work, packed, told, time.perf_counter() - began)
+
+    def profile(
+        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
+    ) -> Mapping[str, float]:
+        """Wall time of a step by part [s]; see nuno_schemas.plugin.Integrator."""
+        work: Work = memory.work  # type: ignore[assignment]
+        packed = _set_poses(work.packed, poses)
+        _restore(packed, work, memory)
+        extra = _enter(system, state, work, state.t)
+        return profile_steps(self.step_at_rest(work, extra), packed, work.x, work.v, work.stages, extra)
+
+    def about(self, system: System) -> str:
+        """Threads for this system, and what limits them."""
+        count, available = thread_count(system), threads_available()
+        if count == 1 and available[0] > 1 and system.threads > 1:
+            return f"1 thread: {system.fabric.number:,} vertices are fewer than several threads pay for"
+        return f"{count} thread{'s' if count > 1 else ''} of {available[0]} ({available[1]})"
+
+    @abstractmethod
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
+
+
+def _enter(system: System, state: State, work: Work, end: float) -> Any:
+    """Put the state into the kernels' layout; the forces written in Python, or None."""
+    if work.packed.threads is not None:
+        numba.set_num_threads(work.packed.threads)
+    to_rows(state.x, work.x)
+    to_rows(state.v, work.v)
+    return python_terms(system, state.t, end)
+
+
+def source_of(loop: Any, extra: Any) -> Any:
+    """A compiled loop; with a force written in Python the same source runs interpreted, over compiled parts."""
+    return loop if extra is None else loop.py_func
+
+
+def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
+    """Write the interval into contact and bindings; without poses there is nothing to meet or to follow."""
+    if poses is None:
+        return silence_bodies(packed)
+    if packed.contact is not None:
+        set_poses(packed.contact, *poses)
+    if packed.bindings is not None:
+        set_binding_poses(packed.bindings, *poses)
+    return packed
+
+
+def _own_arrays(packed: Packed, work: Work) -> dict[str, NDArray[Any]]:
+    """The method's own arrays that are part of the state."""
+    anchors = {} if packed.contact is None else {name: getattr(packed.contact, name) for name in CHECKPOINTED}
+    return anchors | work.kept()
+
+
+def _restore(packed: Packed, work: Work, memory: Memory) -> None:
+    """Take over arrays that a checkpoint put in the place of the method's own."""
+    for name, own in _own_arrays(packed, work).items():
+        array = memory.arrays[name]
+        if array is not own:
+            own[...] = array
+            memory.arrays[name] = own
+
+
+def _report(system: System, work: Work, packed: Packed, told: Told, seconds: float) -> StepReport:
+    energy = measure_energy(
+        work.x, work.v, system.fabric.mass, packed._replace(gravity=np.asarray(system.gravity, np.float64))
+    )
+    counts = {"zero_length_springs": int(energy.zero_length)}
+    if packed.contact is not None:
+        counts |= count_contacts(packed.contact)
+    finite = np.isfinite(work.x).all(axis=0) & np.isfinite(work.v).all(axis=0)
+    status: Literal["ok", "diverged", "unconverged"] = "unconverged" if told.problem else "ok"
+    message = told.problem
+    if not finite.all():
+        first, total = int(np.argmin(finite)), int((~finite).sum())
+        status = "diverged"
+        message = f"vertex {first} has no finite position or velocity ({total} of {finite.shape[0]} vertices)"
+    kinds = {name: getattr(energy, name) for name in ("kinetic", "gravitational", "springs", "hinges")}
+    times = {"steps": seconds}
+    return StepReport(status, told.steps, message, times, counts, kinds, energy.stretch, told.totals)
