@@ -39,6 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fps", type=float, default=25.0, metavar="N", help="animations: pictures a second (default: %(default)g)"
     )
     which.add_argument("--size", metavar="WxH", help="of pictures, e.g. 960x720")
+    which.add_argument(
+        "--colour",
+        choices=["auto", "cloth", "stretch"],
+        default="auto",
+        help="pictures and animations: cloth in its own texture or colour, or by its stretch "
+        "(default: its own where the scene gives one)",
+    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -63,11 +70,13 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     if args.csv:
         written.append(tables.export_csv(recording, args.csv))
     if args.png:
-        written.append(pictures.export_picture(recording, args.png, args.frame, size))
+        written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour))
     for path in (args.gif, args.mp4):
         if path:
             written.append(
-                animations.export_animation(recording, path, size, args.fps, args.start, args.end, _progress)
+                animations.export_animation(
+                    recording, path, size, args.fps, args.start, args.end, _progress, args.colour
+                )
             )
     for suffix in MESHES:
         path = getattr(args, suffix[1:])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.export.pictures import Picture, choose_frames, draw_frames
+from nuno.export.pictures import Colour, Picture, check_colour, choose_frames, draw_frames
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput, RunFailed
@@ -26,13 +26,14 @@ def export_animation(
     start: float | None = None,
     end: float | None = None,
     progress: Progress | None = None,
+    colour: Colour = "auto",
 ) -> Path:
     """Draw a recording as .gif or .mp4, in real time, from `start` to `end` [s].
 
-    A GIF's rate is the nearest of 50, 25, 20, 12.5, 10 and 5 pictures a second; an MP4's sides
-    are rounded down to even. Raises BadInput for a name that ends otherwise, a size or rate out
-    of range, nothing to show, or (MP4) where imageio-ffmpeg is not installed; RunFailed where
-    the encoder fails.
+    Cloth is painted as `colour` says (pictures.py). A GIF's rate is the nearest of 50, 25, 20, 12.5,
+    10 and 5 pictures a second; an MP4's sides are rounded down to even. Raises BadInput for a name
+    that ends otherwise, a size, rate or colour out of range, nothing to show, or (MP4) where
+    imageio-ffmpeg is not installed; RunFailed where the encoder fails.
     """
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
@@ -43,6 +44,7 @@ def export_animation(
     width, height = size or SIZE
     if not (16 <= width <= 8192 and 16 <= height <= 8192):
         raise BadInput("no such size", field="--size", value=size, limit="16 to 8192 pixels a side")
+    check_colour(colour)
     check_target(path, suffix)
     encoder = _ffmpeg() if suffix == ".mp4" else None
     with opened(source) as recording:
@@ -50,12 +52,12 @@ def export_animation(
             rate = min(GIF_RATES, key=lambda known: abs(known - fps))
             numbers = choose_frames(recording, rate, start, end)
             with writing(path, suffix) as new:
-                _write_gif(new, draw_frames(recording, numbers, (width, height), progress), rate)
+                _write_gif(new, draw_frames(recording, numbers, (width, height), progress, colour), rate)
         else:
             even = width // 2 * 2, height // 2 * 2
             numbers = choose_frames(recording, fps, start, end)
             with writing(path, suffix) as new:
-                _write_mp4(encoder, new, draw_frames(recording, numbers, even, progress), even, fps)
+                _write_mp4(encoder, new, draw_frames(recording, numbers, even, progress, colour), even, fps)
     return path
 
 

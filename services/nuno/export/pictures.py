@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from nuno_schemas.plugin import Camera, Mesh
 from nuno_schemas.scene import View
 
 Picture = NDArray[np.uint8]
+Colour = Literal["auto", "cloth", "stretch"]
+"""What cloth is painted with. cloth: its texture, else its colour, else plain; stretch: how far its
+threads are stretched; auto: cloth where a texture or colour is given, else stretch."""
 RENDERER = "raster"
 LOOKS = 16
 """Frames that the camera of an animation is fitted to."""
@@ -36,9 +39,9 @@ LOOKS = 16
 class Painter:
     """Draws frames of one recording with one camera.
 
-    Pictures show cloth by its texture, else its colour, else its stretch; bodies in grey; the
-    scene's name and the time. The scene's view chooses the camera, and what it leaves out is
-    fitted to `shown`. Raises BadInput for a recording without cloth.
+    Pictures show cloth painted as `colour` says, bodies in grey, the scene's name and the time.
+    The scene's view chooses the camera, and what it leaves out is fitted to `shown`. Raises
+    BadInput for a recording without cloth, and for another `colour`.
     """
 
     recording: Recording
@@ -46,9 +49,11 @@ class Painter:
     size: tuple[int, int] | None = None
     options: dict[str, Any] = field(default_factory=dict)
     """Settings of the renderer, e.g. samples."""
+    colour: Colour = "auto"
 
     def __post_init__(self) -> None:
-        self.pieces: list[Piece] = read_pieces(self.recording)
+        check_colour(self.colour)
+        self.pieces: list[Piece] = [_coloured(piece, self.colour) for piece in read_pieces(self.recording)]
         self.bodies: Bodies | None = read_bodies(self.recording)
         self.renderer = registry.load("nuno.renderers", RENDERER)
         view = _view(self.recording)
@@ -88,8 +93,26 @@ class Painter:
         return float(heights.min()) if len(heights) else "none"
 
 
+def check_colour(colour: str) -> None:
+    """Raises BadInput for what is no Colour."""
+    if colour not in get_args(Colour):
+        limit = ", ".join(get_args(Colour))
+        raise BadInput("cloth cannot be painted by that", field="--colour", value=colour, limit=limit)
+
+
+def _coloured(piece: Piece, colour: Colour) -> Piece:
+    """The piece as it is to be painted: by its texture, else its colour, else its stretch."""
+    if colour == "stretch":
+        return replace(piece, image=None, colour=None)
+    return replace(piece, colour=piece.colour or PLAIN) if colour == "cloth" else piece
+
+
 def export_picture(
-    source: Recording | Path | str, path: Path, frame: int | None = None, size: tuple[int, int] | None = None
+    source: Recording | Path | str,
+    path: Path,
+    frame: int | None = None,
+    size: tuple[int, int] | None = None,
+    colour: Colour = "auto",
 ) -> Path:
     """Draw one frame (default: the last) as PNG. Raises BadInput."""
     from PIL import Image
@@ -97,21 +120,25 @@ def export_picture(
     with opened(source) as recording:
         check_target(path, ".png")
         shown = read_frame(recording, frame)
-        picture = Painter(recording, [shown], size).draw(shown)
+        picture = Painter(recording, [shown], size, colour=colour).draw(shown)
         with writing(path, ".png") as new:
             Image.fromarray(picture).save(new, optimize=True)
     return path
 
 
 def draw_frames(
-    recording: Recording, numbers: list[int], size: tuple[int, int] | None, progress: Progress | None = None
+    recording: Recording,
+    numbers: list[int],
+    size: tuple[int, int] | None,
+    progress: Progress | None = None,
+    colour: Colour = "auto",
 ) -> Iterator[Picture]:
     """Draw chosen frames, in order, with one camera that holds them all; a number that comes
     twice gives its picture twice. Raises BadInput.
     """
     looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
     shown = [frame for frame in recording.frames() if frame.number in looks]
-    painter = Painter(recording, shown, size, {"samples": 4})
+    painter = Painter(recording, shown, size, {"samples": 4}, colour)
     times, done = Counter(numbers), 0
     for frame in recording.frames():
         if frame.number in times:
