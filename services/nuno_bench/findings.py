@@ -17,19 +17,22 @@ DEEPER = 1.5
 """Penetration counts as another from this multiple of symplectic Euler's on."""
 SLOWER = 1.1
 """Times within a tenth of each other count as the same."""
+VERDICTS = {True: "agrees", False: "contradicts", None: "undecided"}
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A claim of the paper, what was seen here, and whether the two agree."""
+    """A claim of the paper, what was seen here, and whether the two agree; None where repeats differ
+    by more than what is to be told apart.
+    """
 
     claim: str
     seen: str
-    agrees: bool
+    agrees: bool | None
 
     @property
     def verdict(self) -> str:
-        return "agrees" if self.agrees else "contradicts"
+        return VERDICTS[self.agrees]
 
 
 def compare(traces: Sequence[Trace]) -> list[Finding]:
@@ -64,7 +67,8 @@ def _thrown(trace: Trace, reference: Trace) -> Finding:
     farthest = FARTHER * reference.peak("distance")
     off = trace.first(trace.series["distance"] > farthest)
     seen = (
-        f"{_ending(trace)}; energy {_passes(trace.runaway)} {RUNAWAY:g} times its start; "
+        f"{_ending(trace)}; the energy's growth {_passes(trace.runaway)} {RUNAWAY:g} times what lifts the garment "
+        f"by its own size; "
         f"mean distance from the body {_passes(off)} {_length(farthest)}, {FARTHER:g} times symplectic Euler's largest"
     )
     return Finding("explicit Euler moves violently and throws the cloth off the body", seen, off is not None)
@@ -75,10 +79,28 @@ def _passes(t: float | None) -> str:
 
 
 def _slower(trace: Trace, reference: Trace) -> Finding:
-    ratio = trace.microseconds / reference.microseconds
+    ratios = [a / b for a, b in zip(trace.rounds, reference.rounds, strict=True)]
     times = [number(run.microseconds) for run in (trace, reference)]
-    seen = f"{times[0]} us a step against {times[1]} us: {ratio:.2f} times symplectic Euler's"
-    return Finding("Runge-Kutta is slower", seen, ratio > SLOWER)
+    seen = f"{times[0]} us a step against {times[1]} us: {_spread(ratios)} symplectic Euler's"
+    return Finding("Runge-Kutta is slower", seen, _decide(ratios))
+
+
+def _decide(ratios: Sequence[float]) -> bool | None:
+    """Whether one is slower than the other, by the ratios of their times in each round of repeats.
+
+    Rounds go over all variants in turn, so a machine that slows down does not part the two of a
+    round. None where rounds disagree, and where there is only one: its spread is not known.
+    """
+    if len(ratios) < 2:
+        return None
+    slower = {ratio > SLOWER for ratio in ratios}
+    return slower.pop() if len(slower) == 1 else None
+
+
+def _spread(ratios: Sequence[float]) -> str:
+    """Median and range of ratios."""
+    rounds = f"{min(ratios):.2f} to {max(ratios):.2f} in {len(ratios)} rounds" if len(ratios) > 1 else "in one round"
+    return f"{statistics.median(ratios):.2f} times ({rounds})"
 
 
 def _deeper(trace: Trace, reference: Trace, claim: str) -> Finding:
@@ -92,15 +114,16 @@ def _deeper(trace: Trace, reference: Trace, claim: str) -> Finding:
 
 
 def _bones(pairs: list[tuple[Trace, Trace]]) -> Finding:
-    ratio = statistics.median(a.microseconds / b.microseconds for a, b in pairs)
+    rounds = zip(*([x / y for x, y in zip(a.rounds, b.rounds, strict=True)] for a, b in pairs), strict=True)
+    ratios = [statistics.median(methods) for methods in rounds]
     held = [(a, b) for a, b in pairs if a.runaway is None and b.runaway is None]
     depths = [
         f"{a.integrator} {_length(a.peak('penetration'))} against {_length(b.peak('penetration'))}" for a, b in held
     ]
     shapes = f"{pairs[0][0].primitives} primitives against {pairs[0][1].primitives}"
-    seen = f"a step takes {ratio:.2f} times as long (median over the methods; {shapes}). "
+    seen = f"a step takes {_spread(ratios)} as long (median over the methods; {shapes}). "
     seen += f"Penetration, each into its own body: {', '.join(depths) or 'every run ran away'}"
-    return Finding("bones cut in pieces are slower than whole ones", seen, ratio > SLOWER)
+    return Finding("bones cut in pieces are slower than whole ones", seen, _decide(ratios))
 
 
 def _ending(trace: Trace) -> str:

@@ -51,7 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--integrators", default=",".join(INTEGRATORS), metavar="A,B", help="methods to compare (default: %(default)s)"
     )
     parser.add_argument(
-        "--repeats", type=int, default=3, metavar="N", help="runs of each variant that are timed (default: 3)"
+        "--repeats",
+        type=int,
+        default=3,
+        metavar="N",
+        help="runs of each variant that are timed (default: 3); with one, claims about time stay undecided",
     )
     parser.add_argument(
         "--out",
@@ -196,7 +200,8 @@ def describe(traces: list[Trace]) -> str:
     """The figure's caption."""
     lost = [f"{trace.integrator} at {trace.runaway:.2f} s" for trace in traces if trace.runaway is not None]
     ending = (
-        f"A cross ends a curve where the energy passes {RUNAWAY:g} times its start: {', '.join(lost)}."
+        f"A cross ends a curve where the energy has grown by {RUNAWAY:g} times what lifts the garment by its own "
+        f"size: {', '.join(lost)}."
         if lost
         else "No run ran away."
     )
