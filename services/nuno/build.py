@@ -15,8 +15,9 @@ from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Springs, State
 from nuno_schemas.plugin import BodyShape, Mover, System, Term
 
-BYTES_PER_VERTEX = 700
-"""What a run takes at most per vertex; `nuno bench speed` measures it."""
+BYTES_PER_VERTEX = 400
+"""What a run of cloth takes at most per vertex whose springs and hinges are runs along rows, as on
+grids; `nuno bench speed` measures it. Models that keep every element apart know what they take."""
 SECONDS_TOLERANCE = 1e-9
 MOST_STEPS = 10_000_000
 """Steps a frame: more would keep the simulation from answering for minutes."""
@@ -33,24 +34,36 @@ class Piece:
     colour: str | None
 
 
-def check_memory(loaded: Loaded) -> int:
-    """Vertices the scene will have. Raises BadInput if they cannot fit in memory."""
-    total = 0
+def estimate_memory(loaded: Loaded) -> tuple[int, int]:
+    """Vertices the scene will have, and what a run of them takes at most [bytes]. Raises BadInput.
+
+    A model whose memory does not follow from its vertices has a method
+    `memory(config, files, vertices)`, in bytes.
+    """
+    total, size = 0, 0
     for i, model in enumerate(loaded.models):
         try:
-            total += model.plugin.count(model.config, loaded.files)
+            vertices = model.plugin.count(model.config, loaded.files)
+            known = getattr(model.plugin, "memory", None)
+            size += known(model.config, loaded.files, vertices) if known else vertices * BYTES_PER_VERTEX
         except BadInput as error:
             raise loaded.at(f"objects[{i}].model", error) from None
+        total += vertices
+    return total, size
+
+
+def check_memory(loaded: Loaded) -> None:
+    """Raises BadInput, before anything is allocated, if the scene cannot fit in memory."""
+    vertices, size = estimate_memory(loaded)
     available = psutil.virtual_memory().available
-    if total * BYTES_PER_VERTEX > available:
+    if size > available:
         too_much = BadInput(
             "the scene does not fit in memory",
-            value=f"{total:,} vertices, about {total * BYTES_PER_VERTEX / 2**30:.1f} GiB",
+            value=f"{vertices:,} vertices, about {size / 2**30:.1f} GiB with their springs",
             limit=f"{available / 2**30:.1f} GiB are free",
-            remedy="lower the resolution",
+            remedy="lower the resolution, or take springs away",
         )
         raise loaded.at("objects", too_much)
-    return total
 
 
 def build_fabric(loaded: Loaded) -> tuple[Fabric, list[Piece]]:

@@ -256,7 +256,7 @@ def test_processes_refuse_alike(refused: Refused, tmp_path: Path) -> None:
 def test_a_scene_larger_than_memory_is_refused_before_it_is_built(refused: Refused) -> None:
     before = psutil.Process().memory_info().rss
     said = refused.run(objects=sheet(resolution=[16384, 16384]))
-    assert "268,435,456 vertices, about 175.0 GiB" in said
+    assert "268,435,456 vertices, about 100.0 GiB" in said
     assert "GiB are free" in said
     assert "lower the resolution" in said
     assert "scene.yaml:5: objects" in said

@@ -62,7 +62,7 @@ def _cost(simulation: Simulation, seconds: float) -> list[tuple[str, str]]:
     every = scene.record.checkpoint_every
     checkpoints = 1 + (int(scene.duration / every) if every else 0)
     size = (12 * scene.frames + 48 * checkpoints) * vertices
-    memory = vertices * build.BYTES_PER_VERTEX
+    _, memory = build.estimate_memory(simulation.loaded)
     return [
         ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s"),
         ("time", f"about {seconds * scene.frames:.2g} s, {1 / scene.frame_rate / seconds:.1f}x real time (by a frame)"),
