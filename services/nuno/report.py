@@ -9,6 +9,13 @@ from nuno.supervisor import Outcome
 
 Report = dict[str, Any]
 
+MOST_STRETCH = 1.0
+"""No woven or knitted thread is twice as long as it was and still cloth."""
+MOST_DEPTHS, SEEN_DEPTH = 5.0, 0.005
+"""Cloth is too deep in bodies from this many times the depth of resting contact on, if that is also
+more than this [m]. By the first alone every garment would be: a fold carries more than a vertex's own
+weight (sheet on a sphere: 22 times at rest, 0.5 mm), and cloth that lands sinks in for a moment (2 mm)."""
+
 
 def make_report(loaded: Loaded, outcome: Outcome) -> Report:
     """What a run's services counted, in one mapping that JSON can hold."""
@@ -24,7 +31,9 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "error": outcome.error,
         "digest": summary.get("digest", ""),
         "simulated_seconds": simulated,
+        "began": summary.get("began", 0.0),
         "wall_seconds": wall,
+        "paused_seconds": summary.get("paused_seconds", 0.0),
         "real_time_factor": simulated / wall if wall else 0.0,
         "prepare_seconds": outcome.seconds.get("prepare", 0.0),
         "parts_seconds": parts
@@ -41,6 +50,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "energy": summary.get("energy", []),
         "stretch": summary.get("stretch", 0.0),
         "penetration": collision.get("deepest"),
+        "last_penetration": collision.get("last_depth"),
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
         "counts": summary.get("counts", {}),
         "frames": {
@@ -79,7 +89,8 @@ def lines(report: Report) -> list[tuple[str, str]]:
     simulated, wall, factor = report["simulated_seconds"], report["wall_seconds"], report["real_time_factor"]
     prepared = report["prepare_seconds"]
     took = f"{simulated:.3g} s simulated in {wall:.3g} s: {factor:.2f}x real time"
-    rows.append(("time", f"{took} (prepared in {prepared:.2g} s)"))
+    paused = f", paused for {report['paused_seconds']:.3g} s" if report["paused_seconds"] >= 0.005 else ""
+    rows.append(("time", f"{took} (prepared in {prepared:.2g} s{paused})"))
     parts = {name: seconds for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005}
     inside = {name: seconds for name, seconds in report.get("step_seconds", {}).items() if seconds >= 0.0005}
     if inside:
@@ -124,18 +135,35 @@ def _physics(report: Report) -> list[tuple[str, str]]:
                 or "0 J",
             )
         )
-        rows.append(("balance", _balance(first, last)))
+        since = f", since the run went on at {report['began']:g} s" if report["began"] else ""
+        rows.append(("balance", _balance(first, last) + since))
     stretch = report["stretch"]
     rows.append(("stretch", _percent(stretch)))
     if report["penetration"] is not None:
-        text = f"at most {report['penetration'] * 1e3:.3g} mm"
+        text = f"at most {_millimetres(report['penetration'])}, {_millimetres(report['last_penetration'])} at the end"
         if report["rest_depth"] is not None:
-            text += f"; resting contact is expected to sink m g / k = {report['rest_depth'] * 1e3:.3g} mm"
+            text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
     warnings = {name: n for name, n in report["counts"].items() if n and name != "contacts"}
     if warnings:
         rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))
-    return rows
+    return rows + [("warning", text) for text in _warnings(report)]
+
+
+def _warnings(report: Report) -> list[str]:
+    """What makes a result doubtful though the run went through."""
+    found = []
+    if (report["stretch"] or 0.0) > MOST_STRETCH:
+        found.append(f"threads were stretched by more than {MOST_STRETCH:.0%}: a stiffer fabric, or less load?")
+    depth, expected = report["penetration"], report["rest_depth"]
+    if depth is not None and expected is not None and depth > max(MOST_DEPTHS * expected, SEEN_DEPTH):
+        often = f"{depth / expected:.0f} times as deep" if expected else "deeper"
+        found.append(f"cloth lay in bodies {often} than resting contact would: stiffer contact, or slower bodies?")
+    return found
+
+
+def _millimetres(depth: float) -> str:
+    return f"{depth * 1e3:.3g} mm"
 
 
 def _balance(first: dict[str, float | None], last: dict[str, float | None]) -> str:

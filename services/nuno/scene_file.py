@@ -50,6 +50,12 @@ class Loaded:
     contact: Chosen | None
     overrides: tuple[str, ...] = ()
 
+    def value(self, field: str) -> Any:
+        """What a field such as `forces.0.velocity` holds, given or by default, in SI units; None if there is none."""
+        data = self.scene.model_dump(mode="json")
+        data["forces"] = [{"plugin": force.name, **force.config.model_dump(mode="json")} for force in self.forces]
+        return _item(data, tuple(int(part) if part.isdecimal() else part for part in _parts(field)))
+
     def at(self, field: str, error: BadInput) -> BadInput:
         """The same error with this scene's file, line and the field's full path."""
         if error.field is None and error.file is None and isinstance(error.value, str):
@@ -57,6 +63,11 @@ class Loaded:
             inside = (path for path in self.lines if dotted(path).startswith(f"{field}."))
             field = next((dotted(path) for path in inside if _item(self.data, path) == error.value), field)
         return located(error, self.file, self.lines, field)
+
+
+def _parts(key: str) -> list[str]:
+    """`a.b[0].c` -> a, b, 0, c."""
+    return key.replace("[", ".").replace("]", "").split(".")
 
 
 def _item(data: Any, path: yaml_lines.Path) -> Any:
@@ -117,7 +128,7 @@ def overridden(lines: Mapping[yaml_lines.Path, int], place: yaml_lines.Path) -> 
 def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
     """Set `a.b.0.c=value` in place; where that is. Raises BadInput for a path that cannot be there."""
     key, equals, text = item.partition("=")
-    parts = key.replace("[", ".").replace("]", "").split(".")
+    parts = _parts(key)
     if not equals or not all(parts):
         raise BadInput(
             "an override is written key=value", "--set", value=item, remedy="for example --set solver.dt=1ms"

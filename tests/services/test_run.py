@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
-import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
+from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import runs, scene_file, supervisor
+from nuno import scene_file, supervisor
 from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.recording.writer import RecordingWriter
 from nuno.service import Options
 from nuno.simulation.run import Simulation
-from nuno.supervisor import Deployment, Outcome
 from nuno.verify import Verification, verify
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import Header, Status
+from nuno_schemas.messages import Header
 
 
 def test_threads_and_processes_end_in_the_same_bits(tmp_path: Path) -> None:
@@ -56,41 +55,6 @@ def test_resumed_run_ends_in_the_same_bits(tmp_path: Path) -> None:
     assert resumed.summary["digest"] == whole.digest
 
 
-class Run:
-    """A run in a thread of its own, to be disturbed from outside."""
-
-    def __init__(self, scene: Path, processes: bool, record: Path) -> None:
-        self.loaded = scene_file.read(scene)
-        self.run = supervisor.new_run_id("test")
-        self.options = Options(record=record)
-        self.moved = threading.Event()
-        self.outcome: Outcome | None = None
-        self.deployment = Deployment(processes=processes, run=self.run)
-        self.thread = threading.Thread(target=self._body)
-        self.thread.start()
-
-    def _body(self) -> None:
-        self.outcome = supervisor.supervise(self.loaded, self.options, self.deployment, self._note)
-
-    def _note(self, status: Status | str) -> None:
-        if isinstance(status, Status) and status.frame > 0:
-            self.moved.set()
-
-    def control(self, action: str, **request: object) -> dict[str, object]:
-        return supervisor.control(self.run, runs.running()[self.run], {"action": action, **request})
-
-    def join(self) -> Outcome:
-        self.thread.join(60)
-        assert self.outcome is not None
-        return self.outcome
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < deadline
-
-
 def frames_in(path: Path) -> int:
     """Frames that can be read from a recording, finished or not."""
     with nuno.open(path) as recording:
@@ -99,35 +63,7 @@ def frames_in(path: Path) -> int:
 
 @pytest.fixture
 def long_run(tmp_path: Path) -> Callable[..., Run]:
-    """A run of 20,000 frames that has taken its first."""
-
-    def start(processes: bool = False) -> Run:
-        run = Run(write_scene(tmp_path, bodies=BALL, duration=400.0), processes, tmp_path / "long.mcap")
-        assert run.moved.wait(60)
-        return run
-
-    return start
-
-
-def test_control_pauses_steps_changes_and_stops(long_run: Callable[..., Run]) -> None:
-    run = long_run()
-    paused = run.control("pause")
-    assert paused["state"] == "paused"
-    frame = run.control("status")["frame"]
-    assert run.control("status")["frame"] == frame
-    run.control("step", frames=3)
-    wait_until(lambda: run.control("status")["state"] == "paused")
-    assert run.control("status")["frame"] == int(str(frame)) + 3
-    assert run.control("set", item="damping=2.5")["ok"]
-    refused = run.control("set", item="dampin=2.5")
-    assert not refused["ok"]
-    assert not run.control("dance")["ok"]
-    run.control("resume")
-    run.control("stop")
-    outcome = run.join()
-    assert outcome.state == "stopped"
-    recording = nuno.open(run.options.record)  # type: ignore[arg-type]
-    assert [event.text for event in control_events(recording)] == ["pause", "step", "set", "resume", "stop"]
+    return functools.partial(start_long, tmp_path)
 
 
 @pytest.mark.parametrize("service", ["simulation", "collision", "recorder"])

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import json
+from collections.abc import Mapping
+from typing import Any
 
 from nuno import runs
 from nuno.cli.common import add_config
@@ -32,5 +35,21 @@ def main(args: argparse.Namespace) -> int:
     answer = control(run, endpoint, request, args.config)
     if not answer.get("ok"):
         raise BadInput(str(answer.get("error", "refused")))
-    print(f"{run}: {answer['state']} at frame {answer['frame']} of {answer['frames']}, t = {answer['t']:.3f} s")
+    print(f"{run}: {describe(answer)}")
     return 0
+
+
+def describe(answer: Mapping[str, Any]) -> str:
+    """A run's answer in words: what it does, since when, and what was changed."""
+    left, state = answer.get("left", 0), str(answer["state"])
+    if left:
+        state += f" for {left} {'frame' if left == 1 else 'frames'}, then paused;"
+    text = f"{state} at frame {answer['frame']} of {answer['frames']}, t = {answer['t']:.3f} s"
+    if "field" in answer:
+        text = f"{answer['field']} {_short(answer['old'])} -> {_short(answer['new'])}; {text}"
+    return text
+
+
+def _short(value: object) -> str:
+    text = "nothing" if value is None else json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

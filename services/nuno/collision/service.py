@@ -28,7 +28,7 @@ class Collision:
         self.context, self.bodies, self.inbox = context, bodies, inbox
         self.rate, self.frames = context.loaded.scene.frame_rate, context.loaded.scene.frames
         self.seconds = 0.0
-        self.deepest = 0.0
+        self.deepest = self.last = 0.0
         self.cache: dict[int, Poses] = {}
 
     def answer(self, question: Question) -> None:
@@ -82,7 +82,7 @@ class Collision:
             mean=float(depth[inside].mean()) if deepest >= 0 else 0.0,
             seconds=time.perf_counter() - start,
         )
-        self.deepest = max(self.deepest, report.depth)
+        self.deepest, self.last = max(self.deepest, report.depth), report.depth
         self.seconds += report.seconds
         self.context.bus.publisher(PENETRATION).put(report.model_dump_json().encode(), header.frame, header.t)
         ack = Ack(service="collision", frame=header.frame)
@@ -103,4 +103,5 @@ def main(context: Context) -> None:
             inbox.refuse(message)
 
     finish = each_message(context, inbox, handle, collision.answer)
-    finish.answer_json(context.counts(inbox) | {"seconds": collision.seconds, "deepest": collision.deepest})
+    found = {"seconds": collision.seconds, "deepest": collision.deepest, "last_depth": collision.last}
+    finish.answer_json(context.counts(inbox) | found)

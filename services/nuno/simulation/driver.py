@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,11 +13,10 @@ from pydantic import ValidationError
 from nuno.arrays import encode_arrays, encode_points
 from nuno.build import structural_edges
 from nuno.bus import Inbox, Message, Question
-from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.collision.service import GEOMETRY_QUESTION, POSES_QUESTION
+from nuno.collision.ask import ask_poses
 from nuno.service import Context, ack_topic, asks_to_finish
 from nuno.simulation.run import Frame, Simulation
-from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Ack, Status
 from nuno_schemas.plugin import StepReport
@@ -27,7 +25,6 @@ WINDOW = 4
 """Frames that the simulation may run ahead of a service that must see every one."""
 ACK_TIMEOUT = 60.0
 """Silence [s] after which such a service counts as hung."""
-COLLISION_TIMEOUT = 30.0
 CONTROL = "control"
 
 
@@ -48,6 +45,7 @@ class Driver:
         self.stretch = 0.0
         self.message = ""
         self.begin = simulation.t
+        self.paused_seconds = 0.0
         self.inbox = Inbox(context.bus, [ack_topic("*")])
         self.inbox.answer(CONTROL)
         self.inbox.answer("finish/simulation")
@@ -75,9 +73,12 @@ class Driver:
             raise RunFailed("the supervisor has gone")
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out one control request; the answer says what happened."""
+        """Carry out one control request; the answer says what happened.
+
+        `left` are the frames after which a run that was told to step pauses again, 0 for none.
+        """
         action, simulation = str(request.get("action")), self.simulation
-        before = self.state
+        before, change = self.state, {}
         if action in ("pause", "resume", "stop"):
             self.single = 0
         if action in ("start", "resume"):
@@ -94,7 +95,7 @@ class Driver:
             self.state = "stopped"
         elif action == "set":
             try:
-                simulation.set(str(request.get("item")))
+                change = self.change(str(request.get("item")))
             except BadInput as error:
                 return {"ok": False, "error": str(error)}
         elif action != "status":
@@ -106,10 +107,18 @@ class Driver:
             "ok": True,
             "state": self.state,
             "before": before,
+            "left": self.single,
             "frame": simulation.frame,
             "frames": self.scene.frames,
             "t": simulation.t,
-        }
+        } | change
+
+    def change(self, item: str) -> dict[str, Any]:
+        """Set a field of the running scene; its name, and what it held before and holds now."""
+        field = item.partition("=")[0]
+        before = self.simulation.loaded.value(field)
+        self.simulation.set(item)
+        return {"field": field, "old": before, "new": self.simulation.loaded.value(field)}
 
     def run(self) -> str:
         """All frames; how it ended: done, stopped, diverged or (asked to finish early) failed."""
@@ -119,8 +128,7 @@ class Driver:
         self.publish(Frame(simulation.frame, measured, 0.0, simulation.digest()), "running")
         while simulation.frame < self.scene.frames:
             self.listen(0)
-            while self.state == "paused" and self.finish is None:
-                self.listen(0.5)
+            self.stand_still()
             if self.finish is not None:
                 return "failed"
             if self.state == "stopped":
@@ -133,6 +141,13 @@ class Driver:
         self.publish_checkpoint()
         self.wait_for(simulation.frame)
         return "stopped" if self.state == "stopped" else "done"
+
+    def stand_still(self) -> None:
+        """Wait while the run is paused; that time is counted apart."""
+        start = time.perf_counter()
+        while self.state == "paused" and self.finish is None:
+            self.listen(0.5)
+        self.paused_seconds += time.perf_counter() - start
 
     def one_frame(self) -> StepReport:
         """Ask for the bodies, step, publish."""
@@ -243,9 +258,11 @@ class Driver:
             "message": self.message,
             "frame": simulation.frame,
             "t": simulation.t,
+            "began": self.begin,
             "simulated_seconds": simulation.t - self.begin,
             "digest": simulation.digest(),
-            "wall_seconds": wall,
+            "wall_seconds": wall - self.paused_seconds,
+            "paused_seconds": self.paused_seconds,
             "seconds": self.seconds,
             "step_seconds": parts,
             "steps_per_frame": simulation.steps,
@@ -270,19 +287,3 @@ class Driver:
                 late = [name for name, seen in self.acked.items() if seen < frame]
                 raise RunFailed(f"{', '.join(late)} has not acknowledged frame {frame} within {ACK_TIMEOUT:g} s")
         self.seconds["waiting"] += time.perf_counter() - start
-
-
-def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
-    """Ask for a frame's poses now; the function that is returned waits for them."""
-    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode())
-    return lambda: decode_poses(answer())
-
-
-def ask_geometry(context: Context) -> Geometry:
-    end = time.monotonic() + COLLISION_TIMEOUT
-    while context.watch.wait_for({"collision"}, 0.1):
-        if context.orphaned():
-            raise RunFailed("the supervisor has gone")
-        if time.monotonic() > end:
-            raise RunFailed(f"the collision service did not start within {COLLISION_TIMEOUT:g} s")
-    return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+from nuno.collision.ask import ask_geometry, ask_poses
 from nuno.service import Context
-from nuno.simulation.driver import Driver, ask_geometry, ask_poses
+from nuno.simulation.driver import Driver
 from nuno.simulation.run import Simulation
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput

@@ -1,0 +1,32 @@
+"""Questions to the collision service: what the bodies are, and where."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+
+from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.collision.service import GEOMETRY_QUESTION, POSES_QUESTION
+from nuno.service import Context
+from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.errors import RunFailed
+
+START_TIMEOUT = 30.0
+
+
+def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
+    """Ask for a frame's poses now; the function that is returned waits for them."""
+    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode())
+    return lambda: decode_poses(answer())
+
+
+def ask_geometry(context: Context) -> Geometry:
+    """The bodies of a run, once their service is there. Raises RunFailed if it does not come."""
+    end = time.monotonic() + START_TIMEOUT
+    while context.watch.wait_for({"collision"}, 0.1):
+        if context.orphaned():
+            raise RunFailed("the supervisor has gone")
+        if time.monotonic() > end:
+            raise RunFailed(f"the collision service did not start within {START_TIMEOUT:g} s")
+    return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))

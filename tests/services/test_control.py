@@ -1,0 +1,95 @@
+"""Control of a run that goes on: what it answers is what it does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from live_run import Run, start_long
+from scenes import write_scene
+
+import nuno
+from nuno import scene_file
+from nuno.cli import main
+from nuno.recording.restore import control_events
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[Run]:
+    """A run that stands still after its first frames."""
+    wind = {"plugin": "particle_wind", "strength": "1 mN"}
+    run = start_long(tmp_path, forces=[wind], gravity=[0.0, -9.81, 0.0])
+    run.control("pause")
+    yield run
+    if run.thread.is_alive():
+        run.stop()
+
+
+def test_control_pauses_steps_changes_and_stops(run: Run) -> None:
+    paused = run.control("status")
+    assert paused["state"] == "paused"
+    assert run.control("status")["frame"] == paused["frame"]
+    run.control("step", frames=3)
+    assert run.wait_until_paused() == paused["frame"] + 3
+    assert run.control("set", item="damping=2.5")["ok"]
+    assert not run.control("set", item="dampin=2.5")["ok"]
+    assert not run.control("dance")["ok"]
+    run.control("resume")
+    assert run.stop().state == "stopped"
+    with nuno.open(run.record) as recording:
+        assert [event.text for event in control_events(recording)] == ["pause", "step", "set", "resume", "stop"]
+
+
+def test_a_step_says_that_the_run_pauses_again(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run.control("status")["left"] == 0
+    # Asked in one go, before the first of the frames can be over.
+    assert run.control("step", frames=500)["left"] == 500
+    run.control("pause")
+    assert run.control("status")["left"] == 0
+    assert main(["control", run.run, "step"]) == 0
+    assert f"{run.run}: running for 1 frame, then paused; at frame" in capsys.readouterr().out
+
+
+def test_set_answers_with_the_old_and_the_new_value(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    for item, old, new in (
+        ("damping=2.5", 0.0, 2.5),
+        ("damping=1 1/s", 2.5, 1.0),
+        ("gravity[1]=-1.6", -9.81, -1.6),
+        ("forces.0.strength=2 mN", 0.001, 0.002),
+        ("forces.0.beta=0.5", 0.0, 0.5),
+    ):
+        answer = run.control("set", item=item)
+        assert answer["ok"], answer
+        assert (answer["field"], answer["old"], answer["new"]) == (item.partition("=")[0], old, new)
+    capsys.readouterr()
+    assert main(["control", run.run, "set", "gravity=[0, 0, -3.7]"]) == 0
+    assert "gravity [0.0, -1.6, 0.0] -> [0.0, 0.0, -3.7]; paused at frame" in capsys.readouterr().out
+
+
+def test_time_spent_paused_is_counted_apart(run: Run) -> None:
+    began = time.perf_counter()
+    run.control("status")
+    time.sleep(0.5)
+    waited = time.perf_counter() - began
+    outcome = run.stop()
+    whole = outcome.seconds["run"]
+    report = run.report
+    # Of the whole run, at least the sleep was a pause; and the parts make up no more than the whole.
+    assert report["paused_seconds"] >= waited
+    assert report["wall_seconds"] + report["paused_seconds"] <= whole
+    assert report["wall_seconds"] <= whole - waited
+    assert report["real_time_factor"] == pytest.approx(report["simulated_seconds"] / report["wall_seconds"])
+
+
+def test_a_fields_value_is_what_the_scene_gives_or_leaves_to_the_default(tmp_path: Path) -> None:
+    loaded = scene_file.read(
+        write_scene(tmp_path, damping="2 1/s", forces=[{"plugin": "particle_wind", "strength": 0.0}])
+    )
+    assert loaded.value("damping") == 2.0
+    assert loaded.value("gravity[1]") == loaded.value("gravity.1") == -9.81
+    assert loaded.value("forces.0.plugin") == "particle_wind"
+    assert loaded.value("forces[0].gamma") == 0.0
+    assert loaded.value("forces.1.plugin") is None
+    assert loaded.value("nothing.0") is None

@@ -1,0 +1,69 @@
+"""The report says what its numbers are of: peak or last, since when, and what makes them doubtful."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scenes import BALL, write_scene
+
+import nuno
+from nuno.cli import main
+from nuno.report import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH, Report, lines
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> nuno.Result:
+    """A chain that falls on a ball and swings off it."""
+    folder = tmp_path_factory.mktemp("report")
+    return nuno.run(write_scene(folder, bodies=BALL, duration=1.0), record=folder / "run.mcap")
+
+
+def rows(report: Report, heading: str) -> list[str]:
+    return [text for name, text in lines(report) if name == heading]
+
+
+def test_penetration_is_the_peak_and_the_last_frames(result: nuno.Result) -> None:
+    with result.recording as recording:
+        depth = recording.series()["depth"]
+    assert depth.max() > depth[-1]
+    assert result.report["penetration"] == depth.max()
+    assert result.report["last_penetration"] == depth[-1]
+    (text,) = rows(result.report, "penetration")
+    assert text.startswith(f"at most {depth.max() * 1e3:.3g} mm, {depth[-1] * 1e3:.3g} mm at the end")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"stretch": MOST_STRETCH}, ""),
+        ({"stretch": 1.001 * MOST_STRETCH}, "stretched by more than 100%"),
+        ({"stretch": None}, ""),
+        ({"penetration": 1.001 * SEEN_DEPTH, "rest_depth": 1e-4}, "50 times as deep"),
+        ({"penetration": 0.999 * SEEN_DEPTH, "rest_depth": 1e-4}, ""),
+        ({"penetration": 1.001 * MOST_DEPTHS * 0.01, "rest_depth": 0.01}, "5 times as deep"),
+        ({"penetration": 0.999 * MOST_DEPTHS * 0.01, "rest_depth": 0.01}, ""),
+        ({"penetration": 0.1, "rest_depth": 0.0}, "bodies deeper than"),
+        ({"penetration": 0.1, "rest_depth": None}, ""),
+    ],
+)
+def test_doubtful_results_carry_a_warning(result: nuno.Result, change: dict[str, Any], words: str) -> None:
+    quiet = result.report | {"stretch": 0.1, "penetration": 1e-4, "rest_depth": 1e-4}
+    assert rows(quiet, "warning") == []
+    found = rows(quiet | change, "warning")
+    assert len(found) == bool(words)
+    assert words in "".join(found)
+
+
+def test_a_resumed_runs_balance_says_when_it_begins(
+    result: nuno.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "on.mcap"
+    command = ["run", "--resume", str(result.path), "--set", "duration=1.2", "--record", str(target), "--no-view"]
+    assert main(command) == 0
+    with nuno.open(target) as recording:
+        assert recording.report()["began"] == 1.0
+        assert recording.report()["simulated_seconds"] == pytest.approx(0.2)
+    assert "moving bodies, since the run went on at 1 s" in capsys.readouterr().out
+    assert "went on" not in rows(result.report, "balance")[0]
