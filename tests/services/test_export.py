@@ -71,16 +71,19 @@ def test_npz_is_the_last_checkpoint_and_nothing_else(path: Path, tmp_path: Path)
         assert float(archive["t"]) == 9 / RATE
 
 
-def test_csv_holds_every_digit(path: Path, tmp_path: Path) -> None:
+def test_csv_holds_every_digit_and_names_units(path: Path, tmp_path: Path) -> None:
     export_csv(path, tmp_path / "out.csv")
     with open_recording(path) as recording:
         series = recording.series()
     with (tmp_path / "out.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == FRAMES
-    assert set(rows[0]) == set(series)
-    for name, column in series.items():
-        assert [float(row[name]) for row in rows] == column.tolist()
+    assert list(rows[0]) == [
+        "frame", "t [s]", "steps", "step_seconds [s]", "stretch [1]", "energy_kinetic [J]", "energy_springs [J]",
+        "depth [m]", "inside", "mean [m]",
+    ]  # fmt: skip
+    for heading, column in zip(rows[0], series.values(), strict=True):
+        assert [float(row[heading]) for row in rows] == column.tolist()
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply"])
