@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import zenoh
@@ -14,6 +14,14 @@ from nuno_schemas.errors import BadInput
 
 LEASE_MS = 2000
 """A peer that stays silent this long is gone; zenoh's default of 10 s hides a dead service."""
+
+
+ATTEMPTS = 20
+"""Free ports that are tried: between finding one and listening there another run may take it."""
+
+
+class PortTaken(BadInput):
+    """Another program listens at the endpoint."""
 
 
 def free_port() -> int:
@@ -49,7 +57,7 @@ def _config(mode: str, listen: list[str], connect: list[str], extra: str | None)
 
 @contextmanager
 def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
-    """A session that others connect to, e.g. "tcp/127.0.0.1:7447". Raises BadInput if taken.
+    """A session that others connect to, e.g. "tcp/127.0.0.1:7447". Raises PortTaken, BadInput.
 
     `extra` is a zenoh configuration file (TLS, access control) that is read first.
     """
@@ -57,12 +65,28 @@ def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
-        taken = "in use" in str(error)
-        problem = "another program listens there" if taken else f"cannot listen: {_short(error)}"
-        remedy = "choose another port, or leave --listen out for a free one" if taken else "check the endpoint"
-        raise BadInput(problem, value=endpoint, remedy=remedy) from None
+        if "in use" in str(error):
+            remedy = "choose another port, or leave --listen out for a free one"
+            raise PortTaken("another program listens there", value=endpoint, remedy=remedy) from None
+        remedy = "check the endpoint"
+        raise BadInput(f"cannot listen: {_short(error)}", value=endpoint, remedy=remedy) from None
     with session:
         yield session
+
+
+@contextmanager
+def hub_at(listen: str | None, extra: str | None = None) -> Iterator[tuple[zenoh.Session, str]]:
+    """A hub and its endpoint: the one given, or a free port of loopback. Raises as `hub`."""
+    with ExitStack() as stack:
+        for left in reversed(range(1 if listen else ATTEMPTS)):
+            endpoint = listen or f"tcp/127.0.0.1:{free_port()}"
+            try:
+                session = stack.enter_context(hub(endpoint, extra))
+                break
+            except PortTaken:
+                if not left:
+                    raise
+        yield session, endpoint
 
 
 @contextmanager

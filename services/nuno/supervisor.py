@@ -20,7 +20,7 @@ from nuno.launch import FINISH_TIMEOUT
 from nuno.plan import Plan, make_plan
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
-from nuno.sessions import free_port, hub, spoke
+from nuno.sessions import hub_at, spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, STATUS, Event, Status, Topic
 
@@ -222,13 +222,11 @@ def supervise(
     run = deployment.run or new_run_id(loaded.scene.name)
     began = time.perf_counter()
     with contextlib.ExitStack() as stack:
-        endpoint = deployment.connect or deployment.listen or f"tcp/127.0.0.1:{free_port()}"
-        opened = (
-            spoke(endpoint, deployment.config, CONNECT_PATIENCE)
-            if deployment.connect
-            else hub(endpoint, deployment.config)
-        )
-        session = stack.enter_context(opened)
+        if deployment.connect:
+            endpoint = deployment.connect
+            session = stack.enter_context(spoke(endpoint, deployment.config, CONNECT_PATIENCE))
+        else:
+            session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config))
         supervisor = Supervisor(loaded, options, plan, session, run)
         stack.enter_context(runs.announced(run, endpoint))
         if deployment.processes:

@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 
 from nuno import scene_file
-from nuno.sessions import free_port, hub
+from nuno.sessions import hub_at
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
 
@@ -52,7 +52,7 @@ def _kernels() -> str:
 
 def _bus() -> str:
     try:
-        with hub(f"tcp/127.0.0.1:{free_port()}"):
+        with hub_at(None):
             return "listens on loopback only, no scouting"
     except Exception as error:
         return f"failed: {error}"

@@ -16,7 +16,7 @@ from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options, run_service
-from nuno.sessions import free_port, hub
+from nuno.sessions import hub_at
 from nuno_schemas.errors import BadInput
 
 
@@ -68,12 +68,11 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         raise BadInput("a loop has no end to save", field="--save", remedy="leave --loop out")
     name = f"replay-{recording.scene.get('name', 'run')}"
     run = supervisor.new_run_id(name) if args.run is None else runs.check_id(args.run)
-    endpoint = args.listen or f"tcp/127.0.0.1:{free_port()}"
     shown = view is not None or args.save is not None
     options = Options(view=view, save=args.save, must_see=("viewer",) if args.save else ())
     replay = Replay(None if args.fast else args.rate, args.start, args.loop, options.must_see)
     with contextlib.ExitStack() as stack:
-        session = stack.enter_context(hub(endpoint, args.config))
+        session, endpoint = stack.enter_context(hub_at(args.listen, args.config))
         stack.enter_context(runs.announced(run, endpoint))
         bus = Bus(session, run, SUPERVISOR)
         stack.enter_context(bus.alive())
