@@ -248,3 +248,15 @@ def test_frames_of_a_cut_file_keep_their_numbers(many_chunks: tuple[Path, list[t
     with open_recording(cut) as recording:
         numbers = [frame.number for frame in recording.frames()]
         assert numbers == list(range(recording.counts[STATE.name]))
+
+
+def test_a_recording_that_was_not_finished_is_named(tmp_path: Path) -> None:
+    """Who asks for the name that the run was to have is told where its recording is."""
+    recording = RecordingWriter(tmp_path / "run.mcap", metadata(), {})
+    recording.abort()
+    with pytest.raises(BadInput, match="No such file") as caught:
+        open_recording(tmp_path / "run.mcap")
+    assert str(tmp_path / "run.mcap.part") in str(caught.value.remedy)
+    with pytest.raises(BadInput) as caught:
+        open_recording(tmp_path / "other.mcap")
+    assert "part" not in str(caught.value.remedy)

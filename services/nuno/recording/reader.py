@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from nuno.arrays import BadMessage, decode_arrays, decode_points
 from nuno.recording.layout import ChunkPlace, Damaged, Layout, attachment, chunk_messages, read_at, read_layout
+from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.messages import BODIES, CHECKPOINT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS
@@ -80,7 +80,8 @@ class Recording:
         try:
             self._stream: BinaryIO = self.path.open("rb")
         except OSError as error:
-            remedy = "give the name of a recording (.mcap)"
+            part = part_of(self.path)
+            remedy = f"its run did not finish it: read {part}" if part.is_file() else "give the name of a recording"
             raise BadInput(f"cannot be read: {error.strerror}", str(path), remedy=remedy) from None
         try:
             self.layout: Layout = read_layout(self._stream, self.path)
@@ -96,9 +97,7 @@ class Recording:
     def __enter__(self) -> Recording:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def close(self) -> None:
