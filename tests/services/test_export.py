@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +131,26 @@ def test_glb_holds_cloth_texture_and_bodies(path: Path, tmp_path: Path) -> None:
     with open_recording(path) as recording:
         expected = body_vertices(recording, read_bodies(recording), 5 / RATE)
     assert np.array_equal(body.vertices.astype(np.float32), expected.astype(np.float32))
+
+
+def test_glb_normals_are_those_of_the_surface_and_need_no_scipy(path: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.glb"
+    hidden = "import sys; sys.modules['scipy'] = None; from nuno.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", hidden, "export", str(path), "--glb", str(out), "--frame", "0"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    scene = trimesh.load(out, process=False, force="scene")
+    cloth, body = scene.geometry["cloth"], scene.geometry["bodies"]
+    # z = 0.1 sin(4 y + 6 t): the normal is (0, -dz/dy, 1). Triangles are 0.2 m high, and leave out
+    # a curvature of 1.6 / m: within 1.6 * 0.2 / 2 of a slope, about.
+    slope = 0.4 * np.cos(4.0 * SHEET.rest[:, 1])
+    normal = np.stack([0.0 * slope, -slope, 1.0 + 0.0 * slope], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    assert np.abs(cloth.vertex_normals - normal).max() < 0.16
+    a, b = np.array([0.3, 0.3, -0.4]), np.array([0.7, 0.3, -0.4])
+    along = np.clip((body.vertices - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+    outward = (body.vertices - a - along[:, None] * (b - a)) / 0.198
+    assert (body.vertex_normals * outward).sum(axis=1).min() > np.cos(np.radians(4.0))
 
 
 def test_glb_without_a_texture_is_coloured_by_stretch(plain: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from nuno.export.target import Progress, opened, writing
 from nuno.recording.reader import Frame, Recording
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, Int
 
 
 def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
@@ -127,16 +127,33 @@ def _glb(recording: Recording, pieces: list[Piece], frame: Frame) -> bytes:
     for piece in pieces:
         if len(piece.faces):
             x = frame.x[piece.start : piece.stop]
-            mesh = trimesh.Trimesh(x, piece.faces, process=False, visual=_visual(piece, x))
+            mesh = _trimesh(x, piece.faces, _visual(piece, x))
             scene.add_geometry(mesh, node_name=piece.name, geom_name=piece.name)
     bodies = read_bodies(recording)
     points = body_vertices(recording, bodies, frame.t)
     if bodies is not None and len(points):
-        mesh = trimesh.Trimesh(points, bodies.faces, process=False, visual=_plain(BODY, two_sided=False))
+        mesh = _trimesh(points, bodies.faces, _plain(BODY, two_sided=False))
         scene.add_geometry(mesh, node_name="bodies", geom_name="bodies")
     if not scene.geometry:
         raise BadInput("nothing in the recording has faces", str(recording.path), remedy="a net has none: export .npz")
     return bytes(scene.export(file_type="glb", include_normals=True))
+
+
+def _trimesh(x: Float, faces: Int, visual: Any) -> Any:
+    """A mesh with the normal of each vertex: the mean of its triangles' by area.
+
+    trimesh would find them with scipy, which nuno does without, and complain where it is missing.
+    """
+    import trimesh
+
+    across = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])
+    normals = np.zeros_like(x)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], across)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    # glTF wants unit length, also of a vertex that no triangle has a side to.
+    normals = np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), [0.0, 1.0, 0.0])
+    return trimesh.Trimesh(x, faces, vertex_normals=normals, process=False, visual=visual)
 
 
 def _visual(piece: Piece, x: Float) -> Any:
