@@ -88,4 +88,4 @@ def serve_command(
     for flag, value in flags:
         if value is not None:
             command += [flag, str(value)]
-    return [*command, "--threads", str(options.threads)]
+    return [*command, "--threads", str(options.threads), "--quiet"]

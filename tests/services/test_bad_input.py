@@ -248,9 +248,9 @@ def test_a_refusal_leaves_no_service_behind(refused: Refused, tmp_path: Path) ->
     assert time.monotonic() - began < 25
 
 
-def test_processes_refuse_alike(refused: Refused, tmp_path: Path) -> None:
+def test_processes_refuse_alike_and_once(refused: Refused, tmp_path: Path) -> None:
     said = refused.run("--processes", objects=of_file("no.npz"))
-    assert "objects[0].model.file: no such file" in said
+    assert said.count("objects[0].model.file: no such file") == 1
 
 
 def test_a_scene_larger_than_memory_is_refused_before_it_is_built(refused: Refused) -> None:

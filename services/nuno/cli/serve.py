@@ -10,7 +10,7 @@ from pathlib import Path
 from nuno import runs, scene_file, sessions
 from nuno.cli.common import add_config
 from nuno.service import MODULES, Options, run_service
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 
 PATIENCE = 20.0
 """How long a service waits for its hub [s]: containers start in any order."""
@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--view", choices=["window", "web"])
     parser.add_argument("--resume", type=Path, metavar="FILE")
     parser.add_argument("--threads", type=int, default=0, metavar="N")
+    parser.add_argument("--quiet", action="store_true", help="leave errors that the run hears of to its supervisor")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -57,7 +58,12 @@ def main(args: argparse.Namespace) -> int:
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     with sessions.spoke(args.connect, args.config, PATIENCE) as session:
-        run_service(args.service, loaded, session, args.run, options)
+        try:
+            run_service(args.service, loaded, session, args.run, options)
+        except (BadInput, RunFailed) as error:
+            if not args.quiet:
+                raise
+            return 2 if isinstance(error, BadInput) else 1
     return 0
 
 
