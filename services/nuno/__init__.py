@@ -11,6 +11,10 @@ if TYPE_CHECKING:
 __all__ = ["Result", "open", "run"]
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 def __getattr__(name: str) -> Any:
     # Loaded when first used: a service's process needs neither.
     if name in ("run", "Result"):
