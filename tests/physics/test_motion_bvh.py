@@ -3,12 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+import pybvh
 import pytest
 
 from nuno_contact.bvh import BVH, BvhConfig
 from nuno_schemas.errors import BadInput
 
 WALK = Path(__file__).parents[3] / "shared" / "data" / "cmu_12_01_walk.bvh"
+SHIPPED = Path(__file__).parents[2] / "scenes" / "walk.bvh"
 
 TINY = """HIERARCHY
 ROOT Hips
@@ -144,6 +146,20 @@ def test_captured_walk_agrees_and_bones_keep_their_length():
         np.testing.assert_allclose(
             np.linalg.norm(x[1:] - x[mover.parents[1:]], axis=1), lengths, rtol=1e-12, atol=1e-12
         )
+
+
+def test_shipped_walk_agrees_with_the_library_in_every_frame():
+    """Every joint and end site of every frame, in metres, where pybvh's own kinematics puts it."""
+    found = pybvh.read_bvh_file(SHIPPED, world_up="+y")
+    expected = found.node_positions(centered="world")
+    assert expected.shape[0] == found.frame_count > 40
+    mover = prepare(SHIPPED, scale=0.01)
+    places = [found.node_index[node.name] for node in found.nodes]
+    x = np.array([mover.pose(k * found.frame_time)[1] for k in range(found.frame_count)])
+    shift = x[0, 0] - 0.01 * expected[0, places[0]]
+    np.testing.assert_allclose(x, 0.01 * expected[:, places] + shift, atol=1e-12)
+    assert shift[[0, 2]] == pytest.approx(-0.01 * expected[0, places[0], [0, 2]], abs=1e-12)
+    assert_shape_agrees(SHIPPED, found.frame_time, range(found.frame_count))
 
 
 def test_body_is_scaled_and_put_where_the_scene_says(tiny):
