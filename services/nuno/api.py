@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import re
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +17,23 @@ import numpy as np
 from nuno import scene_file, supervisor
 from nuno.recording.reader import Recording, open_recording
 from nuno.report import Report, make_report
+from nuno.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervisor import Deployment
-from nuno_schemas.errors import RunFailed
+from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
+
+GIVEN = "the scene given"
+"""What errors call a scene that is a mapping."""
+WORDS = (
+    (r"--set (\S+)", r'"\1"'),
+    (r"--root DIR", "roots=[DIR]"),
+    (r"--record FILE", "record=FILE"),
+    (r"--set\b", "overrides"),
+    (r"--(root)\b", r"\1s"),
+    (r"--(record|threads)\b", r"\1"),
+)
+"""Arguments of the command line, and of `run`."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +71,34 @@ def run(
     temporary one). Raises BadInput for a bad scene and RunFailed for a run that failed or
     diverged, whose recording is kept.
     """
-    folders = tuple(Path(root) for root in roots)
-    if isinstance(scene, Mapping):
-        with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-            path = Path(folder) / "scene.yaml"
-            path.write_text(json.dumps(dict(scene)))
-            return run(
-                path, *overrides, record=record, roots=(Path.cwd(), *folders), processes=processes, threads=threads
-            )
-    loaded = scene_file.read(scene_file.find(os.fspath(scene)), overrides, folders)
+    with contextlib.ExitStack() as stack:
+        try:
+            loaded = stack.enter_context(_loaded(scene, overrides, tuple(Path(root) for root in roots)))
+            return _run(loaded, record, processes, threads)
+        except BadInput as error:
+            raise _in_python(error) from None
+
+
+@contextlib.contextmanager
+def _loaded(
+    scene: str | os.PathLike[str] | Mapping[str, Any], overrides: Sequence[str], roots: tuple[Path, ...]
+) -> Iterator[Loaded]:
+    """The scene, which services in processes of their own can read meanwhile."""
+    if not isinstance(scene, Mapping):
+        yield scene_file.read(scene_file.find(os.fspath(scene)), overrides, roots)
+        return
+    try:
+        text = json.dumps(dict(scene))
+    except (TypeError, ValueError) as error:
+        remedy = "use numbers, text, lists and mappings"
+        raise BadInput(f"holds what a scene cannot say: {error}", GIVEN, remedy=remedy) from None
+    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+        path = Path(folder) / "scene.yaml"
+        path.write_text(text)
+        yield scene_file.read(path, overrides, (Path.cwd(), *roots), GIVEN)
+
+
+def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool, threads: int) -> Result:
     run_id = supervisor.new_run_id(loaded.scene.name)
     path = Path(record) if record is not None else Path(tempfile.mkdtemp(prefix="nuno-")) / f"{run_id}.mcap"
     options = Options(record=path, threads=threads)
@@ -85,3 +119,14 @@ def run(
         make_report(loaded, outcome),
         path,
     )
+
+
+def _in_python(error: BadInput) -> BadInput:
+    """The same error in terms of `run`'s own arguments."""
+    changed: dict[str, Any] = {}
+    for name in ("problem", "file", "field", "limit", "remedy"):
+        text = getattr(error, name)
+        for flag, argument in WORDS:
+            text = re.sub(flag, argument, text) if text is not None else None
+        changed[name] = text
+    return replace(error, **changed)

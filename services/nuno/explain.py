@@ -16,6 +16,9 @@ from nuno_schemas.errors import BadInput, nearest
 OVERRIDDEN = 0
 """Line of a field that was given on the command line."""
 
+UNNUMBERED = -1
+"""Line of a field whose scene was never a file of the user's."""
+
 Words = tuple[str, object, str | None, str | None]
 """Problem, value, limit and remedy."""
 
@@ -42,6 +45,7 @@ def located(error: BadInput, file: str, lines: Mapping[Path, int], field: str) -
     line = next((n for path, n in sorted(lines.items(), key=lambda i: -len(i[0])) if _under(full, dotted(path))), None)
     if line == OVERRIDDEN:
         file, line = "--set", None
+    line = None if line == UNNUMBERED else line
     if error.file is None:
         return BadInput(error.problem, file, line, full, error.value, error.limit, error.remedy)
     # It stands in another file: say also who names that file.

@@ -79,12 +79,12 @@ def serve_command(
     name: str, loaded: Loaded, options: Options, endpoint: str, run: str, config: str | None = None
 ) -> list[str]:
     """The command line that runs one service."""
-    command = [sys.executable, "-m", "nuno", "serve", name, loaded.file, "--run", run, "--connect", endpoint]
+    command = [sys.executable, "-m", "nuno", "serve", name, str(loaded.path), "--run", run, "--connect", endpoint]
     flags: list[tuple[str, object]] = [("--set", item) for item in loaded.overrides]
     flags += [("--root", root) for root in loaded.files.roots]
     flags += [("--must-see", service) for service in options.must_see]
     flags += [(f"--{name}", getattr(options, name)) for name in ("record", "save", "view", "resume")]
-    flags.append(("--config", config))
+    flags += [("--config", config), ("--named", loaded.file)]
     for flag, value in flags:
         if value is not None:
             command += [flag, str(value)]

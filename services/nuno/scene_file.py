@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from nuno import registry, yaml_lines
-from nuno.explain import OVERRIDDEN, explain, located
+from nuno.explain import OVERRIDDEN, UNNUMBERED, explain, located
 from nuno.files import SceneFiles
 from nuno.yaml_lines import dotted
 from nuno_schemas.errors import BadInput, nearest
@@ -40,6 +40,7 @@ class Loaded:
     data: dict[str, Any]
     """The scene as read, with overrides applied: what a recording keeps."""
     file: str
+    """What errors call it."""
     lines: dict[yaml_lines.Path, int]
     files: SceneFiles
     models: list[Chosen]
@@ -49,6 +50,8 @@ class Loaded:
     forces: list[Chosen]
     contact: Chosen | None
     overrides: tuple[str, ...] = ()
+    path: Path = Path()
+    """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
 
     def value(self, field: str) -> Any:
         """What a field such as `forces.0.velocity` holds, given or by default, in SI units; None if there is none."""
@@ -98,8 +101,11 @@ def find(name: str) -> Path:
     raise BadInput("no such scene", value=name, remedy=f"{nearest(path.stem, scenes)}; or give the path of a YAML file")
 
 
-def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = ()) -> Loaded:
-    """Read, override and validate a scene file. Raises BadInput."""
+def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), named: str | None = None) -> Loaded:
+    """Read, override and validate a scene file. Raises BadInput.
+
+    `named` is what errors call a scene that is no file of the user's; they then name no line.
+    """
     roots = tuple(roots)
     for root in roots:
         if not root.is_dir():
@@ -113,10 +119,13 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = ()) 
         raise BadInput("not a text file", str(path), remedy="a scene is YAML in UTF-8") from None
     except OSError as error:
         raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
-    data, lines = yaml_lines.parse(text, str(path))
+    data, lines = yaml_lines.parse(text, named or str(path))
+    if named is not None:
+        lines = dict.fromkeys(lines, UNNUMBERED)
     for item in overrides:
         lines = overridden(lines, apply_override(data, item))
-    return replace(load(data, lines, str(path), SceneFiles(path.resolve().parent, roots)), overrides=tuple(overrides))
+    loaded = load(data, lines, named or str(path), SceneFiles(path.resolve().parent, roots))
+    return replace(loaded, overrides=tuple(overrides), path=path)
 
 
 def overridden(lines: Mapping[yaml_lines.Path, int], place: yaml_lines.Path) -> dict[yaml_lines.Path, int]:

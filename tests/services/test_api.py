@@ -2,9 +2,81 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from scenes import write_chain, write_scene
+
 import nuno
+from nuno.cli import main
+from nuno.recording.restore import restored_scene
+from nuno_schemas.errors import BadInput
 
 
 def test_the_module_lists_what_it_offers() -> None:
     assert {"run", "open", "Result"} <= set(dir(nuno))
     assert all(callable(getattr(nuno, name)) for name in nuno.__all__)
+
+
+CHAIN = {
+    "nuno": 1,
+    "name": "chain",
+    "duration": 0.1,
+    "frame_rate": 50,
+    "solver": {"plugin": "symplectic_euler", "dt": "1 ms"},
+    "objects": [{"name": "chain", "model": {"plugin": "net", "file": "chain.npz"}}],
+}
+REFUSALS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "an override's field": (lambda _: nuno.run(CHAIN, "solver.dtt=1"), "overrides: solver.dtt: no such field"),
+    "an override's form": (lambda _: nuno.run(CHAIN, "solver"), 'for example "solver.dt=1ms"'),
+    "a folder": (lambda _: nuno.run(CHAIN, roots=["nowhere"]), "roots: no such folder"),
+    "a file": (lambda _: nuno.run(CHAIN), "name its folder with roots=[DIR]"),
+    "a record": (lambda to: nuno.run(CHAIN, record=to / "a.txt", roots=[to]), "record: a recording's name ends in"),
+    "threads": (lambda _: nuno.run(CHAIN, threads=-1), "threads: the number of threads"),
+    "a field": (lambda _: nuno.run(CHAIN | {"durration": 1}), "the scene given: durration: no such field"),
+    "what is no scene's": (
+        lambda _: nuno.run(CHAIN | {"seed": object()}),
+        "given: holds what a scene cannot",
+    ),
+}
+
+
+@pytest.mark.parametrize("processes", [False, True])
+def test_a_mapping_runs_wherever_its_services_are(processes: bool, tmp_path: Path) -> None:
+    write_chain(tmp_path)
+    assert nuno.run(CHAIN, roots=[tmp_path], processes=processes).t == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("fault", REFUSALS)
+def test_refusals_speak_of_the_calls_own_arguments(fault: str, tmp_path: Path) -> None:
+    write_chain(tmp_path)
+    call, words = REFUSALS[fault]
+    with pytest.raises(BadInput) as caught:
+        call(tmp_path)
+    said = str(caught.value)
+    assert words in said
+    assert "--" not in said
+    assert "scene.yaml" not in said
+
+
+def test_services_in_processes_call_the_scene_as_the_caller_does(tmp_path: Path) -> None:
+    with pytest.raises(BadInput) as caught:
+        nuno.run(CHAIN, roots=[tmp_path], processes=True)
+    said = str(caught.value)
+    assert "the scene given: objects[0].model.file: no such file" in said
+    assert "scene.yaml" not in said
+
+
+def test_a_resumed_scene_is_called_by_its_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    result = nuno.run(write_scene(tmp_path, duration=0.1), record=tmp_path / "run.mcap")
+    with nuno.open(result.path) as recording, restored_scene(recording) as loaded:
+        error = loaded.at("solver.dt", BadInput("too long"))
+        assert str(error) == f"the scene in {result.path}: solver.dt: too long"
+    target = tmp_path / "on.mcap"
+    flags = ["--resume", str(result.path), "--no-view", "--record", str(target)]
+    assert main(["run", *flags, "--set", "duration=never"]) == 2
+    assert "scene.yaml" not in capfd.readouterr().err
+    assert main(["run", *flags, "--set", "duration=0.2", "--processes"]) == 0
+    with nuno.open(target) as recording:
+        assert recording.complete

@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--view", choices=["window", "web"])
     parser.add_argument("--resume", type=Path, metavar="FILE")
     parser.add_argument("--threads", type=int, default=0, metavar="N")
+    parser.add_argument("--named", metavar="NAME", help="what errors call a scene that is no file of the user's")
     parser.add_argument("--quiet", action="store_true", help="leave errors that the run hears of to its supervisor")
 
 
@@ -55,7 +56,7 @@ def main(args: argparse.Namespace) -> int:
                 remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447",
             )
     runs.check_id(args.run)
-    loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root)
+    loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root, args.named)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     with sessions.spoke(args.connect, args.config, PATIENCE) as session:
         try:

@@ -50,7 +50,7 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
             target.write_bytes(recording.attachment(name))
         scene = base / "scene.yaml"  # JSON is YAML, and services in processes of their own read it, too
         scene.write_text(json.dumps(data))
-        yield scene_file.read(scene, overrides)
+        yield scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
 
 
 def copy_until(recording: Recording, checkpoint: Checkpoint, writer: RecordingWriter) -> None:
