@@ -439,11 +439,6 @@ def test_a_duration_shorter_than_a_frame_is_one_frame(tmp_path: Path) -> None:
     assert result.report["frames"]["recorded"] == 2
 
 
-def test_more_threads_than_cores_give_the_same_bits(tmp_path: Path) -> None:
-    scene = write_scene(tmp_path, duration=0.1)
-    assert nuno.run(scene, threads=10**6).digest == nuno.run(scene, threads=1).digest
-
-
 def test_the_api_refuses_alike(tmp_path: Path) -> None:
     scene = write_scene(tmp_path)
     data = yaml.safe_load(scene.read_text())
