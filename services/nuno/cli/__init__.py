@@ -6,6 +6,7 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 from typing import NoReturn
 
 from nuno import process
@@ -69,7 +70,12 @@ def _dispatch(arguments: list[str]) -> int:
 
         print(f"nuno {version('nuno')}")
         return 0
-    name, rest = arguments[0], arguments[1:]
+    module, parser = parser_of(arguments[0])
+    return int(module.main(parser.parse_args(arguments[1:])))
+
+
+def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
+    """A command's module, and what reads its arguments. Raises BadInput for an unknown name."""
     if name not in COMMANDS:
         raise BadInput(f"no command {name!r}", remedy=nearest(name, COMMANDS))
     path, summary = COMMANDS[name]
@@ -80,7 +86,7 @@ def _dispatch(arguments: list[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.add_arguments(parser)
-    return int(module.main(parser.parse_args(rest)))
+    return module, parser
 
 
 def _help() -> str:
