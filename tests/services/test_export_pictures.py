@@ -13,7 +13,7 @@ from PIL import Image
 from recorded_sheet import RATE, Sheet, write
 
 from nuno.export import paint
-from nuno.export.animations import export_animation
+from nuno.export.animations import _choose_palette, _write_gif, export_animation
 from nuno.export.pictures import Painter, choose_frames, export_picture
 from nuno.export.tubes import SIDES, tubes
 from nuno.recording.reader import open_recording
@@ -85,6 +85,26 @@ def test_chosen_frames_keep_real_time(path: Path) -> None:
             assert len(times) == int((FRAMES - 1) / RATE * fps + 1e-6) + 1
         with pytest.raises(BadInput, match="nothing to show"):
             choose_frames(recording, 25.0, 9.0, 10.0)
+
+
+def test_a_gif_keeps_the_colours_of_cloth_that_come_later_and_of_the_background(tmp_path: Path) -> None:
+    """Mean colours over 4 x 4 pixels, between which dithering may trade, are those of the pictures."""
+    y, x = np.mgrid[0:96, 0:128] / 128.0
+    background = 225.0 + 20.0 * np.stack([y, y, 1.0 - y], axis=-1)
+    cloth = (slice(24, 72), slice(32, 96))
+    pictures = []
+    for k in range(5):
+        picture = background.copy()
+        picture[cloth] = 255.0 * colours(0.2 * k + 0.3 * x[cloth].ravel(), 0.0, 1.0).reshape(48, 64, 3) ** 0.45
+        pictures.append(picture.astype(np.uint8))
+    _write_gif(tmp_path / "a.gif", iter(pictures), 10.0, _choose_palette(iter(pictures)))
+    with Image.open(tmp_path / "a.gif") as image:
+        for k, picture in enumerate(pictures):
+            image.seek(k)
+            apart = (np.asarray(image.convert("RGB"), float) - picture).reshape(24, 4, 32, 4, 3).mean(axis=(1, 3))
+            inside = apart[6:18, 8:24]
+            assert np.sqrt((inside**2).mean()) < 3.0
+            assert np.sqrt((apart[:6] ** 2).mean()) < 2.0
 
 
 def test_a_gif_has_its_frames_and_its_pace(path: Path, tmp_path: Path) -> None:
