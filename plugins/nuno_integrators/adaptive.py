@@ -73,7 +73,7 @@ ACCEPTED, REJECTED = 0, 1
 """Places in `counts` (2,)."""
 
 
-@shared_source
+@kernel
 def attempt(
     b: Any, pair: Any, stages: int, first: int, h: float, start: float, span: float, p: Any, extra: Any
 ) -> None:
@@ -85,6 +85,9 @@ def attempt(
         else:
             combine(b.x, b.v, b.flat, pair.c[i] * h, h, pair.aa[i], pair.a[i], i, b.y, b.u, p.threads)
             evaluate(b.y, b.u, s, b.k[i], p, extra)
+
+
+attempt_interpreted = source_of(attempt, True)
 
 
 @shared_source
@@ -154,7 +157,10 @@ def advance_adaptive(
             h = 0.5 * left
         if not h > SMALLEST * span:
             return False
-        attempt(b, pair, stages, first, h, control[AT], span, p, extra)
+        if extra is None:
+            attempt(b, pair, stages, first, h, control[AT], span, p, None)
+        else:
+            attempt_interpreted(b, pair, stages, first, h, control[AT], span, p, extra)
         error = estimate_error(b, pair, h, allowed, p)
         if error <= 1.0:
             counts[ACCEPTED] += 1
@@ -171,28 +177,6 @@ def advance_adaptive(
             # NaN compares false with everything: such a step is shortened as far as one may.
             control[NEXT] = h * (max(SHRINK, SAFETY / error**alpha) if error < 1e30 else SHRINK)
             first, again = 1, True
-
-
-@kernel
-def add_output_stages(b: Any, pair: Any, first: int, stages: int, h: float, start: float, span: float, p: Any) -> None:
-    """The slopes that only the output inside a step needs; the step's end in (b.y, b.u) is kept."""
-    y, u = b.y.copy(), b.u.copy()
-    attempt(b, pair, stages, first, h, start, span, p, None)
-    b.y[:] = y
-    b.u[:] = u
-
-
-@kernel
-def attempt_again(b: Any, pair: Any, stages: int, h: float, start: float, span: float, p: Any) -> None:
-    """The pending step once more: the same bits."""
-    attempt(b, pair, stages, 0, h, start, span, p, None)
-
-
-@kernel
-def attempt_steps(b: Any, pair: Any, stages: int, steps: int, p: Any, extra: Any) -> None:
-    """Steps of no length."""
-    for _ in range(steps):
-        attempt(b, pair, stages, 0, 0.0, 0.0, 1.0, p, extra)
 
 
 @dataclass
@@ -284,6 +268,15 @@ class Adaptive(Compiled):
         problem = "" if whole else f"no step above {SMALLEST * span:.2g} s meets the tolerance"
         return Told(accepted, problem, {"steps": accepted, "rejected_steps": rejected})
 
+    def compile(self, work: AdaptiveWork, packed: Packed, extra: Any) -> None:
+        """An interval of no length ends before its first step."""
+        control, table = np.array([0.0, 0.0, 0.0, 1.0]), self.tableau
+        call = source_of(advance_adaptive, extra)
+        call(
+            work.b, work.pair, table.stages, table.estimate, control, np.zeros(2, np.int64),
+            0.0, 0.0, work.landing, work.allowed, packed, extra,
+        )  # fmt: skip
+
     def _goes_on(self, work: AdaptiveWork, packed: Packed, span: float) -> bool:
         """Whether the pending step leads to the present state; its slopes are made again after a resume."""
         control = work.control
@@ -292,7 +285,8 @@ class Adaptive(Compiled):
         if work.left is not None and all(map(np.array_equal, work.left, (work.x, work.v, control))):
             return True
         now_x, now_v = work.x.copy(), work.v.copy()
-        attempt_again(work.b, work.pair, self.tableau.stages, control[PENDING], control[AT], span, packed)
+        stages, h, start = self.tableau.stages, float(control[PENDING]), float(control[AT])
+        attempt(work.b, work.pair, stages, 0, h, start, span, packed, None)
         control[AT] += span
         self._read_inside(work, packed, span)
         control[AT] -= span
@@ -304,7 +298,10 @@ class Adaptive(Compiled):
         """The state `span` after the interval's start, from the pending step."""
         b, h, table = work.b, float(work.control[PENDING]), self.tableau
         if len(table.c) > table.stages:
-            add_output_stages(b, work.pair, table.stages, len(table.c), h, work.control[AT], span, packed)
+            y, u = b.y.copy(), b.u.copy()
+            start = float(work.control[AT])
+            attempt(b, work.pair, len(table.c), table.stages, h, start, span, packed, None)
+            b.y[...], b.u[...] = y, u
         theta = (span - float(work.control[AT])) / h
         weights = table.output(theta)
         combine(
@@ -314,8 +311,9 @@ class Adaptive(Compiled):
     def step_at_rest(self, work: AdaptiveWork, extra: Any) -> Any:
         def steps_of_no_length(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
             work.b.x[...], work.b.v[...] = x, v
-            call = source_of(attempt_steps, force)
-            call(work.b, work.pair, self.tableau.stages, steps, p, force)
+            call = attempt if force is None else attempt_interpreted
+            for _ in range(steps):
+                call(work.b, work.pair, self.tableau.stages, 0, 0.0, 0.0, 1.0, p, force)
 
         return steps_of_no_length
 

@@ -32,5 +32,8 @@ class Explicit(Compiled):
         source_of(type(self).loop, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         return Told(steps)
 
+    def compile(self, work: Work, packed: Packed, extra: Any) -> None:
+        self.go(work, packed, extra, 0, 0.0)
+
     def step_at_rest(self, work: Work, extra: Any) -> Any:
         return source_of(type(self).loop, extra)

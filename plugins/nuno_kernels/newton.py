@@ -1,0 +1,237 @@
+"""Newton's method for an implicit stage: x = x^ + g v, v = v^ + g a(x, v).
+
+The residual is the force that is missing, m (a(x, v) - (v - v^) / g), and the step in x solves
+(M / g^2 + K + C / g) dx = residual with K and C of nuno_kernels.linear. What springs and hinges do not
+hold (contact, wind, forces in Python, damping) acts on each vertex by itself or nearly so: its derivative
+is taken as one 3 x 3 block a vertex, by moving all vertices together along each axis. Contact and friction
+are exact that way; a triangle's wind is lumped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.acceleration import Packed, evaluate
+from nuno_kernels.conjugate import Linear, fill, make_linear, solve
+from nuno_kernels.packing import silence
+from nuno_schemas.fabric import Float
+
+FORCING = 0.05
+"""Share of the residual that conjugate gradients may leave: tighter buys few Newton steps for many products."""
+SLOPE = 0.5
+"""A step is shortened where the residual along it has turned round and is more than this share of what it was."""
+MOST_TRIALS = 6
+REACH = 1e-7
+"""Share of the cloth's size by which vertices are moved to differentiate what acts on each by itself."""
+EPSILON = float(np.finfo(float).eps)
+
+
+@kernel
+def missing_force(a: Any, u: Any, vhat: Any, g: float, mass: Any, out: Any) -> float:
+    """out = mass (a - (u - vhat) / g), 0 for mass 0; the largest of its norms."""
+    largest = 0.0
+    for p in range(out.shape[1]):
+        square = 0.0
+        for row in range(3):
+            f = mass[p] * (a[row, p] - (u[row, p] - vhat[row, p]) / g) if mass[p] > 0.0 else 0.0
+            out[row, p] = f
+            square += f * f
+        # Not max(): NaN has to come through.
+        largest = largest if square <= largest * largest else np.sqrt(square)
+    return largest
+
+
+@kernel
+def along(r: Any, d: Any) -> float:
+    """r.d of (3, n) arrays."""
+    total = 0.0
+    for row in range(3):
+        for p in range(r.shape[1]):
+            total += r[row, p] * d[row, p]
+    return total
+
+
+@dataclass
+class Counts:
+    """What the solver did: Newton and conjugate-gradient iterations, forces evaluated."""
+
+    newton: int = 0
+    linear: int = 0
+    evaluations: int = 0
+
+
+@dataclass
+class Stage:
+    """Memory of the solver for one packed system; x, v (3, n) are the stage's unknowns."""
+
+    packed: Packed
+    mass: Float
+    size: float
+    scale: float
+    linear: Linear
+    x: Float
+    v: Float
+    a: Float
+    residual: Float
+    others: Packed | None
+    counts: Counts = field(default_factory=Counts)
+
+
+def make_stage(packed: Packed, size: float, python: bool) -> Stage:
+    """`size` is the cloth's [m]; `python` says whether a force is written in Python."""
+    w = packed.inverse_mass
+    mass = np.divide(1.0, w, out=np.zeros_like(w), where=w > 0.0)
+    lumped = python or any(part is not None for part in (packed.contact, packed.air, packed.particle_wind))
+    others = silence(silence(packed, "springs"), "hinges") if lumped else None
+    stiffest = max(
+        (float(part.constants[0].max(initial=0.0)) for part in (packed.runs, packed.lists) if part is not None),
+        default=0.0,
+    )
+    x, v, a, residual = np.zeros((4, 3, w.shape[0]))
+    return Stage(packed, mass, size, stiffest, make_linear(packed), x, v, a, residual, others)
+
+
+def solve_stage(
+    st: Stage, packed: Packed, extra: Any, xhat: Float, vhat: Float, g: float, s: float, limits: tuple[float, int]
+) -> tuple[bool, float]:
+    """Solve for st.x, st.v from their present guess st.v; whether it converged, and the residual [N].
+
+    `limits` are the residual as a share of the largest single force, and the most Newton steps.
+    """
+    tolerance, most = limits
+    np.multiply(st.v, g, out=st.x)
+    st.x += xhat
+    worst = _evaluate(st, packed, extra, vhat, g, s)
+    for _ in range(most):
+        allowed = tolerance * largest_force(st, packed) + _rounding(st, g)
+        if worst <= allowed:
+            return True, worst
+        if not np.isfinite(worst):
+            return False, worst
+        _linearise(st, packed, extra, g, s)
+        st.linear.r[...] = st.residual
+        st.counts.linear += solve(st.linear, FORCING, 20 * st.mass.shape[0] + 100, packed.threads)
+        st.counts.newton += 1
+        worst = _search(st, packed, extra, vhat, g, s)
+    return False, worst
+
+
+def compile_stage(st: Stage, packed: Packed, extra: Any, x: Float, v: Float) -> None:
+    """Compile what `solve_stage` needs, by solving for no force at (x, v)."""
+    st.x[...], st.v[...] = x, v
+    _evaluate(st, packed, extra, st.v, 1.0, 0.0)
+    _linearise(st, packed, extra, 1.0, 0.0)
+    st.linear.r[...] = 0.0
+    solve(st.linear, FORCING, 1, packed.threads)
+    along(st.residual, st.linear.x)
+    largest_force(st, packed)
+
+
+def _rounding(st: Stage, g: float) -> float:
+    """What rounding alone leaves of a vertex's force [N]: of springs' lengths, and of momentum over the step."""
+    place, speed = float(np.abs(st.x).max(initial=0.0)), float(np.abs(st.v).max(initial=0.0))
+    return 16.0 * EPSILON * (st.scale * place + float(st.mass.max(initial=0.0)) * speed / g)
+
+
+def _evaluate(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: float) -> float:
+    evaluate(st.x, st.v, s, st.a, packed, extra)
+    st.counts.evaluations += 1
+    return float(missing_force(st.a, st.v, vhat, g, st.mass, st.residual))
+
+
+def _search(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: float) -> float:
+    """Go along the solution d in st.linear.x, less far where the residual along it turns round.
+
+    For conservative forces residual.d is minus the slope of the step's energy along d, which a
+    minimum makes 0: the rule brings the secant's minimum, and needs no energy, so that it holds for
+    friction and wind too.
+    """
+    d = st.linear.x
+    before, gone, share = along(st.residual, d), 0.0, 1.0
+    worst = np.inf
+    for _ in range(MOST_TRIALS):
+        st.x += (share - gone) * d
+        st.v += ((share - gone) / g) * d
+        gone = share
+        worst = _evaluate(st, packed, extra, vhat, g, s)
+        after = along(st.residual, d)
+        if after >= -SLOPE * before:
+            break
+        share *= max(0.1, before / (before - after)) if np.isfinite(after) else 0.1
+    return worst
+
+
+def _linearise(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None:
+    own = st.linear.own
+    own[:3] = st.mass / (g * g) + (packed.damping / g) * st.mass
+    own[3:] = 0.0
+    if st.others is not None:
+        own[:3] = st.mass / (g * g)
+        _add_others(st, st.others._replace(contact=packed.contact), extra, g, s)
+    fill(st.x, 1.0 / g, packed, st.linear)
+
+
+def _add_others(st: Stage, others: Packed, extra: Any, g: float, s: float) -> None:
+    """Add each vertex's own stiffness, symmetric and without negative parts."""
+    base, moved = np.empty_like(st.a), np.empty_like(st.a)
+    evaluate(st.x, st.v, s, base, others, extra)
+    step = REACH * st.size
+    jacobian = np.empty((st.mass.shape[0], 3, 3))
+    for axis in range(3):
+        x, v = st.x.copy(), st.v.copy()
+        x[axis] += step
+        v[axis] += step / g
+        evaluate(x, v, s, moved, others, extra)
+        jacobian[:, :, axis] = ((base - moved) * (st.mass / step)).T
+    st.counts.evaluations += 4
+    active = np.flatnonzero(np.abs(jacobian).max(axis=(1, 2)) > 0.0)
+    part = 0.5 * (jacobian[active] + jacobian[active].transpose(0, 2, 1))
+    values, vectors = np.linalg.eigh(part)
+    part = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    for row, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+        st.linear.own[row, active] += part[:, i, j]
+
+
+def largest_force(st: Stage, packed: Packed) -> float:
+    """The largest single force [N] at st.x: of a spring, a weight, or what remains of all on a vertex."""
+    weight = float(np.linalg.norm(packed.gravity)) * float(st.mass.max(initial=0.0))
+    inertia = float(np.sqrt(((st.a * st.mass) ** 2).sum(axis=0)).max(initial=0.0))
+    return max(weight, inertia, largest_tension(st.x, packed))
+
+
+def largest_tension(x: Float, packed: Packed) -> float:
+    """The largest force k ||d| - L| of a spring [N]."""
+    runs = 0.0 if packed.runs is None else tension_of_runs(x, packed.runs)
+    lists = 0.0 if packed.lists is None else tension_of_lists(x, packed.lists)
+    return float(max(runs, lists))
+
+
+@kernel
+def tension(x: Any, i: int, j: int, k: float, rest: float) -> float:
+    """|k (|d| - L)|."""
+    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    return float(abs(k * (np.sqrt(dx * dx + dy * dy + dz * dz) - rest)))
+
+
+@kernel
+def tension_of_runs(x: Any, runs: Any) -> float:
+    """The largest over runs."""
+    largest, task, constants = 0.0, runs.task, runs.constants
+    for t in range(task.shape[0]):
+        for q in range(task[t, 2]):
+            c = task[t, 3] if runs.each is None else task[t, 3] + q
+            largest = max(largest, tension(x, task[t, 0] + q, task[t, 1] + q, constants[0, c], constants[1, c]))
+    return largest
+
+
+@kernel
+def tension_of_lists(x: Any, lists: Any) -> float:
+    """The largest over lists."""
+    largest, ends, constants = 0.0, lists.ends, lists.constants
+    for c in range(ends.shape[1]):
+        largest = max(largest, tension(x, ends[0, c], ends[1, c], constants[0, c], constants[1, c]))
+    return largest

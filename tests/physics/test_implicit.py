@@ -1,0 +1,254 @@
+"""Implicit methods: the matrix they solve with, the residual they promise, steps that no explicit method can take."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from contact_world import G, contact_for, geometry, move, plane
+from nets import make_fabric, make_system, start
+
+import nuno_kernels.packing
+from nuno_integrators.adaptive import Dop853
+from nuno_integrators.implicit import TRBDF2, ImplicitEuler
+from nuno_kernels.acceleration import evaluate
+from nuno_kernels.conjugate import fill, make_linear, multiply, solve
+from nuno_kernels.packing import pack, to_rows
+from nuno_schemas.bodies import Poses
+from nuno_schemas.fabric import Hinges, Springs
+from nuno_schemas.plugin import Term
+
+PLUGINS = pytest.mark.parametrize("plugin", [ImplicitEuler(), TRBDF2()], ids=lambda p: p.name)
+DOWN = np.array([0.0, -G, 0.0])
+
+
+def sheet(n, k=1000.0, ratio=0.02, bend=0.0, mass=2e-4, shuffle=False):
+    """n x n vertices in the plane y = 0, top row's corners pinned; springs by pairs, hinges along the rows."""
+    r, c = np.mgrid[0:n, 0:n]
+    x = np.stack([c.ravel() / (n - 1), np.zeros(n * n), r.ravel() / (n - 1)], 1)
+    at = r * n + c
+    steps = [(0, 1), (1, 0), (1, 1), (1, -1)]
+    pairs = np.concatenate(
+        [
+            np.stack(
+                [at[: n - dr, max(0, -dc) : n - max(0, dc)].ravel(), at[dr:, max(0, dc) : n + min(0, dc)].ravel()], 1
+            )
+            for dr, dc in steps
+        ]
+    )
+    quads = np.stack([at[1:-1, :-1], at[1:-1, 1:], at[:-2, :-1], at[2:, :-1]], -1).reshape(-1, 4).astype(np.int32)
+    one = np.ones(len(quads), np.int32)
+    hinges = Hinges(quads, one, one, np.full(len(quads), bend), np.full(len(quads), 0.2)) if bend else None
+    if shuffle:
+        new = np.random.default_rng(3).permutation(n * n)
+        x, pairs = x[np.argsort(new)], new[pairs]
+    pairs = pairs.astype(np.int32)
+    rest = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    stiffness = np.full(len(pairs), k)
+    springs = Springs.from_pairs(pairs, stiffness, rest, ratio * np.sqrt(2.0 * stiffness * mass))
+    pinned = np.zeros(n * n, bool)
+    pinned[[0, n - 1]] = True
+    return make_fabric(x, springs, hinges, mass, pinned)
+
+
+def dense(linear, n, threads=None):
+    """The matrix A, column by column."""
+    columns = []
+    for i in range(3 * n):
+        unit = np.zeros(3 * n)
+        unit[i] = 1.0
+        columns.append(multiply(linear, unit.reshape(3, n), threads).ravel())
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("shuffle", [False, True])
+def test_matrix_of_stretched_cloth_is_the_derivative_of_its_forces(shuffle):
+    fabric = sheet(9, shuffle=shuffle)
+    packed, rate = pack(make_system(fabric)), 200.0
+    x = 1.02 * to_rows(fabric.position)
+    linear = make_linear(packed)
+    fill(x, rate, packed, linear)
+    u = np.random.default_rng(1).standard_normal(x.shape) * ~fabric.pinned
+    ahead, behind, v, e = np.empty_like(x), np.empty_like(x), np.zeros_like(x), 1e-7
+    evaluate(x + e * u, v + e * rate * u, 0.0, ahead, packed, None)
+    evaluate(x - e * u, v - e * rate * u, 0.0, behind, packed, None)
+    expected = -fabric.mass * (ahead - behind) / (2.0 * e) * ~fabric.pinned
+    np.testing.assert_allclose(multiply(linear, u, None), expected, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("shuffle", [False, True])
+def test_matrix_is_symmetric_and_never_negative_however_crumpled(shuffle):
+    fabric = sheet(6, bend=1e-3 if not shuffle else 0.0, shuffle=shuffle)
+    packed = pack(make_system(fabric))
+    crumpled = to_rows(fabric.position) + 0.08 * np.random.default_rng(2).standard_normal((3, 36))
+    linear = make_linear(packed)
+    fill(crumpled, 100.0, packed, linear)
+    free = np.tile(~fabric.pinned, 3)
+    a = dense(linear, 36)[np.ix_(free, free)]
+    np.testing.assert_allclose(a, a.T, atol=1e-10 * np.abs(a).max())
+    assert np.linalg.eigvalsh(a).min() > -1e-10 * np.abs(a).max()
+
+
+def test_flat_hinges_are_the_second_derivative_of_their_energy():
+    """At the rest angle Gauss and Newton leave nothing out."""
+    fabric = sheet(5, k=0.0, bend=1e-2)
+    fabric = replace(fabric, springs=None, hinges=replace(fabric.hinges, rest=np.zeros(len(fabric.hinges.rest))))
+    packed, x = pack(make_system(fabric)), to_rows(fabric.position)
+    linear = make_linear(packed)
+    fill(x, 1.0, packed, linear)
+    u = np.random.default_rng(1).standard_normal(x.shape) * ~fabric.pinned
+    ahead, behind, e = np.empty_like(x), np.empty_like(x), 1e-6
+    evaluate(x + e * u, 0.0 * x, 0.0, ahead, packed, None)
+    evaluate(x - e * u, 0.0 * x, 0.0, behind, packed, None)
+    expected = -fabric.mass * (ahead - behind) / (2.0 * e) * ~fabric.pinned
+    np.testing.assert_allclose(multiply(linear, u, None), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_conjugate_gradients_give_the_dense_solution():
+    fabric = sheet(6)
+    packed = pack(make_system(fabric))
+    linear = make_linear(packed)
+    linear.own[:3] = fabric.mass / 0.01**2
+    fill(1.01 * to_rows(fabric.position), 100.0, packed, linear)
+    free = np.tile(~fabric.pinned, 3)
+    r = np.random.default_rng(0).standard_normal(3 * 36) * free
+    expected = np.linalg.solve(dense(linear, 36)[np.ix_(free, free)], r[free])
+    linear.r[...] = r.reshape(3, 36)
+    iterations = solve(linear, 1e-12, 1000, None)
+    assert iterations < 300
+    np.testing.assert_allclose(linear.x.ravel()[free], expected, atol=1e-9 * np.abs(expected).max())
+
+
+@PLUGINS
+def test_converges_to_the_solution_of_another_method(plugin):
+    """A sheet that swings and folds, with damping: the error falls at the stated order."""
+    system = make_system(sheet(5, k=60.0, ratio=0.1), DOWN, 0.5)
+    exact = start(system)
+    memory = Dop853().prepare(Dop853.Config(tolerance=1e-11), system, exact)
+    assert Dop853().advance(system, exact, memory, None, 1, 0.25).status == "ok"
+    errors, counts = [], np.array([100, 200, 400, 800]) * (16 if plugin.order == 1 else 1)
+    for count in counts:
+        state = start(system)
+        memory = plugin.prepare(plugin.Config(residual=1e-9), system, state)
+        assert plugin.advance(system, state, memory, None, int(count), 0.25 / count).status == "ok"
+        errors.append(np.abs(state.x - exact.x).max())
+    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert abs(order - plugin.order) < 0.1
+
+
+@PLUGINS
+@pytest.mark.parametrize("k", [1e2, 1e4, 1e6, 1e8])
+def test_no_stiffness_is_too_much_for_a_frame_as_a_step(plugin, k):
+    """The limit of an explicit step at k = 1e8 is 20,000 times smaller. Implicit Euler never gains energy."""
+    system = make_system(sheet(12, k=k), DOWN)
+    state = start(system)
+    memory = plugin.prepare(plugin.Config(), system, state)
+    energy = []
+    for _ in range(30):
+        report = plugin.advance(system, state, memory, None, 1, 1.0 / 60.0)
+        assert report.status == "ok"
+        assert report.steps >= 1
+        energy.append(sum(report.energy.values()))
+    gained = np.diff(energy).max() / (system.fabric.mass.sum() * G)
+    assert gained < (1e-6 if plugin.order == 1 else 1e-2)
+    assert state.x[:, 1].min() < -0.3, "it fell"
+    assert report.stretch < max(0.02, 40.0 / k)
+
+
+def test_the_residual_is_what_was_promised():
+    """Recomputed here from Newton's second law: m (v' - v) / h - f(x', v')."""
+    system, h = make_system(sheet(8, bend=1e-4), DOWN, 0.3), 0.01
+    state, plugin = start(system), ImplicitEuler()
+    memory = plugin.prepare(plugin.Config(residual=1e-6), system, state)
+    for _ in range(10):
+        v = state.v.copy()
+        assert plugin.advance(system, state, memory, None, 1, h).status == "ok"
+        a = np.empty((3, 64))
+        evaluate(to_rows(state.x), to_rows(state.v), 0.0, a, pack(system), None)
+        free = ~system.fabric.pinned
+        missing = system.fabric.mass[:, None] * (a.T - (state.v - v) / h)
+        springs = system.fabric.springs
+        d = state.x[springs.pairs()[:, 0]] - state.x[springs.pairs()[:, 1]]
+        largest = np.abs(springs.k * (np.linalg.norm(d, axis=1) - springs.rest)).max()
+        assert np.linalg.norm(missing[free], axis=1).max() < 1.01e-6 * largest
+
+
+def on_plane(alpha, mu, k=1e5, mass=1e-2):
+    """A vertex on an incline that falls along +x, at its rest depth."""
+    contact = contact_for(geometry(plane(), friction=mu), np.array([mass]), k)
+    move(contact, 1.0)
+    gravity = G * np.array([np.sin(alpha), -np.cos(alpha), 0.0])
+    fabric = make_fabric(np.array([[0.0, -mass * G * np.cos(alpha) / k, 0.0]]), mass=mass)
+    return make_system(fabric, gravity, terms=(Term("contact", contact),))
+
+
+STILL = Poses(0.0, np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)))
+POSES = STILL, replace(STILL, t=1.0)
+
+
+@PLUGINS
+@pytest.mark.parametrize("share", [0.9, 1.2])
+def test_an_incline_holds_or_lets_go_as_coulomb_says(plugin, share):
+    mu = 0.4
+    alpha = np.arctan(share * mu)
+    system = on_plane(alpha, mu)
+    state = start(system)
+    memory = plugin.prepare(plugin.Config(residual=1e-8), system, state)
+    places = []
+    for _ in range(2):
+        assert plugin.advance(system, state, memory, POSES, 200, 1.0 / 400).status == "ok"
+        places.append(state.x[0, 0])
+    if share < 1.0:
+        assert places[0] < 1e-4, "it gives way once, because it is let go at once"
+        assert abs(places[1] - places[0]) < 1e-12
+    else:
+        # Implicit Euler falls h v / 2 further: its velocity is the one at the step's end.
+        expected = 0.5 * G * (np.sin(alpha) - mu * np.cos(alpha))
+        assert state.x[0, 0] == pytest.approx(expected, rel=0.01)
+        assert state.v[0, 0] == pytest.approx(2.0 * expected, rel=0.005)
+    assert state.x[0, 1] == pytest.approx(-1e-2 * G * np.cos(alpha) / 1e5, rel=1e-4)
+
+
+@PLUGINS
+def test_any_number_of_threads_gives_equal_bytes(plugin, monkeypatch):
+    monkeypatch.setattr(nuno_kernels.packing, "PARALLEL_FROM", 0)
+    ends = []
+    for threads in (1, 2):
+        system = make_system(sheet(50, bend=1e-5), DOWN, 0.1, threads=threads)
+        state = start(system)
+        memory = plugin.prepare(plugin.Config(), system, state)
+        assert (memory.work.packed.threads is None) == (threads == 1)
+        assert plugin.advance(system, state, memory, None, 3, 0.01).status == "ok"
+        ends.append(state.x.tobytes() + state.v.tobytes())
+    assert ends[0] == ends[1]
+
+
+@PLUGINS
+def test_a_force_in_python_is_part_of_the_solve(plugin):
+    """A drag of 1e4 1/s over steps of 10 ms: the speed is the closed form's limit, gravity over drag."""
+
+    def drag(x, v, t, out):
+        out -= 1e4 * 1e-3 * v
+
+    system = make_system(make_fabric(np.zeros((1, 3))), DOWN, terms=(Term("python", drag),))
+    state = start(system)
+    memory = plugin.prepare(plugin.Config(residual=1e-9), system, state)
+    assert plugin.advance(system, state, memory, None, 20, 0.01).status == "ok"
+    assert state.v[0, 1] == pytest.approx(-G / 1e4, rel=1e-6)
+
+
+@PLUGINS
+def test_what_does_not_converge_is_said_with_its_residual(plugin):
+    """A force that points away from where it would have to be has no solution at any step."""
+
+    def jump(x, v, t, out):
+        out[:, 0] += np.where(v[:, 0] > 0.0, -1e9, 1e9)
+
+    system = make_system(make_fabric(np.zeros((1, 3))), terms=(Term("python", jump),))
+    state = start(system)
+    memory = plugin.prepare(plugin.Config(most_iterations=5), system, state)
+    report = plugin.advance(system, state, memory, None, 1, 0.01)
+    assert report.status == "unconverged"
+    assert "residual of" in report.message
+    assert np.isfinite(state.x).all()
