@@ -36,7 +36,7 @@ class Status(BaseModel):
     frame: int
     t: float
     digest: str
-    state: Literal["running", "paused", "done", "stopped", "diverged"]
+    state: Literal["running", "paused", "done", "stopped", "diverged", "unconverged"]
     steps: int
     step_seconds: float
     """Wall time of the frame's steps [s]."""

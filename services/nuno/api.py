@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import scene_file, supervisor
+from nuno import runs, scene_file, supervisor
 from nuno.recording.reader import Recording, open_recording
 from nuno.report import Report, make_report
 from nuno.scene_file import Loaded
@@ -99,16 +99,14 @@ def _loaded(
 
 
 def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool, threads: int) -> Result:
-    run_id = supervisor.new_run_id(loaded.scene.name)
+    run_id = runs.new_id(loaded.scene.name)
     path = Path(record) if record is not None else Path(tempfile.mkdtemp(prefix="nuno-")) / f"{run_id}.mcap"
     options = Options(record=path, threads=threads)
     outcome = supervisor.supervise(
         loaded, options, Deployment(processes=processes, run=run_id), None, lambda o: make_report(loaded, o)
     )
-    if outcome.state in ("failed", "diverged"):
-        raise RunFailed(
-            f"{outcome.state}: {outcome.error or 'positions are no longer finite'}; recording kept in {path}"
-        )
+    if outcome.problem:
+        raise RunFailed(f"{outcome.problem}; recording kept in {path}")
     last = open_recording(path).last_checkpoint()
     return Result(
         outcome.state,

@@ -41,6 +41,8 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         | {name: float(s["seconds"]) for name, s in services.items() if "seconds" in s},
         "step_seconds": summary.get("step_seconds", {}),
         "solver": loaded.integrator.name,
+        "adaptive": loaded.integrator.plugin.adaptive,
+        "totals": summary.get("totals", {}),
         "dt": summary.get("dt"),
         "dt_limit": (summary.get("limit") or {}).get("dt"),
         "omega": (summary.get("limit") or {}).get("omega"),
@@ -97,6 +99,9 @@ def lines(report: Report) -> list[tuple[str, str]]:
         rows.append(("steps", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in inside.items())))
     rows.append(("parts", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in parts.items())))
     rows.append(("step", _step(report)))
+    work = {name: n for name, n in report["totals"].items() if name != "steps"}
+    if work:
+        rows.append(("solver", ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in work.items())))
     rows += _physics(report)
     frames = report["frames"]
     text = f"{frames['sent']} sent"
@@ -115,6 +120,10 @@ def _step(report: Report) -> str:
     if dt is None:
         return "none was taken"
     text = f"{report['solver']}, dt {dt * 1e3:.4g} ms, {report['steps_per_frame']} a frame"
+    taken = report["totals"].get("steps", 0)
+    if report["adaptive"] and taken:
+        mean, own = report["simulated_seconds"] / taken, f"{report['solver']}, {taken:,} of its own choice"
+        return f"{own}, {mean * 1e3:.3g} ms on average, at most {dt * 1e3:.4g} ms"
     if limit is None or limit == float("inf"):
         return f"{text}; nothing limits it"
     if limit <= 0.0:

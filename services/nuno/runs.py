@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import secrets
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +15,11 @@ from pathlib import Path
 import psutil
 
 from nuno_schemas.errors import BadInput, nearest
+
+
+def new_id(scene: str) -> str:
+    """A run's name: the scene's, when it began, and four hexadecimal digits that no other has."""
+    return f"{scene}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
 
 
 def check_id(run: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
-import secrets
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -58,16 +57,19 @@ class Outcome:
 
     run: str
     state: str
-    """done, stopped, diverged or failed"""
+    """done, stopped, diverged, unconverged or failed"""
     error: str
     plan: Plan
     summary: dict[str, Any]
     services: dict[str, dict[str, Any]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
-
-def new_run_id(scene: str) -> str:
-    return f"{scene}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
+    @property
+    def problem(self) -> str:
+        """What went wrong, in words; empty where nothing did."""
+        if self.state in ("done", "stopped"):
+            return ""
+        return f"{self.state}: {self.error or self.summary.get('message') or 'positions are no longer finite'}"
 
 
 class Supervisor:
@@ -219,7 +221,7 @@ def supervise(
     deployment = deployment or Deployment()
     plan = make_plan(loaded, options)
     options = replace(options, must_see=plan.must_see)
-    run = deployment.run or new_run_id(loaded.scene.name)
+    run = deployment.run or runs.new_id(loaded.scene.name)
     began = time.perf_counter()
     with contextlib.ExitStack() as stack:
         if deployment.connect:

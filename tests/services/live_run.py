@@ -22,7 +22,7 @@ class Run:
 
     def __init__(self, scene: Path, record: Path, processes: bool = False) -> None:
         self.loaded = scene_file.read(scene)
-        self.run = supervisor.new_run_id("test")
+        self.run = runs.new_id("test")
         self.options = Options(record=record)
         self.record = record
         self.moved = threading.Event()

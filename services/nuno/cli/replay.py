@@ -8,7 +8,7 @@ import sys
 import threading
 from pathlib import Path
 
-from nuno import runs, supervisor
+from nuno import runs
 from nuno.bus import Bus
 from nuno.cli.common import add_config
 from nuno.recording.reader import Recording, open_recording
@@ -67,7 +67,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
     if args.loop and args.save:
         raise BadInput("a loop has no end to save", field="--save", remedy="leave --loop out")
     name = f"replay-{recording.scene.get('name', 'run')}"
-    run = supervisor.new_run_id(name) if args.run is None else runs.check_id(args.run)
+    run = runs.new_id(name) if args.run is None else runs.check_id(args.run)
     shown = view is not None or args.save is not None
     options = Options(view=view, save=args.save, must_see=("viewer",) if args.save else ())
     replay = Replay(None if args.fast else args.rate, args.start, args.loop, options.must_see)

@@ -96,7 +96,7 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
 
 
 def _run(loaded: Loaded, args: argparse.Namespace) -> int:
-    run = supervisor.new_run_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
+    run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
     return execute(
         loaded,
@@ -156,10 +156,7 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
     print(f"total      {time.perf_counter() - started:.1f} s")
     _keep_page(options, outcome)
-    if outcome.state in ("failed", "diverged"):
-        print(
-            f"\n{outcome.state}: {outcome.error or outcome.summary.get('message') or 'positions are no longer finite'}",
-            file=sys.stderr,
-        )
+    if outcome.problem:
+        print(f"\n{outcome.problem}", file=sys.stderr)
         return 1
     return 0

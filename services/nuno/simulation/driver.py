@@ -41,6 +41,7 @@ class Driver:
         self.acked = dict.fromkeys(context.options.must_see, -1)
         self.seconds = {"steps": 0.0, "bodies": 0.0, "waiting": 0.0, "encoding": 0.0}
         self.counts: dict[str, int] = {}
+        self.totals: dict[str, int] = {}
         self.energy: list[dict[str, float]] = []
         self.stretch = 0.0
         self.message = ""
@@ -121,7 +122,7 @@ class Driver:
         return {"field": field, "old": before, "new": self.simulation.loaded.value(field)}
 
     def run(self) -> str:
-        """All frames; how it ended: done, stopped, diverged or (asked to finish early) failed."""
+        """All frames; how it ended: done, stopped, diverged, unconverged or (asked to finish early) failed."""
         simulation = self.simulation
         self.publish_fabric()
         measured = simulation.measure(self.poses)
@@ -133,8 +134,9 @@ class Driver:
                 return "failed"
             if self.state == "stopped":
                 break
-            if self.one_frame().status != "ok":
-                return "diverged"
+            status = self.one_frame().status
+            if status != "ok":
+                return status
             if self.single:
                 self.single -= 1
                 self.state = "running" if self.single else "paused"
@@ -160,9 +162,11 @@ class Driver:
         self.seconds["steps"] += frame.seconds
         for name, value in frame.report.counts.items():
             self.counts[name] = max(self.counts.get(name, 0), value)
+        for name, value in frame.report.totals.items():
+            self.totals[name] = self.totals.get(name, 0) + value
         ok = frame.report.status == "ok"
         self.message = frame.report.message
-        self.publish(frame, "running" if ok else "diverged")
+        self.publish(frame, "running" if ok else frame.report.status)
         every = self.scene.record.checkpoint_every
         if (
             ok
@@ -271,6 +275,7 @@ class Driver:
             "energy": self.energy,
             "stretch": self.stretch,
             "counts": self.counts,
+            "totals": self.totals,
             "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
             "threads": simulation.about(),
             "vertices": fabric.number,

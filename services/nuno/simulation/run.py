@@ -147,7 +147,8 @@ class Simulation:
         if field not in SETTABLE:
             raise BadInput(
                 "this field cannot change while a run goes on",
-                value=field,
+                field=field,
+                value=item,
                 limit=", ".join(SETTABLE),
                 remedy="stop, and run again with --set",
             )

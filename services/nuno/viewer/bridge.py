@@ -172,7 +172,7 @@ class Bridge:
         self._log("/plots/stretch", rr.Scalars(100.0 * number(status.stretch)))
         self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
         if status.message:
-            self._log("/log", rr.TextLog(status.message, level="WARN" if status.state == "diverged" else "INFO"))
+            self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
 
     def _geometry(self, payload: bytes) -> None:
         self.flush()
