@@ -18,7 +18,7 @@ from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
 TOPICS = [FABRIC, GEOMETRY, BODIES, STATE, STATUS, PENETRATION, EVENTS, REPORT]
 MOST_EARLY = 64
-"""Messages that are kept until the cloth is known: more than a simulation runs ahead."""
+"""Messages that a live view keeps until the cloth is known. A file keeps all: the simulation waits for it."""
 DRAIN_SECONDS = 0.1
 """How long the bus must be quiet, after the end of a run, until nothing more is on its way."""
 
@@ -53,7 +53,7 @@ class Viewer:
         viewer that comes late never hears of the cloth, and waits for nothing.
         """
         if self.early is not None:
-            if message.topic != FABRIC.name and len(self.early) < MOST_EARLY:
+            if message.topic != FABRIC.name and (self.file is not None or len(self.early) < MOST_EARLY):
                 self.early.append(message)
                 return
             waiting, self.early = self.early, None
