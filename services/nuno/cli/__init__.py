@@ -21,6 +21,7 @@ COMMANDS = {
     "control": ("nuno.cli.control", "pause, resume, step, stop or change a run that goes on"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
     "bench": ("nuno_bench.cli", "speed, and the skirt paper's comparison of integrators"),
+    "validate": ("nuno_bench.validate_cli", "the laws of physics, held against every installed solver"),
     "plugins": ("nuno.cli.plugins", "which plugins are installed"),
     "scenes": ("nuno.cli.scenes", "the scenes that come with nuno"),
     "fabrics": ("nuno.cli.fabrics", "the fabrics that scenes can name, in measured units, with sources"),

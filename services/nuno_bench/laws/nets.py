@@ -1,0 +1,188 @@
+"""Laws of nets that fly, swing and turn: order on a nonlinear problem, invariants, symmetry, forces."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nuno import registry
+from nuno.files import SceneFiles
+from nuno_bench.laws import reference
+from nuno_bench.laws.base import DOWN, NONE, Case, Found, G, Run, fit_order, make_fabric, order_slack
+from nuno_bench.laws.methods import KEEPS_ANGULAR_MOMENTUM
+from nuno_bench.laws.oscillator import order_found
+from nuno_schemas.fabric import Fabric, Float, Springs
+from nuno_schemas.plugin import System
+
+ROUNDING = 1e-10
+"""Share of a quantity that rounding over some hundred steps may change."""
+
+
+def random_net(n: int, springs: int, seed: int, c: float = 0.0) -> tuple[Float, Springs]:
+    """Vertices in a box of 1 m and distinct random springs, 1 to 100 N/m, near their rest length."""
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(0.0, 1.0, (n, 3))
+    every = np.array([(i, j) for i in range(n) for j in range(i + 1, n)], np.int32)
+    pairs = every[rng.permutation(len(every))[:springs]]
+    length = np.linalg.norm(position[pairs[:, 1]] - position[pairs[:, 0]], axis=1)
+    rest = length * rng.uniform(0.8, 1.1, springs)
+    return position, Springs.from_pairs(pairs, rng.uniform(1.0, 100.0, springs), rest, c * rng.uniform(0.5, 1, springs))
+
+
+def swinging_net() -> System:
+    """Twelve vertices, two of them pinned; damped springs, gravity and viscous damping."""
+    position, springs = random_net(12, 40, 11, c=0.3)
+    pinned = np.arange(12) < 2
+    velocity = np.random.default_rng(2).standard_normal((12, 3)) * ~pinned[:, None]
+    return System(make_fabric(position, springs, 1.0, pinned, velocity), DOWN, 0.8)
+
+
+DURATION = 0.2
+
+
+@cache
+def _swung() -> Float:
+    """x and v (2, n, 3) of the swinging net at its end."""
+    return np.stack(reference.solve(swinging_net(), DURATION, 40))
+
+
+def measure_order(plugin: Any) -> Found:
+    """Error after 0.2 s against an independent solution, at four step sizes, fitted."""
+    first, ratio = {1: (400, 2.0), 2: (50, 2.0), 4: (20, 2.0), 5: (20, 1.5)}.get(plugin.order, (100, 2.0))
+    if plugin.order > 5:
+        first, ratio = 14, 1.17
+    counts = np.round(first * ratio ** np.arange(4))
+    errors = []
+    for count in counts:
+        run = Run(plugin, swinging_net())
+        run.go(int(count), DURATION / count)
+        errors.append(float(np.abs(np.stack([run.state.x, run.state.v]) - _swung()).max()))
+    return order_found(plugin, DURATION / counts, np.array(errors))
+
+
+def measure_projectile(plugin: Any) -> Found:
+    """Throw three particles. From order 2 on exact; a first-order method is off by g t dt / 2 at most."""
+    count, dt = 100, 0.01
+    velocity = np.tile([1.0, 2.0, 0.0], (3, 1))
+    run = Run(plugin, System(make_fabric(np.zeros((3, 3)), velocity=velocity), DOWN))
+    run.go(count, dt)
+    exact = np.array([1.0, 2.0 - 0.5 * G, 0.0])
+    allowed = 1e-11 if plugin.order > 1 else 0.5 * G * dt * (1.0 + 1e-9)
+    error = max(np.abs(run.state.x - exact).max(), np.abs(run.state.v - [1.0, 2.0 - G, 0.0]).max())
+    return Found(float(run.state.x[0, 1]), float(exact[1]), float(error), allowed)
+
+
+def free_net(turn: Float | None = None) -> System:
+    """Thirty vertices of uneven mass that fly about; turned as a whole by an orthogonal matrix."""
+    position, springs = random_net(30, 150, 3)
+    velocity = np.random.default_rng(1).standard_normal((30, 3))
+    mass = np.random.default_rng(2).uniform(0.5, 2.0, 30)
+    q = np.eye(3) if turn is None else turn
+    return System(make_fabric(position @ q.T, springs, mass, velocity=velocity @ q.T), NONE)
+
+
+def measure_drift(plugin: Any) -> Found:
+    """Sideways path of the centre of mass of a net that vibrates and falls."""
+    net = free_net()
+    weight = net.fabric.mass[:, None] / net.fabric.mass.sum()
+    still = net.fabric.velocity - (weight * net.fabric.velocity).sum(axis=0)
+    fabric = make_fabric(net.fabric.position, net.fabric.springs, net.fabric.mass, velocity=still)
+    run = Run(plugin, System(fabric, DOWN))
+    run.go(400, 1e-3)
+    moved = (weight * (run.state.x - fabric.position)).sum(axis=0)
+    fell = abs(float(moved[1])) or np.nan
+    aside = float(np.abs(moved[[0, 2]]).max())
+    return Found(aside, 0.0, aside / fell, ROUNDING)
+
+
+def measure_momentum(plugin: Any) -> Found:
+    """Change of momentum of a free net, over the sum of its parts' momenta."""
+    run, system = Run(plugin, free_net()), free_net()
+    weight = system.fabric.mass[:, None]
+    run.go(400, 1e-3)
+    change = float(np.abs((weight * (run.state.v - system.fabric.velocity)).sum(axis=0)).max())
+    scale = float(np.abs(weight * system.fabric.velocity).sum())
+    return Found(change, 0.0, change / scale, ROUNDING)
+
+
+def measure_angular(plugin: Any) -> Found:
+    """Change of angular momentum: none for methods of kicks and drifts, else it falls with the order at least."""
+    if plugin.name in KEEPS_ANGULAR_MOMENTUM:
+        change = _turned(plugin, 400, 0.4)
+        return Found(change, 0.0, change, ROUNDING)
+    first, ratio = {1: (400, 2.0), 2: (60, 2.0), 4: (30, 2.0)}.get(plugin.order, (20, 1.5))
+    counts = np.round((first if plugin.order < 6 else 10) * (ratio if plugin.order < 6 else 1.3) ** np.arange(4))
+    changes = np.array([_turned(plugin, int(count), 0.2) for count in counts])
+    if changes.max() < ROUNDING:
+        return Found(float(changes[0]), 0.0, float(changes[0]), ROUNDING)
+    order = fit_order(0.2 / counts, changes)
+    series = {"dt": tuple(0.2 / counts), "error": tuple(map(float, changes))}
+    return Found(order, plugin.order, max(0.0, plugin.order - order), order_slack(plugin.order), series)
+
+
+def _turned(plugin: Any, count: int, duration: float) -> float:
+    run, system = Run(plugin, free_net()), free_net()
+    weight = system.fabric.mass[:, None]
+    run.go(count, duration / count)
+    before = weight * np.cross(system.fabric.position, system.fabric.velocity)
+    after = weight * np.cross(run.state.x, run.state.v)
+    return float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum())
+
+
+def measure_rotation(plugin: Any) -> Found:
+    """A net and its turned copy move alike."""
+    q, _ = np.linalg.qr(np.random.default_rng(8).standard_normal((3, 3)))
+    ends = []
+    for turn in (np.eye(3), q):
+        run = Run(plugin, free_net(turn))
+        run.go(100, 1e-3)
+        ends.append(run.state.x @ turn)
+    apart = float(np.abs(ends[0] - ends[1]).max())
+    return Found(apart, 0.0, apart, ROUNDING)
+
+
+@cache
+def _crumpled() -> Fabric:
+    """A sheet of denim, 6 x 6, with springs and hinges, crumpled a little."""
+    plugin = registry.load("nuno.models", "sheet")
+    config = plugin.Config(resolution=(6, 6), size=(0.1, 0.1), fabric={"preset": "denim", "damping_ratio": 0})
+    piece: Fabric = plugin.build(config, SceneFiles(Path(), ()), 0)
+    x = piece.position + 2e-3 * np.random.default_rng(5).standard_normal(piece.position.shape)
+    return make_fabric(x, piece.springs, piece.mass, hinges=piece.hinges)
+
+
+def measure_gradient(plugin: Any) -> Found:
+    """Forces, from a short step out of rest, against central differences of the reported energy."""
+    fabric = _crumpled()
+    run = Run(plugin, System(fabric, DOWN))
+    omega = float(plugin.limit(run.config, run.system, run.state).omega)
+    dt, reach = 1e-4 / omega, 1e-7
+    run.go(1, dt)
+    force = fabric.mass[:, None] * run.state.v / dt
+    probe = Run(plugin, System(fabric, DOWN))
+    slope = np.zeros_like(force)
+    for place in np.ndindex(*force.shape):
+        energies = []
+        for move in (reach, -reach):
+            probe.state.x[...], probe.state.v[...] = fabric.position, 0.0
+            probe.state.x[place] += move
+            energies.append(probe.energy())
+        slope[place] = (energies[0] - energies[1]) / (2.0 * reach)
+    scale = float(np.abs(force).max())
+    return Found(scale, float(np.abs(slope).max()), float(np.abs(force + slope).max() / scale), 1e-5)
+
+
+CASES = (
+    Case("order, net", "the error on a swinging net falls with the nominal order",
+         "forces by their definition, extrapolated to order 12", measure_order),
+    Case("projectile", "x = x0 + v t + g t^2 / 2, v = v0 + g t", "closed form", measure_projectile),
+    Case("sideways drift", "a vibrating net in free fall does not move sideways", "momentum", measure_drift),
+    Case("momentum", "a free net keeps its momentum to rounding", "Newton's third law", measure_momentum),
+    Case("angular momentum", "kept to rounding by kicks and drifts, else to the nominal order",
+         "central forces", measure_angular),
+    Case("rotation", "a turned net moves as the net does, turned", "isotropy of space", measure_rotation),
+    Case("force, energy", "force = -grad energy, of springs and hinges", "central differences", measure_gradient),
+)  # fmt: skip

@@ -1,0 +1,181 @@
+"""Laws of a harmonic oscillator, where every method's step is a matrix, and of a net's normal modes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from nuno_bench.laws.base import (
+    NONE,
+    Broken,
+    Case,
+    Found,
+    Run,
+    Unsupported,
+    fit_order,
+    make_fabric,
+    order_slack,
+)
+from nuno_bench.laws.methods import amplification, critical_step, radius
+from nuno_schemas.fabric import Float, Springs
+from nuno_schemas.plugin import System
+
+OMEGA, DAMPING = 3.0, 0.6
+"""[1/s]"""
+
+
+def oscillator(omega: float = OMEGA, damping: float = DAMPING) -> System:
+    """Two free particles on springs of rest length 0 to a pinned one: x'' = -omega^2 x - damping x'."""
+    x = np.array([[0.0, 0.0, 0.0], [1.0, 0.2, -0.3], [-0.5, 0.4, 0.9]])
+    v = np.array([[0.0, 0.0, 0.0], [0.1, -1.0, 0.5], [0.7, 0.0, -0.2]])
+    pairs = np.array([[0, 1], [0, 2]], np.int32)
+    springs = Springs.from_pairs(pairs, np.full(2, 2.0 * omega**2), np.zeros(2), np.zeros(2))
+    return System(make_fabric(x, springs, 2.0, np.array([True, False, False]), v), NONE, damping)
+
+
+def measure_step(plugin: Any) -> Found:
+    """One step against the method's matrix."""
+    run, dt = Run(plugin, oscillator()), 0.13
+    start = np.stack([run.state.x, run.state.v])
+    run.go(1, dt)
+    matrix = amplification(plugin)(OMEGA, DAMPING, dt)
+    error = np.abs(np.stack([run.state.x, run.state.v]) - np.tensordot(matrix, start, 1)).max()
+    return Found(run.state.x[1, 0], float((matrix @ start[:, 1, 0])[0]), float(error), 1e-12)
+
+
+def measure_energy(plugin: Any) -> Found:
+    """Energy after 200 undamped steps at omega dt = 0.5 over that at the start, against the matrix's power.
+
+    Euler's grows by 1 + h^2 a step, implicit Euler's falls by as much; leapfrog's stays within
+    1/(1 - h^2/4), symplectic Euler's within (1 + h/2)/(1 - h/2).
+    """
+    count, dt = 200, 0.5 / OMEGA
+    run = Run(plugin, oscillator(damping=0.0))
+    start = np.stack([run.state.x, run.state.v])
+    before = run.energy()
+    run.go(count, dt)
+    ratio = run.energy() / before
+    end = np.tensordot(np.linalg.matrix_power(amplification(plugin)(OMEGA, 0.0, dt), count), start, 1)
+    expected = float(_energy(end) / _energy(start))
+    return Found(ratio, expected, abs(ratio / expected - 1.0), 1e-9)
+
+
+def _energy(y: Float) -> float:
+    return float((y[1] ** 2 + OMEGA**2 * y[0] ** 2).sum())
+
+
+def solution(system: System, t: float) -> Float:
+    """x(t) (n, 3) of the damped oscillator."""
+    x, v = system.fabric.position, system.fabric.velocity
+    half, rate = 0.5 * DAMPING, math.sqrt(OMEGA**2 - 0.25 * DAMPING**2)
+    return math.exp(-half * t) * (x * math.cos(rate * t) + (v + half * x) / rate * math.sin(rate * t))
+
+
+def step_counts(order: int) -> Float:
+    """Four numbers of steps for about ten radians of the fastest mode."""
+    first, ratio = {1: (1600, 2.0), 2: (80, 2.0), 3: (60, 2.0), 4: (40, 2.0)}.get(order, (40, 2.0))
+    if order > 5:
+        first, ratio = 10, math.sqrt(2.0)
+    return np.round(first * ratio ** np.arange(4))
+
+
+def measure_order(plugin: Any) -> Found:
+    """Error after 1 s at four step sizes, fitted."""
+    counts, errors = step_counts(plugin.order), []
+    for count in counts:
+        run = Run(plugin, oscillator())
+        run.go(int(count), 1.0 / count)
+        errors.append(float(np.abs(run.state.x - solution(run.system, 1.0)).max()))
+    return order_found(plugin, 1.0 / counts, np.array(errors))
+
+
+def order_found(plugin: Any, steps: Float, errors: Float) -> Found:
+    """The fitted order against the nominal one."""
+    order = fit_order(steps, errors)
+    series = {"dt": tuple(map(float, steps)), "error": tuple(map(float, errors))}
+    return Found(order, plugin.order, abs(order - plugin.order), order_slack(plugin.order), series)
+
+
+def pinned_net(n: int, damping: float) -> tuple[System, float, Float]:
+    """n x n free vertices inside a pinned frame, springs of rest length 0 to the four neighbours.
+
+    Linear, with modes sin(p pi i/(n + 1)) sin(q pi j/(n + 1)) and squared frequencies
+    4 k/m (sin^2(p pi/(2 n + 2)) + sin^2(q pi/(2 n + 2))). Returns the system displaced along its
+    fastest mode, that frequency [1/s] and the mode (vertices,); damping is a share of the frequency.
+    """
+    k, mass, side = 3.0, 0.01, n + 2
+    row, column = np.divmod(np.arange(side * side), side)
+    pinned = (row == 0) | (row == side - 1) | (column == 0) | (column == side - 1)
+    mode = np.sin(n * np.pi * row / (n + 1)) * np.sin(n * np.pi * column / (n + 1)) * ~pinned
+    at = np.arange(side * side, dtype=np.int32).reshape(side, side)
+    pairs = np.concatenate(
+        [np.stack([at[:, :-1], at[:, 1:]], -1).reshape(-1, 2), np.stack([at[:-1], at[1:]], -1).reshape(-1, 2)]
+    )
+    springs = Springs.from_pairs(pairs, np.full(len(pairs), k), np.zeros(len(pairs)), np.zeros(len(pairs)))
+    omega = float(np.sqrt(8.0 * k / mass) * np.sin(n * np.pi / (2 * n + 2)))
+    fabric = make_fabric(np.stack([column, row, 1e-3 * mode], axis=1), springs, mass, pinned)
+    return System(fabric, NONE, damping * omega), omega, mode
+
+
+def measure_critical(plugin: Any) -> Found:
+    """The step at which the fastest mode of a lightly damped net starts to grow, by bisection."""
+    if not plugin.explicit:
+        raise Unsupported("implicit: every step is stable")
+    if plugin.adaptive:
+        raise Unsupported("chooses its own steps")
+    share = 0.1
+    system, omega, mode = pinned_net(5, share)
+    matrix = amplification(plugin)
+    expected = critical_step(matrix, omega, share * omega)
+    # As many steps as let the mode grow by e^2 at 1.001 of the critical step, and more than the damping needs.
+    count = max(1000, math.ceil(2.0 / math.log(radius(matrix(omega, share * omega, 1.001 * expected)))))
+
+    def grows(dt: float) -> bool:
+        run = Run(plugin, system)
+        try:
+            run.go(count, dt)
+        except Broken:
+            return True
+        end = np.hypot(run.state.x[:, 2] @ mode, run.state.v[:, 2] @ mode / omega)
+        return bool(end > system.fabric.position[:, 2] @ mode)
+
+    low, high = 0.999 * expected, 1.001 * expected
+    if not grows(low) and grows(high):
+        return Found(expected * omega, expected * omega, 1e-3, 1e-3)
+    low, high = 0.0, 4.0 * expected
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if grows(middle) else (middle, high)
+    return Found(high * omega, expected * omega, abs(high / expected - 1.0), 1e-3)
+
+
+def measure_limit(plugin: Any) -> Found:
+    """The limit that the solver states for that net, over the true one: at most 1, and not far below."""
+    share = 0.1
+    if not plugin.explicit or plugin.adaptive:
+        raise Unsupported("states no limit: " + ("implicit" if not plugin.explicit else "chooses its own steps"))
+    system, omega, _ = pinned_net(5, share)
+    run = Run(plugin, system)
+    stated = float(plugin.limit(run.config, system, run.state).dt)
+    true = critical_step(amplification(plugin), omega, share * omega)
+    over = stated / true
+    return Found(over, 1.0, 1.0 - over if over <= 1.0 + 1e-9 else math.inf, 0.2)
+
+
+CASES = (
+    Case("one step", "one step on a damped oscillator is the method's matrix", "textbook matrices", measure_step),
+    Case(
+        "oscillator energy",
+        "after 200 steps at omega dt = 0.5 the energy is what the matrix's power says",
+        "Euler 1 + h^2, implicit Euler 1/(1 + h^2) a step; leapfrog within 1/(1 - h^2/4)",
+        measure_energy,
+    ),
+    Case("order, oscillator", "the error against the closed form falls with the nominal order", "damped oscillator",
+         measure_order),
+    Case("critical step", "the fastest mode is bounded at 0.999 of the critical step and grows at 1.001",
+         "normal modes of a pinned n x n net", measure_critical),
+    Case("stated limit", "the stated limit is at most the true one, and at least 0.8 of it",
+         "normal modes of a pinned n x n net", measure_limit),
+)  # fmt: skip

@@ -1,0 +1,68 @@
+"""`nuno validate`: the laws of physics, held against every installed solver."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from nuno_bench import machine, markdown
+from nuno_bench import validate as suite
+from nuno_bench import validate_page as shown
+from nuno_bench.laws.base import Case, Outcome
+from nuno_schemas.errors import BadInput
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="cases by name or its beginning (default: all)")
+    parser.add_argument("--solvers", default="", metavar="A,B", help="solver plugins (default: all that are installed)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure as JSON")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page")
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the table into this Markdown page's section")
+    parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the cases, print the table; the exit code is 1 where a solver failed one."""
+    cases, plugins = suite.choose_cases(args.cases), suite.choose_solvers([n for n in args.solvers.split(",") if n])
+    if args.list:
+        width = max(len(case.name) for case in cases)
+        print("\n".join(f"{case.name:{width}}  {case.law} ({case.source})" for case in cases))
+        return 0
+    _check_files(args)
+    names = [str(plugin.name) for plugin in plugins]
+    outcomes = suite.check_all(cases, plugins, lambda text: print(text, file=sys.stderr))
+    said = suite.summary(outcomes, len(names))
+    print(shown.screen(cases, names, outcomes))
+    print("\n".join(["", *shown.details(outcomes), said]))
+    _write(args, cases, names, outcomes, said)
+    return 1 if suite.count(outcomes)["failed"] else 0
+
+
+def _check_files(args: argparse.Namespace) -> None:
+    """Raises BadInput, before anything runs, for what could not be written afterwards."""
+    for flag in ("json", "html"):
+        path: Path | None = getattr(args, flag)
+        if path is not None and not path.resolve().parent.is_dir():
+            raise BadInput("no such folder", field=f"--{flag}", value=str(path.parent), remedy="make it first")
+    if args.docs is not None:
+        markdown.check_section(args.docs, "validate")
+
+
+def _write(
+    args: argparse.Namespace, cases: Sequence[Case], names: Sequence[str], outcomes: Sequence[Outcome], said: str
+) -> None:
+    about = {"command": machine.command(), **machine.describe()}
+    if args.json is not None:
+        found = [outcome.json() for outcome in outcomes]
+        content = {"about": about, "counts": suite.count(outcomes), "outcomes": found}
+        args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    if args.html is not None:
+        args.html.write_text(shown.render(cases, names, outcomes, said, about), encoding="utf-8")
+    if args.docs is not None:
+        markdown.replace_section(args.docs, "validate", shown.document(cases, names, outcomes, said, about))
+    for path in (args.json, args.html, args.docs):
+        if path is not None:
+            print(f"written {path}")

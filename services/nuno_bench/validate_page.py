@@ -1,0 +1,140 @@
+"""What `nuno validate` shows: a table for a screen, a page, a section of the documentation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from nuno_bench import markdown, page
+from nuno_bench.laws.base import Case, Outcome
+from nuno_bench.result import number
+
+WIDTH = 120
+"""Columns of a screen."""
+LEAD = (
+    "Laws with closed forms, held against every installed solver through the plugin interface alone. A cell gives "
+    "the error, in the case's own measure; a case that a solver cannot pose is unsupported, not passed."
+)
+
+
+def screen(cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome]) -> str:
+    """Cases as rows, solvers as columns, in as many tables as a screen's width asks for."""
+    table = {(o.case, o.solver): o for o in outcomes}
+    first = max(len(case.name) for case in cases)
+    widths = {name: max(7, *map(len, name.split("_"))) for name in solvers}
+    groups: list[list[str]] = [[]]
+    for name in solvers:
+        if first + sum(widths[n] + 1 for n in [*groups[-1], name]) > WIDTH and groups[-1]:
+            groups.append([])
+        groups[-1].append(name)
+    return "\n\n".join(_screen(cases, group, widths, first, table) for group in groups)
+
+
+def _screen(
+    cases: Sequence[Case],
+    solvers: Sequence[str],
+    widths: dict[str, int],
+    first: int,
+    table: dict[tuple[str, str], Outcome],
+) -> str:
+    words = [name.split("_") for name in solvers]
+    height = max(map(len, words))
+    lines = []
+    for row in range(height):
+        parts = [w[row - height + len(w)] if row >= height - len(w) else "" for w in words]
+        lines.append(" ".join([" " * first, *(p.rjust(widths[n]) for p, n in zip(parts, solvers, strict=True))]))
+    for case in cases:
+        cells = [_cell(table[case.name, name]).rjust(widths[name]) for name in solvers]
+        lines.append(" ".join([case.name.ljust(first), *cells]))
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _cell(outcome: Outcome) -> str:
+    if outcome.verdict == "passed" and outcome.found:
+        return short(outcome.found.error)
+    return {"failed": "FAILED", "slip": "slip"}.get(outcome.verdict, "-")
+
+
+def short(error: float) -> str:
+    """An error in as few characters as say its size."""
+    if not math.isfinite(error):
+        return str(error)
+    return "0" if error == 0.0 else f"{error:.0e}".replace("e-0", "e-").replace("e+0", "e+")
+
+
+def details(outcomes: Sequence[Outcome]) -> list[str]:
+    """A line on each failure and slip."""
+    bad = [o for o in outcomes if o.verdict in ("failed", "slip")]
+    return [f"{o.verdict}: {o.case}, {o.solver}: {_figures(o)}{o.reason}" for o in bad]
+
+
+def _figures(outcome: Outcome) -> str:
+    found = outcome.found
+    return f"measured {number(found.measured)}, expected {number(found.expected)}; " if found else ""
+
+
+def reasons(outcomes: Sequence[Outcome]) -> list[list[str]]:
+    """Rows of solver, reason and cases, for what is unsupported; numbers in a reason may differ by case."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for outcome in outcomes:
+        if outcome.verdict == "unsupported":
+            reason = "it would take too many steps" if outcome.reason.startswith("it would take") else outcome.reason
+            found.setdefault((outcome.solver, reason), []).append(outcome.case)
+    return [[solver, reason, ", ".join(cases)] for (solver, reason), cases in found.items()]
+
+
+def matrix(cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome]) -> list[list[str]]:
+    """Rows of the page's table: case, allowed, a cell a solver."""
+    table = {(o.case, o.solver): o for o in outcomes}
+    rows = []
+    for case in cases:
+        found = [table[case.name, name] for name in solvers]
+        allowed = [o.found.allowed for o in found if o.found]
+        low, high = (short(min(allowed)), short(max(allowed))) if allowed else ("", "")
+        cells = [_cell(o).replace("FAILED", "failed") for o in found]
+        rows.append([case.name, low if low == high else f"{low} to {high}", *cells])
+    return rows
+
+
+def render(
+    cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome], said: str, about: dict[str, str]
+) -> str:
+    """The page: counts, the table, every figure of every failure, and the laws."""
+    main = page.Table(
+        ["case", "allowed", *(name.replace("_", " ") for name in solvers)],
+        matrix(cases, solvers, outcomes),
+        "Errors; a dash is unsupported.",
+    )
+    parts: list[page.Part] = [f"{said[0].upper()}{said[1:]}.", main]
+    bad = [[o.case, o.solver, o.verdict, o.reason] for o in outcomes if o.verdict in ("failed", "slip")]
+    sections: list[tuple[str, list[page.Part]]] = [("What came out", parts)]
+    if bad:
+        table = page.Table(("case", "solver", "", "why"), bad, "A slip is announced by the solver itself.", prose=True)
+        sections.append(("What failed", [table]))
+    rows = reasons(outcomes)
+    if rows:
+        table = page.Table(("solver", "reason", "cases"), rows, "Cases that a solver cannot pose.", prose=True)
+        sections.append(("Unsupported", [table]))
+    laws = [[case.name, case.law, case.source] for case in cases]
+    sections.append(("Laws", [page.Table(("case", "law", "from"), laws, "What is measured.", prose=True)]))
+    figures = [
+        [o.case, o.solver, number(o.found.measured), number(o.found.expected), short(o.found.error),
+         short(o.found.allowed), f"{o.seconds:.2f}"]
+        for o in outcomes if o.found
+    ]  # fmt: skip
+    heads = ("case", "solver", "measured", "expected", "error", "allowed", "time [s]")
+    sections.append(("Figures", [page.Table(heads, figures, "Every case that was posed.")]))
+    return page.render("Laws", LEAD, [*sections, ("Made by", [page.Facts(about)])])
+
+
+def document(
+    cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome], said: str, about: dict[str, str]
+) -> list[str]:
+    """Parts of the documentation's section."""
+    heads = ["case", "allowed", *solvers]
+    return [
+        f"{said[0].upper()}{said[1:]}.",
+        markdown.table(heads, matrix(cases, solvers, outcomes)),
+        markdown.table(("solver", "unsupported because", "cases"), reasons(outcomes)),
+        markdown.facts(about),
+    ]

@@ -1,0 +1,207 @@
+"""The suite of laws: sound solvers pass all, a wrong one is found out, and what is said follows from the figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nuno import registry
+from nuno.cli import main
+from nuno_bench import validate, validate_page
+from nuno_bench.laws import statics
+from nuno_bench.laws.base import Case, Found, Outcome, Unsupported
+from nuno_integrators.rk4 import RK4
+from nuno_kernels.acceleration import evaluate
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+SOUND = ["leapfrog", "rk4", "symplectic_euler"]
+
+
+def weighted(last: float) -> Callable[..., None]:
+    """RK4's loop, interpreted, whose last stage has the weight `last` / 6 instead of 1 / 6."""
+
+    def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Any, extra: Any) -> None:
+        for step in range(steps):
+            y, u, nx, nv = x.copy(), v.copy(), x.copy(), v.copy()
+            for ahead, weight in ((0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, last)):
+                evaluate(y, u, step / steps, stages[0], p, extra)
+                nx += dt * weight / 6.0 * u
+                nv += dt * weight / 6.0 * stages[0]
+                y, u = x + ahead * dt * u, v + ahead * dt * stages[0]
+            x[...], v[...] = nx, nv
+
+    return loop
+
+
+class Wrong(RK4):
+    """RK4 with a slip in one weight, as a third party might ship it."""
+
+    name = "rk4_wrong"
+    loop = staticmethod(weighted(1.02))
+
+
+class Right(RK4):
+    """The same loop without the slip."""
+
+    name = "rk4_right"
+    loop = staticmethod(weighted(1.0))
+
+
+@pytest.fixture
+def foreign(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both are installed."""
+    known = registry.entry_points
+    ours = [EntryPoint(f"rk4_{n.lower()}", f"{__name__}:{n}", validate.GROUP) for n in ("Wrong", "Right")]
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: [*known(group=group), *(ours if group == validate.GROUP else [])]
+    )
+
+
+def outcomes(cases: list[str], solvers: list[str]) -> dict[tuple[str, str], Outcome]:
+    found = validate.check_all(validate.choose_cases(cases), validate.choose_solvers(solvers), lambda text: None)
+    return {(o.case, o.solver): o for o in found}
+
+
+def test_three_sound_solvers_pass_every_case() -> None:
+    found = outcomes([], SOUND)
+    assert {key: o.reason for key, o in found.items() if o.verdict != "passed"} == {}
+    assert len(found) == len(SOUND) * len(validate.CASES)
+    assert validate.rarely_posed(list(found.values())) == []
+
+
+QUICK = ["one step", "oscillator energy", "projectile", "momentum", "rotation", "chain frequency 1", "penalty depth"]
+
+
+def test_every_installed_solver_passes_the_quick_cases() -> None:
+    found = outcomes(QUICK, [])
+    assert {key: o.reason for key, o in found.items() if o.verdict == "failed"} == {}
+    assert {s for _, s in found} == set(registry.installed(validate.GROUP))
+
+
+@pytest.mark.usefixtures("foreign")
+def test_a_wrong_weight_is_found_out_and_the_right_one_passes() -> None:
+    cases = ["one step", "oscillator energy", "order, oscillator", "order, net", "projectile", "rotation"]
+    found = outcomes(cases, ["rk4_wrong", "rk4_right"])
+    assert all(o.verdict == "passed" for (_, solver), o in found.items() if solver == "rk4_right")
+    wrong = {case: o for (case, solver), o in found.items() if solver == "rk4_wrong"}
+    assert {case for case, o in wrong.items() if o.verdict == "failed"} == set(cases) - {"rotation"}
+    order = wrong["order, net"].found
+    assert order is not None
+    assert abs(order.measured) < 0.1, "it converges to something else"
+
+
+@pytest.mark.usefixtures("foreign")
+def test_a_failure_is_named_and_ends_the_command_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, data = tmp_path / "laws.html", tmp_path / "laws.json"
+    command = ["validate", "one step", "rotation", "--solvers", "rk4,rk4_wrong", "--html", str(page)]
+    assert main([*command, "--json", str(data)]) == 1
+    said = capsys.readouterr().out
+    assert "FAILED" in said
+    assert "failed: one step, rk4_wrong: measured" in said
+    assert "3 passed, 1 failed, 0 unsupported" in said
+    written = json.loads(data.read_text())
+    assert written["counts"] == {"passed": 3, "failed": 1, "slip": 0, "unsupported": 0}
+    assert [(o["case"], o["solver"]) for o in written["outcomes"] if o["verdict"] == "failed"] == [
+        ("one step", "rk4_wrong")
+    ]
+    assert 'class="bad">failed' in page.read_text()
+    assert main(["validate", "rotation", "--solvers", "rk4"]) == 0
+
+
+def test_slips_are_told_and_are_no_failure(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "projectile", "--solvers", "rk4,rk4_printed"]) == 0
+    said = capsys.readouterr().out
+    assert "slip: projectile, rk4_printed" in said
+    assert "1 passed, 0 failed, 0 unsupported, 1 slips of rk4_printed" in said
+
+
+def test_what_a_solver_cannot_pose_is_unsupported_with_its_reason() -> None:
+    found = outcomes(["critical step", "chain frequency 1"], ["implicit_euler", "dopri5", "euler"])
+    assert found["critical step", "implicit_euler"].reason == "implicit: every step is stable"
+    assert found["critical step", "dopri5"].verdict == "unsupported"
+    assert "without damping" in found["chain frequency 1", "euler"].reason
+
+
+def case_of(measure: Callable[[Any], Found]) -> Case:
+    return Case("made up", "law", "source", measure)
+
+
+def raising(error: Exception) -> Callable[[Any], Found]:
+    def measure(plugin: Any) -> Found:
+        raise error
+
+    return measure
+
+
+def test_verdicts_follow_from_the_error() -> None:
+    (rk4,) = validate.choose_solvers(["rk4"])
+
+    def verdict(measure: Callable[[Any], Found]) -> str:
+        return validate.check(case_of(measure), rk4).verdict
+
+    assert verdict(lambda plugin: Found(1.0, 1.0, 0.1, 0.1)) == "passed"
+    assert verdict(lambda plugin: Found(1.0, 1.0, 0.1001, 0.1)) == "failed"
+    assert verdict(lambda plugin: Found(math.nan, 1.0, math.nan, 0.1)) == "failed"
+    assert verdict(raising(ZeroDivisionError())) == "failed"
+    assert verdict(raising(Unsupported("no"))) == "unsupported"
+
+
+def test_the_table_fits_a_screen_however_many_solvers_there_are() -> None:
+    cases = validate.choose_cases([])
+    names = [*registry.installed(validate.GROUP), *(f"someones_solver_{i}" for i in range(12))]
+    found = [Outcome(c.name, n, "passed", "", Found(1.0, 1.0, 1e-9, 1.0)) for c in cases for n in names]
+    text = validate_page.screen(cases, names, found)
+    assert max(map(len, text.splitlines())) <= validate_page.WIDTH
+    assert text.count("1e-9") == len(found)
+
+
+def test_cases_that_few_can_pose_are_named() -> None:
+    found = [Outcome("one step", f"s{i}", "unsupported" if i else "passed") for i in range(4)]
+    assert "posed by fewer than 3 solvers: one step" in validate.summary(found, 4)
+
+
+def test_unknown_names_are_answered_with_the_nearest() -> None:
+    with pytest.raises(BadInput, match="no such case") as wrong:
+        validate.choose_cases(["projectil3"])
+    assert "projectile" in str(wrong.value)
+    with pytest.raises(BadInput, match="no such solver"):
+        validate.choose_solvers(["rk5"])
+
+
+def elastica(gamma: float, steps: int = 400) -> float:
+    """Drop / length of the heavy cantilever by shooting on theta'(0)."""
+
+    def end(curvature: float) -> tuple[float, float]:
+        h, y = 1.0 / steps, np.array([0.0, curvature, 0.0])
+
+        def slope(s: float, y: Float) -> Float:
+            return np.array([y[1], -gamma * (1.0 - s) * math.cos(y[0]), math.sin(y[0])])
+
+        for i in range(steps):
+            s = i * h
+            k1 = slope(s, y)
+            k2 = slope(s + 0.5 * h, y + 0.5 * h * k1)
+            k3 = slope(s + 0.5 * h, y + 0.5 * h * k2)
+            k4 = slope(s + h, y + h * k3)
+            y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        return float(y[1]), float(y[2])
+
+    # theta'(1) grows with theta'(0) while theta stays below a right angle.
+    low, high = 0.0, gamma
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if end(middle)[0] < 0.0 else (low, middle)
+    return end(0.5 * (low + high))[1]
+
+
+@pytest.mark.parametrize("gamma", statics.DROP)
+def test_drops_of_the_cantilever_are_the_elasticas(gamma: int) -> None:
+    assert elastica(gamma) == pytest.approx(statics.DROP[gamma], abs=2e-5)
