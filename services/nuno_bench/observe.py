@@ -1,0 +1,246 @@
+"""A scene stepped by any solver, without services, and what is observed of it at every frame.
+
+The cloth, its forces and the bodies' poses are built once for a scene and shared by all its runs;
+a solver's memory, friction anchors among it, belongs to one run.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import psutil
+from pydantic import BaseModel
+
+from nuno import build
+from nuno.scene_file import Loaded
+from nuno_bench.machine import cores
+from nuno_schemas.bodies import Poses
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.plugin import StepReport, System
+
+KEPT_TRAJECTORIES = 4
+"""Reference, its check, its twin and the run being judged lie in memory together."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A scene ready to be run by any solver; poses are those of all frames, None where no body exists."""
+
+    loaded: Loaded
+    system: System
+    poses: tuple[Poses | None, ...]
+
+    @property
+    def fabric(self) -> Fabric:
+        return self.system.fabric
+
+    @property
+    def frame(self) -> float:
+        """Length of a frame [s]."""
+        return 1.0 / float(self.loaded.scene.frame_rate)
+
+    @property
+    def frames(self) -> int:
+        return len(self.poses) - 1
+
+    @cached_property
+    def free(self) -> Any:
+        """(n,) bool: vertices that nothing holds or carries."""
+        return ~self.fabric.pinned
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the cloth's box at the start [m], 1 where it has none."""
+        if self.fabric.number == 0:
+            return 1.0
+        return float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) or 1.0
+
+    def pair(self, frame: int) -> tuple[Poses, Poses] | None:
+        """Poses at the start and the end of a frame."""
+        start, end = self.poses[frame], self.poses[frame + 1]
+        return (start, end) if start is not None and end is not None else None
+
+    def still(self) -> tuple[Poses, Poses] | None:
+        """Poses of the start, twice: for measuring without a step."""
+        start = self.poses[0]
+        return (start, start) if start is not None else None
+
+
+def make_problem(loaded: Loaded) -> Problem:
+    """Build cloth, bodies and forces. Raises BadInput for a scene without anything that moves, or too large to keep."""
+    fabric, pieces = build.build_fabric(loaded)
+    if fabric.number == 0 or bool(fabric.pinned.all()):
+        raise BadInput("nothing in the scene can move, so there is no error to measure", loaded.file)
+    _check_memory(loaded, fabric)
+    bodies = build.build_bodies(loaded) if loaded.colliders else None
+    times = [i / float(loaded.scene.frame_rate) for i in range(loaded.scene.frames + 1)]
+    poses = tuple(bodies.poses(t) if bodies else None for t in times)
+    geometry = bodies.geometry if bodies else None
+    system = build.build_system(loaded, fabric, pieces, geometry, poses[0], cores())
+    return Problem(loaded, system, poses)
+
+
+def _check_memory(loaded: Loaded, fabric: Fabric) -> None:
+    wanted = KEPT_TRAJECTORIES * (loaded.scene.frames + 1) * fabric.number * 3 * 8
+    available = psutil.virtual_memory().available
+    if wanted > available // 2:
+        raise BadInput(
+            "the positions of all frames do not fit in memory",
+            loaded.file,
+            value=f"{wanted / 2**30:.1f} GiB",
+            limit=f"{available / 2**31:.1f} GiB",
+            remedy="shorten the run with --duration, or lower the frame rate",
+        )
+
+
+@dataclass(frozen=True)
+class Series:
+    """What is compared, at the frames that were reached.
+
+    t       (f,)       [s]
+    x       (f, n, 3)  positions of the free vertices [m]
+    values  per observable: "centre" (f, 3) centre of mass of the free vertices [m], "drop" (f, 1)
+            its way along gravity since the start [m], "energy" (f, 1) kinetic, gravitational and
+            elastic together [J], "strain" (f, 1) mean of | |d| / rest - 1 | over all springs
+    parts   (f, k)     the energies by kind [J], in one order
+    """
+
+    t: Float
+    x: Float
+    values: Mapping[str, Float]
+    parts: Float
+
+
+OBSERVABLES = {
+    "energy": "all energy",
+    "centre": "centre of mass",
+    "drop": "way of the centre of mass along gravity",
+    "strain": "mean strain of the springs",
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: what was seen, how it ended, and what it took.
+
+    status   "ok", "diverged", "unconverged", or "cut" where it exceeded the time allowed
+    seconds  in the solver's own calls [s]
+    totals   steps, rejected steps, iterations, as far as the solver counts them
+    """
+
+    series: Series
+    status: str
+    message: str
+    seconds: float
+    totals: Mapping[str, int]
+
+
+class Watch:
+    """Collects the series of a run."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        fabric, gravity = problem.fabric, problem.system.gravity
+        self.mass = fabric.mass[problem.free]
+        strength = float(np.linalg.norm(gravity))
+        self.down = gravity / strength if strength > 0.0 else None
+        springs = fabric.springs
+        has = springs is not None and springs.number > 0
+        self.pairs = springs.pairs() if springs is not None and has else None
+        self.rest = springs.per_spring(springs.rest) if springs is not None and has else None
+        self.rows: list[tuple[float, Float, Float, float, Float]] = []
+
+    def add(self, state: State, report: StepReport) -> None:
+        x = state.x[self.problem.free]
+        centre = (self.mass[:, None] * x).sum(axis=0) / self.mass.sum()
+        parts = np.array([float(report.energy[kind]) for kind in sorted(report.energy)])
+        self.rows.append((len(self.rows) * self.problem.frame, x, centre, self._strain(state.x), parts))
+
+    def _strain(self, x: Float) -> float:
+        if self.pairs is None or self.rest is None:
+            return math.nan
+        length = np.linalg.norm(x[self.pairs[:, 1]] - x[self.pairs[:, 0]], axis=1)
+        known = self.rest > 0.0
+        return float(np.abs(length[known] / self.rest[known] - 1.0).mean()) if known.any() else math.nan
+
+    def series(self) -> Series:
+        t, x, centre, strain, parts = (np.array(column, np.float64) for column in zip(*self.rows, strict=True))
+        values = {"energy": parts.sum(axis=1, keepdims=True), "centre": centre}
+        if self.down is not None:
+            values["drop"] = ((centre - centre[0]) @ self.down)[:, None]
+        if self.pairs is not None:
+            values["strain"] = strain[:, None]
+        return Series(t, x, values, parts)
+
+
+def simulate(
+    problem: Problem,
+    plugin: Any,
+    config: BaseModel,
+    steps: int,
+    disturbance: Float | None = None,
+    most_seconds: float = math.inf,
+) -> Run:
+    """Run a scene by one solver with `steps` steps a frame (for an adaptive one: the least).
+
+    disturbance (n, 3) [m] is added to the positions at the start. Raises BadInput where the solver
+    refuses its configuration.
+    """
+    state = build.start_state(problem.fabric)
+    if disturbance is not None:
+        state.x += disturbance
+    memory = plugin.prepare(config, problem.system, state)
+    dt, watch = problem.frame / steps, Watch(problem)
+    watch.add(state, plugin.advance(problem.system, state, memory, problem.still(), 0, dt))
+
+    def advance(frame: int) -> StepReport:
+        state.t = frame * problem.frame
+        report: StepReport = plugin.advance(problem.system, state, memory, problem.pair(frame), steps, dt)
+        return report
+
+    return _collect(watch, advance, state, most_seconds)
+
+
+def _collect(watch: Watch, advance: Callable[[int], StepReport], state: State, most_seconds: float) -> Run:
+    """Frame by frame to the end, or to where it stops; time is that of the solver's calls alone."""
+    seconds, totals, status, message = 0.0, dict[str, int](), "ok", ""
+    # What a diverging run overflows is its result, not a mistake to warn of.
+    with np.errstate(all="ignore"):
+        for frame in range(watch.problem.frames):
+            start = time.perf_counter()
+            report = advance(frame)
+            seconds += time.perf_counter() - start
+            for name, count in report.totals.items():
+                totals[name] = totals.get(name, 0) + int(count)
+            if "steps" not in report.totals:
+                totals["steps"] = totals.get("steps", 0) + report.steps
+            if report.status != "ok":
+                status, message = report.status, f"at {(frame + 1) * watch.problem.frame:.3g} s: {report.message}"
+                break
+            watch.add(state, report)
+            if seconds > most_seconds and frame + 1 < watch.problem.frames:
+                status, message = "cut", f"took more than {most_seconds:.3g} s before {watch.rows[-1][0]:.3g} s"
+                break
+    return Run(watch.series(), status, message, seconds, totals)
+
+
+def first_call(problem: Problem, plugin: Any, config: BaseModel, steps: int, taken: int) -> tuple[float, float]:
+    """Seconds that a solver's first call takes (compiling, or loading what was compiled), then `taken` of its steps.
+
+    Raises BadInput where the solver refuses its configuration.
+    """
+    state = build.start_state(problem.fabric)
+    memory = plugin.prepare(config, problem.system, state)
+    dt, moments = problem.frame / steps, [time.perf_counter()]
+    with np.errstate(all="ignore"):
+        for count in (0, 1, taken):
+            plugin.advance(problem.system, state, memory, problem.still(), count, dt)
+            moments.append(time.perf_counter())
+    return moments[2] - moments[0], moments[3] - moments[2]

@@ -1,0 +1,183 @@
+"""Which steps, tolerances and residuals each installed solver is tried with on a scene, from coarse to fine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from nuno import build, registry
+from nuno_bench.observe import Problem
+from nuno_bench.reference import GROUP
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.plugin import StepLimit
+
+SHARES = (0.9, 0.5, 0.25, 0.1, 0.05, 0.025)
+"""Of the stability limit."""
+BEYOND = 1.5
+"""Multiple of the limit at which failure is shown: the limit may be up to 1.2 times below the true one."""
+FEW = (1, 2, 4, 8, 16, 32)
+"""Steps a frame where nothing limits them, and of implicit methods."""
+TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
+TIGHTEST_RESIDUAL = 1e-11
+LEFT_OUT = {"rk4_printed": "repeats the slips of the skirt paper, which change the motion it converges to"}
+"""Solvers that are tried only where they are named."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One point of a solver's sweep.
+
+    label   what is set, in words; it names the point
+    steps   a frame; for an adaptive solver 1
+    fields  of the solver's configuration
+    finer   what an error's order is fitted over: the step [s] or the tolerance
+    work    estimated, as a multiple of the solver's first point that is not beyond the limit
+    beyond  above the stability limit, to show the failure
+    """
+
+    label: str
+    steps: int
+    fields: Mapping[str, float] = field(default_factory=dict)
+    finer: float = math.nan
+    work: float = 1.0
+    beyond: bool = False
+
+
+@dataclass(frozen=True)
+class Solver:
+    """An installed integrator, its limit on the scene and its settings."""
+
+    name: str
+    plugin: Any
+    limit: StepLimit
+    settings: tuple[Setting, ...]
+    base: Mapping[str, Any]
+
+    @property
+    def kind(self) -> str:
+        if self.plugin.adaptive:
+            return "adaptive"
+        return "fixed steps" if self.plugin.explicit else "implicit"
+
+    def config(self, setting: Setting) -> BaseModel:
+        chosen: BaseModel = self.plugin.Config.model_validate({**self.base, **setting.fields})
+        return chosen
+
+
+@dataclass(frozen=True)
+class Omission:
+    """What was not run, and why; `setting` is empty for a whole solver."""
+
+    solver: str
+    setting: str
+    reason: str
+
+
+def choose_solvers(problem: Problem, wanted: Sequence[str]) -> tuple[list[Solver], list[Omission]]:
+    """The solvers named, or all that are installed, each with its sweep; and those left out.
+
+    Raises BadInput for an unknown name, and where nothing is left to run.
+    """
+    known = registry.installed(GROUP)
+    for name in wanted:
+        if name not in known:
+            raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, known))
+    solvers, omitted = [], []
+    for name in dict.fromkeys(wanted or known):
+        if not wanted and name in LEFT_OUT:
+            omitted.append(Omission(name, "", LEFT_OUT[name]))
+            continue
+        try:
+            solvers.append(_choose(problem, name))
+        except BadInput as error:
+            omitted.append(Omission(name, "", error.problem))
+    if not solvers:
+        reasons = "; ".join(f"{one.solver}: {one.reason}" for one in omitted)
+        raise BadInput("no solver is left to run", field="--solvers", value=reasons or "none named")
+    return solvers, omitted
+
+
+def _choose(problem: Problem, name: str) -> Solver:
+    """A solver and its settings. Raises BadInput where it cannot be configured or run on this scene."""
+    plugin, solver = registry.load(GROUP, name), problem.loaded.scene.solver
+    base = dict(solver.config) if solver.plugin == name else {}
+    try:
+        config = plugin.Config.model_validate(base)
+    except ValidationError as error:
+        missing = ", ".join(str(one["loc"][0]) for one in error.errors() if one["loc"])
+        raise BadInput(f"its configuration has no defaults ({missing}): name it in the scene") from None
+    limit: StepLimit = plugin.limit(config, problem.system, build.start_state(problem.fabric))
+    if plugin.adaptive:
+        settings = _tolerances(plugin)
+    elif plugin.explicit:
+        settings = _steps(problem, limit)
+    else:
+        settings = _implicit(problem, plugin)
+    return Solver(name, plugin, limit, tuple(settings), base)
+
+
+def _tolerances(plugin: Any) -> list[Setting]:
+    """Work grows as tolerance^(-1 / (order + 1)): the estimate is of that order in the step."""
+    if "tolerance" not in plugin.Config.model_fields:
+        raise BadInput("it chooses its own steps, and has no `tolerance` to sweep")
+    growth = 1.0 / (plugin.order + 1)
+    return [
+        Setting(f"tolerance {value:.0e}", 1, {"tolerance": value}, value, (TOLERANCES[0] / value) ** growth)
+        for value in TOLERANCES
+    ]
+
+
+def _implicit(problem: Problem, plugin: Any) -> list[Setting]:
+    """Halved steps; the residual falls with the step's own error, or it would end the convergence.
+
+    A force that is missing by a share r moves the solution by a share of order r however small the
+    step, while the step's error falls as its power `order`: so r falls by that power too.
+    """
+    settings = []
+    for steps in FEW:
+        fields, label = {}, _length(problem.frame / steps)
+        if "residual" in plugin.Config.model_fields:
+            start = float(plugin.Config.model_fields["residual"].default)
+            fields = {"residual": max(TIGHTEST_RESIDUAL, start / steps**plugin.order)}
+            label += f", residual {fields['residual']:.1e}"
+        settings.append(Setting(label, steps, fields, problem.frame / steps, float(steps)))
+    return settings
+
+
+def _steps(problem: Problem, limit: StepLimit) -> list[Setting]:
+    """Shares of the limit, coarse to fine, after one step beyond it where a frame is long enough for that."""
+    frame = problem.frame
+    found = [] if limit.dt == 0.0 else sorted({_count(frame / (share * limit.dt)) for share in SHARES})
+    if len(found) < 3:
+        found = sorted({*found, *FEW})
+    settings = []
+    beyond = max(BEYOND * limit.dt, _oscillation(limit))
+    if math.isfinite(beyond) and frame / beyond >= 1.0:
+        steps = math.floor(frame / beyond)
+        settings.append(_fixed(frame, steps, limit.dt, steps / found[0], True))
+    return settings + [_fixed(frame, n, limit.dt, n / found[0], limit.dt == 0.0) for n in found]
+
+
+def _oscillation(limit: StepLimit) -> float:
+    """A step that the fastest oscillation bears in most methods [s]: where the limit is far below it, as that
+    of explicit Euler, failure is cheaper to show there.
+    """
+    return 1.8 / limit.omega if limit.omega > 0.0 and limit.dt * limit.omega < 0.2 else 0.0
+
+
+def _count(steps: float) -> int:
+    return max(1, math.ceil(steps * (1.0 - 1e-12)))
+
+
+def _fixed(frame: float, steps: int, limit: float, work: float, beyond: bool) -> Setting:
+    share = f", {frame / steps / limit:.2g} of limit" if 0.0 < limit < math.inf else ""
+    return Setting(_length(frame / steps) + share, steps, {}, frame / steps, work, beyond)
+
+
+def _length(dt: float) -> str:
+    """A step in words; four digits tell apart what any sweep holds."""
+    return f"dt {dt * 1e3:.4g} ms"
