@@ -7,6 +7,9 @@ import importlib
 
 COMMANDS = {
     "speed": ("nuno_bench.speed", "measured bars: kernels, pipeline, start, memory, recording"),
+    "precision": ("nuno_bench.precision", "the error of every solver over the wall time it takes, on any scene"),
+    "compare": ("nuno_bench.compare", "two results of precision: which errors and times have changed"),
+    "stability": ("nuno_bench.stability", "maps of what solvers make of a scene over stiffness, mesh and step"),
     "integrators": ("nuno_bench.integrators", "the skirt paper's experiment: four methods, split and unsplit bones"),
 }
 """Module and summary of each measurement; a module has `add_arguments(parser)` and `main(args)`."""

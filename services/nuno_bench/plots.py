@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nuno_schemas.errors import BadInput
 
-COLOURS = ("#2f5d8a", "#b3541e", "#3b7d4f", "#7a4a8c", "#8a7a2f", "#555b66")
+COLOURS = ("#2f5d8a", "#b3541e", "#3b7d4f", "#7a4a8c", "#8a7a2f", "#555b66", "#2a9d9f", "#c2558f", "#7fa23a", "#5a3a22")
 BAD = "#a3262a"
 STYLE = {
     "svg.fonttype": "path",
@@ -63,7 +63,7 @@ def curves(panels: Mapping[str, Sequence[Curve]], xlabel: str, log: Sequence[str
 
     Why a curve ends is written in the first panel only, and marked in all.
     """
-    plt = _pyplot()
+    plt = pyplot()
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(1, len(panels), figsize=(8.0, 3.1), layout="constrained", squeeze=False)
         for axis, (name, series) in zip(axes[0], panels.items(), strict=True):
@@ -75,7 +75,7 @@ def curves(panels: Mapping[str, Sequence[Curve]], xlabel: str, log: Sequence[str
                 axis.set_yscale("log")
         handles, names = axes[0][0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
-        return _svg(figure, "-".join(panels))
+        return svg(figure, "-".join(panels))
 
 
 def _draw(axis: Any, curve: Curve, label: bool) -> None:
@@ -98,7 +98,7 @@ def bars(
 
     No samples: the row says that it failed.
     """
-    plt = _pyplot()
+    plt = pyplot()
     with plt.rc_context(STYLE):
         figure, axis = plt.subplots(figsize=(8.0, 0.6 + 0.3 * len(names)), layout="constrained")
         for row, (values, (bar, aim)) in enumerate(zip(samples, wanted, strict=True)):
@@ -115,10 +115,11 @@ def bars(
         axis.set_yticks(range(len(names)), names)
         axis.set_xlabel(xlabel)
         axis.invert_yaxis()
-        return _svg(figure, "bars")
+        return svg(figure, "bars")
 
 
-def _pyplot() -> Any:
+def pyplot() -> Any:
+    """matplotlib.pyplot, drawing without a screen. Raises BadInput where it is missing."""
     require_matplotlib()
     import matplotlib
 
@@ -128,7 +129,7 @@ def _pyplot() -> Any:
     return matplotlib.pyplot
 
 
-def _svg(figure: Any, salt: str) -> str:
+def svg(figure: Any, salt: str) -> str:
     """Markup that may stand in HTML: no prologue, no metadata, identifiers of its own."""
     import matplotlib.pyplot as plt
 

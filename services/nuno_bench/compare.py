@@ -1,0 +1,169 @@
+"""`nuno bench compare A.json B.json`: what changed between two sweeps, beyond what repeats and the floor allow."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nuno_bench import machine, page
+from nuno_bench.precision_findings import ABOVE
+from nuno_bench.precision_point import Point
+from nuno_bench.result import number, text_table
+from nuno_schemas.errors import BadInput
+
+SAME_TIME = 1.1
+"""Medians within a tenth of each other count as the same, as everywhere in the benches."""
+SAME_ERROR = 1.01
+"""The same solver repeats its errors to the bit; another machine's rounding may move them less than this."""
+HEADINGS = (
+    "solver",
+    "setting",
+    "changed",
+    "quantity",
+    "error A",
+    "error B",
+    "B / A",
+    "time A [s]",
+    "time B [s]",
+    "B / A",
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A sweep as it was written: its points by solver and setting, its floors by quantity."""
+
+    scene: str
+    points: Mapping[tuple[str, str], Point]
+    floors: Mapping[str, float]
+    about: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Change:
+    """One point in both results.
+
+    error_ratio, time_ratio  B over A, in the quantity whose error changed most; None where one has none
+    changed                  "outcome", "error", "time": those that changed beyond floor and spread
+    """
+
+    key: tuple[str, str]
+    quantity: str
+    errors: tuple[float | None, float | None]
+    times: tuple[float | None, float | None]
+    error_ratio: float | None
+    time_ratio: float | None
+    changed: tuple[str, ...]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("first", type=Path, metavar="A.json", help="written by nuno bench precision")
+    parser.add_argument("second", type=Path, metavar="B.json", help="another of the same scene")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with all points")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Print what changed; a change is a finding, not a failure."""
+    first, second = read(args.first), read(args.second)
+    if first.scene != second.scene:
+        raise BadInput("the results are of two scenes", value=f"{first.scene}, {second.scene}")
+    changes = compare(first, second)
+    if not changes:
+        raise BadInput("the results have no point in common", value=f"{args.first}, {args.second}")
+    differing = [change for change in changes if change.changed]
+    if differing:
+        print(text_table(HEADINGS, [row(change) for change in differing]))
+    said = summary(first, second, changes)
+    print("\n".join(said))
+    if args.html is not None:
+        table = page.Table(HEADINGS, [row(change) for change in changes], "All points that both have.")
+        about = {"command": machine.command(), **{f"A, {k}": v for k, v in first.about.items()}}
+        about |= {f"B, {k}": v for k, v in second.about.items()}
+        parts: list[tuple[str, Sequence[page.Part]]] = [("Points", [table]), ("Made by", [page.Facts(about)])]
+        args.html.parent.mkdir(parents=True, exist_ok=True)
+        args.html.write_text(page.render(f"Two sweeps of {first.scene}", " ".join(said), parts), encoding="utf-8")
+        print(f"written {args.html}")
+    return 0
+
+
+def read(path: Path) -> Result:
+    """A result that `nuno bench precision` wrote. Raises BadInput for any other file."""
+    try:
+        data: Any = json.loads(path.read_text(encoding="utf-8"))
+        points = [Point.from_json(point) for point in data["points"]]
+        floors = {name: float(floor["l2"]) for name, floor in data["reference"]["floors"].items()}
+        return Result(str(data["scene"]), {point.key: point for point in points}, floors, dict(data["about"]))
+    except OSError as error:
+        raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        remedy = "give the JSON file that nuno bench precision wrote beside its page"
+        raise BadInput("no result of a precision sweep", str(path), remedy=remedy) from None
+
+
+def compare(first: Result, second: Result) -> list[Change]:
+    """All points that both have, in the first one's order."""
+    floors = {name: max(floor, second.floors.get(name, 0.0)) for name, floor in first.floors.items()}
+    both = [key for key in first.points if key in second.points]
+    return [_change(first.points[key], second.points[key], floors) for key in both]
+
+
+def _change(a: Point, b: Point, floors: Mapping[str, float]) -> Change:
+    found = {name: (a.errors[name].l2, b.errors[name].l2) for name in a.errors if name in b.errors}
+    # An error that both have below the floor is known in neither.
+    known = {name: pair for name, pair in found.items() if max(pair) > ABOVE * floors.get(name, 0.0)}
+    quantity = max(known, key=lambda name: _factor(*known[name]), default="")
+    changed = ["outcome"] if a.outcome != b.outcome else []
+    if quantity and _factor(*known[quantity]) > SAME_ERROR:
+        changed.append("error")
+    if _apart(a.seconds, b.seconds):
+        changed.append("time")
+    errors = known.get(quantity, (None, None))
+    times = tuple(point.median if point.seconds else None for point in (a, b))
+    pair = (times[0], times[1])
+    return Change(a.key, quantity, errors, pair, _ratio(*errors), _ratio(*pair), tuple(changed))
+
+
+def _factor(a: float, b: float) -> float:
+    """By how much two errors differ, at least 1."""
+    low, high = sorted((a, b))
+    return high / low if low > 0.0 else (1.0 if high == 0.0 else float("inf"))
+
+
+def _apart(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Whether two sets of repeats do not overlap, and their medians differ by more than a tenth."""
+    if not a or not b:
+        return False
+    overlap = max(a) >= min(b) and max(b) >= min(a)
+    return not overlap and _factor(statistics.median(a), statistics.median(b)) > SAME_TIME
+
+
+def _ratio(a: float | None, b: float | None) -> float | None:
+    return b / a if a and b is not None else None
+
+
+def row(change: Change) -> list[str]:
+    """A line of the table, under HEADINGS."""
+    errors = [f"{error:.2e}" if error is not None else "" for error in change.errors]
+    times = [number(seconds) if seconds is not None else "" for seconds in change.times]
+    ratios = [number(ratio) if ratio is not None else "" for ratio in (change.error_ratio, change.time_ratio)]
+    changed = ", ".join(change.changed)
+    return [*change.key, changed, change.quantity, *errors, ratios[0], *times, ratios[1]]
+
+
+def summary(first: Result, second: Result, changes: Sequence[Change]) -> list[str]:
+    """Sentences: how many points changed in what, the typical time ratio, and what only one has."""
+    counts = ", ".join(f"{sum(what in c.changed for c in changes)} in {what}" for what in ("outcome", "error", "time"))
+    said = [f"{len(changes)} points in both; changed beyond floor and spread: {counts}."]
+    ratios = [change.time_ratio for change in changes if change.time_ratio is not None]
+    if ratios:
+        said.append(f"Times of B are {statistics.median(ratios):.2f} times those of A (median over the points).")
+    for name, one, other in (("A", first, second), ("B", second, first)):
+        alone = [f"{solver} {setting}" for solver, setting in one.points if (solver, setting) not in other.points]
+        if alone:
+            said.append(f"Only in {name}: {'; '.join(alone)}.")
+    return said

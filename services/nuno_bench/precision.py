@@ -1,0 +1,198 @@
+"""`nuno bench precision SCENE...`: the error of every applicable solver over the wall time it takes."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nuno import registry, scene_file
+from nuno.scene_file import Loaded
+from nuno_bench import machine, markdown, plots
+from nuno_bench.horizon import DISTURBANCE, find_horizon
+from nuno_bench.observe import OBSERVABLES, Problem, make_problem
+from nuno_bench.precision_errors import find_scales, measure_errors
+from nuno_bench.precision_findings import judge
+from nuno_bench.precision_page import Findings, choices, docs_parts, render
+from nuno_bench.precision_point import Kept, Point
+from nuno_bench.precision_run import Runner, run_sweep
+from nuno_bench.reference import GROUP, Reference, make_reference
+from nuno_bench.result import text_table
+from nuno_bench.sweep import choose_solvers
+from nuno_schemas.errors import BadInput, nearest
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenes", nargs="+", metavar="SCENE", help="a scene file, or the name of a shipped one")
+    parser.add_argument("--solvers", metavar="A,B", help="solvers to try (default: all that are installed)")
+    parser.add_argument("--duration", metavar="TIME", help="simulated time, instead of the scene's")
+    parser.add_argument("--repeats", type=int, default=3, metavar="N", help="timed runs of each point (default: 3)")
+    parser.add_argument(
+        "--budget",
+        type=float,
+        default=120.0,
+        metavar="SECONDS",
+        help="for a scene's sweep; finer points that would exceed it are left out (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--observable", metavar="A,B", help=f"what is plotted beside positions (default: all): {', '.join(OBSERVABLES)}"
+    )
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
+                        help="change a field of the scene")  # fmt: skip
+    parser.add_argument("--out", type=Path, default=Path("recordings/bench"), metavar="DIR",
+                        help="where page, CSV and JSON go (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into this Markdown page's sections")
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted sweep, keeping its points")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Sweep each scene; 1 where a reference could judge nothing. A solver that diverges is a result."""
+    loaded = _check(args)
+    failed = False
+    for one in loaded:
+        found = sweep_scene(one, args)
+        headings, rows = choices(found)
+        print(f"\n{one.scene.name}: {found.how}\npredictable: {found.horizon.describe()}")
+        print(text_table(headings, rows))
+        judged = judge(found.points, found.floors)
+        for judgement in judged:
+            print(judgement.describe())
+        print(f"{len(found.points)} points, {sum(not p.done for p in found.points)} of them failed; "
+              f"{len(found.sweep.omitted)} left out")  # fmt: skip
+        for file in write(_base(args, one), found):
+            print(f"written {file}")
+        if args.docs is not None:
+            markdown.replace_section(args.docs, _section(one), docs_parts(found))
+            print(f"written {args.docs}")
+        if all(judgement.verdict in ("failed", "no point") for judgement in judged):
+            print(f"{one.scene.name}: the reference judges no point", file=sys.stderr)
+            failed = True
+    return int(failed)
+
+
+def _section(loaded: Loaded) -> str:
+    return f"precision {loaded.scene.name}"
+
+
+def _base(args: argparse.Namespace, loaded: Loaded) -> Path:
+    folder: Path = args.out
+    return folder / f"precision-{loaded.scene.name}"
+
+
+def _check(args: argparse.Namespace) -> list[Loaded]:
+    """The scenes. Raises BadInput before anything runs."""
+    plots.require_matplotlib()
+    if args.repeats < 1:
+        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
+    if not (args.budget > 0.0 and math.isfinite(args.budget)):
+        raise BadInput("a sweep needs time", field="--budget", value=args.budget, limit="more than 0 s")
+    for option, given, known in (
+        ("--solvers", args.solvers, list(registry.installed(GROUP))),
+        ("--observable", args.observable, list(OBSERVABLES)),
+    ):
+        for name in _names(given):
+            if name not in known:
+                raise BadInput("no such name", field=option, value=name, remedy=nearest(name, known))
+        if given is not None and not _names(given):
+            raise BadInput("none is named: the sweep would be empty", field=option, value=given)
+    overrides = [*args.overrides, *([f"duration={args.duration}"] if args.duration else [])]
+    loaded = [scene_file.read(scene_file.find(name), [*overrides, "allow_unstable=true"]) for name in args.scenes]
+    names = [one.scene.name for one in loaded]
+    if len(set(names)) < len(names):
+        raise BadInput("two scenes have one name, and would write the same files", field="SCENE", value=names)
+    for one in loaded:
+        if args.docs is not None:
+            markdown.check_section(args.docs, _section(one))
+    return loaded
+
+
+def _names(given: str | None) -> list[str]:
+    return [name for name in (given or "").split(",") if name]
+
+
+def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
+    """Reference, horizon and sweep of one scene. Raises BadInput."""
+    others, told = machine.Others(), _teller(loaded.scene.name)
+    problem = make_problem(loaded)
+    solvers, omitted = choose_solvers(problem, _names(args.solvers))
+    reference = make_reference(problem, args.budget, told)
+    told("predictable time: the disturbed twin")
+    horizon = find_horizon(problem, reference)
+    scales = find_scales(problem, reference.run.series)
+    floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
+    path = _base(args, loaded).with_suffix(".jsonl")
+    kept = Kept(path, identity(problem, reference, args.repeats), args.resume)
+    runner = Runner(problem, reference, scales, horizon.frames, args.repeats)
+    try:
+        sweep = run_sweep(runner, solvers, kept, args.budget, told)
+    except KeyboardInterrupt:
+        print(f"finished points are kept in {path}; --resume goes on from there", file=sys.stderr)
+        raise
+    sweep.omitted[:0] = omitted
+    shown = [name for name in _names(args.observable) or OBSERVABLES if name in floors]
+    about = {
+        "command": machine.command(),
+        "scene": f"{problem.fabric.number:,} vertices, {problem.frames} frames, {problem.frames * problem.frame:.3g} s",
+        "reference": f"{reference.how}; {reference.seconds:.2g} s for both; disturbance {DISTURBANCE:g} of the size",
+        **machine.describe(),
+        "load": others.describe(),
+    }
+    return Findings(loaded.scene.name, sweep, floors, horizon, reference.how, shown, about)
+
+
+def _teller(scene: str) -> Callable[[str], None]:
+    return lambda text: print(f"{scene}: {text}", file=sys.stderr)
+
+
+def identity(problem: Problem, reference: Reference, repeats: int) -> dict[str, Any]:
+    """What a sweep's points belong to: the scene's own text, what its reference ends in, and the installed code."""
+    text = json.dumps(problem.loaded.data, sort_keys=True, default=str)
+    end = hashlib.blake2b(np.ascontiguousarray(reference.run.series.x[-1]).data, digest_size=16)
+    packages = {registry.package_version(GROUP, name) for name in registry.installed(GROUP)}
+    return {
+        "scene": hashlib.blake2b(text.encode(), digest_size=16).hexdigest(),
+        "reference": end.hexdigest(),
+        "repeats": repeats,
+        "solvers": ", ".join(sorted(packages)),
+    }
+
+
+def write(base: Path, found: Findings) -> list[Path]:
+    """Write the page, one CSV line per point and quantity, and everything as JSON, beside each other."""
+    base.parent.mkdir(parents=True, exist_ok=True)
+    html, table, data = (base.with_name(base.name + ending) for ending in (".html", ".csv", ".json"))
+    html.write_text(render(found), encoding="utf-8")
+    with table.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["solver", "setting", "outcome", "seconds", "quantity", "final", "l2", "linf"])
+        writer.writerows(line for point in found.points for line in _csv_lines(point))
+    data.write_text(json.dumps(_json(found), indent=1) + "\n", encoding="utf-8")
+    return [html, table, data]
+
+
+def _csv_lines(point: Point) -> list[list[object]]:
+    start = [point.solver, point.setting, point.outcome, f"{point.median:.6g}" if point.seconds else ""]
+    errors = [[name, *(f"{v:.9g}" for v in (e.final, e.l2, e.linf))] for name, e in point.errors.items()]
+    return [[*start, *rest] for rest in errors or [[""] * 4]]
+
+
+def _json(found: Findings) -> dict[str, Any]:
+    horizon = {"t": found.horizon.t, "whole": found.horizon.whole, "growth": found.horizon.growth}
+    return {
+        "about": dict(found.about),
+        "scene": found.scene,
+        "reference": {"how": found.how, "floors": {name: asdict(floor) for name, floor in found.floors.items()}},
+        "horizon": horizon | {"frames": found.horizon.frames, "distance": found.horizon.distance.tolist()},
+        "points": [asdict(point) for point in found.points],
+        "omitted": [asdict(one) for one in found.sweep.omitted],
+        "first_calls": found.sweep.first_calls,
+    }

@@ -1,0 +1,72 @@
+"""How far a run is from the reference, in positions and in what is observed, as shares of the scene's own scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from nuno_bench.observe import Problem, Series
+from nuno_schemas.fabric import Float
+
+POSITIONS = "positions"
+RAN_AWAY = 2.0
+"""A run that comes this many sizes away from the reference has left it, whatever chaos does."""
+
+
+@dataclass(frozen=True)
+class Error:
+    """Shares of the scale: at the last compared frame, root mean square and largest over the frames.
+
+    Positions: final and l2 are root mean squares over the vertices too, and linf is the farthest vertex.
+    """
+
+    final: float
+    l2: float
+    linf: float
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What errors are divided by, per quantity: the cloth's size [m]; the largest change of any kind of
+    energy in the reference [J]; 1 for strains.
+    """
+
+    values: Mapping[str, float]
+
+    def __getitem__(self, name: str) -> float:
+        return self.values[name]
+
+
+def find_scales(problem: Problem, reference: Series) -> Scales:
+    """The reference's own measures, so that all solvers are divided by the same numbers."""
+    change = float(np.abs(reference.parts - reference.parts[0]).max(initial=0.0)) or 1.0
+    return Scales(
+        {POSITIONS: problem.size, "centre": problem.size, "drop": problem.size, "energy": change, "strain": 1.0}
+    )
+
+
+def measure_errors(run: Series, reference: Series, scales: Scales, frames: int) -> dict[str, Error]:
+    """Errors by quantity; positions over the first `frames` frames, and only where there are some beside the start.
+
+    Nothing where a run did not reach the end: its errors would be those of another stretch of time.
+    """
+    if len(run.t) < len(reference.t):
+        return {}
+    found = {}
+    if frames > 1:
+        far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[POSITIONS]
+        over = np.sqrt((far**2).mean(axis=1))
+        found[POSITIONS] = Error(float(over[-1]), float(np.sqrt((over**2).mean())), float(far.max()))
+    for name, values in reference.values.items():
+        away = np.linalg.norm(run.values[name][1:] - values[1:], axis=1) / scales[name]
+        found[name] = Error(float(away[-1]), float(np.sqrt((away**2).mean())), float(away.max()))
+    return found
+
+
+def ran_away(run: Series, reference: Series, size: float) -> float | None:
+    """When a run was first RAN_AWAY sizes from the reference [s], or None."""
+    apart: Float = np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1)) / size
+    frames = np.flatnonzero(~(apart <= RAN_AWAY))
+    return float(run.t[frames[0]]) if frames.size else None

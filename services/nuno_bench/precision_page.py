@@ -1,0 +1,194 @@
+"""The page of `nuno bench precision`, and the same tables for the screen and for documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from nuno_bench import markdown, page
+from nuno_bench.horizon import LOST, Horizon
+from nuno_bench.observe import OBSERVABLES
+from nuno_bench.precision_errors import POSITIONS, Error
+from nuno_bench.precision_findings import (
+    ABOVE,
+    CHOICE_HEADINGS,
+    FLOOR_HEADINGS,
+    ORDER_HEADINGS,
+    choice_rows,
+    judge,
+    order_rows,
+    solvers_of,
+)
+from nuno_bench.precision_plots import Panel, error_over_time
+from nuno_bench.precision_point import Point
+from nuno_bench.precision_run import Sweep
+from nuno_bench.result import number
+
+LEAD = (
+    "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "
+    "Errors are shares of the cloth's size (positions, centre of mass, drop), of the largest change of any kind of "
+    "energy (energy), or strains; each is the root mean square over the frames."
+)
+FAILURES = "Crosses above the figures stand for these, at the time they took."
+COUNTED = ("steps", "rejected_steps", "newton_steps", "linear_iterations", "evaluations")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """One scene's sweep with all that it was judged by.
+
+    floors   disagreement of the references by quantity
+    shown    observables that are plotted
+    """
+
+    scene: str
+    sweep: Sweep
+    floors: Mapping[str, Error]
+    horizon: Horizon
+    how: str
+    shown: Sequence[str]
+    about: Mapping[str, str]
+
+    @property
+    def points(self) -> list[Point]:
+        return self.sweep.points
+
+    @property
+    def quantities(self) -> list[str]:
+        """Positions where they can be compared, then the observables shown."""
+        return [name for name in (POSITIONS, *self.shown) if name in self.floors]
+
+    @property
+    def leading(self) -> str:
+        """The quantity that orders are fitted in."""
+        return self.quantities[0]
+
+
+def render(found: Findings) -> str:
+    """The whole page."""
+    order = solvers_of(found.points)
+    sections: list[tuple[str, Sequence[page.Part]]] = [
+        ("Which solver for which accuracy", [_choices(found), _verdicts(found)]),
+        ("Positions, inside the predictable time", _positions(found, order)),
+    ]
+    panels = [_panel(found, name) for name in found.shown if name in found.floors]
+    if panels:
+        figure = page.Figure(error_over_time(found.points, panels, order), "What is observed, over the whole run.")
+        sections.append(("What is observed, over the whole run", [figure]))
+    failed = [[p.solver, p.setting, p.outcome, p.message, _time(p)] for p in found.points if not p.done]
+    if failed:
+        table = page.Table(("solver", "setting", "outcome", "why", "time [s]"), failed, FAILURES, prose=True)
+        sections.append(("Failures and divergences", [table]))
+    if found.sweep.omitted:
+        table = page.Table(("solver", "settings", "reason"), left_out(found), "Not run, coarsest first.", prose=True)
+        sections.append(("Left out", [table]))
+    sections.append(("All points", [page.Table(point_headings(found), point_rows(found), _CAPTION)]))
+    sections.append(("Made by", [page.Facts(found.about)]))
+    return page.render(f"Error over wall time: {found.scene}", LEAD, sections)
+
+
+_CAPTION = (
+    "Time is the median over repeats, in the solver's own calls, without compiling. Positions: at the last frame of "
+    "the predictable time, root mean square over its frames, and the farthest vertex of any; observables: root mean "
+    "square over all frames."
+)
+
+
+def left_out(found: Findings) -> list[list[str]]:
+    """A line per solver: which settings were not run, and why the first of them was not."""
+    rows: dict[str, list[str]] = {}
+    for one in found.sweep.omitted:
+        known = rows.setdefault(one.solver, [one.solver, one.setting or "all", one.reason])
+        if one.setting and known[1] != one.setting:
+            known[1] += f"; {one.setting}"
+    return list(rows.values())
+
+
+def _verdicts(found: Findings) -> page.Table:
+    rows = [judgement.row() for judgement in judge(found.points, found.floors)]
+    said = (
+        f"Reference: {found.how}. Floor: how far the two are apart; errors of at least {ABOVE:g} times that are known."
+    )
+    return page.Table(FLOOR_HEADINGS, rows, said)
+
+
+def _choices(found: Findings) -> page.Table:
+    headings, rows = choices(found)
+    return page.Table(headings, rows, "The fastest solver whose error is within each accuracy, and the next ones.")
+
+
+def choices(found: Findings) -> tuple[Sequence[str], list[list[str]]]:
+    """Headings and rows of the fastest solver by quantity and accuracy."""
+    rows = [[name, *row] for name in found.quantities for row in choice_rows(found.points, name, found.floors[name].l2)]
+    return ("in", *CHOICE_HEADINGS), rows
+
+
+def _positions(found: Findings, order: Sequence[str]) -> list[page.Part]:
+    orders = page.Table(ORDER_HEADINGS, orders_of(found), f"Order seen: slope of the error in {found.leading}.")
+    if POSITIONS not in found.floors:
+        gone = f"Positions cannot be compared: a disturbance passes {LOST:g} of the size in the first frame."
+        return [gone, orders]
+    caption = f"Positions are compared over {found.horizon.describe()}. Bars: all repeats. Hollow: beyond the "
+    caption += "stability limit, and finished all the same. Crosses: not finished, see below."
+    return [page.Figure(error_over_time(found.points, [_panel(found, POSITIONS)], order), caption), orders]
+
+
+def orders_of(found: Findings) -> list[list[str]]:
+    """Rows under ORDER_HEADINGS."""
+    floor = found.floors[found.leading].l2
+    return order_rows(found.points, found.leading, floor, found.sweep.first_calls)
+
+
+def _panel(found: Findings, name: str) -> Panel:
+    titles = {POSITIONS: "positions: error / size"} | {key: f"{key}: {text}" for key, text in OBSERVABLES.items()}
+    return Panel(name, titles[name], found.floors[name].l2)
+
+
+def point_headings(found: Findings) -> list[str]:
+    """Headings of the table of all points."""
+    positions = ["final", "l2", "farthest"] if POSITIONS in found.floors else []
+    observed = [name for name in found.floors if name != POSITIONS]
+    return ["solver", "setting", "outcome", "time [s]", "min - max", *_counted(found), *positions, *observed]
+
+
+def _counted(found: Findings) -> list[str]:
+    return [name.replace("_", " ") for name in COUNTED if any(name in point.totals for point in found.points)]
+
+
+def point_rows(found: Findings) -> list[list[str]]:
+    """A line per point, solver by solver."""
+    order = solvers_of(found.points)
+    chosen = sorted(found.points, key=lambda point: (order.index(point.solver), -point.finer))
+    return [_row(found, point) for point in chosen]
+
+
+def _row(found: Findings, point: Point) -> list[str]:
+    spread = f"{number(min(point.seconds))} - {number(max(point.seconds))}" if len(point.seconds) > 1 else ""
+    counts = [f"{point.totals[name.replace(' ', '_')]:,}" if name.replace(" ", "_") in point.totals else ""
+              for name in _counted(found)]  # fmt: skip
+    errors: list[float | None] = []
+    if POSITIONS in found.floors:
+        own = point.errors.get(POSITIONS)
+        errors += [own.final, own.l2, own.linf] if own else [None] * 3
+    errors += [point.error(name) for name in found.floors if name != POSITIONS]
+    shown = [f"{error:.2e}" if error is not None else "" for error in errors]
+    return [point.solver, point.setting, point.outcome, _time(point), spread, *counts, *shown]
+
+
+def _time(point: Point) -> str:
+    return number(point.median) if point.seconds else ""
+
+
+def docs_parts(found: Findings) -> list[str]:
+    """What goes into a documentation page's section."""
+    failed = [[p.solver, p.setting, p.outcome, p.message] for p in found.points if not p.done]
+    parts = [
+        f"Reference: {found.how}. Predictable: {found.horizon.describe()}.",
+        markdown.table(*choices(found)),
+        markdown.table(ORDER_HEADINGS, orders_of(found)),
+    ]
+    if failed:
+        parts.append(markdown.table(("not done", "setting", "outcome", "why"), failed))
+    if found.sweep.omitted:
+        parts.append(markdown.table(("left out", "settings", "why"), left_out(found)))
+    return [*parts, markdown.facts(found.about)]

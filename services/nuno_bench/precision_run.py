@@ -1,0 +1,127 @@
+"""The sweep itself: coarse points of all solvers before finer ones, within a budget."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from nuno_bench.observe import Problem, Run, first_call, simulate
+from nuno_bench.precision_errors import RAN_AWAY, Error, Scales, measure_errors, ran_away
+from nuno_bench.precision_point import DONE, Kept, Point
+from nuno_bench.reference import Reference
+from nuno_bench.sweep import Omission, Setting, Solver
+from nuno_schemas.errors import BadInput
+
+FIRST_STEPS = 20
+"""Steps by which the cost of a solver with fixed steps is estimated before its first point."""
+
+MISJUDGED = 3.0
+"""A run is cut where it takes this multiple of its estimate and more than its solver's even share of the budget."""
+
+
+@dataclass
+class Sweep:
+    """What a sweep has so far; `first_calls` are seconds to compile or load, by solver."""
+
+    points: list[Point] = field(default_factory=list)
+    omitted: list[Omission] = field(default_factory=list)
+    first_calls: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Runner:
+    """Everything that one point needs."""
+
+    problem: Problem
+    reference: Reference
+    scales: Scales
+    frames: int
+    repeats: int
+
+    def measure(self, solver: Solver, setting: Setting, left: float, most_seconds: float) -> Point:
+        """Run one setting, at most so long; repeats end early where `left` seconds do not allow another."""
+        try:
+            config = solver.config(setting)
+            run = simulate(self.problem, solver.plugin, config, setting.steps, most_seconds=most_seconds)
+        except (BadInput, ValueError) as error:
+            message = error.problem if isinstance(error, BadInput) else str(error)
+            return self._point(solver, setting, "refused", message)
+        outcome, message = self._judge(run)
+        seconds = [run.seconds]
+        while outcome == DONE and len(seconds) < self.repeats and sum(seconds) + seconds[-1] <= left:
+            seconds.append(simulate(self.problem, solver.plugin, config, setting.steps).seconds)
+        errors = {}
+        if outcome == DONE:
+            errors = measure_errors(run.series, self.reference.run.series, self.scales, self.frames)
+        return self._point(solver, setting, outcome, message, tuple(seconds), run.totals, errors)
+
+    def _judge(self, run: Run) -> tuple[str, str]:
+        if run.status != "ok":
+            return run.status, run.message
+        lost = ran_away(run.series, self.reference.run.series, self.problem.size)
+        if lost is None:
+            return DONE, ""
+        return "ran away", f"at {lost:.3g} s it is {RAN_AWAY:g} sizes of the cloth from the reference"
+
+    def _point(
+        self,
+        solver: Solver,
+        setting: Setting,
+        outcome: str,
+        message: str,
+        seconds: tuple[float, ...] = (),
+        totals: Mapping[str, int] | None = None,
+        errors: Mapping[str, Error] | None = None,
+    ) -> Point:
+        order, finer = int(solver.plugin.order), setting.finer
+        what = (solver.name, setting.label, solver.kind, order, finer, setting.beyond, outcome, message, seconds)
+        return Point(*what, dict(totals or {}), dict(errors or {}))
+
+
+def run_sweep(runner: Runner, solvers: list[Solver], kept: Kept, budget: float, told: Callable[[str], None]) -> Sweep:
+    """Run the settings of all solvers, level by level.
+
+    A solver ends where the estimate for its next point exceeds what is left of `budget` [s]. What
+    compiles is compiled before the budget begins.
+    """
+    sweep, costs = Sweep(), dict[str, float]()
+    for solver in solvers:
+        told(f"{solver.name}: first call")
+        try:
+            sweep.first_calls[solver.name], costs[solver.name] = _first_call(runner.problem, solver)
+        except BadInput as error:
+            sweep.omitted.append(Omission(solver.name, "", error.problem))
+    started = time.perf_counter()
+    for solver, setting in _levels([solver for solver in solvers if solver.name in costs]):
+        point = kept.points.get((solver.name, setting.label))
+        if point is None:
+            left = max(0.0, budget - (time.perf_counter() - started))
+            once = setting.work * costs[solver.name]
+            wanted = runner.repeats * once
+            if wanted > left:
+                reason = f"estimated at {wanted:.2g} s, and {left:.2g} s of the budget were left"
+                sweep.omitted.append(Omission(solver.name, setting.label, reason))
+                continue
+            told(f"{solver.name}, {setting.label} ({left:.0f} s left)")
+            most = max(1.0, min(1.5 * left, max(MISJUDGED * once, budget / len(costs))))
+            point = runner.measure(solver, setting, left, most)
+            kept.add(point)
+        if point.done or point.outcome == "cut":
+            costs[solver.name] = point.median / setting.work
+        sweep.points.append(point)
+    return sweep
+
+
+def _levels(solvers: list[Solver]) -> Iterator[tuple[Solver, Setting]]:
+    """The first settings of all solvers, then their second ones, and so on."""
+    for level in range(max((len(solver.settings) for solver in solvers), default=0)):
+        yield from ((solver, solver.settings[level]) for solver in solvers if level < len(solver.settings))
+
+
+def _first_call(problem: Problem, solver: Solver) -> tuple[float, float]:
+    """Seconds of a solver's first call, and an estimate of what a run of work 1 takes [s]."""
+    setting = min(solver.settings, key=lambda one: abs(one.work - 1.0))
+    taken = min(setting.steps, FIRST_STEPS)
+    first, seconds = first_call(problem, solver.plugin, solver.config(setting), setting.steps, taken)
+    return first, seconds * setting.steps / taken * problem.frames / setting.work

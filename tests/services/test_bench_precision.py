@@ -1,0 +1,339 @@
+"""Error over wall time: exact references, orders that a sweep must show, horizons, and what a sweep keeps."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scenes import BALL, write_scene
+
+from nuno import registry, scene_file
+from nuno.cli import main as nuno_main
+from nuno_bench import precision, precision_run
+from nuno_bench.horizon import DISTURBANCE, LOST, find_horizon
+from nuno_bench.observe import Problem, make_problem, simulate
+from nuno_bench.precision_errors import POSITIONS, Error, find_scales, measure_errors
+from nuno_bench.precision_findings import choice_rows, fit_order, judge
+from nuno_bench.precision_page import Findings
+from nuno_bench.precision_point import Point
+from nuno_bench.reference import GROUP, Reference, make_reference
+from nuno_bench.reference_closed import exponential, find_linear
+from nuno_schemas.errors import BadInput
+
+FLAGS = ("--repeats", "1", "--budget", "60")
+
+
+def write_net(folder: Path, **fields: Any) -> Path:
+    """Two masses of 10 g under a held one, on a vertical line: springs of 10 and 5 N/m, slightly damped, 0.4 s."""
+    np.savez(
+        folder / "line.npz",
+        x=np.array([[0.0, 0.0, 0.0], [0.0, -0.1, 0.0], [0.0, -0.25, 0.0]]),
+        v=np.array([[0.0, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, -0.1, 0.0]]),
+        m=np.full(3, 0.01),
+        pinned=np.array([True, False, False]),
+        springs=np.array([[0, 1], [2, 1]]),
+        k=np.array([10.0, 5.0]),
+        rest=np.array([0.1, 0.15]),
+        c=np.array([0.0, 0.003]),
+    )
+    scene: dict[str, Any] = {
+        "nuno": 1,
+        "name": "line",
+        "duration": 0.4,
+        "frame_rate": 50,
+        "solver": {"plugin": "rk4"},
+        "damping": 0.1,
+        "objects": [{"name": "line", "model": {"plugin": "net", "file": "line.npz"}}],
+    }
+    path = folder / "line.yaml"
+    path.write_text(yaml.safe_dump(scene | fields))
+    return path
+
+
+def arguments(path: Path, *flags: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    precision.add_arguments(parser)
+    return parser.parse_args([str(path), *FLAGS, "--out", str(path.parent / "out"), *flags])
+
+
+def swept(path: Path, *flags: str) -> Findings:
+    args = arguments(path, *flags)
+    return precision.sweep_scene(precision._check(args)[0], args)
+
+
+def problem_of(path: Path, *overrides: str) -> Problem:
+    return make_problem(scene_file.read(path, ["allow_unstable=true", *overrides]))
+
+
+def reference_of(problem: Problem) -> Reference:
+    return make_reference(problem, 30.0, lambda text: None)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
+    """The line's whole sweep."""
+    return swept(write_net(tmp_path_factory.mktemp("line")))
+
+
+def points_of(found: Findings, solver: str) -> list[Point]:
+    return [point for point in found.points if point.solver == solver]
+
+
+def test_exponential_of_a_damped_oscillator() -> None:
+    omega, damping, t = 40.0, 3.0, 0.7
+    slow = np.sqrt(omega**2 - damping**2 / 4.0)
+    c, s, fade = np.cos(slow * t), np.sin(slow * t) / slow, np.exp(-damping * t / 2.0)
+    exact = fade * np.array([[c + damping / 2 * s, s], [-(omega**2) * s, c - damping / 2 * s]])
+    measured = exponential(np.array([[0.0, 1.0], [-(omega**2), -damping]]) * t)
+    assert np.abs(measured - exact).max() < 1e-12 * omega
+
+
+def test_the_exact_motion_is_what_the_solvers_converge_to(tmp_path: Path) -> None:
+    problem = problem_of(write_net(tmp_path))
+    reference = reference_of(problem)
+    tight = reference.twin(np.zeros((3, 3)))
+    assert "exact" in reference.how
+    assert np.abs(tight.series.x - reference.run.series.x).max() < 1e-10
+    assert np.abs(tight.series.parts - reference.run.series.parts).max() < 1e-9
+    # Bent by a hair it is linear no more.
+    assert find_linear(problem_of(write_net(tmp_path, gravity=[1e-6, -9.81, 0.0]))) is None
+
+
+def test_free_fall_without_springs_is_exact_in_all_directions(tmp_path: Path) -> None:
+    path, drag, v, g = write_net(tmp_path), 0.1, np.array([1.0, 2.0, -3.0]), np.array([0.0, -9.81, 0.0])
+    arrays = dict(np.load(tmp_path / "line.npz"))
+    arrays |= {"springs": np.zeros((0, 2), int), "k": np.zeros(0), "rest": np.zeros(0), "c": np.zeros(0)}
+    np.savez(tmp_path / "line.npz", **(arrays | {"v": np.tile(v, (3, 1)), "pinned": np.zeros(3, bool)}))
+    run = reference_of(problem_of(path)).run.series
+    lost = -np.expm1(-drag * run.t)[:, None] / drag
+    way = v * lost + g / drag * (run.t[:, None] - lost)
+    assert np.abs(run.x - run.x[0] - way[:, None]).max() < 1e-12
+    assert np.abs(run.values["drop"][:, 0] + way[:, 1]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("solver", "order"),
+    [("symplectic_euler", 1), ("leapfrog", 2), ("rk4", 4), ("implicit_euler", 1), ("tr_bdf2", 2)],
+)
+def test_errors_fall_at_the_nominal_order(found: Findings, solver: str, order: int) -> None:
+    seen = fit_order(points_of(found, solver), POSITIONS, found.floors[POSITIONS].l2)
+    assert seen == pytest.approx(order, abs=0.1)
+
+
+def test_the_floor_is_below_every_error_and_all_are_judged(found: Findings) -> None:
+    errors = [error for point in found.points if (error := point.error(POSITIONS)) is not None]
+    assert len(errors) > 30
+    assert found.floors[POSITIONS].l2 < 1e-12
+    assert min(errors) > 3.0 * found.floors[POSITIONS].l2
+    assert {judgement.verdict for judgement in judge(found.points, found.floors)} == {"judged"}
+
+
+def test_every_installed_solver_is_run_or_named(found: Findings) -> None:
+    run = {point.solver for point in found.points}
+    assert run | {one.solver for one in found.sweep.omitted} == set(registry.installed(GROUP))
+    assert "slips" in next(one.reason for one in found.sweep.omitted if one.solver == "rk4_printed")
+
+
+def test_adaptive_errors_follow_the_tolerance(tmp_path: Path) -> None:
+    """Over a hundredfold they fall a hundredfold, give or take a few, where a frame holds several steps."""
+    found = swept(write_net(tmp_path, frame_rate=5, duration=4), "--solvers", "dopri5,dop853")
+    for solver in ("dopri5", "dop853"):
+        points = sorted(points_of(found, solver), key=lambda point: -point.finer)
+        assert [point.setting for point in points] == [f"tolerance 1e-{i:02}" for i in range(3, 10)]
+        slope = fit_order(points, POSITIONS, found.floors[POSITIONS].l2)
+        assert slope == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_step_beyond_the_limit_is_a_marked_failure(tmp_path: Path) -> None:
+    """Frames long enough for steps beyond the limit: those diverge, all below the limit do not."""
+    found = swept(write_net(tmp_path, frame_rate=5, duration=60), "--solvers", "symplectic_euler,rk4,leapfrog")
+    beyond = [point for point in found.points if point.beyond]
+    assert {point.solver for point in beyond} == {"symplectic_euler", "rk4", "leapfrog"}
+    assert {point.outcome for point in beyond} <= {"diverged", "ran away"}
+    assert all(point.message and not point.errors and point.seconds for point in beyond)
+    assert all(point.done for point in found.points if not point.beyond)
+    page = precision.write(tmp_path / "page", found)[0].read_text()
+    assert all(point.setting in page and point.message in page for point in beyond)
+
+
+def test_an_oscillator_can_be_predicted_for_the_whole_run(tmp_path: Path) -> None:
+    """No part of a disturbance of a linear system grows beyond the condition of its modes."""
+    problem = problem_of(write_net(tmp_path, duration=20))
+    horizon = find_horizon(problem, reference_of(problem))
+    assert horizon.whole and horizon.t == pytest.approx(20.0)
+    assert horizon.growth < 10.0
+
+
+def test_a_flailing_chain_cannot(tmp_path: Path) -> None:
+    """Masses that swing over the top are chaotic: the disturbance is lost before the end, and not before it grew."""
+    problem = problem_of(write_scene(tmp_path, duration=6, frame_rate=20))
+    reference = reference_of(problem)
+    horizon = find_horizon(problem, reference)
+    assert not horizon.whole
+    assert horizon.distance[0] == pytest.approx(DISTURBANCE, rel=1e-3)
+    assert (horizon.distance[: horizon.frames] <= LOST).all() and horizon.distance[horizon.frames] > LOST
+    scales = find_scales(problem, reference.run.series)
+    floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
+    longer = measure_errors(reference.check.series, reference.run.series, scales, problem.frames + 1)
+    assert floors[POSITIONS].linf < longer[POSITIONS].linf
+
+
+def test_errors_are_the_stated_norms(tmp_path: Path) -> None:
+    problem = problem_of(write_net(tmp_path))
+    run = reference_of(problem).run.series
+    scales = find_scales(problem, run)
+    moved = run.x.copy()
+    moved[1:, 0] += np.array([0.0, 0.0, 3e-3])
+    moved[-1, 1] += np.array([4e-3, 0.0, 0.0])
+    error = measure_errors(type(run)(run.t, moved, run.values, run.parts), run, scales, len(run.t))[POSITIONS]
+    assert problem.size == pytest.approx(0.25)
+    assert error.final * 0.25 == pytest.approx(np.sqrt((3e-3**2 + 4e-3**2) / 2))
+    assert error.linf * 0.25 == pytest.approx(4e-3)
+    assert error.l2 * 0.25 == pytest.approx(np.sqrt((3e-3**2 * 20 + 4e-3**2) / 2 / 20))
+
+
+def test_runs_of_one_problem_do_not_touch_each_other(tmp_path: Path) -> None:
+    """The system is shared; friction anchors and steps are not."""
+    problem = problem_of(write_scene(tmp_path, bodies=BALL, gravity=[0.0, -9.81, 0.0]))
+    plugin = registry.load(GROUP, "symplectic_euler")
+    first = simulate(problem, plugin, plugin.Config(), 40).series
+    other = registry.load(GROUP, "dopri5")
+    simulate(problem, other, other.Config(), 1)
+    again = simulate(problem, plugin, plugin.Config(), 40).series
+    assert again.x.tobytes() == first.x.tobytes()
+
+
+def test_a_scene_with_a_body_is_swept(tmp_path: Path) -> None:
+    path = write_scene(tmp_path, bodies=BALL, duration=0.2)
+    found = swept(path, "--solvers", "symplectic_euler,implicit_euler,dopri5")
+    assert "dop853" in found.how
+    best = {name: min(e for p in points_of(found, name) if (e := p.error("centre")) is not None) for name in
+            ("symplectic_euler", "implicit_euler", "dopri5")}  # fmt: skip
+    assert max(best.values()) < 1e-2 and best["dopri5"] < 1e-4
+
+
+def test_a_reference_that_disagrees_with_itself_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unsure(problem: Problem, *rest: Any) -> Reference:
+        sure = reference_of(problem)
+        coarse = simulate(
+            problem, registry.load(GROUP, "implicit_euler"), registry.load(GROUP, "implicit_euler").Config(), 1
+        )
+        return Reference(sure.run, coarse, "made to disagree", 0.0, sure.twin)  # fmt: skip
+
+    monkeypatch.setattr(precision, "make_reference", unsure)
+    path = write_net(tmp_path)
+    assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", "rk4,dopri5", "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert "nothing is known of them" in said.out and "judges no point" in said.err
+
+
+def test_an_interrupted_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, whole, taken = write_net(tmp_path), precision_run.Runner.measure, list[str]()
+
+    def measure(self: precision_run.Runner, solver: Any, setting: Any, *times: float) -> Point:
+        if len(taken) == 5:
+            raise KeyboardInterrupt
+        taken.append(setting.label)
+        return whole(self, solver, setting, *times)
+
+    monkeypatch.setattr(precision_run.Runner, "measure", measure)
+    with pytest.raises(KeyboardInterrupt):
+        swept(path, "--solvers", "rk4,leapfrog")
+    lines = (tmp_path / "out" / "precision-line.jsonl").read_text().splitlines()
+    assert len(lines) == 6
+    # The last point was being written when the power went.
+    (tmp_path / "out" / "precision-line.jsonl").write_text("\n".join(lines)[:-10])
+    first, taken[:] = [json.loads(line)["seconds"] for line in lines[1:5]], []
+    monkeypatch.setattr(precision_run.Runner, "measure", whole)
+    found = swept(path, "--solvers", "rk4,leapfrog", "--resume")
+    assert [list(point.seconds) for point in found.points[:4]] == first
+    assert len({point.key for point in found.points}) == len(found.points) > 8
+
+
+def test_what_does_not_belong_together_is_not_resumed(tmp_path: Path) -> None:
+    path = write_net(tmp_path)
+    with pytest.raises(BadInput, match="no sweep"):
+        swept(path, "--solvers", "rk4", "--resume")
+    swept(path, "--solvers", "rk4")
+    with pytest.raises(BadInput, match="another sweep"):
+        swept(path, "--solvers", "rk4", "--resume", "--set", "damping=0.2")
+
+
+def test_a_budget_leaves_finer_points_out_by_name(tmp_path: Path, found: Findings) -> None:
+    small = swept(write_net(tmp_path), "--budget", "0.02", "--solvers", "rk4,leapfrog,tr_bdf2")
+    dropped = {(one.solver, one.setting) for one in small.sweep.omitted}
+    kept = {point.key for point in small.points}
+    assert dropped and all("budget" in one.reason for one in small.sweep.omitted)
+    assert dropped.isdisjoint(kept)
+    assert dropped | kept == {p.key for p in found.points if p.solver in ("rk4", "leapfrog", "tr_bdf2")}
+
+
+def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
+    html, table, data = precision.write(tmp_path / "line", found)
+    content = json.loads(data.read_text())
+    assert [Point.from_json(point) for point in content["points"]] == found.points
+    with table.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == sum(max(1, len(point.errors)) for point in found.points)
+    text = html.read_text()
+    assert all(point.setting in text for point in found.points)
+    assert text.count("<svg") == 2 and "http" not in text.replace("http://www.w3.org", "")
+
+
+def point(error: float, solver: str = "rk4", seconds: float = 1.0, beyond: bool = False) -> Point:
+    setting, errors = f"{error:g}", {"drop": Error(0.0, error, 0.0)}
+    return Point(solver, setting, "fixed steps", 4, error, beyond, "done", "", (seconds,), {}, errors)
+
+
+def test_a_judgement_counts_what_the_floor_hides() -> None:
+    points = [point(error) for error in (1e-2, 1e-4, 1e-6)]
+    verdicts = [judge(points, {"drop": Error(0.0, floor, 0.0)})[0].verdict for floor in (1e-8, 1e-5, 1e-2)]
+    assert verdicts == ["judged", "in part", "failed"]
+    assert judge([], {"drop": Error(0.0, 1e-8, 0.0)})[0].verdict == "no point"
+
+
+def test_the_fastest_stable_solver_within_each_accuracy_is_named_once() -> None:
+    points = [point(2e-3, "coarse", 0.1), point(5e-5, "fine", 0.5), point(2e-3, "fine", 0.3)]
+    points += [point(1e-5, "lucky", 0.01, beyond=True)]
+    rows = choice_rows(points, "drop", 1e-6)
+    assert [row[:4] for row in rows] == [["0.01", "coarse", "0.002", "0.1"], ["0.0001", "fine", "5e-05", "0.5"]]
+    assert rows[0][4] == "fine 0.3"
+    # Of what the floor hides nothing is said.
+    assert [row[0] for row in choice_rows(points, "drop", 1e-4)] == ["0.01", "0.001"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--solvers", "leapfrgo"), "leapfrog"),
+        (("--solvers", ","), "empty"),
+        (("--budget", "0"), "more than 0"),
+        (("--budget", "nan"), "more than 0"),
+        (("--repeats", "0"), "one repeat"),
+        (("--observable", "dropp"), "drop"),
+        (("--docs", "nowhere.md"), "no section"),
+    ],
+)
+def test_bad_input_is_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], said: str
+) -> None:
+    path = write_net(tmp_path)
+    assert nuno_main(["bench", "precision", str(path), "--out", str(tmp_path / "out"), *flags]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_in_which_nothing_can_move_is_refused(tmp_path: Path) -> None:
+    path = write_net(tmp_path)
+    arrays = dict(np.load(tmp_path / "line.npz"))
+    np.savez(tmp_path / "line.npz", **(arrays | {"pinned": np.ones(3, bool)}))
+    with pytest.raises(BadInput, match="can move"):
+        problem_of(path)
