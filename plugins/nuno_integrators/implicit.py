@@ -33,12 +33,12 @@ class ImplicitConfig(Config):
     """How far Newton's method goes."""
 
     residual: float = Field(
-        1e-4,
+        1e-3,
         ge=1e-12,
         lt=1,
         description="force that may be missing at a vertex, as a share of the largest single force",
     )
-    most_iterations: int = Field(40, ge=1, le=1000, description="Newton steps before a time step is halved")
+    most_iterations: int = Field(20, ge=1, le=1000, description="Newton steps before a time step is halved")
 
 
 @dataclass

@@ -33,6 +33,9 @@ from nuno_kernels.linear import (
 )
 from nuno_schemas.fabric import Float
 
+LOWEST = 1e300
+"""Below anything that a spring's stiffness can be."""
+
 
 class Linear(NamedTuple):
     """The matrix A and what solving with it needs.
@@ -79,7 +82,7 @@ def make_linear(packed: Packed) -> Linear:
 
 @kernel
 def fill_block(
-    block: int, x: Any, rate: float, inverse_mass: Any, own: Any, inverse: Any,
+    block: int, x: Any, rate: float, floor: float, inverse_mass: Any, own: Any, inverse: Any,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
     to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
 ) -> None:  # fmt: skip
@@ -87,10 +90,10 @@ def fill_block(
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     diagonal = np.zeros((6, high - low + PADDING))
     if runs is not None:
-        fill_spring_runs(block, x, runs, to_runs, rate)
+        fill_spring_runs(block, x, runs, to_runs, rate, floor)
         sum_spring_runs(block, low, to_runs, diagonal)
     if lists is not None:
-        fill_spring_lists(block, x, lists, to_lists, rate)
+        fill_spring_lists(block, x, lists, to_lists, rate, floor)
         sum_spring_lists(block, to_lists, diagonal)
     if hinge_runs is not None:
         fill_hinge_runs(block, x, hinge_runs, to_hinge_runs)
@@ -105,7 +108,8 @@ def fill_block(
 
 @kernel
 def add_outer(out: Any, at: int, across: float, x: float, y: float, z: float) -> None:
-    """Add across I + (x, y, z) (x, y, z)^T to column `at` of (6, w)."""
+    """Add across I + (x, y, z) (x, y, z)^T to column `at` of (6, w), nothing negative of it."""
+    across = max(across, 0.0)
     out[0, at] += across + x * x
     out[1, at] += across + y * y
     out[2, at] += across + z * z
@@ -179,37 +183,41 @@ def invert(own: Any, inverse: Any, v: int, diagonal: Any, at: int) -> None:
 
 @parallel_kernel
 def fill_parallel(
-    x: Any, rate: float, inverse_mass: Any, own: Any, inverse: Any,
+    x: Any, rate: float, floor: float, inverse_mass: Any, own: Any, inverse: Any,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
     to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
 ) -> None:  # fmt: skip
     """All blocks on several threads."""
     for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
         fill_block(
-            block, x, rate, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
+            block, x, rate, floor, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
             to_runs, to_lists, to_hinge_runs, to_hinge_lists,
         )  # fmt: skip
 
 
 @kernel
 def fill_blocks(
-    x: Any, rate: float, inverse_mass: Any, own: Any, inverse: Any,
+    x: Any, rate: float, floor: float, inverse_mass: Any, own: Any, inverse: Any,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
     to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
 ) -> None:  # fmt: skip
     """All blocks on one thread."""
     for block in range((x.shape[1] + BLOCK - 1) // BLOCK):
         fill_block(
-            block, x, rate, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
+            block, x, rate, floor, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
             to_runs, to_lists, to_hinge_runs, to_hinge_lists,
         )  # fmt: skip
 
 
-def fill(x: Float, rate: float, p: Packed, a: Linear) -> None:
-    """Linearise at x (3, n), with dv/dx = `rate` [1/s]; a.own holds D already."""
+def fill(x: Float, rate: float, p: Packed, a: Linear, exact: bool = False) -> None:
+    """Linearise at x (3, n), with dv/dx = `rate` [1/s]; a.own holds D already.
+
+    The matrix is positive unless it is `exact`; its preconditioner is in either case.
+    """
+    floor = -LOWEST if exact else 0.0
     call = fill_blocks if p.threads is None else fill_parallel
     call(
-        x, rate, a.inverse_mass, a.own, a.inverse, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
+        x, rate, floor, a.inverse_mass, a.own, a.inverse, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
         a.runs, a.lists, a.hinge_runs, a.hinge_lists,
     )  # fmt: skip
 
@@ -336,7 +344,7 @@ def iterate(
             sums, turn, z, p, q, inverse_mass, own, runs, lists, hinge_runs, hinge_lists, threads
         )
         if not curvature > 0.0:
-            return iteration
+            return -1 - iteration
         before = rz
         rz = descend(sums, inverse, x, r, z, p, q, rz / curvature, threads)
         turn = rz / before
@@ -346,7 +354,8 @@ def iterate(
 def solve(a: Linear, tolerance: float, most: int, threads: int | None) -> int:
     """a.x = A^-1 a.r until sqrt(r.z) has fallen to `tolerance` of its start; the iterations it took.
 
-    Stops early where rounding has eaten the direction's curvature; a.r holds what is left.
+    Stops early, and says so by -1 - iterations, at a direction without positive curvature: the matrix is
+    not positive, or rounding has eaten it. a.r holds what is left.
     """
     count = iterate(
         tolerance, most, a.sums, a.x, a.r, a.z, a.p, a.q, a.inverse_mass, a.own, a.inverse,

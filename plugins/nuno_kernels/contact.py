@@ -51,6 +51,10 @@ BLOCK = 256
 block costs apart from its vertices then takes a third of the time."""
 
 
+AT_ONCE = 1e300
+"""A rate that nothing reaches, and that times a depth of 0 is 0."""
+
+
 class Contact(NamedTuple):
     """Bodies, their motion over one frame of animation, and the friction of n vertices.
 
@@ -73,6 +77,10 @@ class Contact(NamedTuple):
     """(b, n) c = 2 zeta sqrt(k m) [N s/m]"""
     friction: Float
     """(b,) Coulomb coefficient"""
+    rate: Float
+    """(1,) [1/s] most of the depth that a vertex is taken to have come in over a second: the dashpot's impulse
+    over a step of h is c times the way inside of the body, so that a method whose force is the mean over
+    its step sets 1 / h. A dashpot that acts at once jumps at the surface, where such a step has no end."""
     rotation0: Float
     """(f, 9) rotation matrix by rows at the start of the interval"""
     origin0: Float
@@ -122,7 +130,7 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
             contact.tally[block, 1] += add_body(
                 x, v, low, high, body, contact.kind, contact.frame, contact.stiffness, contact.damping,
                 contact.friction, contact.posed, contact.frames, contact.deepest, contact.anchor,
-                contact.anchor_frame, force,
+                contact.anchor_frame, contact.rate[0], force,
             )  # fmt: skip
 
 
@@ -136,7 +144,7 @@ def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
             touching += commit_body(
                 x, v, low, high, body, contact.kind, contact.frame, contact.stiffness, contact.damping,
                 contact.friction, contact.posed, contact.frames, contact.deepest, contact.anchor,
-                contact.anchor_frame,
+                contact.anchor_frame, contact.rate[0],
             )  # fmt: skip
         else:
             drop_anchors(low, high, body, contact.anchor_frame)
@@ -203,6 +211,7 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         stiffness=floats(stiffness),
         damping=floats(damping),
         friction=floats(g.friction),
+        rate=np.full(1, AT_ONCE),
         rotation0=np.tile(np.eye(3).ravel(), (frames, 1)),
         origin0=np.zeros((frames, 3)),
         spin=np.zeros((frames, 3)),

@@ -88,8 +88,11 @@ def respond(
     frames: Float,
     anchor: Float,
     anchor_frame: Int,
+    rate: float,
 ) -> Response:
     """Contact of vertex i with primitive p, which moves with frame f.
+
+    The dashpot sees an approach of depth times `rate` [1/s] at most: see Contact.rate.
 
     Returns the signed distance [m], N [N], the elongation of the friction spring in the tangent
     plane [m], the normal, the tangential velocity relative to the body [m/s], the on-axis mark.
@@ -101,7 +104,7 @@ def respond(
     uy = v[1, i] - frames[f, 13] - (frames[f, 17] * rx - frames[f, 15] * rz)
     uz = v[2, i] - frames[f, 14] - (frames[f, 15] * ry - frames[f, 16] * rx)
     un = ux * nx + uy * ny + uz * nz
-    normal = max(0.0, -k * distance - c * un)
+    normal = max(0.0, -k * distance - c * max(un, rate * distance))
     ex, ey, ez = 0.0, 0.0, 0.0
     if anchor_frame[body, i] >= 0:
         g = np.uint64(anchor_frame[body, i])
@@ -160,6 +163,7 @@ def add_body(
     deepest: NDArray[np.int64],
     anchor: Float,
     anchor_frame: Int,
+    rate: float,
     force: Float,
 ) -> int:
     """Add one body's force [N] on vertices [low, high); returns how many lay on a capsule's axis."""
@@ -171,7 +175,7 @@ def add_body(
         p = np.uint64(deepest[body, i])
         k, c = stiffness[body, i], damping[body, i]
         _, normal, ex, ey, ez, nx, ny, nz, tx, ty, tz, mark = respond(
-            x, v, i, body, p, kind[p], np.uint64(frame[p]), k, c, posed, frames, anchor, anchor_frame
+            x, v, i, body, p, kind[p], np.uint64(frame[p]), k, c, posed, frames, anchor, anchor_frame, rate
         )
         fx, fy, fz = -k * ex - c * tx, -k * ey - c * ty, -k * ez - c * tz
         size, limit = math.sqrt(fx * fx + fy * fy + fz * fz), mu * normal
@@ -200,6 +204,7 @@ def commit_body(
     deepest: NDArray[np.int64],
     anchor: Float,
     anchor_frame: Int,
+    rate: float,
 ) -> int:
     """Set, drag along or drop the anchors of vertices [low, high); returns how many touch."""
     touching = 0
@@ -213,7 +218,7 @@ def commit_body(
         p = np.uint64(deepest[body, i])
         f, k = np.uint64(frame[p]), stiffness[body, i]
         distance, normal, ex, ey, ez, _, _, _, _, _, _, _ = respond(
-            x, v, i, body, p, kind[p], f, k, damping[body, i], posed, frames, anchor, anchor_frame
+            x, v, i, body, p, kind[p], f, k, damping[body, i], posed, frames, anchor, anchor_frame, rate
         )
         if distance >= 0.0:
             anchor_frame[body, i] = -1

@@ -1,11 +1,11 @@
 """Springs and hinges made linear at a state: the symmetric positive matrix that implicit methods solve with.
 
 A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|): without the
-maximum a compressed spring would be indefinite across its direction (Choi & Ko 2002, ACM Trans.
-Graph. 21, 604-611). Its damping adds c d^ d^T times the rate dv/dx of the method. Both are kept as
-alpha and w, K = alpha I + w w^T. A hinge is kept as g g^T with g = sqrt(k cos(angle - rest)) times
-the gradient of its angle: Gauss and Newton's matrix, which leaves out the moment times the angle's
-second derivative, and nothing beyond a right angle.
+maximum a compressed spring is indefinite across its direction (Choi & Ko 2002, ACM Trans. Graph. 21,
+604-611); that is the `floor` 0, and a lower one leaves the spring's exact derivative. Its damping adds
+c d^ d^T times the rate dv/dx of the method. Both are kept as alpha and w, K = alpha I + w w^T. A hinge is
+kept as g g^T with g = sqrt(k cos(angle - rest)) times the gradient of its angle: Gauss and Newton's
+matrix, which leaves out the moment times the angle's second derivative, and nothing beyond a right angle.
 
 Every block keeps copies of its own for the elements that cross its border, as the forces do.
 """
@@ -57,17 +57,17 @@ class LinearLists(NamedTuple):
 
 
 @kernel
-def spring_rows(dx: Any, dy: Any, dz: Any, k: Any, rest: Any, damping: Any) -> Any:
+def spring_rows(dx: Any, dy: Any, dz: Any, k: Any, rest: Any, damping: Any, floor: float) -> Any:
     """alpha and w of eight springs; `damping` is c times the rate. One of length 0 has w = 0 and alpha = k."""
     square = dx * dx + dy * dy + dz * dz
     inverse = where_not_zero(square, 1.0 / root(square))
-    across = higher(k * (1.0 - rest * inverse), splat(0.0))
+    across = higher(k * (1.0 - rest * inverse), splat(floor))
     size = root(k - across + damping) * inverse
     return across, size * dx, size * dy, size * dz
 
 
 @kernel
-def fill_spring_runs(block: int, x: Any, runs: Any, linear: Any, rate: float) -> None:
+def fill_spring_runs(block: int, x: Any, runs: Any, linear: Any, rate: float, floor: float) -> None:
     """Write the rows of a block's runs at x (3, n)."""
     task, constants, rows = runs.task, runs.constants, linear.rows
     for t in range(runs.start[block], runs.start[block + 1]):
@@ -80,13 +80,13 @@ def fill_spring_runs(block: int, x: Any, runs: Any, linear: Any, rate: float) ->
             k = splat(constants[0, at]) if runs.each is None else read(constants, 0, at + q, m)
             rest = splat(constants[1, at]) if runs.each is None else read(constants, 1, at + q, m)
             c = splat(constants[2, at]) if runs.each is None else read(constants, 2, at + q, m)
-            found = spring_rows(dx, dy, dz, k, rest, rate * c)
+            found = spring_rows(dx, dy, dz, k, rest, rate * c, floor)
             for row in range(SPRING_ROWS):
                 write(rows, row, linear.column[t] + q, m, found[row])
 
 
 @kernel
-def fill_spring_lists(block: int, x: Any, lists: Any, linear: Any, rate: float) -> None:
+def fill_spring_lists(block: int, x: Any, lists: Any, linear: Any, rate: float, floor: float) -> None:
     """Write the rows of a block's listed springs at x (3, n)."""
     ends, constants = lists.ends, lists.constants
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
@@ -94,7 +94,7 @@ def fill_spring_lists(block: int, x: Any, lists: Any, linear: Any, rate: float) 
         dy = gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p)
         dz = gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p)
         k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
-        found = spring_rows(dx, dy, dz, k, rest, rate * c)
+        found = spring_rows(dx, dy, dz, k, rest, rate * c, floor)
         for row in range(SPRING_ROWS):
             store(linear.rows, row, p, found[row])
 

@@ -22,6 +22,10 @@ from nuno_schemas.fabric import Float
 
 FORCING = 0.05
 """Share of the residual that conjugate gradients may leave: tighter buys few Newton steps for many products."""
+SLOW = 0.3
+"""A Newton step that leaves more than this of the residual is followed by one with the exact matrix. Cloth
+that is about to buckle holds compressed springs in balance: without their negative stiffness every step
+goes a tenth of the way. Far from the end the exact matrix is mostly not positive, and not worth trying."""
 SLOPE = 0.5
 """A step is shortened where the residual along it has turned round and is more than this share of what it was."""
 MOST_TRIALS = 6
@@ -103,30 +107,44 @@ def solve_stage(
     `limits` are the residual as a share of the largest single force, and the most Newton steps.
     """
     tolerance, most = limits
+    if packed.contact is not None:
+        packed.contact.rate[0] = 1.0 / g
     np.multiply(st.v, g, out=st.x)
     st.x += xhat
-    worst = _evaluate(st, packed, extra, vhat, g, s)
+    worst, slow = _evaluate(st, packed, extra, vhat, g, s), False
     for _ in range(most):
         allowed = tolerance * largest_force(st, packed) + _rounding(st, g)
         if worst <= allowed:
             return True, worst
         if not np.isfinite(worst):
             return False, worst
-        _linearise(st, packed, extra, g, s)
-        st.linear.r[...] = st.residual
-        st.counts.linear += solve(st.linear, FORCING, 20 * st.mass.shape[0] + 100, packed.threads)
-        st.counts.newton += 1
+        before = worst
+        _solve_linear(st, packed, extra, g, s, slow)
         worst = _search(st, packed, extra, vhat, g, s)
+        slow = worst > SLOW * before
     return False, worst
+
+
+def _solve_linear(st: Stage, packed: Packed, extra: Any, g: float, s: float, exact: bool) -> None:
+    """The Newton step into st.linear.x, by the exact matrix where that is asked for and is positive."""
+    _fill_own(st, packed, extra, g, s)
+    most = 20 * st.mass.shape[0] + 100
+    st.counts.newton += 1
+    for kind in (True, False) if exact else (False,):
+        fill(st.x, 1.0 / g, packed, st.linear, kind)
+        st.linear.r[...] = st.residual
+        done = solve(st.linear, FORCING, most, packed.threads)
+        st.counts.linear += max(done, -1 - done)
+        if done >= 0:
+            return
 
 
 def compile_stage(st: Stage, packed: Packed, extra: Any, x: Float, v: Float) -> None:
     """Compile what `solve_stage` needs, by solving for no force at (x, v)."""
     st.x[...], st.v[...] = x, v
     _evaluate(st, packed, extra, st.v, 1.0, 0.0)
-    _linearise(st, packed, extra, 1.0, 0.0)
-    st.linear.r[...] = 0.0
-    solve(st.linear, FORCING, 1, packed.threads)
+    st.residual[...] = 0.0
+    _solve_linear(st, packed, extra, 1.0, 0.0, False)
     along(st.residual, st.linear.x)
     largest_force(st, packed)
 
@@ -165,14 +183,14 @@ def _search(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: flo
     return worst
 
 
-def _linearise(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None:
+def _fill_own(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None:
+    """What acts on each vertex by itself, and its inertia, into the matrix."""
     own = st.linear.own
     own[:3] = st.mass / (g * g) + (packed.damping / g) * st.mass
     own[3:] = 0.0
     if st.others is not None:
         own[:3] = st.mass / (g * g)
         _add_others(st, st.others._replace(contact=packed.contact), extra, g, s)
-    fill(st.x, 1.0 / g, packed, st.linear)
 
 
 def _add_others(st: Stage, others: Packed, extra: Any, g: float, s: float) -> None:
