@@ -1,0 +1,109 @@
+"""`nuno bench stability SCENE…`: maps over stiffness or mesh and step, energy drift, amplification."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from nuno import registry, scene_file
+from nuno_bench import machine, markdown, plots
+from nuno_bench import stability_page as shown
+from nuno_bench.result import text_table
+from nuno_bench.stability_drift import measure_modes
+from nuno_bench.stability_run import Kept, measure_all, settings_of
+from nuno_schemas.errors import BadInput, nearest
+
+GROUP = "nuno.integrators"
+MODES_SHARE = 0.25
+"""Of the budget that goes to the long runs of a small net."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenes", nargs="+", metavar="SCENE", help="scenes to map: files, or names of shipped ones")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help="change a field of the scenes"
+    )
+    parser.add_argument("--solvers", default="", metavar="A,B", help="solver plugins (default: all installed)")
+    parser.add_argument(
+        "--budget", type=float, default=180.0, metavar="SECONDS", help="wall time for each scene (default: %(default)g)"
+    )
+    parser.add_argument(
+        "--processes", type=int, default=machine.cores(), metavar="N", help="processes of the sweep (default: cores)"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted sweep of the same arguments")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("recordings/bench"),
+        metavar="DIR",
+        help="where page, CSV and JSON go (default: %(default)s)",
+    )
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into this Markdown page's section")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Map each scene, print the counts, write page, CSV and JSON. A run that diverges is a result."""
+    plots.require_matplotlib()
+    solvers = _choose(args)
+    paths: list[Path] = [scene_file.find(name) for name in args.scenes]
+    if args.docs is not None:
+        markdown.check_section(args.docs, "stability")
+    for path in paths:
+        scene_file.read(path, args.overrides)
+    args.out.mkdir(parents=True, exist_ok=True)
+    sections = []
+    for path in paths:
+        sections += _map(args, path, solvers)
+    if args.docs is not None:
+        about = {"command": machine.command(), **machine.describe()}
+        markdown.replace_section(args.docs, "stability", [*sections, markdown.facts(about)])
+        print(f"written {args.docs}")
+    return 0
+
+
+def _choose(args: argparse.Namespace) -> list[str]:
+    """Names of the solvers. Raises BadInput before anything runs."""
+    known = sorted(registry.installed(GROUP))
+    names = [name for name in args.solvers.split(",") if name] or known
+    for name in names:
+        if name not in known:
+            raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, known))
+    if args.budget <= 0.0:
+        raise BadInput("a sweep needs time", field="--budget", value=args.budget, limit="> 0 s")
+    if args.processes < 1:
+        raise BadInput("at least one process is needed", field="--processes", value=args.processes)
+    return names
+
+
+def _map(args: argparse.Namespace, path: Path, solvers: list[str]) -> list[str]:
+    """One scene; parts for the documentation."""
+    others, base = machine.Others(), args.out / f"stability-{path.stem}"
+
+    def told(text: str) -> None:
+        print(f"{path.stem}: {text}", file=sys.stderr)
+
+    settings, omissions = settings_of(path, args.overrides)
+    identity = {"scene": path.read_text(encoding="utf-8"), "overrides": args.overrides, "solvers": solvers}
+    kept = Kept(base.with_name(base.name + ".rows.jsonl"), identity, args.resume)
+    plugins = [registry.load(GROUP, name) for name in solvers]
+    modes = measure_modes(plugins, MODES_SHARE * args.budget, told)
+    sweep = measure_all(settings, solvers, kept, (1.0 - MODES_SHARE) * args.budget, args.processes, told)
+    sweep.omissions[:0] = omissions
+    about = {"command": machine.command(), **machine.describe(), "load": others.describe()}
+    files = shown.write(base, path.stem, sweep, modes, about)
+    kept.path.unlink()
+    print(f"{path.stem}: {shown.summary(sweep)}")
+    print(text_table(shown.COUNTS, shown.counts(sweep.rows)))
+    for text in sweep.omissions:
+        print(f"left out: {text}")
+    for file in files:
+        print(f"written {file}")
+    return [
+        f"### {path.stem}",
+        f"{shown.summary(sweep)}.",
+        markdown.table(shown.COUNTS, shown.counts(sweep.rows)),
+        markdown.table(shown.BEYOND, shown.beyond(sweep.rows)),
+        markdown.table(shown.MODES, shown.modes(*modes)),
+        *(f"Left out: {text}." for text in sweep.omissions),
+    ]

@@ -1,0 +1,235 @@
+"""The stability maps: classes follow from the figures, limits stand where the maps break, sweeps go on."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nuno import registry
+from nuno.cli import main
+from nuno_bench import stability_page, stability_plots
+from nuno_bench.stability_case import Path3, Point, Setting, classify, measure_row, pose, run, stiffen
+from nuno_bench.stability_drift import SHARE, measure_amplification, measure_drift
+from nuno_bench.stability_run import Kept, Row, Sweep, measure_all, mesh_overrides, settings_of, step_counts
+from nuno_schemas.errors import BadInput
+
+SCENE = """\
+nuno: 1
+name: small
+duration: 0.1 s
+frame_rate: 50 Hz
+solver: {plugin: rk4, dt: auto}
+objects:
+  - name: cloth
+    model: {plugin: sheet, resolution: [5, 4], pin: [top-corners], fabric: {structural: 20, shear: 5, density: 0.3}}
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "small.yaml"
+    path.write_text(SCENE)
+    return path
+
+
+def made(offset: float = 0.0, energy: float = 0.0) -> Path3:
+    """A fall of 1 m with 1 J, or one that is `offset` [m] beside it at its end and has `energy` [J] more."""
+    x = np.zeros((3, 1, 3))
+    x[:, 0, 1] = [0.0, -0.25, -1.0]
+    x[2, 0, 0] = offset
+    return Path3(x, np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.0, energy]))
+
+
+@pytest.mark.parametrize(
+    ("offset", "energy", "outcome"),
+    [
+        (0.0009, 0.0, "exact"),
+        (0.0009, 0.9, "exact"),
+        (0.0009, 1.1, "drifting"),
+        (0.0009, -1.1, "damped away"),
+        (0.0011, 0.9, "accurate"),
+        (0.051, -0.06, "damped away"),
+        (0.051, -0.04, "drifting"),
+        (0.6, 0.0, "drifting"),
+        (0.01, 99.0, "drifting"),
+        (0.01, 101.0, "diverged"),
+        (101.0, 0.0, "diverged"),
+        (math.nan, 0.0, "diverged"),
+    ],
+)
+def test_class_follows_from_distance_and_energy(offset: float, energy: float, outcome: str) -> None:
+    assert classify(made(offset, energy), made())[0] == outcome
+
+
+def row_of(scene: Path, solver: str, value: float = 1.0) -> tuple[float, list[Point]]:
+    setting = Setting(str(scene), (), "stiffness", value)
+    posed = pose(setting)
+    tight = registry.load("nuno.integrators", "dop853")
+    reference = run(posed, tight, tight.Config(tolerance=1e-9), 1)[0]
+    assert reference is not None
+    limit = registry.load("nuno.integrators", solver).limit(None, posed.system, posed.start).dt
+    around = sorted({max(1, math.ceil(posed.frame / (limit * share))) for share in (0.25, 0.9, 1.5, 2.0)})
+    return measure_row(posed, setting, solver, around, reference, 1e9, math.inf)
+
+
+@pytest.mark.parametrize("solver", ["leapfrog", "rk4", "symplectic_euler"])
+@pytest.mark.parametrize("value", [300.0, 10_000.0])
+def test_maps_break_at_the_stated_limit(scene: Path, solver: str, value: float) -> None:
+    limit, points = row_of(scene, solver, value)
+    assert len(points) >= 3
+    for point in points:
+        if point.dt > 1.3 * limit:
+            assert point.outcome == "diverged", point
+        elif point.dt <= limit:
+            assert point.outcome != "diverged", point
+    assert points[-1].outcome in ("exact", "accurate")
+
+
+def test_limits_shrink_with_the_root_of_the_stiffness(scene: Path) -> None:
+    soft, stiff = (row_of(scene, "leapfrog", value)[0] for value in (100.0, 10_000.0))
+    assert soft / stiff == pytest.approx(10.0, rel=0.05)
+
+
+def test_stiffer_cloth_keeps_its_share_of_critical_damping(scene: Path) -> None:
+    fabric = pose(Setting(str(scene), (), "mesh", 1.0)).system.fabric
+    assert fabric.springs is not None
+    stiff = stiffen(fabric, 9.0).springs
+    assert stiff is not None
+    np.testing.assert_allclose(stiff.k, 9.0 * fabric.springs.k)
+    np.testing.assert_allclose(stiff.c, 3.0 * fabric.springs.c)
+
+
+def test_implicit_points_are_never_diverged(scene: Path) -> None:
+    setting = Setting(str(scene), (), "stiffness", 1e4)
+    posed = pose(setting)
+    tight = registry.load("nuno.integrators", "dop853")
+    reference = run(posed, tight, tight.Config(tolerance=1e-8), 1)[0]
+    assert reference is not None
+    limit, points = measure_row(posed, setting, "implicit_euler", [1, 8], reference, 1e9, math.inf)
+    assert math.isinf(limit)
+    assert {point.outcome for point in points} <= {"damped away", "accurate", "drifting"}
+
+
+def test_steps_reach_below_the_limit_of_a_hundred_times_the_stiffness() -> None:
+    counts = step_counts(0.02, 1000.0)
+    assert counts[0] == 1
+    assert 0.02 / counts[-1] <= 2.0 / 10_000.0
+    assert [b // a for a, b in itertools.pairwise(counts)] == [2] * (len(counts) - 1)
+
+
+def test_meshes_follow_the_models_own_numbers(scene: Path, tmp_path: Path) -> None:
+    assert mesh_overrides(scene, [], 2.0) == ["objects.0.model.resolution=[9, 7]"]
+    x = {"x": np.zeros((1, 3)), "v": np.zeros((1, 3)), "m": np.ones(1), "pinned": np.zeros(1, bool)}
+    none = {"springs": np.zeros((0, 2), int), "k": np.zeros(0), "rest": np.zeros(0), "c": np.zeros(0)}
+    np.savez(tmp_path / "one.npz", **x, **none)  # type: ignore[arg-type]
+    net = tmp_path / "net.yaml"
+    net.write_text(SCENE[: SCENE.index("objects")] + "objects: [{name: one, model: {plugin: net, file: one.npz}}]\n")
+    settings, omissions = settings_of(net, [])
+    assert {setting.axis for setting in settings} == {"stiffness"}
+    assert omissions == ["the map over mesh sizes: the model net has no resolution"]
+
+
+def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) -> None:
+    settings = [s for s in settings_of(scene, [])[0] if s.value in (1.0, 0.1)]
+    told: list[str] = []
+
+    def sweep(resume: bool, identity: str = "a") -> Sweep:
+        told.clear()
+        kept = Kept(tmp_path / "rows.jsonl", {"of": identity}, resume)
+        return measure_all(settings, ["leapfrog"], kept, 60.0, 1, told.append)
+
+    whole = sweep(False)
+    assert len(told) == 2
+    lines = (tmp_path / "rows.jsonl").read_text().splitlines()
+    (tmp_path / "rows.jsonl").write_text("\n".join(lines[:2]) + "\n" + lines[2][:50])
+    again = sweep(True)
+    assert len(told) == 1, "the row that was whole is not measured again"
+    outcomes = [sorted((r.axis, r.value, p.dt, p.outcome) for r in s.rows for p in r.points) for s in (whole, again)]
+    assert outcomes[0] == outcomes[1]
+    with pytest.raises(BadInput, match="another sweep"):
+        sweep(True, "b")
+
+
+def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> None:
+    settings = settings_of(scene, [])[0][:1]
+    kept = Kept(tmp_path / "rows.jsonl", {}, False)
+    sweep = measure_all(settings, ["leapfrog"], kept, 1e-9, 1, lambda text: None)
+    assert sweep.rows == []
+    assert sweep.omissions == ["stiffness x 1, leapfrog: the budget of time"]
+
+
+@pytest.mark.parametrize("solver", ["leapfrog", "rk4", "implicit_euler", "dopri5"])
+def test_amplification_is_measured_and_is_the_stated_one(solver: str) -> None:
+    found = measure_amplification(registry.load("nuno.integrators", solver))
+    assert found.stated < 1e-9
+    small = found.h < 0.05
+    assert np.abs(found.size[small] - 1.0).max() < 2e-3
+    assert np.abs(found.frequency[small] - 1.0).max() < 2e-3
+    beyond = found.size[found.h > 3.0]
+    assert (beyond > 1.5).all() if solver in ("leapfrog", "rk4") else True
+    assert (beyond < 0.4).all() if solver == "implicit_euler" else True
+
+
+def test_energy_stays_or_leaves_as_the_method_has_it() -> None:
+    """Leapfrog's wavers within h^2 / 4 of the elastic part; rk4 loses h^6 / 72 a step of the fastest mode alone."""
+    runs = {name: measure_drift(registry.load("nuno.integrators", name), 20.0) for name in ("leapfrog", "rk4", "euler")}
+    assert runs["leapfrog"].steps[-1] == 100_000
+    assert np.abs(runs["leapfrog"].change).max() < SHARE**2 / 4.0
+    assert np.abs(runs["leapfrog"].change[-10:].mean() - runs["leapfrog"].change[1:11].mean()) < 0.01
+    assert -1.0 < runs["rk4"].change[-1] < -0.05
+    assert runs["euler"].ended == "diverged"
+
+
+def rows() -> list[Row]:
+    outcomes = ("diverged", "drifting", "exact", "left out")
+    points = [Point("stiffness", 1.0, "rk4", 0.1 / 2**i, outcome, 0.1, 0.1, 0.1) for i, outcome in enumerate(outcomes)]
+    return [Row("stiffness", value, "rk4", 0.1, 0.03, points) for value in (1.0, 10.0)]
+
+
+def test_tables_count_points_on_either_side_of_the_limit() -> None:
+    assert stability_page.counts(rows()) == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
+    assert stability_page.beyond(rows()) == [["rk4", "0 of 2", "2 of 4"]]
+
+
+def test_every_class_has_a_colour_of_its_own_lightness() -> None:
+    def lightness(colour: str) -> float:
+        red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+        return 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2
+
+    known = sorted(lightness(colour) for colour in stability_plots.COLOURS.values())
+    assert np.diff(known).min() > 0.02
+
+
+def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, capsys: Any) -> None:
+    pytest.importorskip("matplotlib")
+    flags = ["--solvers", "leapfrog,tr_bdf2", "--budget", "4", "--processes", "1", "--out", str(tmp_path / "out")]
+    assert main(["bench", "stability", str(scene), *flags]) == 0
+    said = capsys.readouterr().out
+    assert "stiffness  leapfrog" in said
+    data = json.loads((tmp_path / "out" / "stability-small.json").read_text())
+    with (tmp_path / "out" / "stability-small.csv").open() as stream:
+        lines = list(csv.DictReader(stream))
+    assert len(lines) == sum(len(row["points"]) for row in data["rows"])
+    assert {line["solver"] for line in lines} == {"leapfrog", "tr_bdf2"}
+    page = (tmp_path / "out" / "stability-small.html").read_text()
+    assert page.count("<svg") >= 3
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert not (tmp_path / "out" / "stability-small.rows.jsonl").exists()
+
+
+def test_bad_arguments_are_refused_before_anything_runs(scene: Path, tmp_path: Path, capsys: Any) -> None:
+    for flags, word in (
+        (["--solvers", "leapfog"], "leapfrog"),
+        (["--budget", "0"], "budget"),
+        (["nowhere"], "nowhere"),
+    ):
+        assert main(["bench", "stability", str(scene), *flags, "--out", str(tmp_path / "out")]) == 2
+        assert word in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
