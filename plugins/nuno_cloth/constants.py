@@ -99,7 +99,8 @@ class Constants:
     hinge_twist: Float
     bend_warp_k: float
     bend_weft_k: float
-    bend_c: float
+    bend_warp_c: Float
+    bend_weft_c: Float
     border: float
 
 
@@ -133,7 +134,8 @@ def grid_constants(material: Material | HandSet, lattice: Lattice) -> Constants:
         hinge_twist=2 * twist * a * b / (a * a + b * b),
         bend_warp_k=0.0,
         bend_weft_k=0.0,
-        bend_c=0.0,
+        bend_warp_c=np.zeros(max(0, mass.shape[0] - 2)),
+        bend_weft_c=np.zeros_like(mass),
         border=0.5,
     )
 
@@ -162,21 +164,28 @@ def _require_positive(material: Material, lattice: Lattice, warp_k: Float, weft_
 def _by_hand(material: HandSet, lattice: Lattice) -> Constants:
     rows = lattice.width.shape[0]
     cells, vertices = np.ones(rows - 1), np.ones(rows)
+    mass = material.density * lattice.row_area()
+    ratio, between = 2 * material.damping_ratio, mass[1:] * mass[:-1] / (mass[1:] + mass[:-1])
+
+    def damping(k: float, reduced: Float) -> Float:
+        return np.asarray(material.damping + ratio * np.sqrt(k * reduced))
+
     return Constants(
         warp_k=cells * material.structural[0],
         warp_rest=lattice.length,
-        warp_c=cells * material.damping,
+        warp_c=damping(material.structural[0], between),
         weft_k=vertices * material.structural[1],
         weft_rest=lattice.width,
-        weft_c=vertices * material.damping,
+        weft_c=damping(material.structural[1], mass / 2),
         shear_k=cells * material.shear,
         shear_rest=lattice.diagonal(),
-        shear_c=cells * material.damping,
+        shear_c=damping(material.shear, between),
         hinge_warp=vertices * material.hinge,
         hinge_weft=vertices * material.hinge,
         hinge_twist=cells * material.hinge,
         bend_warp_k=material.bending[0],
         bend_weft_k=material.bending[1],
-        bend_c=material.damping,
+        bend_warp_c=damping(material.bending[0], mass[2:] * mass[:-2] / (mass[2:] + mass[:-2])),
+        bend_weft_c=damping(material.bending[1], mass / 2),
         border=1.0,
     )

@@ -127,13 +127,13 @@ def _add_structural(runs: _Runs, grid: Grid, constants: Constants, row: int) -> 
 def _add_bending(runs: _Runs, grid: Grid, constants: Constants, row: int) -> None:
     """The papers' springs between vertices two apart."""
     if constants.bend_weft_k > 0:
-        spring = constants.bend_weft_k, 2 * constants.weft_rest[row], constants.bend_c, BENDING
+        spring = constants.bend_weft_k, 2 * constants.weft_rest[row], constants.bend_weft_c[row], BENDING
         # On a tube of 4 columns the spring (c, c + 2) would be the spring (c + 2, c) again.
         high = grid.cols - 3 if not grid.periodic else (grid.cols - 1 if grid.cols > 4 else 1)
         _add_springs(runs, grid, row, (0, high), (0, 2), spring)
     if constants.bend_warp_k > 0 and row + 2 < grid.rows:
         rest = constants.warp_rest[row] + constants.warp_rest[row + 1]
-        spring = constants.bend_warp_k, rest, constants.bend_c, BENDING
+        spring = constants.bend_warp_k, rest, constants.bend_warp_c[row], BENDING
         _add_springs(runs, grid, row, (0, grid.cols - 1), (2, 0), spring)
 
 

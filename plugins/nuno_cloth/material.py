@@ -83,6 +83,9 @@ class HandSet(Config):
     )
     hinge: Rigidity = Field(default=0.0, description="stiffness of each fold line [N*m]")
     damping: SpringDamping = Field(default=0.0, description="of each spring, along it [N*s/m]")
+    damping_ratio: Ratio = Field(
+        default=0.0, description="damping of each spring as a part of its critical damping, added to `damping`"
+    )
 
 
 def _form(value: object) -> Literal["name", "by hand", "measured"]:

@@ -116,21 +116,29 @@ def build_elements(
     pairs = edges.pairs
     rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
     flat = np.zeros(len(edges.inner))
+    reduced = _reduced(mass, pairs)
     if isinstance(material, Material):
         axes = yarn_axes(x, faces, warp)
         k = spring_stiffness(material, x, faces, edges, *axes)
-        reduced = mass[pairs[:, 0]] * mass[pairs[:, 1]] / (mass[pairs[:, 0]] + mass[pairs[:, 1]])
         springs = Springs.from_pairs(pairs, k, rest, 2 * material.damping_ratio * np.sqrt(k * reduced), STRUCTURAL)
         bending = hinge_stiffness(material, x, edges, face_areas(x, faces), *axes)
         return springs, _hinges(edges, bending, flat)
-    k, c = np.full(len(pairs), material.structural[0]), np.full(len(pairs), material.damping)
+    k, ratio = np.full(len(pairs), material.structural[0]), 2 * material.damping_ratio
+    c = material.damping + ratio * np.sqrt(k * reduced)
     springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)
     if material.bending[0] > 0:
         ends = np.ascontiguousarray(edges.quads[:, 2:])
         span = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
-        across = Springs.from_pairs(ends, flat + material.bending[0], span, flat + material.damping, BENDING)
+        c = material.damping + ratio * np.sqrt(material.bending[0] * _reduced(mass, ends))
+        across = Springs.from_pairs(ends, flat + material.bending[0], span, c, BENDING)
         springs = Springs.join([springs, across])
     return springs, _hinges(edges, flat + material.hinge, flat)
+
+
+def _reduced(mass: Float, pairs: Int) -> Float:
+    """(s,) reduced masses of springs (s, 2) [kg]."""
+    one, other = mass[pairs[:, 0]], mass[pairs[:, 1]]
+    return np.asarray(one * other / (one + other))
 
 
 def _hinges(edges: Edges, k: Float, rest: Float) -> Hinges | None:

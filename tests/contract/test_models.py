@@ -250,3 +250,25 @@ def test_overrides_of_a_preset(files: Folder) -> None:
     fabric = build(Sheet(), {"size": (1, 1), "fabric": {"preset": "denim", "density": "100 g/m^2"}}, files)
     assert fabric.mass.sum() == pytest.approx(0.1)
     assert all(material.source for material in PRESETS.values())
+
+
+BY_HAND = {"density": 0.2, "structural": [30, 50], "shear": 5, "bending": [2, 3], "damping_ratio": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("model", "config"),
+    [(Sheet(), {"resolution": (7, 5)}), (Mesh(), {"file": "sheet.obj"})],
+    ids=["sheet", "mesh"],
+)
+def test_damping_ratio_of_constants_by_hand_is_that_of_every_spring(
+    model: Any, config: dict[str, Any], files: Folder
+) -> None:
+    """c = 2 ratio sqrt(k m) with the reduced mass m of the two ends, inside of the borders."""
+    springs = (fabric := build(model, {**config, "fabric": BY_HAND}, files)).springs
+    assert springs is not None
+    pairs = springs.pairs()
+    one, other = fabric.mass[pairs[:, 0]], fabric.mass[pairs[:, 1]]
+    ratio = springs.per_spring(springs.c) / (2 * np.sqrt(springs.per_spring(springs.k) * one * other / (one + other)))
+    inside = slice(None) if isinstance(model, Mesh) else (one == one.max()) & (other == other.max())
+    np.testing.assert_allclose(ratio[inside], 0.1, rtol=1e-12)
+    assert len(ratio[inside]) > 4
