@@ -24,7 +24,7 @@ from nuno_bench.precision_errors import find_scales, measure_errors
 from nuno_bench.precision_findings import judge
 from nuno_bench.precision_page import Findings, choices, docs_parts, render
 from nuno_bench.precision_point import Kept, Point
-from nuno_bench.precision_run import Runner, run_sweep
+from nuno_bench.precision_run import Runner, run_sweep, start_sweep
 from nuno_bench.reference import GROUP, Reference, make_reference
 from nuno_bench.result import text_table
 from nuno_bench.sweep import choose_solvers
@@ -124,6 +124,8 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     others, told = machine.Others(), _teller(loaded.scene.name)
     problem = make_problem(loaded)
     solvers, omitted = choose_solvers(problem, _names(args.solvers))
+    sweep = start_sweep(problem, solvers, told)
+    sweep.omitted[:0] = omitted
     reference = make_reference(problem, args.budget, told)
     told("predictable time: the disturbed twin")
     horizon = find_horizon(problem, reference)
@@ -133,11 +135,10 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     kept = Kept(path, identity(problem, reference, args.repeats), args.resume)
     runner = Runner(problem, reference, scales, horizon.frames, args.repeats)
     try:
-        sweep = run_sweep(runner, solvers, kept, args.budget, told)
+        run_sweep(sweep, runner, solvers, kept, args.budget, told)
     except KeyboardInterrupt:
         print(f"finished points are kept in {path}; --resume goes on from there", file=sys.stderr)
         raise
-    sweep.omitted[:0] = omitted
     shown = [name for name in _names(args.observable) or OBSERVABLES if name in floors]
     about = {
         "command": machine.command(),

@@ -73,7 +73,9 @@ def render(found: Findings) -> str:
     ]
     panels = [_panel(found, name) for name in found.shown if name in found.floors]
     if panels:
-        figure = page.Figure(error_over_time(found.points, panels, order), "What is observed, over the whole run.")
+        figure = page.Figure(
+            error_over_time(found.points, panels, order), "Beyond the predictable time too. Marks as above."
+        )
         sections.append(("What is observed, over the whole run", [figure]))
     failed = [[p.solver, p.setting, p.outcome, p.message, _time(p)] for p in found.points if not p.done]
     if failed:

@@ -22,11 +22,14 @@ MISJUDGED = 3.0
 
 @dataclass
 class Sweep:
-    """What a sweep has so far; `first_calls` are seconds to compile or load, by solver."""
+    """What a sweep has so far; by solver, `first_calls` are seconds to compile or load, `costs` estimates of a
+    run of work 1 [s].
+    """
 
     points: list[Point] = field(default_factory=list)
     omitted: list[Omission] = field(default_factory=list)
     first_calls: dict[str, float] = field(default_factory=dict)
+    costs: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -79,20 +82,29 @@ class Runner:
         return Point(*what, dict(totals or {}), dict(errors or {}))
 
 
-def run_sweep(runner: Runner, solvers: list[Solver], kept: Kept, budget: float, told: Callable[[str], None]) -> Sweep:
-    """Run the settings of all solvers, level by level.
+def start_sweep(problem: Problem, solvers: list[Solver], told: Callable[[str], None]) -> Sweep:
+    """Call every solver once, which compiles it or loads it; one that refuses the scene is left out.
 
-    A solver ends where the estimate for its next point exceeds what is left of `budget` [s]. What
-    compiles is compiled before the budget begins.
+    To be done before anything else runs, the reference too, or its solvers would seem to need no compiling.
     """
-    sweep, costs = Sweep(), dict[str, float]()
+    sweep = Sweep()
     for solver in solvers:
         told(f"{solver.name}: first call")
         try:
-            sweep.first_calls[solver.name], costs[solver.name] = _first_call(runner.problem, solver)
+            sweep.first_calls[solver.name], sweep.costs[solver.name] = _first_call(problem, solver)
         except BadInput as error:
             sweep.omitted.append(Omission(solver.name, "", error.problem))
-    started = time.perf_counter()
+    return sweep
+
+
+def run_sweep(
+    sweep: Sweep, runner: Runner, solvers: list[Solver], kept: Kept, budget: float, told: Callable[[str], None]
+) -> None:
+    """Run the settings of all solvers that could be started, level by level.
+
+    A solver ends where the estimate for its next point exceeds what is left of `budget` [s].
+    """
+    started, costs = time.perf_counter(), dict(sweep.costs)
     for solver, setting in _levels([solver for solver in solvers if solver.name in costs]):
         point = kept.points.get((solver.name, setting.label))
         if point is None:
@@ -110,7 +122,6 @@ def run_sweep(runner: Runner, solvers: list[Solver], kept: Kept, budget: float, 
         if point.done or point.outcome == "cut":
             costs[solver.name] = point.median / setting.work
         sweep.points.append(point)
-    return sweep
 
 
 def _levels(solvers: list[Solver]) -> Iterator[tuple[Solver, Setting]]:
