@@ -22,8 +22,8 @@ HOW = (
     "places, so that every mode takes part. It is held against an adaptive run at a tight tolerance. It is exact up to "
     f"a distance of {EXACT:g} of how far that run moves, and accurate up to {ACCURATE:g}, unless its energy is off by "
     f"more than that of the motion. Beyond, it is damped away where {LOST:.0%} of that energy is missing, diverged "
-    f"where it is not finite or has gained {RUNAWAY:g} times as much, and drifting otherwise. Refused: the solver itself "
-    "declined, or did not converge. A scene's own run refuses steps above the line."
+    f"where it is not finite or has gained {RUNAWAY:g} times as much, and drifting otherwise. Refused: the solver "
+    "itself declined, or did not converge. A scene's own run refuses steps above the line."
 )
 FIELDS = ("axis", "value", "edge", "solver", "limit", "dt", "outcome", "error", "gained", "seconds", "why")
 AXES = {"stiffness": "stiffness, as a multiple of the scene's", "mesh": "shortest spring [mm]"}
