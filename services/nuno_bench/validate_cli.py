@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from nuno_bench import machine, markdown
+from nuno_bench import machine, markdown, plots
 from nuno_bench import validate as suite
 from nuno_bench import validate_page as shown
 from nuno_bench.laws.base import Case, Outcome
@@ -43,6 +43,8 @@ def main(args: argparse.Namespace) -> int:
 
 def _check_files(args: argparse.Namespace) -> None:
     """Raises BadInput, before anything runs, for what could not be written afterwards."""
+    if args.html is not None:
+        plots.require_matplotlib()
     for flag in ("json", "html"):
         path: Path | None = getattr(args, flag)
         if path is not None and not path.resolve().parent.is_dir():

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from nuno_bench import markdown, page
+import numpy as np
+
+from nuno_bench import markdown, page, plots
 from nuno_bench.laws.base import Case, Outcome
+from nuno_bench.plots import Curve
 from nuno_bench.result import number
 
 WIDTH = 120
@@ -63,9 +66,18 @@ def short(error: float) -> str:
 
 
 def details(outcomes: Sequence[Outcome]) -> list[str]:
-    """A line on each failure and slip."""
-    bad = [o for o in outcomes if o.verdict in ("failed", "slip")]
-    return [f"{o.verdict}: {o.case}, {o.solver}: {_figures(o)}{o.reason}" for o in bad]
+    """A line on each failure, and one on all slips of a solver."""
+    lines = [f"failed: {o.case}, {o.solver}: {_figures(o)}{o.reason}" for o in outcomes if o.verdict == "failed"]
+    return lines + [f"slip: {solver}, {reason}: {'; '.join(names)}" for solver, reason, names in _slips(outcomes)]
+
+
+def _slips(outcomes: Sequence[Outcome]) -> list[tuple[str, str, list[str]]]:
+    """Solver, what it announces, and the cases that it fails for it."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for outcome in outcomes:
+        if outcome.verdict == "slip":
+            found.setdefault((outcome.solver, outcome.reason), []).append(outcome.case)
+    return [(solver, reason, names) for (solver, reason), names in found.items()]
 
 
 def _figures(outcome: Outcome) -> str:
@@ -99,14 +111,15 @@ def matrix(cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Out
 def render(
     cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome], said: str, about: dict[str, str]
 ) -> str:
-    """The page: counts, the table, every figure of every failure, and the laws."""
+    """The page: counts, the table, what failed or was not posed, the laws, every figure."""
     main = page.Table(
         ["case", "allowed", *(name.replace("_", " ") for name in solvers)],
         matrix(cases, solvers, outcomes),
         "Errors; a dash is unsupported.",
     )
     parts: list[page.Part] = [f"{said[0].upper()}{said[1:]}.", main]
-    bad = [[o.case, o.solver, o.verdict, o.reason] for o in outcomes if o.verdict in ("failed", "slip")]
+    bad = [[o.case, o.solver, "failed", _figures(o) + o.reason] for o in outcomes if o.verdict == "failed"]
+    bad += [["; ".join(names), solver, "slip", reason] for solver, reason, names in _slips(outcomes)]
     sections: list[tuple[str, list[page.Part]]] = [("What came out", parts)]
     if bad:
         table = page.Table(("case", "solver", "", "why"), bad, "A slip is announced by the solver itself.", prose=True)
@@ -115,6 +128,7 @@ def render(
     if rows:
         table = page.Table(("solver", "reason", "cases"), rows, "Cases that a solver cannot pose.", prose=True)
         sections.append(("Unsupported", [table]))
+    sections += [(case.name.capitalize(), [part]) for case in cases if (part := convergence(case.name, outcomes))]
     laws = [[case.name, case.law, case.source] for case in cases]
     sections.append(("Laws", [page.Table(("case", "law", "from"), laws, "What is measured.", prose=True)]))
     figures = [
@@ -125,6 +139,20 @@ def render(
     heads = ("case", "solver", "measured", "expected", "error", "allowed", "time [s]")
     sections.append(("Figures", [page.Table(heads, figures, "Every case that was posed.")]))
     return page.render("Laws", LEAD, [*sections, ("Made by", [page.Facts(about)])])
+
+
+def convergence(case: str, outcomes: Sequence[Outcome]) -> page.Figure | None:
+    """Error over step of every solver, for a case that fits an order to them; None for any other."""
+    fitted = [o for o in outcomes if o.case == case and o.found and o.found.series]
+    if not fitted or not case.startswith("order"):
+        return None
+    found = [(o.solver, o.found) for o in fitted if o.found]
+    lines = [
+        Curve(f"{solver}: {f.measured:.2f}", np.log10(f.series["dt"]), np.array(f.series["error"]), i)
+        for i, (solver, f) in enumerate(found)
+    ]
+    text = "Error over step, with the fitted order of each solver."
+    return page.Figure(plots.curves({"error [m, m/s]": lines}, "log10 of the step [s]", ("error [m, m/s]",)), text)
 
 
 def document(
