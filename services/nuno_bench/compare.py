@@ -135,8 +135,11 @@ def _factor(a: float, b: float) -> float:
 
 
 def _apart(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Whether two sets of repeats do not overlap, and their medians differ by more than a tenth."""
-    if not a or not b:
+    """Whether two sets of repeats do not overlap, and their medians differ by more than a tenth.
+
+    Of a time that was taken once the spread is not known, so nothing is said of it.
+    """
+    if min(len(a), len(b)) < 2:
         return False
     overlap = max(a) >= min(b) and max(b) >= min(a)
     return not overlap and _factor(statistics.median(a), statistics.median(b)) > SAME_TIME

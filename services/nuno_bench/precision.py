@@ -22,7 +22,7 @@ from nuno_bench.horizon import DISTURBANCE, find_horizon
 from nuno_bench.observe import OBSERVABLES, Problem, make_problem
 from nuno_bench.precision_errors import find_scales, measure_errors
 from nuno_bench.precision_findings import judge
-from nuno_bench.precision_page import Findings, choices, docs_parts, render
+from nuno_bench.precision_page import Findings, choices, docs_parts, docs_picture, render
 from nuno_bench.precision_point import Kept, Point
 from nuno_bench.precision_run import Runner, run_sweep, start_sweep
 from nuno_bench.reference import GROUP, Reference, make_reference
@@ -50,7 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="change a field of the scene")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("recordings/bench"), metavar="DIR",
                         help="where page, CSV and JSON go (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into this Markdown page's sections")
+    parser.add_argument(
+        "--docs", type=Path, metavar="FILE", help="put tables and a picture into this Markdown page's sections"
+    )
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted sweep, keeping its points")
 
 
@@ -71,7 +73,10 @@ def main(args: argparse.Namespace) -> int:
         for file in write(_base(args, one), found):
             print(f"written {file}")
         if args.docs is not None:
-            markdown.replace_section(args.docs, _section(one), docs_parts(found))
+            picture = args.docs.parent / "pictures" / f"precision-{found.scene}.svg"
+            picture.parent.mkdir(exist_ok=True)
+            picture.write_text(docs_picture(found), encoding="utf-8")
+            markdown.replace_section(args.docs, _section(one), docs_parts(found, f"pictures/{picture.name}"))
             print(f"written {args.docs}")
         if all(judgement.verdict in ("failed", "no point") for judgement in judged):
             print(f"{one.scene.name}: the reference judges no point", file=sys.stderr)

@@ -181,16 +181,39 @@ def _time(point: Point) -> str:
     return number(point.median) if point.seconds else ""
 
 
-def docs_parts(found: Findings) -> list[str]:
-    """What goes into a documentation page's section."""
-    failed = [[p.solver, p.setting, p.outcome, p.message] for p in found.points if not p.done]
+def docs_picture(found: Findings) -> str:
+    """A file of SVG: errors in the leading quantity, on white because pages may be dark."""
+    figure = error_over_time(found.points, [_panel(found, found.leading)], solvers_of(found.points))
+    return figure.replace("<svg ", '<svg style="background: #fff" ', 1)
+
+
+def docs_parts(found: Findings, picture: str) -> list[str]:
+    """What goes into a documentation page's section: the leading quantity, and what is named once a solver.
+
+    `picture` is where the page finds its figure.
+    """
+    name = found.leading
+    floor = found.floors[name].l2
+    failed: dict[str, list[str]] = {}
+    for point in found.points:
+        if not point.done:
+            failed.setdefault(point.solver, [point.solver, point.setting, point.outcome, point.message])
+    said = f"Reference: {found.how}, {floor:.1e} apart in {name}. Predictable: {found.horizon.describe()}."
     parts = [
-        f"Reference: {found.how}. Predictable: {found.horizon.describe()}.",
-        markdown.table(*choices(found)),
+        said,
+        f"![Error in {name} over wall time]({picture})",
+        markdown.table((f"error in {name} at most", *CHOICE_HEADINGS[1:]), choice_rows(found.points, name, floor)),
         markdown.table(ORDER_HEADINGS, orders_of(found)),
     ]
     if failed:
-        parts.append(markdown.table(("not done", "setting", "outcome", "why"), failed))
+        parts.append(markdown.table(("first failure", "setting", "outcome", "why"), list(failed.values())))
     if found.sweep.omitted:
-        parts.append(markdown.table(("left out", "settings", "why"), left_out(found)))
+        parts.append(markdown.table(("left out", "settings", "why"), [_shortened(row) for row in left_out(found)]))
     return [*parts, markdown.facts(found.about)]
+
+
+def _shortened(row: list[str]) -> list[str]:
+    """A line of what was left out, its finer settings counted."""
+    solver, settings, why = row
+    first, *finer = settings.split("; ")
+    return [solver, f"{first} and {len(finer)} finer" if finer else first, why]

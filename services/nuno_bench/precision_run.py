@@ -16,6 +16,8 @@ from nuno_schemas.errors import BadInput
 FIRST_STEPS = 20
 """Steps by which the cost of a solver with fixed steps is estimated before its first point."""
 
+SHORT, MORE = 0.05, 5
+"""Runs shorter than SHORT [s] are repeated up to MORE times as often, as far as they fit into it."""
 MISJUDGED = 3.0
 """A run is cut where it takes this multiple of its estimate and more than its solver's even share of the budget."""
 
@@ -43,7 +45,10 @@ class Runner:
     repeats: int
 
     def measure(self, solver: Solver, setting: Setting, left: float, most_seconds: float) -> Point:
-        """Run one setting, at most so long; repeats end early where `left` seconds do not allow another."""
+        """Run one setting, at most so long; repeats end early where `left` seconds do not allow another.
+
+        A run of milliseconds is repeated more often, since whatever else the machine does disturbs it more.
+        """
         try:
             config = solver.config(setting)
             run = simulate(self.problem, solver.plugin, config, setting.steps, most_seconds=most_seconds)
@@ -52,7 +57,8 @@ class Runner:
             return self._point(solver, setting, "refused", message)
         outcome, message = self._judge(run)
         seconds = [run.seconds]
-        while outcome == DONE and len(seconds) < self.repeats and sum(seconds) + seconds[-1] <= left:
+        wanted = self.repeats * max(1, min(MORE, int(SHORT / max(run.seconds, 1e-9))))
+        while outcome == DONE and len(seconds) < wanted and sum(seconds) + seconds[-1] <= left:
             seconds.append(simulate(self.problem, solver.plugin, config, setting.steps).seconds)
         errors = {}
         if outcome == DONE:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from nuno import build, registry
 from nuno_bench.observe import Problem
 from nuno_bench.reference import GROUP
+from nuno_bench.result import number
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import StepLimit
 
@@ -156,7 +157,8 @@ def _steps(problem: Problem, limit: StepLimit) -> list[Setting]:
         found = sorted({*found, *FEW})
     settings = []
     beyond = max(BEYOND * limit.dt, _oscillation(limit))
-    if math.isfinite(beyond) and frame / beyond >= 1.0:
+    # Where no step at all is stable, all of them are beyond the limit already.
+    if limit.dt > 0.0 and math.isfinite(beyond) and frame / beyond >= 1.0:
         steps = math.floor(frame / beyond)
         settings.append(_fixed(frame, steps, limit.dt, steps / found[0], True))
     return settings + [_fixed(frame, n, limit.dt, n / found[0], limit.dt == 0.0) for n in found]
@@ -174,7 +176,7 @@ def _count(steps: float) -> int:
 
 
 def _fixed(frame: float, steps: int, limit: float, work: float, beyond: bool) -> Setting:
-    share = f", {frame / steps / limit:.2g} of limit" if 0.0 < limit < math.inf else ""
+    share = f", {number(frame / steps / limit)} of limit" if 0.0 < limit < math.inf else ""
     return Setting(_length(frame / steps) + share, steps, {}, frame / steps, work, beyond)
 
 

@@ -137,7 +137,13 @@ def test_the_floor_is_below_every_error_and_all_are_judged(found: Findings) -> N
 def test_every_installed_solver_is_run_or_named(found: Findings) -> None:
     run = {point.solver for point in found.points}
     assert run | {one.solver for one in found.sweep.omitted} == set(registry.installed(GROUP))
+    assert len({point.key for point in found.points}) == len(found.points)
     assert "slips" in next(one.reason for one in found.sweep.omitted if one.solver == "rk4_printed")
+
+
+def test_short_runs_are_repeated_more_often(found: Findings) -> None:
+    repeats = {len(point.seconds) for point in found.points if point.done and max(point.seconds) < 0.005}
+    assert repeats == {precision_run.MORE}
 
 
 def test_adaptive_errors_follow_the_tolerance(tmp_path: Path) -> None:
