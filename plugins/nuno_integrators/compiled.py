@@ -16,8 +16,6 @@ from pydantic import BaseModel
 from nuno_integrators.profile import profile_steps
 from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed
-from nuno_kernels.bindings import set_binding_poses
-from nuno_kernels.contact import count_contacts, set_poses
 from nuno_kernels.energy import measure_energy
 from nuno_kernels.packing import pack, python_terms, silence_bodies, thread_count, to_rows
 from nuno_kernels.stability import measure_rates, stable_step
@@ -150,8 +148,12 @@ def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
     if poses is None:
         return silence_bodies(packed)
     if packed.contact is not None:
+        from nuno_kernels.contact import set_poses
+
         set_poses(packed.contact, *poses)
     if packed.bindings is not None:
+        from nuno_kernels.bindings import set_binding_poses
+
         set_binding_poses(packed.bindings, *poses)
     return packed
 
@@ -177,6 +179,8 @@ def _report(system: System, work: Work, packed: Packed, told: Told, seconds: flo
     )
     counts = {"zero_length_springs": int(energy.zero_length)}
     if packed.contact is not None:
+        from nuno_kernels.contact import count_contacts
+
         counts |= count_contacts(packed.contact)
     finite = np.isfinite(work.x).all(axis=0) & np.isfinite(work.v).all(axis=0)
     status: Literal["ok", "diverged", "unconverged"] = "unconverged" if told.problem else "ok"

@@ -159,10 +159,12 @@ class TRBDF2(Implicit):
         ok, residual = solve_stage(st, packed, extra, xhat, vhat, g, (start + GAMMA * h) / span, work.limits)
         if not ok:
             return ok, residual
-        near, far = 1.0 / (GAMMA * (2.0 - GAMMA)), (1.0 - GAMMA) ** 2 / (GAMMA * (2.0 - GAMMA))
+        # near * middle - (near - 1) * old, written so that what stands still does so to the last bit.
+        near = 1.0 / (GAMMA * (2.0 - GAMMA))
         for hat, middle, old in ((xhat, st.x, work.x), (vhat, st.v, work.v)):
-            np.multiply(middle, near, out=hat)
-            hat -= far * old
+            np.subtract(middle, old, out=hat)
+            hat *= near
+            hat += old
         return solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, work.limits)
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
@@ -170,6 +172,6 @@ class TRBDF2(Implicit):
         rate, one, g = np.array([[0.0, 1.0], [-omega * omega, -damping]]), np.eye(2), 0.5 * GAMMA * dt
         inverse = np.linalg.inv(one - g * rate)
         middle = inverse @ (one + g * rate)
-        near, far = 1.0 / (GAMMA * (2.0 - GAMMA)), (1.0 - GAMMA) ** 2 / (GAMMA * (2.0 - GAMMA))
-        result: Float = inverse @ (near * middle - far * one)
+        near = 1.0 / (GAMMA * (2.0 - GAMMA))
+        result: Float = inverse @ (near * middle - (near - 1.0) * one)
         return result

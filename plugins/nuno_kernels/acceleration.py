@@ -6,34 +6,40 @@ calls: the same source runs compiled, and in plain Python where a force is writt
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel, shared_source
-from nuno_kernels.bindings import Bindings, place_bound
 from nuno_kernels.blocks import BLOCK, PADDING
-from nuno_kernels.contact import (
-    Contact,
-    add_contact,
-    add_contact_parallel,
-    commit_contact,
-    commit_contact_parallel,
-)
 from nuno_kernels.hinges import HingeLists, HingeRuns, add_hinge_lists, add_hinge_runs
 from nuno_kernels.simd import WIDTH, load, write
 from nuno_kernels.springs import SpringLists, SpringRuns, add_lists, add_runs
-from nuno_kernels.wind import (
-    Air,
-    ParticleWind,
-    WindLists,
-    WindRuns,
-    add_particle_wind,
-    add_wind_lists,
-    add_wind_runs,
-)
 from nuno_schemas.fabric import Float
+
+if TYPE_CHECKING:
+    from nuno_kernels.bindings import Bindings
+    from nuno_kernels.contact import Contact
+    from nuno_kernels.wind import Air, ParticleWind, WindLists, WindRuns
+
+# Kernels of terms that not every scene has. Their modules put them here, and are loaded only where a term
+# brings them in: without it numba prunes the branches that name them.
+place_bound: Any = None
+add_contact: Any = None
+add_contact_parallel: Any = None
+commit_contact: Any = None
+commit_contact_parallel: Any = None
+add_particle_wind: Any = None
+add_wind_lists: Any = None
+add_wind_runs: Any = None
+
+
+def provide(**kernels: Any) -> None:
+    """Make kernels known by the names that stand above."""
+    unknown = kernels.keys() - globals().keys()
+    assert not unknown, f"no place for {', '.join(sorted(unknown))}"
+    globals().update(kernels)
 
 
 class Packed(NamedTuple):

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
+from nuno_kernels.acceleration import provide
 from nuno_kernels.blocks import Long
 from nuno_kernels.contact_poses import pose_frame, write_interval
 from nuno_schemas.bodies import Poses
@@ -50,6 +51,9 @@ def place_bound(x: Any, v: Any, s: float, bindings: Any) -> None:
         v[0, p] = m[12] + (m[16] * rz - m[17] * ry)
         v[1, p] = m[13] + (m[17] * rx - m[15] * rz)
         v[2, p] = m[14] + (m[15] * ry - m[16] * rx)
+
+
+provide(place_bound=place_bound)
 
 
 def make_bindings(vertices: Int, local: Float, frame: Int) -> Bindings:

@@ -35,6 +35,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.acceleration import provide
 from nuno_kernels.contact_distance import find_bounds
 from nuno_kernels.contact_poses import pose_bodies, set_poses
 from nuno_kernels.contact_response import add_body, commit_body, drop_anchors, find_deepest
@@ -184,6 +185,14 @@ def commit_contact_parallel(x: Float, v: Float, s: float, contact: Contact) -> N
     pose_bodies(s, contact)
     for block in prange(contact.bounds.shape[0]):
         commit_block(block, x, v, contact)
+
+
+provide(
+    add_contact=add_contact,
+    add_contact_parallel=add_contact_parallel,
+    commit_contact=commit_contact,
+    commit_contact_parallel=commit_contact_parallel,
+)
 
 
 def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contact:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed
-from nuno_kernels.bindings import Bindings, make_bindings
-from nuno_kernels.contact import Contact
 from nuno_kernels.hinges import pack_hinges
 from nuno_kernels.springs import pack_springs
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import System
+
+if TYPE_CHECKING:
+    from nuno_kernels.bindings import Bindings
 
 PARALLEL_FROM = 16384
 """Fewest vertices that run on several threads. Measured on two cores, springs only, million
@@ -81,11 +82,11 @@ def silence(packed: Packed, part: str) -> Packed:
     Being of the same types, it runs the kernels that are compiled already.
     """
     held = {name: getattr(packed, name) for name in PARTS[part]}
-    return packed._replace(**{name: _silent(data) for name, data in held.items() if data is not None})
+    return packed._replace(**{name: _silent(part, data) for name, data in held.items() if data is not None})
 
 
-def _silent(data: Any) -> Any:
-    if isinstance(data, Contact):
+def _silent(part: str, data: Any) -> Any:
+    if part == "contact":
         return data._replace(
             bounds=data.bounds[:0], frames=data.frames[:0], posed=data.posed[:0], posed_at=np.full(1, np.nan)
         )
@@ -111,6 +112,8 @@ def _find_bindings(system: System) -> Bindings | None:
     parts = [term.data for term in system.terms if term.kind == "bindings"]
     if not parts:
         return None
+    from nuno_kernels.bindings import make_bindings
+
     vertices, local, frame = (np.concatenate([np.asarray(part[c]) for part in parts]) for c in range(3))  # type: ignore[index]
     return make_bindings(vertices, local, frame) if vertices.size else None
 

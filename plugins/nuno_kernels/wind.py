@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
+from nuno_kernels.acceleration import provide
 from nuno_kernels.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
 from nuno_kernels.hinges import cross, dot, listed_corner, minus, run_corner
 from nuno_kernels.simd import WIDTH, add_at, load, magnitude, read, root, splat, store, write
@@ -175,6 +176,9 @@ def add_particle_wind(particle_wind: Any, force: Any) -> None:
     for axis in range(3):
         for vertex in range(force.shape[1]):
             force[axis, vertex] += particle_wind.force[axis]
+
+
+provide(add_particle_wind=add_particle_wind, add_wind_lists=add_wind_lists, add_wind_runs=add_wind_runs)
 
 
 def prepare_wind(faces: Int, vertices: int, velocity: Float, density: float, normal: float, tangential: float) -> Wind:
