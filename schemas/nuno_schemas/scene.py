@@ -126,6 +126,11 @@ class Scene(Part):
     name: Name = Field(description="of the scene, and of its recordings")
     description: str = Field(default="", description="what it shows, in a sentence")
     duration: Duration = Field(description="simulated time [s]")
+    until: Literal["duration", "rest"] = Field(
+        "duration",
+        description="rest: end before `duration` where the cloth has come to rest, no vertex faster than a thousandth "
+        "of the cloth's size a second for a tenth of a second",
+    )
     frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")
     solver: Solver = Field(description="the integrator, a plugin with its fields, and its step")
     allow_unstable: bool = Field(default=False, description="accept a step above the stability limit")

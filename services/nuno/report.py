@@ -47,6 +47,8 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "dt_limit": (summary.get("limit") or {}).get("dt"),
         "omega": (summary.get("limit") or {}).get("omega"),
         "steps_per_frame": summary.get("steps_per_frame"),
+        "idle": summary.get("idle", 0),
+        "rested": summary.get("rested", False),
         "size": {name: summary.get(name, 0) for name in ("vertices", "springs", "hinges")},
         "threads": summary.get("threads", ""),
         "energy": summary.get("energy", []),
@@ -85,7 +87,7 @@ def show_report(report: Report, out: TextIO) -> None:
 
 def lines(report: Report) -> list[tuple[str, str]]:
     """The report as (heading, text) rows."""
-    rows = [("run", f"{report['run']}: {report['state']}")]
+    rows = [("run", f"{report['run']}: {report['state']}{', at rest' if report['rested'] else ''}")]
     sizes = ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall, factor = report["simulated_seconds"], report["wall_seconds"], report["real_time_factor"]
@@ -99,6 +101,8 @@ def lines(report: Report) -> list[tuple[str, str]]:
         rows.append(("steps", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in inside.items())))
     rows.append(("parts", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in parts.items())))
     rows.append(("step", _step(report)))
+    if report["idle"]:
+        rows.append(("idle", f"{report['idle']:,} frames in which nothing would have changed were not stepped"))
     work = {name: n for name, n in report["totals"].items() if name != "steps"}
     if work:
         rows.append(("solver", ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in work.items())))

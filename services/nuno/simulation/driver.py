@@ -127,7 +127,7 @@ class Driver:
         self.publish_fabric()
         measured = simulation.measure(self.poses)
         self.publish(Frame(simulation.frame, measured, 0.0, simulation.digest()), "running")
-        while simulation.frame < self.scene.frames:
+        while not simulation.finished:
             self.listen(0)
             self.stand_still()
             if self.finish is not None:
@@ -270,6 +270,8 @@ class Driver:
             "seconds": self.seconds,
             "step_seconds": parts,
             "steps_per_frame": simulation.steps,
+            "idle": simulation.idle,
+            "rested": ended == "done" and simulation.frame < self.scene.frames,
             "dt": simulation.dt,
             "limit": {"dt": limit.dt, "omega": limit.omega, "damping": limit.damping},
             "energy": self.energy,

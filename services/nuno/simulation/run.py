@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,10 @@ from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Memory, State
 from nuno_schemas.plugin import StepLimit, StepReport, System
+
+REST_SPEED, REST_TIME = 1e-3, 0.1
+"""Cloth rests when no vertex has been faster than this share of the cloth's size a second for this long [s]:
+longer than a swing stands still where it turns."""
 
 SETTABLE = ("gravity", "damping", "forces")
 """Fields that `set` may change while a run goes on."""
@@ -42,6 +46,11 @@ class Simulation:
         self.start_poses = poses
         self.state: State = build.start_state(self.fabric)
         self.frame = 0
+        self.idle = 0
+        """Frames that were not stepped, since nothing would have changed."""
+        self._still = False
+        self._report = StepReport("ok", 0)
+        self._size = float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) if self.fabric.number else 0.0
         self.system: System
         self.memory: Memory
         self.limit: StepLimit
@@ -50,12 +59,16 @@ class Simulation:
     def _prepare(self, arrays: dict[str, NDArray[Any]]) -> None:
         """(Re)build what follows from the scene; `arrays` is memory to keep."""
         integrator = self.loaded.integrator
+        self._still = False
         bodies = (self.geometry, self.start_poses)
         self.system = build.build_system(self.loaded, self.fabric, self.pieces, *bodies, self.threads)
         # The limit comes before the solver's memory: both at once would be a run's peak.
         self.limit = self._find_limit()
         self.steps, self.dt = build.choose_step(self.loaded, self.limit.dt)
         self.memory = integrator.plugin.prepare(integrator.config, self.system, self.state)
+        # A run that goes on from a checkpoint must come to rest in the same frame.
+        self.slow_frames = np.zeros(1, np.int64)
+        self.memory.arrays["slow_frames"] = self.slow_frames
         self._restore(arrays)
 
     def _find_limit(self) -> StepLimit:
@@ -94,11 +107,39 @@ class Simulation:
         """Simulate one frame between two sets of poses."""
         begin = time.perf_counter()
         poses = (start, end) if start is not None and end is not None else None
+        unmoved = poses is None or _same(*poses)
         self.state.t = self.t
-        report = self.loaded.integrator.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
+        if self._still and unmoved:
+            report = replace(self._report, steps=0, totals={}, seconds={})
+            self.idle += 1
+        else:
+            before = self._content() if unmoved else ""
+            plugin = self.loaded.integrator.plugin
+            report = plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
+            # A frame that changes nothing is followed by frames that change nothing.
+            timeless = all(term.kind != "python" for term in self.system.terms)
+            self._still = unmoved and timeless and report.status == "ok" and before == self._content()
+            self._report = report
         self.frame += 1
         self.state.t = self.t
+        slow = self._size > 0.0 and float(np.abs(self.state.v).max(initial=0.0)) <= REST_SPEED * self._size
+        self.slow_frames[0] = self.slow_frames[0] + 1 if slow else 0
         return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
+
+    @property
+    def finished(self) -> bool:
+        """Whether the scene's last frame is done, or its cloth rests and that is its end."""
+        scene = self.loaded.scene
+        rests = scene.until == "rest" and self.slow_frames[0] >= REST_TIME * scene.frame_rate
+        return bool(rests) or self.frame >= scene.frames
+
+    def _content(self) -> str:
+        """Hash of all that the next frame follows from."""
+        hasher = hashlib.blake2b(digest_size=16)
+        kept = (array for array in self.memory.arrays.values() if array is not self.slow_frames)
+        for array in (self.state.x, self.state.v, *kept):
+            hasher.update(np.ascontiguousarray(array).data)
+        return hasher.hexdigest()
 
     def about(self) -> str:
         """How the solver's kernels run, in words."""
@@ -173,6 +214,11 @@ class Simulation:
         finally:
             # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
             self.steps, self.dt = step
+
+
+def _same(start: Poses, end: Poses) -> bool:
+    """Whether bodies stand still."""
+    return np.array_equal(start.rotation, end.rotation) and np.array_equal(start.translation, end.translation)
 
 
 def _copied(data: Any) -> Any:

@@ -1,0 +1,111 @@
+"""What need not be done is not: frames without change, and what comes after rest."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nuno import scene_file
+from nuno.simulation.run import REST_SPEED, Simulation
+from nuno_schemas.bodies import Poses
+
+SOLVERS = sorted(point.name for point in entry_points(group="nuno.integrators"))
+
+
+def net(folder: Path, x: Any, pairs: Any, rest: Any, c: float = 0.0, k: float = 40.0) -> None:
+    x, pairs = np.asarray(x, float), np.asarray(pairs)
+    n, s = len(x), len(pairs)
+    pinned = np.arange(n) == 0
+    np.savez(
+        folder / "net.npz", x=x, v=np.zeros((n, 3)), m=np.ones(n), pinned=pinned, springs=pairs,
+        k=np.full(s, k), rest=np.asarray(rest, float), c=np.full(s, c),
+    )  # fmt: skip
+
+
+def simulation(folder: Path, *overrides: str) -> Simulation:
+    path = folder / "scene.yaml"
+    path.write_text(
+        "nuno: 1\nname: rest\nduration: 20 s\nsolver: {plugin: symplectic_euler, dt: auto}\n"
+        "objects: [{name: cloth, model: {plugin: net, file: net.npz}}]\n"
+    )
+    return Simulation(scene_file.read(path, overrides), None, None, 1)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_net_at_rest_without_gravity_is_stepped_once(tmp_path: Path, solver: str) -> None:
+    net(tmp_path, [[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 1], [1, 2]], [1, 1])
+    run = simulation(
+        tmp_path,
+        "gravity=[0,0,0]",
+        f"solver.plugin={solver}",
+        "frame_rate=50 Hz",
+        "solver.dt=2 ms",
+        "allow_unstable=true",
+    )
+    start = run.state.x.tobytes(), run.state.v.tobytes()
+    reports = [run.advance(None, None).report for _ in range(30)]
+    assert (run.state.x.tobytes(), run.state.v.tobytes()) == start
+    # An adaptive method's first frame sets the step of the second.
+    assert run.idle >= 28
+    assert sum(report.steps for report in reports[2:]) == 0
+
+
+def test_what_moves_is_never_idle_and_a_change_wakes_it(tmp_path: Path) -> None:
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1])
+    moving = simulation(tmp_path)
+    for _ in range(30):
+        moving.advance(None, None)
+    assert moving.idle == 0
+    still = simulation(tmp_path, "gravity=[0,0,0]")
+    for _ in range(3):
+        still.advance(None, None)
+    assert still.idle == 2
+    still.set("gravity=[0, -1, 0]")
+    still.advance(None, None)
+    assert still.state.v[1, 1] < 0.0
+
+
+def test_bodies_that_move_keep_it_awake(tmp_path: Path) -> None:
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1])
+    run = simulation(tmp_path, "gravity=[0,0,0]")
+    one = np.array([[1.0, 0.0, 0.0, 0.0]])
+    for frame in range(3):
+        run.advance(*(Poses(t, one, np.array([[0.1 * t, 0.0, 0.0]])) for t in (frame / 60, (frame + 1) / 60)))
+    assert run.idle == 0
+
+
+def finish(run: Simulation) -> None:
+    while not run.finished:
+        run.advance(None, None)
+
+
+def test_a_damped_pendulum_ends_at_rest_and_not_where_it_turns(tmp_path: Path) -> None:
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1], k=4000.0)
+    run = simulation(tmp_path, "until=rest", "damping=1.5")
+    finish(run)
+    assert 3.0 < run.t < 20.0
+    assert np.abs(run.state.v).max() <= REST_SPEED
+    # At rest it hangs below its pin, stretched by m g / k; the law of its decay leaves what the speed leaves.
+    np.testing.assert_allclose(run.state.x[1], [0.0, -1.0 - 9.81 / 4000.0, 0.0], atol=2e-3)
+    free = simulation(tmp_path, "until=rest", "duration=5 s")
+    finish(free)
+    assert free.t == 5.0, "an undamped pendulum stands still only where it turns"
+
+
+def test_a_resumed_run_comes_to_rest_in_the_same_frame(tmp_path: Path) -> None:
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1], k=4000.0)
+    whole = simulation(tmp_path, "until=rest", "damping=1.5")
+    finish(whole)
+    first = simulation(tmp_path, "until=rest", "damping=1.5")
+    while first.frame < whole.frame - 2:
+        first.advance(None, None)
+    assert not first.finished
+    again = simulation(tmp_path, "until=rest", "damping=1.5")
+    again.resume(first.frame, first.state.x, first.state.v, dict(first.memory.arrays))
+    finish(again)
+    assert again.frame == whole.frame
+    assert again.digest() == whole.digest()
