@@ -6,8 +6,7 @@ import json
 import time
 from collections.abc import Callable
 
-from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.collision.service import GEOMETRY_QUESTION, POSES_QUESTION
+from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.service import Context
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import RunFailed

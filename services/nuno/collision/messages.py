@@ -7,6 +7,9 @@ import numpy as np
 from nuno.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno_schemas.bodies import Geometry, Poses
 
+GEOMETRY_QUESTION = "collision/ask/geometry"
+POSES_QUESTION = "collision/ask/poses"
+
 _ARRAYS = ("kind", "frame", "body", "a", "b", "radius", "stiffness", "damping", "friction")
 
 

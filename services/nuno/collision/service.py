@@ -10,13 +10,11 @@ from nuno.arrays import BadMessage, decode_points
 from nuno.build import Bodies, build_bodies
 from nuno.bus import Inbox, Message, Question
 from nuno.collision.distance import penetration
-from nuno.collision.messages import encode_geometry, encode_poses
+from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, encode_geometry, encode_poses
 from nuno.service import Context, ack_topic, each_message
 from nuno_schemas.bodies import Poses
 from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Header, Penetration
 
-GEOMETRY_QUESTION = "collision/ask/geometry"
-POSES_QUESTION = "collision/ask/poses"
 KEPT = 16
 """Frames whose poses are kept: more than the simulation runs ahead."""
 
