@@ -106,8 +106,8 @@ def _legend(figure: Any, plt: Any) -> None:
 
 def amplifications(found: Sequence[Amplification]) -> str:
     """Growth of a step and frequency over omega dt; both are 1 for the exact solution."""
-    sizes = [Curve(a.solver, np.log10(a.h), np.clip(a.size, 0.0, 2.0), i) for i, a in enumerate(found)]
-    waves = [Curve(a.solver, np.log10(a.h), a.frequency, i) for i, a in enumerate(found)]
+    sizes = [Curve(a.solver, np.log10(a.h), np.clip(a.size, 0.0, 2.0), i, i % 2 == 1) for i, a in enumerate(found)]
+    waves = [Curve(a.solver, np.log10(a.h), a.frequency, i, i % 2 == 1) for i, a in enumerate(found)]
     return plots.curves(
         {"growth of a step (exact: 1)": sizes, "frequency over the exact one": waves}, "log10 of omega dt"
     )
@@ -118,6 +118,6 @@ def drifts(found: Sequence[Drift]) -> str:
     series = []
     for i, drift in enumerate(found):
         size = np.clip(np.abs(drift.change[1:]), 1e-17, 1e3)
-        series.append(Curve(drift.solver, drift.steps[1:] / 1000, size, i, ended=drift.ended))
+        series.append(Curve(drift.solver, drift.steps[1:] / 1000, size, i, i % 2 == 1, drift.ended))
     name = "energy off its start, as a share"
     return plots.curves({name: series}, "thousand steps", (name,))

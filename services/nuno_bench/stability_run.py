@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import multiprocessing
@@ -13,7 +14,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from nuno import scene_file
+import numpy as np
+
+from nuno import registry, scene_file
 from nuno_bench.stability_case import Point, Setting, make_reference, measure_row, pose, reference_plugin
 from nuno_schemas.errors import BadInput
 
@@ -127,7 +130,11 @@ def measure_all(
     told: Callable[[str], None],
 ) -> Sweep:
     """All rows, by `workers` processes, or here where there is one."""
-    sweep, deadline = Sweep(), time.time() + budget
+    sweep = Sweep()
+    if any(not kept.holds(setting, name) for setting in settings for name in solvers):
+        told("compiling, where that has not been done")
+        compile_all(settings[0], solvers)
+    deadline = time.time() + budget
     wanted = {s: [name for name in solvers if not kept.holds(s, name)] for s in settings}
     most = 0.5 * workers * budget / max(1, sum(map(len, wanted.values())))
     tasks = [(setting, names, most, deadline) for setting, names in wanted.items() if names]
@@ -139,7 +146,9 @@ def measure_all(
         for row in outcome:
             kept.add(row)
     middle = [row for row in kept.rows if row.axis == "stiffness" and row.value == 1.0]
-    sweep.rows = kept.rows + [replace(row, axis="mesh") for row in middle]
+    sweep.rows = list(kept.rows)
+    if any(setting.axis == "mesh" for setting in settings):
+        sweep.rows += [replace(row, axis="mesh") for row in middle]
     missing = sum(point.outcome == "left out" for row in sweep.rows for point in row.points)
     if missing:
         sweep.omissions.append(f"{missing} points that would have taken too long (left out on the maps)")
@@ -147,6 +156,16 @@ def measure_all(
 
 
 Task = tuple[Setting, list[str], float, float]
+
+
+def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
+    """One frame without steps by every solver: processes of the sweep then load what this one compiled."""
+    posed = pose(setting)
+    for plugin in (reference_plugin(), *(registry.load("nuno.integrators", name) for name in solvers)):
+        with contextlib.suppress(BadInput), np.errstate(all="ignore"):
+            state = posed.start.copy()
+            memory = plugin.prepare(plugin.Config(), posed.system, state)
+            plugin.advance(posed.system, state, memory, posed.pair(0), 0, posed.frame)
 
 
 def measure_setting(setting: Setting, solvers: Sequence[str], most: float, deadline: float) -> list[Row]:

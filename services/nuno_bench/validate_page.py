@@ -148,7 +148,7 @@ def convergence(case: str, outcomes: Sequence[Outcome]) -> page.Figure | None:
         return None
     found = [(o.solver, o.found) for o in fitted if o.found]
     lines = [
-        Curve(f"{solver}: {f.measured:.2f}", np.log10(f.series["dt"]), np.array(f.series["error"]), i)
+        Curve(f"{solver}: {f.measured:.2f}", np.log10(f.series["dt"]), np.array(f.series["error"]), i, i % 2 == 1)
         for i, (solver, f) in enumerate(found)
     ]
     text = "Error over step, with the fitted order of each solver."
