@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,10 @@ from nuno_bench.precision_page import Findings
 from nuno_bench.precision_point import Point
 from nuno_bench.reference import GROUP, Reference, make_reference
 from nuno_bench.reference_closed import exponential, find_linear
+from nuno_bench.sweep import choose_solvers
+from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.errors import BadInput
+from nuno_schemas.plugin import Config, StepReport
 
 FLAGS = ("--repeats", "1", "--budget", "60")
 
@@ -139,6 +143,37 @@ def test_every_installed_solver_is_run_or_named(found: Findings) -> None:
     assert run | {one.solver for one in found.sweep.omitted} == set(registry.installed(GROUP))
     assert len({point.key for point in found.points}) == len(found.points)
     assert "slips" in next(one.reason for one in found.sweep.omitted if one.solver == "rk4_printed")
+
+
+class Halved(SymplecticEuler):
+    """Another package's solver: two steps for one."""
+
+    name = "halved"
+
+    def advance(self, system: Any, state: Any, memory: Any, poses: Any, steps: int, dt: float) -> StepReport:
+        return super().advance(system, state, memory, poses, 2 * steps, dt / 2)
+
+
+class Particular(Halved):
+    """One that cannot be run without being told something."""
+
+    name = "particular"
+
+    class Config(Config):  # type: ignore[assignment]
+        needed: float
+
+
+def test_solvers_of_other_packages_take_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, own = problem_of(write_net(tmp_path)), entry_points(group=GROUP)
+    foreign = [EntryPoint(each.name, f"{__name__}:{each.__name__}", GROUP) for each in (Halved, Particular)]
+    monkeypatch.setattr(registry, "entry_points", lambda group: [*own, *foreign] if group == GROUP else [])
+    solvers, omitted = choose_solvers(problem, ["halved", "symplectic_euler", "particular"])
+    assert [solver.name for solver in solvers] == ["halved", "symplectic_euler"]
+    assert [one.solver for one in omitted] == ["particular"] and "needed" in omitted[0].reason
+    reference = reference_of(problem)
+    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
+    half, whole = (runner.measure(solver, solver.settings[0], 1.0, 1.0).errors[POSITIONS].l2 for solver in solvers)
+    assert whole / half == pytest.approx(2.0, rel=0.1)
 
 
 def test_short_runs_are_repeated_more_often(found: Findings) -> None:
@@ -343,3 +378,8 @@ def test_a_scene_in_which_nothing_can_move_is_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "line.npz", **(arrays | {"pinned": np.ones(3, bool)}))
     with pytest.raises(BadInput, match="can move"):
         problem_of(path)
+
+
+def test_a_run_whose_frames_do_not_fit_in_memory_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="do not fit in memory"):
+        problem_of(write_net(tmp_path, duration=1e9))
