@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from nuno import registry
 from nuno.cli import main as nuno_main
 from nuno_bench import precision, precision_run
 from nuno_bench.observe import Problem, simulate
-from nuno_bench.precision_errors import POSITIONS, Error, find_scales
+from nuno_bench.precision_errors import POSITIONS, Error, find_scales, measure_errors
 from nuno_bench.precision_findings import choice_rows, fit_order, judge
 from nuno_bench.precision_page import Findings
 from nuno_bench.precision_point import Point
@@ -209,6 +210,16 @@ def test_a_budget_leaves_finer_points_out_by_name(tmp_path: Path, found: Finding
     assert dropped and all("budget" in one.reason for one in small.sweep.omitted)
     assert dropped.isdisjoint(kept)
     assert dropped | kept == {p.key for p in found.points if p.solver in ("rk4", "leapfrog", "tr_bdf2")}
+
+
+def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, found: Findings) -> None:
+    horizon = replace(found.horizon, frames=1, t=0.0, whole=False)
+    floors = {name: floor for name, floor in found.floors.items() if name != POSITIONS}
+    page = precision.write(tmp_path / "line", replace(found, horizon=horizon, floors=floors))[0].read_text()
+    assert "Positions cannot be compared" in page and page.count("<svg") == 1
+    problem = problem_of(write_net(tmp_path))
+    run = reference_of(problem).run.series
+    assert set(measure_errors(run, run, find_scales(problem, run), 1)) == {"energy", "centre", "drop", "strain"}
 
 
 def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
