@@ -202,7 +202,6 @@ LAWS: dict[str, Callable[[str, str], None]] = {
 
 
 FAULTS = {
-    ("weightless", "tr_bdf2"): "its backward formula rounds a position at rest",
     ("zero-length", "implicit_euler"): "springs of no length have entries in its matrix, which part the vertices",
     ("zero-length", "tr_bdf2"): "springs of no length have entries in its matrix, which part the vertices",
 }
