@@ -62,7 +62,7 @@ class Posed:
 
 
 @dataclass(frozen=True)
-class Path3:
+class Motion:
     """What a run did: x (frames + 1, n, 3), energies of the motion and in all (frames + 1,) [J]."""
 
     x: Float
@@ -118,7 +118,7 @@ def shortest(fabric: Fabric) -> float:
     return float(rest.min()) if rest.size else 0.0
 
 
-def run(posed: Posed, plugin: Any, config: Any, steps: int, most: float = math.inf) -> tuple[Path3 | None, str, str]:
+def run(posed: Posed, plugin: Any, config: Any, steps: int, most: float = math.inf) -> tuple[Motion | None, str, str]:
     """The path with so many steps a frame; or None with how it ended (diverged, refused, left out) and why."""
     system, state = posed.system, posed.start.copy()
     with np.errstate(all="ignore"):
@@ -136,7 +136,7 @@ def run(posed: Posed, plugin: Any, config: Any, steps: int, most: float = math.i
             if time.perf_counter() - begin > most:
                 return None, "left out", f"takes more than {most:.2g} s"
     kinetic = np.array([e.get("kinetic", 0.0) for e in energy])
-    return Path3(np.array(x), kinetic, np.array([sum(e.values()) for e in energy])), "", ""
+    return Motion(np.array(x), kinetic, np.array([sum(e.values()) for e in energy])), "", ""
 
 
 def reference_plugin() -> Any:
@@ -148,7 +148,7 @@ def reference_plugin() -> Any:
     return max(adaptive, key=lambda p: p.order)
 
 
-def make_reference(posed: Posed) -> Path3:
+def make_reference(posed: Posed) -> Motion:
     """The same, by an adaptive solver at a tight tolerance. Raises BadInput where it cannot be made."""
     plugin = reference_plugin()
     path, ended, why = run(posed, plugin, plugin.Config(tolerance=TIGHT), 1)
@@ -157,7 +157,7 @@ def make_reference(posed: Posed) -> Path3:
     return path
 
 
-def classify(path: Path3, reference: Path3) -> tuple[str, float, float]:
+def classify(path: Motion, reference: Motion) -> tuple[str, float, float]:
     """Class, error and energy gained, both as shares of the reference's motion."""
     moved = float(np.abs(reference.x - reference.x[0]).max()) or 1.0
     motion = float(reference.kinetic.max()) or 1.0
@@ -176,7 +176,7 @@ def measure_row(
     setting: Setting,
     solver: str,
     counts: Sequence[int],
-    reference: Path3,
+    reference: Motion,
     most: float,
     deadline: float,
 ) -> tuple[float, list[Point]]:

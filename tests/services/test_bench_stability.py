@@ -6,6 +6,8 @@ import csv
 import itertools
 import json
 import math
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ import pytest
 from nuno import registry
 from nuno.cli import main
 from nuno_bench import stability_page, stability_plots
-from nuno_bench.stability_case import Path3, Point, Setting, classify, measure_row, pose, run, stiffen
+from nuno_bench.stability_case import Motion, Point, Setting, classify, measure_row, pose, run, stiffen
 from nuno_bench.stability_drift import SHARE, measure_amplification, measure_drift
 from nuno_bench.stability_run import Kept, Row, Sweep, measure_all, mesh_overrides, settings_of, step_counts
 from nuno_schemas.errors import BadInput
@@ -39,12 +41,12 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-def made(offset: float = 0.0, energy: float = 0.0) -> Path3:
+def made(offset: float = 0.0, energy: float = 0.0) -> Motion:
     """A fall of 1 m with 1 J, or one that is `offset` [m] beside it at its end and has `energy` [J] more."""
     x = np.zeros((3, 1, 3))
     x[:, 0, 1] = [0.0, -0.25, -1.0]
     x[2, 0, 0] = offset
-    return Path3(x, np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.0, energy]))
+    return Motion(x, np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.0, energy]))
 
 
 @pytest.mark.parametrize(
@@ -157,6 +159,47 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
     assert outcomes[0] == outcomes[1]
     with pytest.raises(BadInput, match="another sweep"):
         sweep(True, "b")
+
+
+class Lost:
+    """A pool whose first process dies: what it was given and all that follows is lost."""
+
+    def __init__(self, *args: Any) -> None:
+        self.whole = 1
+
+    def __enter__(self) -> Lost:
+        return self
+
+    def __exit__(self, *args: object) -> None:
+        pass
+
+    def submit(self, call: Any, task: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        if self.whole:
+            future.set_result(call(task))
+        else:
+            future.set_exception(BrokenProcessPool("a process ended"))
+        self.whole = 0
+        return future
+
+
+def outcomes(settings: list[Setting], workers: int, folder: Path) -> list[tuple[Any, ...]]:
+    kept = Kept(folder / f"rows{workers}.jsonl", {}, False)
+    sweep = measure_all(settings, ["leapfrog", "implicit_euler"], kept, 600.0, workers, lambda text: None)
+    assert sweep.omissions == []
+    return sorted((r.axis, r.value, r.solver, p.dt, p.outcome, p.error) for r in sweep.rows for p in r.points)
+
+
+def test_processes_make_no_difference(scene: Path, tmp_path: Path) -> None:
+    settings = [s for s in settings_of(scene, [])[0] if s.value in (1.0, 10.0)]
+    assert outcomes(settings, 2, tmp_path) == outcomes(settings, 1, tmp_path)
+
+
+def test_rows_of_a_lost_process_are_run_again(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = [s for s in settings_of(scene, [])[0] if s.value in (1.0, 10.0)]
+    alone = outcomes(settings, 1, tmp_path)
+    monkeypatch.setattr("nuno_bench.stability_run.ProcessPoolExecutor", Lost)
+    assert outcomes(settings, 2, tmp_path) == alone
 
 
 def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> None:
