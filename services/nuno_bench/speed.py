@@ -19,6 +19,8 @@ CASES = {
     "irregular": ("nuno_bench.steps", "irregular"),
     "sheet-32": ("nuno_bench.steps", "sheet_32"),
     "numpy": ("nuno_bench.steps", "numpy_slices"),
+    "stiff": ("nuno_bench.stiff", "stiff_sheet"),
+    "scipy": ("nuno_bench.stiff", "scipy_peer"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),
     "start": ("nuno_bench.processes", "start"),
     "memory": ("nuno_bench.processes", "memory"),
