@@ -21,6 +21,7 @@ from nuno_kernels.acceleration import Packed, commit, evaluate
 from nuno_kernels.blocks import block_count
 from nuno_kernels.combine import combine, square
 from nuno_kernels.simd import WIDTH
+from nuno_kernels.stability import measure_rates, stable_step
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Config, StepLimit, System
@@ -31,6 +32,10 @@ SMALLEST = 1e-10
 """Share of the interval below which a step is given up."""
 LANDED = 1e-9
 """Share of a step by which it may miss the end of an interval and still count as ending there."""
+OF_LIMIT = 0.95
+"""Largest step as a share of the stable one, which is measured at the start. The estimate alone lets steps
+run along the limit, where the fastest modes grow until they are as large as the tolerance: at 1e-3 of the
+cloth's size that is many times a spring's length."""
 ROUNDING = 8.0 * float(np.finfo(float).eps)
 
 
@@ -188,6 +193,7 @@ class AdaptiveWork(Work):
     control: Float
     allowed: float
     landing: bool
+    longest: float
     left: tuple[Float, Float, Float] | None = None
     """x, v and `control` as the last interval left them, while the slopes still belong to them."""
 
@@ -227,9 +233,12 @@ class Adaptive(Compiled):
         known_ahead = all(term.kind not in ("contact", "bindings", "python") for term in system.terms)
         free = max(1, int((~fabric.pinned).sum()))
         allowed = config.tolerance * size * np.sqrt(free)
-        return AdaptiveWork(
-            packed, np.empty((3, n)), np.empty((3, n)), k, buffers, pair, control, allowed, not known_ahead
-        )
+        # From the fabric, not from the state of a run that goes on: it must choose the same steps again.
+        omega, damping = measure_rates(system, State(fabric.position, np.zeros_like(fabric.position)))
+        longest = OF_LIMIT * stable_step(self.amplification, omega, damping, system.damping)
+        longest = longest if longest > 0.0 else float("inf")
+        x, v = np.empty((2, 3, n))
+        return AdaptiveWork(packed, x, v, k, buffers, pair, control, allowed, not known_ahead, longest)
 
     def limit(self, config: AdaptiveConfig, system: System, state: State) -> StepLimit:
         """Nothing limits the scene's step: it is the largest that may be tried."""
@@ -252,7 +261,7 @@ class Adaptive(Compiled):
             control,
             counts,
             span,
-            dt,
+            min(dt, work.longest),
             work.landing,
             work.allowed,
             packed,

@@ -58,10 +58,12 @@ class LinearLists(NamedTuple):
 
 @kernel
 def spring_rows(dx: Any, dy: Any, dz: Any, k: Any, rest: Any, damping: Any, floor: float) -> Any:
-    """alpha and w of eight springs; `damping` is c times the rate. One of length 0 has w = 0 and alpha = k."""
+    """alpha and w of eight springs; `damping` is c times the rate. All are 0 at length 0."""
     square = dx * dx + dy * dy + dz * dz
     inverse = where_not_zero(square, 1.0 / root(square))
-    across = higher(k * (1.0 - rest * inverse), splat(floor))
+    # A spring of length 0 has no entries, like its force: with any, vertices that lie together would have
+    # different rows, and rounding alone would part them, whereupon the spring throws them apart.
+    across = where_not_zero(square, higher(k * (1.0 - rest * inverse), splat(floor)))
     size = root(k - across + damping) * inverse
     return across, size * dx, size * dy, size * dz
 

@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -79,8 +78,7 @@ def bounces(name: str, solver: str) -> None:
 
 
 def swings_stiffly(name: str, solver: str) -> None:
-    adaptive = scene_file.read(FOLDER / f"{name}.yaml", [f"solver.plugin={solver}"]).integrator.plugin.adaptive
-    run = Played(name, solver, *(["solver.tolerance=1e-9"] if adaptive else []))
+    run = Played(name, solver)
     rods = np.linalg.norm(np.diff(run.x, axis=1), axis=2)
     assert np.abs(rods / 0.2 - 1.0).max() < 1e-5
     lift = 5 * 0.05 * run.pull * 0.5
@@ -207,20 +205,7 @@ LAWS: dict[str, Callable[[str, str], None]] = {
 }
 
 
-FAULTS = {
-    ("zero-length", "implicit_euler"): "springs of no length have entries in its matrix, which part the vertices",
-    ("zero-length", "tr_bdf2"): "springs of no length have entries in its matrix, which part the vertices",
-}
-"""What is known not to hold; a test that begins to pass says so."""
-
-
-def posed(name: str, solver: str) -> Any:
-    reason = FAULTS.get((name, solver))
-    marks = [pytest.mark.xfail(reason=reason, strict=True)] if reason else []
-    return pytest.param(name, solver, marks=marks)
-
-
-@pytest.mark.parametrize(("name", "solver"), [posed(name, solver) for name in LAWS for solver in SOLVERS])
+@pytest.mark.parametrize(("name", "solver"), [(name, solver) for name in LAWS for solver in SOLVERS])
 def test_scene_does_what_it_says(name: str, solver: str) -> None:
     try:
         LAWS[name](name, solver)
