@@ -56,7 +56,8 @@ def measure_amplification(plugin: Any) -> Amplification:
     for dt in h:
         try:
             run = Run(plugin, system)
-            run.go(1, float(dt))
+            if run.go(1, float(dt)).steps != 1:
+                raise Broken("it takes shorter steps of its own choice")
         except (Broken, BadInput):
             size.append(math.nan)
             frequency.append(math.nan)
