@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -24,9 +23,6 @@ PARALLEL_FROM = 16384
 vertex-steps a second on one thread and on two that sleep while they wait: 12,321 vertices 57 and
 50, 16,384 57 and 72, 65,536 57 and 82. A smaller mesh leaves the other core to the services."""
 
-PARALLEL_FROM_AWAKE = 4096
-"""The same where the user's OMP_WAIT_POLICY=active keeps threads awake: for a machine that does nothing else."""
-
 FUSED = ("contact", "wind", "particle_wind")
 
 Extra = Callable[[Float, Float, float, Float], None]
@@ -42,8 +38,7 @@ def to_rows(array: Float, out: Float | None = None) -> Float:
 
 def thread_count(system: System) -> int:
     """Threads that this system's kernels run on."""
-    awake = os.environ.get("OMP_WAIT_POLICY", "").lower() == "active"
-    if system.fabric.number < min(PARALLEL_FROM, PARALLEL_FROM_AWAKE if awake else PARALLEL_FROM):
+    if system.fabric.number < PARALLEL_FROM:
         return 1
     return max(1, min(system.threads, threads_available()[0]))
 

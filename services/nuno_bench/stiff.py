@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -76,7 +76,7 @@ def stiff_sheet(repeats: int) -> list[Result]:
         best = min(good, key=lambda r: r.median, default=None)
         # The larger sheet takes eight times as long: only by those that may be the fastest.
         names = sorted(names, key=lambda name: found[names.index(name)][0].median)[:2]
-        results += [_with_bar(result, bar) if result is best else result for result, _ in found]
+        results += [replace(result, bar=bar, at_most=True) if result is best else result for result, _ in found]
         results.append(Result("stiff", f"{side}x{side}, the reference: dop853, tolerance 1e-8", "s", (exact.seconds,)))
     return results
 
@@ -90,10 +90,6 @@ def _candidate(side: int, name: str, chosen: tuple[str, ...], exact: End, repeat
     note = f"centre of mass off by {1e3 * centre:.2g} mm, mean strain {strain:.2f} of the reference's"
     note += "" if accurate else ": not accurate enough"
     return Result("stiff", f"{side}x{side}, {name}", "s", tuple(end.seconds for end in ends), note=note), accurate
-
-
-def _with_bar(result: Result, bar: float) -> Result:
-    return Result(**(vars(result) | {"bar": bar, "at_most": True}))
 
 
 SIDE = 32

@@ -69,4 +69,4 @@ def test_one_mass_has_no_array_of_what_it_lacks(tmp_path: Path) -> None:
     lacking = [name for name, part in packed._asdict().items() if part is None]
     assert {"runs", "lists", "hinge_runs", "hinge_lists", "bindings", "contact", "air", "particle_wind"} <= set(lacking)
     assert simulation.system.terms == ()
-    assert set(simulation.memory.arrays) == {"slow_frames"}
+    assert simulation.memory.arrays == {}
