@@ -21,6 +21,7 @@ CASES = {
     "numpy": ("nuno_bench.steps", "numpy_slices"),
     "stiff": ("nuno_bench.stiff", "stiff_sheet"),
     "scipy": ("nuno_bench.stiff", "scipy_peer"),
+    "stiffness": ("nuno_bench.stiffness", "stiffness"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),
     "start": ("nuno_bench.processes", "start"),
     "memory": ("nuno_bench.processes", "memory"),
