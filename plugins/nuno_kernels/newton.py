@@ -16,7 +16,8 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed, evaluate
-from nuno_kernels.conjugate import Linear, fill, make_linear, solve
+from nuno_kernels.conjugate import solve
+from nuno_kernels.matrix import Linear, fill, make_linear
 from nuno_kernels.packing import silence
 from nuno_schemas.fabric import Float
 

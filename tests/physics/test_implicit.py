@@ -13,7 +13,8 @@ import nuno_kernels.packing
 from nuno_integrators.adaptive import Dop853
 from nuno_integrators.implicit import TRBDF2, ImplicitEuler
 from nuno_kernels.acceleration import evaluate
-from nuno_kernels.conjugate import fill, make_linear, multiply, solve
+from nuno_kernels.conjugate import multiply, solve
+from nuno_kernels.matrix import fill, make_linear
 from nuno_kernels.packing import pack, to_rows
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Hinges, Springs
