@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from nuno_schemas.units import quantity
@@ -72,12 +72,34 @@ class Choice(BaseModel):
         return dict(self.__pydantic_extra__ or {})
 
 
+AUTO = "auto"
+"""The solver that is chosen for the scene, with its step."""
+
+Accuracy = Literal["preview", "normal", "reference"]
+
+
 class Solver(Choice):
-    """The integrator and its step."""
+    """The integrator and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
 
     dt: Interval | Literal["auto"] = Field(
         default="auto", description="step [s]; whole steps make a frame; auto: the largest that is safely stable"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"plugin": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _auto_alone(self) -> Solver:
+        if self.plugin == AUTO and (self.config or self.dt != "auto"):
+            beside = next(iter(self.config), "dt")
+            raise PydanticCustomError(
+                "beside_auto",
+                "auto chooses this as well; leave it out, or name a solver",
+                {"inside": (beside,)},
+            )
+        return self
 
 
 class Object(Part):
@@ -132,7 +154,15 @@ class Scene(Part):
         "of the cloth's size a second for a tenth of a second",
     )
     frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")
-    solver: Solver = Field(description="the integrator, a plugin with its fields, and its step")
+    solver: Solver = Field(
+        default=Solver(plugin=AUTO),
+        description="the integrator, a plugin with its fields, and its step; auto: chosen for the scene and `accuracy`",
+    )
+    accuracy: Accuracy | None = Field(
+        default=None,
+        description="what the step is chosen for: positions off by a hundredth (preview), a thousandth (normal) or a "
+        "ten-thousandth (reference) of the cloth's size; normal where the solver is auto",
+    )
     allow_unstable: bool = Field(default=False, description="accept a step above the stability limit")
     gravity: tuple[Acceleration, Acceleration, Acceleration] = Field(
         default=(0.0, -9.81, 0.0), description="x, y, z [m/s^2]; y is up"
@@ -161,6 +191,21 @@ class Scene(Part):
                     {"name": part.name, "inside": (i, "name")},
                 )
         return parts
+
+    @model_validator(mode="after")
+    def _one_step(self) -> Scene:
+        if self.accuracy is not None and self.solver.dt != "auto":
+            raise PydanticCustomError(
+                "step_and_accuracy",
+                "accuracy chooses the step, and solver.dt gives it; leave one of them out",
+                {"inside": ("accuracy",)},
+            )
+        return self
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the solver's step, or the solver, is still to be chosen."""
+        return self.solver.plugin == AUTO or self.accuracy is not None
 
     @property
     def frames(self) -> int:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from nuno import runs, scene_file, supervisor
+from nuno.choose import decide
 from nuno.recording.reader import Recording, open_recording
 from nuno.report import Report, make_report
 from nuno.scene_file import Loaded
@@ -74,7 +75,7 @@ def run(
     with contextlib.ExitStack() as stack:
         try:
             loaded = stack.enter_context(_loaded(scene, overrides, tuple(Path(root) for root in roots)))
-            return _run(loaded, record, processes, threads)
+            return _run(decide(loaded), record, processes, threads)
         except BadInput as error:
             raise _in_python(error) from None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nuno import registry
-from nuno_schemas.scene import Scene
+from nuno_schemas.scene import AUTO, Scene
 
 _PLACES = {
     ("Object", "model"): "nuno.models",
@@ -31,8 +31,15 @@ def scene_schema() -> dict[str, Any]:
         else:
             for key in ("$ref", "anyOf", "default"):
                 place.pop(key, None)
-            place["oneOf"] = choices
+            place["oneOf"] = [*choices, *(_short(group) if field == "solver" else ())]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _short(group: str) -> list[dict[str, Any]]:
+    """A solver by its name alone, and the one that is chosen for the scene."""
+    auto = {"type": "object", "properties": {"plugin": {"const": AUTO}}, "additionalProperties": False}
+    names = [AUTO, *sorted(registry.installed(group))]
+    return [{"title": "by name", "type": "string", "enum": names}, {"title": AUTO, "required": ["plugin"], **auto}]
 
 
 def _choice(group: str, name: str, definitions: dict[str, Any], field: str) -> dict[str, Any]:

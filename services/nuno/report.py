@@ -42,6 +42,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "step_seconds": summary.get("step_seconds", {}),
         "solver": loaded.integrator.name,
         "adaptive": loaded.integrator.plugin.adaptive,
+        "chosen": loaded.why,
         "totals": summary.get("totals", {}),
         "dt": summary.get("dt"),
         "dt_limit": (summary.get("limit") or {}).get("dt"),
@@ -101,6 +102,8 @@ def lines(report: Report) -> list[tuple[str, str]]:
         rows.append(("steps", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in inside.items())))
     rows.append(("parts", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in parts.items())))
     rows.append(("step", _step(report)))
+    if report["chosen"]:
+        rows.append(("chosen for", report["chosen"]))
     if report["idle"]:
         rows.append(("idle", f"{report['idle']:,} frames in which nothing would have changed were not stepped"))
     work = {name: n for name, n in report["totals"].items() if name != "steps"}

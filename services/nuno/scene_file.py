@@ -15,7 +15,10 @@ from nuno.explain import OVERRIDDEN, UNNUMBERED, explain, located
 from nuno.files import SceneFiles
 from nuno.yaml_lines import dotted
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.scene import Choice, Scene
+from nuno_schemas.scene import AUTO, Choice, Scene
+
+FIRST = "symplectic_euler"
+"""The solver that a choice starts from: the cheapest step."""
 
 
 @dataclass
@@ -52,6 +55,8 @@ class Loaded:
     overrides: tuple[str, ...] = ()
     path: Path = Path()
     """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
+    why: str = ""
+    """Where the solver and its step were chosen: for what reason."""
 
     def value(self, field: str) -> Any:
         """What a field such as `forces.0.velocity` holds, given or by default, in SI units; None if there is none."""
@@ -168,6 +173,11 @@ def _kind(value: Any) -> str:
     return f"the value {value!r:.60}"
 
 
+def _solver(scene: Scene) -> Choice:
+    """The solver; until `auto` is decided, the one that it is decided from."""
+    return scene.solver if scene.solver.plugin != AUTO else Choice(plugin=FIRST)
+
+
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
     """Validate a scene's data and find its plugins. Raises BadInput."""
     try:
@@ -193,7 +203,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         lines,
         files,
         models=[chosen("nuno.models", o.model, ("objects", i, "model")) for i, o in enumerate(scene.objects)],
-        integrator=chosen("nuno.integrators", scene.solver, ("solver",)),
+        integrator=chosen("nuno.integrators", _solver(scene), ("solver",)),
         colliders=[chosen("nuno.colliders", b.collider, ("bodies", i, "collider")) for i, b in enumerate(scene.bodies)],
         motions=[
             chosen("nuno.motions", b.motion, ("bodies", i, "motion")) if b.motion else None

@@ -8,6 +8,7 @@ import importlib
 COMMANDS = {
     "speed": ("nuno_bench.speed", "measured bars: kernels, pipeline, start, memory, recording"),
     "precision": ("nuno_bench.precision", "the error of every solver over the wall time it takes, on any scene"),
+    "accuracy": ("nuno_bench.accuracy", "whether `accuracy: LEVEL` delivers what it promises, on many scenes"),
     "compare": ("nuno_bench.compare", "two results of precision: which errors and times have changed"),
     "stability": ("nuno_bench.stability", "maps of what solvers make of a scene over stiffness, mesh and step"),
     "integrators": ("nuno_bench.integrators", "the skirt paper's experiment: four methods, split and unsplit bones"),

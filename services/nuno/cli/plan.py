@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from nuno import build
+from nuno.choose import decide
 from nuno.cli.common import add_scene, load_scene
 from nuno.plan import make_plan
 from nuno.service import Options
@@ -19,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    loaded = load_scene(args)
+    loaded = decide(load_scene(args))
     plan = make_plan(loaded, Options(record=Path("recordings")))
     bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
     poses = bodies.poses(0.0) if bodies else None
@@ -30,6 +31,7 @@ def main(args: argparse.Namespace) -> int:
         ("services", ", ".join(plan.services)),
         *_size(simulation),
         ("solver", _solver(simulation)),
+        *([("chosen", loaded.why)] if loaded.why else []),
         *_cost(simulation, seconds),
         *(("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)),
     ]

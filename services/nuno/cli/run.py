@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nuno import runs, supervisor
+from nuno.choose import decide
 from nuno.cli.common import add_config, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
 from nuno.recording.reader import open_recording
@@ -96,6 +97,9 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
 
 
 def _run(loaded: Loaded, args: argparse.Namespace) -> int:
+    if loaded.scene.undecided:
+        print("choosing a solver by trying it on the first frames", flush=True)
+    loaded = decide(loaded)
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
     return execute(

@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 
 from nuno import runs, scene_file, sessions
+from nuno.choose import decide
 from nuno.cli.common import add_config
 from nuno.service import MODULES, Options, run_service
 from nuno_schemas.errors import BadInput, RunFailed
@@ -57,6 +58,8 @@ def main(args: argparse.Namespace) -> int:
             )
     runs.check_id(args.run)
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root, args.named)
+    if args.service in ("simulation", "recorder"):
+        loaded = decide(loaded)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     with sessions.spoke(args.connect, args.config, PATIENCE) as session:
         try:

@@ -22,7 +22,7 @@ def describe_run(loaded: Loaded, run: str) -> dict[str, dict[str, str]]:
     scene = loaded.scene
     return {
         "run": {"id": run, "scene": scene.name, "seed": str(scene.seed), "schema_version": str(SCHEMA_VERSION)},
-        "scene": {"json": json.dumps(loaded.data), "file": Path(loaded.file).name},
+        "scene": {"json": json.dumps(loaded.data), "file": Path(loaded.file).name, "chosen": loaded.why},
         "versions": versions(),
         "plugins": plugins(loaded),
     }

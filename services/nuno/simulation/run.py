@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import build
+from nuno.choose import decide
 from nuno.scene_file import Loaded, apply_override, load, overridden
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
@@ -40,7 +41,7 @@ class Simulation:
     """A scene's cloth, its solver and its state."""
 
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
-        self.loaded, self.geometry, self.threads = loaded, geometry, threads or os.cpu_count() or 1
+        self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
         self.fabric: Fabric
         self.fabric, self.pieces = build.build_fabric(loaded)
         self.start_poses = poses

@@ -1,0 +1,174 @@
+"""`solver: auto` and `accuracy`: which solver and which step, found by trying them on the scene's beginning.
+
+Rejected: an estimate by formulas (it would need to know which modes move, and contact has no order), and timing
+the candidates (the choice would differ from run to run; evaluations of the forces are counted instead).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nuno import build, registry, scene_file
+from nuno.scene_file import FIRST, Loaded
+from nuno.trials import Method, Trials
+from nuno_schemas.errors import BadInput
+from nuno_schemas.plugin import System
+from nuno_schemas.scene import AUTO, Accuracy
+
+PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
+"""Distance to the exact motion, root mean square over vertices and frames, as a share of the cloth's size (the
+diagonal of its bounding box), as long as the motion can be predicted: until a disturbance has grown thousandfold."""
+SAFE: dict[Accuracy, float] = {"preview": 0.9, "normal": 0.7, "reference": 0.7}
+"""Most of the stable step: cloth that stretches or folds is stiffer than at its start, where that is measured."""
+PILOT_WORK, FEWEST_FRAMES = 5e6, 12
+"""Vertices times steps that a trial may take (0.1 s of a core), but for so many frames at least."""
+HIGHER, IMPLICIT = ("leapfrog", "rk4"), "tr_bdf2"
+EVALUATIONS = {FIRST: 1, "rk4": 4, IMPLICIT: 300}
+"""A step's cost in evaluations of the forces; an implicit one's is measured on stiff cloth."""
+STALLED = 0.8
+"""Errors that do not even fall by this much with a shorter step are not those of the step."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A method with the steps a frame that it needs, and its error [sizes] there; `tried` is False where
+    the error follows from fewer steps by the method's order.
+    """
+
+    method: Method
+    steps: int
+    error: float
+    tried: bool
+
+    @property
+    def cost(self) -> int:
+        return self.steps * self.method.evaluations
+
+
+def decide(loaded: Loaded) -> Loaded:
+    """The scene with its solver and step as if written by hand; itself where nothing is left to choose.
+
+    Raises BadInput for an accuracy that the named solver cannot be given.
+    """
+    scene = loaded.scene
+    if not scene.undecided:
+        return loaded
+    accuracy = scene.accuracy or "normal"
+    first = FIRST if scene.solver.plugin == AUTO else scene.solver.plugin
+    if loaded.integrator.plugin.adaptive:
+        remedy = "leave accuracy out and give the solver's tolerance, or name another solver"
+        raise loaded.at("accuracy", BadInput(f"{first} chooses its own steps", value=accuracy, remedy=remedy))
+    system, bodies = _build(loaded)
+    if system.fabric.number == 0 or bool(system.fabric.pinned.all()):
+        return _written(loaded, first, None, "nothing can move, so any will do")
+    start = _method(loaded, system, first, SAFE[accuracy])
+    if start is None and scene.solver.plugin != AUTO:
+        remedy = "give a dt and allow_unstable: true, or use another solver"
+        raise loaded.at("solver.plugin", BadInput("no step is stable for this solver on this scene", remedy=remedy))
+    trials = _trials(loaded, system, bodies, start)
+    found = _try_all(loaded, trials, start, accuracy)
+    best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
+    steps = 1.0 / float(scene.frame_rate) / best.steps
+    return _written(loaded, best.method.name, steps, _reason(trials, best, found, accuracy))
+
+
+def _build(loaded: Loaded) -> tuple[System, build.Bodies | None]:
+    fabric, pieces = build.build_fabric(loaded)
+    bodies = build.build_bodies(loaded) if loaded.colliders else None
+    geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
+    return build.build_system(loaded, fabric, pieces, geometry, poses, os.cpu_count() or 1), bodies
+
+
+def _trials(loaded: Loaded, system: System, bodies: build.Bodies | None, start: Method | None) -> Trials:
+    rate, total, fabric = float(loaded.scene.frame_rate), loaded.scene.frames, system.fabric
+    a_frame = fabric.number * (start.fewest if start else 1)
+    frames = min(total, max(FEWEST_FRAMES, int(PILOT_WORK / a_frame)))
+    poses = tuple(bodies.poses(i / rate) if bodies else None for i in range(frames + 1))
+    size = float(np.linalg.norm(np.ptp(fabric.position, axis=0)))
+    return Trials(system, poses, 1.0 / rate, total, size or 1.0)
+
+
+def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | None:
+    """The solver with the scene's own fields for it; None where no step of it is stable."""
+    plugin, solver = registry.load("nuno.integrators", name), loaded.scene.solver
+    config = loaded.integrator.config if solver.plugin == name else plugin.Config()
+    frame = 1.0 / float(loaded.scene.frame_rate)
+    with np.errstate(all="ignore"):
+        limit = float(plugin.limit(config, system, build.start_state(system.fabric)).dt)
+    if not limit > 0.0:
+        return None
+    evaluations = EVALUATIONS.get(name, 2 if _reads_velocity(system) else 1)
+    return Method(name, plugin, config, evaluations, max(1, math.ceil(frame / (safe * limit))))
+
+
+def _reads_velocity(system: System) -> bool:
+    """Whether forces may depend on velocities: leapfrog then takes two evaluations a step."""
+    springs = system.fabric.springs
+    damped = springs is not None and bool((springs.c != 0.0).any())
+    return damped or system.damping != 0.0 or any(term.kind != "bindings" for term in system.terms)
+
+
+def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy) -> list[Found]:
+    """Methods from the cheapest step on, until one has nothing to gain."""
+    promise, found = PROMISE[accuracy], list[Found]()
+    if start is not None:
+        found.append(_settle(trials, start, promise, math.inf))
+        if loaded.scene.solver.plugin != AUTO:
+            return found
+    for name in _others(trials.system, start):
+        cheapest = min((one.cost for one in found if one.error <= promise), default=math.inf)
+        method = _method(loaded, trials.system, name, SAFE[accuracy])
+        if method is not None and method.fewest * method.evaluations < cheapest:
+            found.append(_settle(trials, method, promise, cheapest))
+    return found
+
+
+def _others(system: System, start: Method | None) -> list[str]:
+    """What may be cheaper than the first method. Forces jump where cloth lands or slips: no order helps there."""
+    contact = any(term.kind == "contact" for term in system.terms)
+    stiff = start is None or start.fewest > EVALUATIONS[IMPLICIT]
+    return [*(() if contact else HIGHER), *((IMPLICIT,) if stiff else ())]
+
+
+def _settle(trials: Trials, method: Method, promise: float, cheapest: float) -> Found:
+    """The fewest steps a frame that keep the promise, or how far the method gets for less than `cheapest`."""
+    steps, order = method.fewest, method.plugin.order
+    error = trials.error(method, steps)
+    while error > promise:
+        ratio = (error / promise) ** (1.0 / order) if math.isfinite(error) else 2.0
+        wanted = math.ceil(steps * max(1.2, 1.05 * ratio))
+        if wanted * method.evaluations >= cheapest or not trials.affords(method, wanted):
+            return Found(method, wanted, promise if math.isfinite(error) else error, tried=False)
+        shorter = trials.error(method, wanted)
+        if shorter > STALLED * error and math.isfinite(error):
+            return Found(method, steps, error, tried=True)
+        steps, error = wanted, shorter
+    return Found(method, steps, error, tried=True)
+
+
+def _written(loaded: Loaded, name: str, dt: float | None, why: str) -> Loaded:
+    """The scene as if its author had named the solver and the step."""
+    chosen = {**loaded.scene.solver.config, "plugin": name} | ({} if dt is None else {"dt": dt})
+    data = {key: value for key, value in loaded.data.items() if key != "accuracy"} | {"solver": chosen}
+    decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
+    fields = ", ".join(f"{key}: {value!r}" if key == "dt" else f"{key}: {value}" for key, value in chosen.items())
+    overrides = (*loaded.overrides, f"solver={{{fields}}}", "accuracy=null")
+    return replace(decided, overrides=overrides, path=loaded.path, why=why)
+
+
+def _reason(trials: Trials, best: Found, found: list[Found], accuracy: Accuracy) -> str:
+    promise, steps = PROMISE[accuracy], f"{best.steps} step{'s' if best.steps > 1 else ''} a frame"
+    error = f"{best.error:.2g}" if best.tried else f"about {best.error:.2g}"
+    text = f"{accuracy}: with {steps} positions are off by {error} of the cloth's size, {promise:g} was asked for"
+    text += ", and no method keeps that" if best.error > promise else ""
+    if trials.predictable is not None and trials.predictable < trials.frames:
+        text += f" (tried on {trials.predictable} of {trials.total} frames: by then a disturbance grows a thousandfold)"
+    elif trials.frames < trials.total:
+        text += f" (tried on {trials.frames} of {trials.total} frames)"
+    others = [f"{one.method.name} {one.cost}" for one in found if one is not best]
+    cost = f"; {best.cost} evaluations of the forces a frame, against " + ", ".join(others)
+    return text + (cost if others else "")

@@ -1,0 +1,176 @@
+"""`nuno bench accuracy`: whether `accuracy: preview | normal | reference` delivers the error that it promises.
+
+Each scene is run by the solver and the step that are chosen for it, and compared with a converged run as long
+as a disturbance has grown no more than a thousandfold, which is how far the promise goes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nuno import scene_file
+from nuno.choose import PROMISE, decide
+from nuno.trials import GROWTH
+from nuno_bench import machine, markdown, page
+from nuno_bench.horizon import DISTURBANCE, disturb
+from nuno_bench.observe import Problem, Run, make_problem, simulate
+from nuno_bench.random_scenes import random_scene
+from nuno_bench.reference import Reference, make_reference
+from nuno_bench.result import text_table
+from nuno_schemas.errors import BadInput
+from nuno_schemas.scene import Accuracy
+
+SCENES = (
+    "hanging-sheet", "net", "drape-over-sphere", "skirt-hula", "skirt-paper", "skirt-walk", "stiff-sheet",
+    "extreme/mass-ratio", "extreme/far-away", "extreme/millimetres",
+)  # fmt: skip
+"""Shipped scenes in which something moves, by name or path below scenes/."""
+WITHIN = 3.0
+"""How many times the promised error may be delivered."""
+HEADINGS = ("scene", "accuracy", "solver", "steps a frame", "promised", "delivered", "until [s]", "time [s]", "verdict")
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """One scene at one level: shares of the cloth's size, up to the time that the promise goes, and what it took.
+
+    floor is what the reference itself is known to; error is nan where the run failed.
+    """
+
+    scene: str
+    accuracy: Accuracy
+    solver: str
+    steps: int
+    promised: float
+    error: float
+    floor: float
+    until: float
+    seconds: float
+    why: str
+
+    @property
+    def verdict(self) -> str:
+        if self.error <= WITHIN * self.promised:
+            return "agrees"
+        return "failed" if not self.error <= 3.0 * self.floor else "failed: not known, the reference is no better"
+
+    def row(self) -> list[str]:
+        return [self.scene, self.accuracy, self.solver, str(self.steps), f"{self.promised:g}", f"{self.error:.2g}",
+                f"{self.until:.3g}", f"{self.seconds:.3g}", self.verdict]  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help="default: ten shipped scenes and the random ones")
+    parser.add_argument("--random", type=int, default=3, metavar="N", help="scenes made at random (default: 3)")
+    parser.add_argument("--first", type=int, default=1, metavar="SEED", help="seed of the first of them (default: 1)")
+    parser.add_argument("--duration", default="0.3 s", help="of each scene (default: %(default)s)")
+    parser.add_argument("--levels", default=",".join(PROMISE), metavar="A,B", help="default: %(default)s")
+    parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="for a run of the reference")
+    parser.add_argument("--out", type=Path, default=Path("recordings/bench"), metavar="DIR")
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="also put the table into a page's marked section")
+
+
+def main(args: argparse.Namespace) -> int:
+    """The table of all scenes and levels; 1 where an error is more than three times what was promised."""
+    levels = [name for name in args.levels.split(",") if name]
+    for name in levels:
+        if name not in PROMISE:
+            raise BadInput("no such level", field="--levels", value=name, limit=", ".join(PROMISE))
+    if not levels or (not args.scenes and args.random < 0) or not args.budget > 0.0:
+        raise BadInput("nothing to measure", remedy="name a level and a scene, and a budget of more than 0 s")
+    if args.docs is not None:
+        markdown.check_section(args.docs, "accuracy")
+    others, found = machine.Others(), list[Delivered]()
+    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+        for path in _paths(args, Path(folder)):
+            found += _scene(path, args.duration, levels, args.budget)
+    rows = [one.row() for one in found]
+    kept = sum(one.verdict == "agrees" for one in found)
+    summary = f"{kept} of {len(found)} within {WITHIN:g} times of what was promised"
+    print(text_table(HEADINGS, rows))
+    print(summary)
+    about = {"command": machine.command(), **machine.describe(), "load": others.describe()}
+    for file in write(args.out, found, summary, about):
+        print(f"written {file}")
+    if args.docs is not None:
+        parts = [f"{summary}.", markdown.table(HEADINGS, rows), markdown.facts(about)]
+        markdown.replace_section(args.docs, "accuracy", parts)
+    return int(kept < len(found))
+
+
+def _paths(args: argparse.Namespace, folder: Path) -> list[Path]:
+    shipped = scene_file.find("hanging-sheet").parent
+    paths = [scene_file.find(name) for name in args.scenes]
+    if not args.scenes:
+        paths = [shipped / f"{name}.yaml" for name in SCENES]
+        for seed in range(args.first, args.first + args.random):
+            paths.append(folder / f"random-{seed}.yaml")
+            paths[-1].write_text(json.dumps(random_scene(seed)))
+    return paths
+
+
+def _scene(path: Path, duration: str, levels: Sequence[str], budget: float) -> list[Delivered]:
+    """All levels of a scene against one reference. Raises BadInput where there is none."""
+    chosen = ["solver=auto", f"duration={duration}"]
+    problem = make_problem(scene_file.read(path, chosen))
+    name = problem.loaded.scene.name
+    reference = make_reference(problem, budget, lambda text: print(f"{name}: {text}", file=sys.stderr))
+    frames = promised_frames(problem, reference)
+    return [_level(problem, reference, frames, path, [*chosen, f"accuracy={level}"]) for level in levels]
+
+
+def promised_frames(problem: Problem, reference: Reference) -> int:
+    """Frames, the start among them, until a disturbance has grown more than the promise allows for; two at least."""
+    twin, exact = reference.twin(disturb(problem)).series.x, reference.run.series.x
+    apart = np.sqrt(((twin - exact[: len(twin)]) ** 2).sum(axis=2).mean(axis=1)) / problem.size
+    lost = np.flatnonzero(~(apart <= GROWTH * DISTURBANCE))
+    return max(2, int(lost[0])) if lost.size else len(apart)
+
+
+def _level(problem: Problem, reference: Reference, frames: int, path: Path, overrides: Sequence[str]) -> Delivered:
+    decided = decide(scene_file.read(path, overrides))
+    accuracy: Accuracy = next(level for level in PROMISE if f"accuracy={level}" in overrides)
+    solver, integrator = decided.scene.solver, decided.integrator
+    assert solver.dt != "auto"
+    steps = round(problem.frame / float(solver.dt))
+    simulate(problem, integrator.plugin, integrator.config, steps)  # compiles
+    run = simulate(problem, integrator.plugin, integrator.config, steps)
+    error, floor = (_apart(problem, one, reference.run, frames) for one in (run, reference.check))
+    promise, until = PROMISE[accuracy], (frames - 1) * problem.frame
+    name = problem.loaded.scene.name
+    return Delivered(name, accuracy, integrator.name, steps, promise, error, floor, until, run.seconds, decided.why)
+
+
+def _apart(problem: Problem, run: Run, exact: Run, frames: int) -> float:
+    """Root mean square over vertices and frames after the start [sizes]."""
+    if run.status != "ok":
+        return math.nan
+    difference = run.series.x[1:frames] - exact.series.x[1:frames]
+    return float(np.sqrt((difference**2).sum(axis=2).mean())) / problem.size
+
+
+def write(folder: Path, found: Sequence[Delivered], summary: str, about: dict[str, str]) -> list[Path]:
+    """The page, and the same as JSON."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lead = "What the solver and the step that are chosen for a scene deliver, against what the level promises."
+    caption = "Root mean square distance to a converged run as a share of the cloth's size, up to the time given."
+    reasons = [[one.scene, one.accuracy, one.why] for one in found]
+    sections: list[tuple[str, Sequence[page.Part]]] = [
+        ("", [summary + ".", page.Table(HEADINGS, [one.row() for one in found], caption)]),
+        ("Why", [page.Table(("scene", "accuracy", "reason"), reasons, "What was tried.", prose=True)]),
+        ("Made by", [page.Facts(about)]),
+    ]
+    html, data = folder / "accuracy.html", folder / "accuracy.json"
+    html.write_text(page.render("Accuracy promised and delivered", lead, sections), encoding="utf-8")
+    results = [asdict(one) | {"verdict": one.verdict} for one in found]
+    data.write_text(json.dumps({"about": about, "results": results}, indent=1) + "\n", encoding="utf-8")
+    return [html, data]

@@ -1,0 +1,176 @@
+"""`solver: auto` and `accuracy`: the error promised is the error delivered, and a choice is written down whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from nuno import api, build, choose, registry, scene_file
+from nuno.scene_file import Loaded
+from nuno.trials import Method, Trials
+from nuno_bench.accuracy import promised_frames
+from nuno_bench.observe import make_problem, simulate
+from nuno_bench.reference import make_reference
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.scene import Accuracy
+
+SHEET = {
+    "nuno": 1,
+    "name": "soft",
+    "duration": "0.2 s",
+    "frame_rate": 50,
+    "objects": [
+        {
+            "name": "cloth",
+            "model": {
+                "plugin": "sheet",
+                "size": [1, 1],
+                "resolution": [8, 8],
+                "pin": ["top-corners"],
+                "fabric": {"density": 0.3, "structural": 30, "shear": 5},
+            },
+        }
+    ],
+}
+BALL = {"name": "ball", "collider": {"plugin": "sphere", "centre": [0.05, -0.2, 0.3], "radius": 0.2}}
+TILTED = {"axis": [1, 0, 0], "angle": "80 deg"}
+
+
+def read(folder: Path, *overrides: str, **fields: object) -> Loaded:
+    path = folder / "scene.yaml"
+    path.write_text(yaml.safe_dump(SHEET | fields))
+    return scene_file.read(path, overrides)
+
+
+def delivered(loaded: Loaded) -> float:
+    """Error of the chosen run against a converged one, over the frames that the promise is for [sizes]."""
+    problem = make_problem(loaded)
+    reference = make_reference(problem, 60.0, lambda text: None)
+    frames = promised_frames(problem, reference)
+    chosen = choose.decide(loaded)
+    assert chosen.scene.solver.dt != "auto"
+    run = simulate(problem, chosen.integrator.plugin, chosen.integrator.config, steps(chosen))
+    apart = run.series.x[1:frames] - reference.run.series.x[1:frames]
+    return float(np.sqrt((apart**2).sum(axis=2).mean())) / problem.size
+
+
+def steps(loaded: Loaded) -> int:
+    assert loaded.scene.solver.dt != "auto"
+    return round(1.0 / float(loaded.scene.frame_rate) / float(loaded.scene.solver.dt))
+
+
+@pytest.mark.parametrize("accuracy", list(choose.PROMISE))
+@pytest.mark.parametrize("contact", [False, True], ids=["free", "contact"])
+def test_delivers_what_it_promises(tmp_path: Path, accuracy: Accuracy, contact: bool) -> None:
+    fields = {"bodies": [BALL]} if contact else {}
+    overrides = [f"accuracy={accuracy}", *([f"objects.0.model.rotate={TILTED}"] if contact else [])]
+    assert delivered(read(tmp_path, *overrides, **fields)) <= 3.0 * choose.PROMISE[accuracy]
+
+
+def test_pays_no_more_than_it_promises(tmp_path: Path) -> None:
+    """Where accuracy and not stability sets the step, twice as long a step breaks the promise."""
+    overrides = ("solver=leapfrog", "accuracy=reference", "duration=1 s", "objects.0.model.velocity=[1, 0, 0]")
+    chosen = choose.decide(read(tmp_path, *overrides))
+    problem = make_problem(chosen)
+    plugin, config = chosen.integrator.plugin, chosen.integrator.config
+    assert steps(chosen) > 1.5 * chosen_fewest(chosen)
+    exact = simulate(problem, plugin, config, 16 * steps(chosen)).series.x
+    error: dict[int, float] = {}
+    for n in (steps(chosen), steps(chosen) // 2):
+        apart = simulate(problem, plugin, config, n).series.x - exact
+        error[n] = float(np.sqrt((apart**2).sum(axis=2).mean())) / problem.size
+    promise = choose.PROMISE["reference"]
+    assert error[steps(chosen)] <= 3.0 * promise and error[steps(chosen) // 2] > promise
+
+
+def chosen_fewest(loaded: Loaded) -> int:
+    """Steps a frame that stability alone would ask for."""
+    problem = make_problem(loaded)
+    plugin, state = loaded.integrator.plugin, build.start_state(problem.fabric)
+    limit = plugin.limit(loaded.integrator.config, problem.system, state).dt
+    return int(np.ceil(problem.frame / (0.7 * limit)))
+
+
+def test_estimates_the_error_of_a_step(tmp_path: Path) -> None:
+    """Two runs, one of half the step, tell the error against one of a hundredth, for orders 1, 2 and 4."""
+    problem = make_problem(read(tmp_path, "solver=leapfrog"))
+    poses = (None,) * (problem.frames + 1)
+    for name in ("symplectic_euler", "leapfrog", "rk4"):
+        plugin = registry.load("nuno.integrators", name)
+        method = Method(name, plugin, plugin.Config(), 1, 1)
+        trials = Trials(problem.system, poses, problem.frame, problem.frames, problem.size)
+
+        def run(n: int, method: Method = method) -> Float:
+            return simulate(problem, method.plugin, method.config, n).series.x[1:]
+
+        real = np.sqrt(((run(8) - run(800)) ** 2).sum(axis=2).mean()) / problem.size
+        assert trials.error(method, 8) == pytest.approx(real, rel=0.1)
+
+
+def test_a_choice_repeats_and_is_written_whole(tmp_path: Path) -> None:
+    loaded = read(tmp_path, "accuracy=normal")
+    first, second = choose.decide(loaded), choose.decide(loaded)
+    assert first.data == second.data and first.why == second.why
+    again = scene_file.read(loaded.path, first.overrides)
+    assert not again.scene.undecided and again.data["solver"] == first.data["solver"]
+    assert choose.decide(again) is again
+
+
+def test_a_run_is_that_of_the_choice_written_by_hand(tmp_path: Path) -> None:
+    chosen = choose.decide(read(tmp_path))
+    auto = api.run(tmp_path / "scene.yaml")
+    by_hand = api.run(tmp_path / "scene.yaml", f"solver={chosen.data['solver']}")
+    assert auto.digest == by_hand.digest
+    assert auto.report["chosen"] == chosen.why and by_hand.report["chosen"] == ""
+    assert auto.recording.layout.metadata["scene"]["chosen"] == chosen.why
+
+
+def test_stiff_cloth_is_given_an_implicit_step(tmp_path: Path) -> None:
+    """Ten thousand explicit steps a frame cost more than one that solves for its end."""
+    loaded = read(tmp_path, "accuracy=preview", "objects.0.model.fabric.structural=1e8", "duration=0.04 s")
+    chosen = choose.decide(loaded)
+    assert chosen.integrator.name == "tr_bdf2"
+    assert "symplectic_euler" in chosen.why
+
+
+def test_keeps_the_fields_of_a_named_solver(tmp_path: Path) -> None:
+    chosen = choose.decide(read(tmp_path, "solver={plugin: tr_bdf2, residual: 1e-4}", "accuracy=preview"))
+    assert chosen.integrator.config.residual == 1e-4 and chosen.scene.solver.dt != "auto"
+
+
+def test_nothing_that_moves_needs_no_trial(tmp_path: Path) -> None:
+    chosen = choose.decide(read(tmp_path, "objects=[]"))
+    assert chosen.integrator.name == "symplectic_euler" and "nothing can move" in chosen.why
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["solver=dopri5", "accuracy=normal"], ("chooses its own steps", "tolerance")),
+        (["solver=euler", "accuracy=normal"], ("no step is stable", "another solver")),
+        (["solver={plugin: auto, dt: 1 ms}"], ("auto chooses this as well", "leave it out")),
+        (["solver={plugin: auto, tolerance: 1e-3}"], ("auto chooses this as well", "leave it out")),
+        (["solver={plugin: rk4, dt: 1 ms}", "accuracy=normal"], ("solver.dt gives it", "leave one of them out")),
+        (["accuracy=good"], ("unknown value", "preview")),
+    ],
+)
+def test_refuses(tmp_path: Path, overrides: list[str], words: tuple[str, str]) -> None:
+    with pytest.raises(BadInput) as caught:
+        choose.decide(read(tmp_path, *overrides))
+    assert words[0] in caught.value.problem and words[1] in str(caught.value.remedy)
+    assert caught.value.field is not None
+
+
+def test_trials_stay_within_their_work(tmp_path: Path) -> None:
+    loaded = read(tmp_path, "accuracy=reference")
+    problem = make_problem(loaded)
+    plugin = registry.load("nuno.integrators", "symplectic_euler")
+    method = Method("symplectic_euler", plugin, plugin.Config(), 1, 10)
+    trials = Trials(problem.system, (None,) * (problem.frames + 1), problem.frame, problem.frames, problem.size)
+    assert trials.affords(method, 10)
+    assert not replace(trials, work=1e9).affords(method, 10)
