@@ -83,7 +83,7 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
     "half a vertex": (with_model(resolution=[3.5, 4]), "objects[0].model.resolution[0]", "must be a whole number", ""),
     "too few vertices": (with_model(resolution=[0, 4]), "objects[0].model.resolution[0]", "out of range", "at least 2"),
     "text for a flag": ({"allow_unstable": "perhaps"}, "allow_unstable", "must be true or false", ""),
-    "text for a mapping": ({"solver": "rk4"}, "solver", "must be a mapping of fields", ""),
+    "text for a mapping": ({"contact": "penalty"}, "contact", "must be a mapping of fields", ""),
     "mapping for a list": ({"objects": {"name": "x"}}, "objects", "must be a list", ""),
     "text for an object": ({"objects": ["sheet"]}, "objects[0]", "must be a mapping of fields", ""),
     "nothing for a name": ({"name": None}, "name", "must be text", ""),
