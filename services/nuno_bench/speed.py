@@ -20,7 +20,7 @@ CASES = {
     "sheet-32": ("nuno_bench.steps", "sheet_32"),
     "numpy": ("nuno_bench.steps", "numpy_slices"),
     "stiff": ("nuno_bench.stiff", "stiff_sheet"),
-    "scipy": ("nuno_bench.stiff", "scipy_peer"),
+    "scipy": ("nuno_bench.scipy_peer", "scipy_peer"),
     "stiffness": ("nuno_bench.stiffness", "stiffness"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),
     "start": ("nuno_bench.processes", "start"),

@@ -114,15 +114,13 @@ def numpy_slices(repeats: int) -> list[Result]:
 
 def _time_numpy(side: int, repeats: int) -> Result:
     fabric = sheet(side, side)
-    _, state = problems.system_of(fabric)
-    x = np.ascontiguousarray(state.x.T.reshape(3, side, side))
-    v = np.zeros_like(x)
-    inverse_mass = np.where(fabric.pinned, 0.0, 1.0 / fabric.mass).reshape(side, side)
-    stiffness = (problems.STRUCTURAL, problems.SHEAR, problems.BENDING)
+    system, state = problems.system_of(fabric)
+    cloth = numpy_peer.SlicedCloth(fabric, np.asarray(system.gravity))
+    x, v = np.ascontiguousarray(state.x.T), np.ascontiguousarray(state.v.T)
     steps = max(1, WORK // 10 // fabric.number)
 
     def advance() -> None:
-        numpy_peer.advance(x, v, inverse_mass, stiffness, 1.0 / (side - 1), steps, DT)
+        cloth.advance(x, v, steps, DT)
 
     advance()
     samples = tuple(fabric.number * steps / seconds(advance) * 1e-6 for _ in range(repeats))

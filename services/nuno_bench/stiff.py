@@ -1,12 +1,9 @@
-"""The stiff sheet: how fast each solver brings it to the accuracy that a viewer asks for, and SciPy beside it."""
+"""The stiff sheet: how fast each solver brings it to the accuracy that a viewer asks for."""
 
 from __future__ import annotations
 
-import itertools
 import time
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -90,100 +87,3 @@ def _candidate(side: int, name: str, chosen: tuple[str, ...], exact: End, repeat
     note = f"centre of mass off by {1e3 * centre:.2g} mm, mean strain {strain:.2f} of the reference's"
     note += "" if accurate else ": not accurate enough"
     return Result("stiff", f"{side}x{side}, {name}", "s", tuple(end.seconds for end in ends), note=note), accurate
-
-
-SIDE = 32
-SMOOTH = (
-    f"objects.0.model.resolution=[{SIDE}, {SIDE}]",
-    "objects.0.model.pin=[top-row]",
-    "objects.0.model.rotate={axis: [1, 0, 0], angle: 0}",
-    "objects.0.model.velocity=[0.3, 0, 0]",
-    "objects.0.model.fabric.damping_ratio=0",
-    "damping=0",
-)
-"""The same sheet without damping, hung by its whole upper row and pushed sideways in its plane. Held at two
-corners it is chaotic: no method of any tolerance has six digits of a position left after a second."""
-WANTED = {1e-3: 3.0, 1e-6: 1.5}
-"""Errors as shares of the cloth's size, and how many times faster than SciPy's best they must be reached."""
-OURS = {
-    "dopri5": [("dopri5", f"tolerance: 1e-{n}") for n in (5, 6, 7, 8)],
-    "dop853": [("dop853", f"tolerance: 1e-{n}") for n in (5, 6, 7, 8, 9, 10)],
-}
-STEPS = (60, 80, 120, 240)
-"""Steps a frame of the methods of a fixed step."""
-THEIRS = {"RK45": (1e-4, 1e-6, 1e-8), "DOP853": (1e-4, 1e-6, 1e-8, 1e-10)}
-
-
-@cache
-def _exact() -> Float:
-    return run(*SMOOTH, "solver={plugin: dop853, tolerance: 1e-12, dt: auto}").x
-
-
-def _error(x: Float) -> float:
-    return float(np.sqrt(((x - _exact()) ** 2).sum(axis=1).mean()) / np.sqrt(2.0))
-
-
-def scipy_peer(repeats: int) -> list[Result]:
-    """Time to an error at the end of a second, ours against SciPy's with the same compiled forces.
-
-    Radau and LSODA are left out: their dense Jacobian of 6,144 unknowns takes as many evaluations.
-    """
-    repeats = min(repeats, 3)
-    curves: dict[str, list[tuple[float, float]]] = {}
-    for name, choices in OURS.items():
-        curves[name] = [_point([*SMOOTH, f"solver={{plugin: {p}, {c}, dt: auto}}"], repeats) for p, c in choices]
-    for name in ("leapfrog", "rk4"):
-        chosen = [[*SMOOTH, f"solver={{plugin: {name}, dt: {1 / 60 / n!r}}}", "frame_rate=60 Hz"] for n in STEPS]
-        curves[name] = [_point(each, repeats) for each in chosen]
-    theirs = {name: [_scipy(name, rtol, repeats) for rtol in tolerances] for name, tolerances in THEIRS.items()}
-    results = []
-    for wanted, bar in WANTED.items():
-        own, other = _fastest(curves, wanted), _fastest(theirs, wanted)
-        what = f"{SIDE}x{SIDE}, to {wanted:g} of its size after a second, against SciPy"
-        if own is None or other is None:
-            results.append(Result("scipy", what, "times faster", bar=bar, failure="the error was not reached"))
-            continue
-        note = f"{own[0]} {own[1]:.3g} s, SciPy's {other[0]} {other[1]:.3g} s"
-        results.append(Result("scipy", what, "times faster", (other[1] / own[1],), bar=bar, note=note))
-    return results
-
-
-def _point(overrides: list[str], repeats: int) -> tuple[float, float]:
-    """Error and median wall time [s]."""
-    ends = [run(*overrides) for _ in range(repeats)]
-    return _error(ends[0].x), float(np.median([end.seconds for end in ends]))
-
-
-def _fastest(curves: dict[str, list[tuple[float, float]]], wanted: float) -> tuple[str, float] | None:
-    """Method and time [s] at an error, between the points of each curve on logarithmic scales."""
-    found = []
-    for name, points in curves.items():
-        for (e0, t0), (e1, t1) in itertools.pairwise(sorted(points, reverse=True)):
-            if e1 <= wanted <= e0:
-                share = np.log(e0 / wanted) / np.log(e0 / e1)
-                found.append((float(t0 * (t1 / t0) ** share), name))
-        found += [(t, name) for e, t in points if e <= wanted]
-    return (min(found)[1], min(found)[0]) if found else None
-
-
-def _scipy(method: str, rtol: float, repeats: int) -> tuple[float, float]:
-    from scipy.integrate import solve_ivp
-
-    simulation = Simulation(scene_file.read(scene_file.find(SCENE), SMOOTH), None, None, 1)
-    accelerate, n = simulation.loaded.integrator.plugin.slopes(simulation.memory), simulation.fabric.number
-
-    def slopes(t: float, y: Float) -> Float:
-        state, out = y.reshape(2, 3, n), np.empty((2, 3, n))
-        out[0] = state[1]
-        accelerate(state[0], state[1], out[1])
-        return out.reshape(-1)
-
-    start = np.concatenate([simulation.state.x.T.ravel(), simulation.state.v.T.ravel()])
-    slopes(0.0, start)
-    times, last = [], start
-    for _ in range(repeats):
-        began = time.perf_counter()
-        done: Any = solve_ivp(slopes, (0.0, 1.0), start, method=method, rtol=rtol, atol=rtol, t_eval=[1.0])
-        times.append(time.perf_counter() - began)
-        last = done.y[:, -1]
-    return _error(last[: 3 * n].reshape(3, n).T), float(np.median(times))
