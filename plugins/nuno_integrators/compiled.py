@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from nuno_integrators.pace import Pace
 from nuno_integrators.profile import profile_steps
 from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed, evaluate
@@ -35,6 +36,12 @@ class Work:
     x: Float
     v: Float
     stages: Float
+    pace: Pace | None = field(default=None, init=False)
+    """None where one thread runs."""
+
+    def __post_init__(self) -> None:
+        if self.packed.threads is not None:
+            self.pace = Pace(self.packed.threads)
 
     def kept(self) -> dict[str, NDArray[Any]]:
         """Arrays that are part of the state."""
@@ -101,7 +108,10 @@ class Compiled(ABC):
         extra = _enter(system, state, work, state.t + steps * dt)
         if steps == 0:
             self.compile(work, packed, extra)
+        started = time.perf_counter()
         told = self.go(work, packed, extra, steps, dt) if steps else Told(0)
+        if work.pace is not None:
+            work.pace.took(time.perf_counter() - started, told.totals.get("evaluations", told.steps))
         state.x[...] = work.x.T
         state.v[...] = work.v.T
         state.t += steps * dt
@@ -135,7 +145,8 @@ class Compiled(ABC):
         count, available = thread_count(system), threads_available()
         if count == 1 and available[0] > 1 and system.threads > 1:
             return f"1 thread: {system.fabric.number:,} vertices are fewer than several threads pay for"
-        return f"{count} thread{'s' if count > 1 else ''} of {available[0]} ({available[1]})"
+        fewer = ", or 1 in frames where that is faster" if count > 1 else ""
+        return f"{count} thread{'s' if count > 1 else ''} of {available[0]} ({available[1]}){fewer}"
 
     @abstractmethod
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
@@ -144,8 +155,8 @@ class Compiled(ABC):
 
 def _enter(system: System, state: State, work: Work, end: float) -> Any:
     """Put the state into the kernels' layout; the forces written in Python, or None."""
-    if work.packed.threads is not None:
-        numba.set_num_threads(work.packed.threads)
+    if work.pace is not None:
+        numba.set_num_threads(work.pace.choose() if state.t < end else work.pace.threads)
     to_rows(state.x, work.x)
     to_rows(state.v, work.v)
     return python_terms(system, state.t, end)

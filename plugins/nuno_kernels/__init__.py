@@ -75,17 +75,21 @@ def shared_source(function: F) -> F:
     return cast(F, register_jitable(function))
 
 
+SPINS = 3000
+
+
 @functools.cache
 def threads_available() -> tuple[int, str]:
     """How many threads a kernel may use, and a word about it.
 
     Only OpenMP and TBB will do: numba's own workqueue aborts the process when two threads of a
-    program run parallel kernels at once. OpenMP's threads are told to sleep, not to spin, while they
-    wait for each other, unless the user's OMP_WAIT_POLICY says otherwise: on two quiet cores a
-    256 x 256 sheet then does 82 instead of 106 million vertex-steps a second, but with another busy
-    process beside it 44, where spinning was seen to fall to 4.
+    program run parallel kernels at once. OpenMP's threads wait for each other awake for SPINS turns, some
+    tens of microseconds, which is longer than the way from one step to the next, and sleep then; unless
+    the user's OMP_WAIT_POLICY or GOMP_SPINCOUNT says otherwise. Sleeping at once makes a 64 x 64 sheet
+    three times slower on two cores than on one; never to sleep takes a core from everybody else.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ.setdefault("GOMP_SPINCOUNT", str(SPINS))
     for layer, module in (("omp", "omppool"), ("tbb", "tbbpool")):
         try:
             __import__(f"numba.np.ufunc.{module}")

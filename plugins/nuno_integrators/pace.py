@@ -1,0 +1,38 @@
+"""How many threads step fastest just now: a matter of what else the machine does, not of the mesh alone.
+
+Threads meet after every pass over the vertices. Where another process has one of the cores, each meeting waits
+for it, and two threads are several times slower than one; where it has not, they are up to twice as fast. The
+result is the same to the last bit, so the number may change from frame to frame by what the frames took.
+"""
+
+from __future__ import annotations
+
+TRY_AGAIN = 24
+"""Frames after which the number not in use is tried for one."""
+BETTER = 0.95
+"""What a change must promise, as a share of the time now taken: times vary by a few percent."""
+
+
+class Pace:
+    """Chooses between one thread and `most` by the time that an evaluation took with each."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self.threads, self.used, self.frames = most, most, most, 0
+        self.taken: dict[int, float] = {}
+
+    def choose(self) -> int:
+        """Threads for the next frame. The first one is not counted: what it needs is not yet in the caches."""
+        self.frames += 1
+        other = 1 if self.threads == self.most else self.most
+        again = self.frames == 3 or self.frames % TRY_AGAIN == 0
+        self.used = other if again else self.threads
+        return self.used
+
+    def took(self, seconds: float, work: int) -> None:
+        """What the frame just chosen for took, for so much work (steps, or evaluations)."""
+        if work < 1 or self.frames == 1:
+            return
+        self.taken[self.used] = seconds / work
+        best = min(self.taken, key=self.taken.__getitem__)
+        if self.taken[best] < BETTER * self.taken.get(self.threads, 0.0):
+            self.threads = best
