@@ -11,6 +11,7 @@ COMMANDS = {
     "accuracy": ("nuno_bench.accuracy", "whether `accuracy: LEVEL` delivers what it promises, on many scenes"),
     "compare": ("nuno_bench.compare", "two results of precision: which errors and times have changed"),
     "stability": ("nuno_bench.stability", "maps of what solvers make of a scene over stiffness, mesh and step"),
+    "peers": ("nuno_bench.peers", "the stiff sheet in other engines and in ours: error beside time"),
     "integrators": ("nuno_bench.integrators", "the skirt paper's experiment: four methods, split and unsplit bones"),
 }
 """Module and summary of each measurement; a module has `add_arguments(parser)` and `main(args)`."""

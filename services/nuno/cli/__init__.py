@@ -20,7 +20,10 @@ COMMANDS = {
     "export": ("nuno.cli.export", "meshes, arrays, tables, pictures and animations of a recording"),
     "control": ("nuno.cli.control", "pause, resume, step, stop or change a run that goes on"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
-    "bench": ("nuno_bench.cli", "speed, and the skirt paper's comparison of integrators"),
+    "bench": (
+        "nuno_bench.cli",
+        "measurements: speed, integrators, precision, accuracy, compare, stability, peers",
+    ),
     "validate": ("nuno_bench.validate_cli", "the laws of physics, held against every installed solver"),
     "plugins": ("nuno.cli.plugins", "which plugins are installed"),
     "scenes": ("nuno.cli.scenes", "the scenes that come with nuno"),

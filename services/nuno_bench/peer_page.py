@@ -1,0 +1,166 @@
+"""What `nuno bench peers` found, as a page, a table for the screen and documentation, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from nuno_bench import markdown, page
+from nuno_bench.peer_plot import error_over_time
+from nuno_bench.peer_process import Point
+from nuno_bench.peer_table import Kind
+from nuno_bench.result import number
+from nuno_bench.stiff import CENTRE, REFERENCE, SCENE, STRAIN
+
+HEADINGS = (
+    "peer",
+    "setting",
+    "centre of mass off [mm]",
+    "mean strain",
+    "peak strain",
+    "median [s]",
+    "min - max [s]",
+    "start [s]",
+    "verdict",
+)
+PACKAGES = {"mujoco": ("mujoco",), "newton": ("newton", "warp-lang"), "scipy": ("scipy",)}
+LEAD = (
+    f"A second of the scene {SCENE}: 64 x 64 vertices, springs of 1000, 300 and 20 N/m, let go at 45 degrees, held "
+    "at two corners. Each engine in a process of its own, at steps from coarse to fine."
+)
+JUDGED = (
+    f"Accurate is a centre of mass within {1e3 * CENTRE:g} mm and a mean strain within {STRAIN:.0%} of the converged "
+    f"run ({REFERENCE[0].removeprefix('solver={').removesuffix('}')}). Mean strain is a share of that run's. Times are "
+    "medians over the repeats of the simulated second; start, from an empty process to the first step with all that "
+    "is compiled, is in none of them. A setting is not repeated once it has used a third of its limit."
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """All points, what is left out and why, and the wall time of the converged run [s]."""
+
+    kinds: Sequence[Kind]
+    points: Sequence[Point]
+    left_out: Sequence[str]
+    exact_seconds: float
+
+
+def accurate(point: Point) -> bool:
+    score = point.score
+    return score is not None and score.centre <= CENTRE and abs(score.strain - 1.0) <= STRAIN
+
+
+def best(points: Iterable[Point]) -> Point | None:
+    """The fastest that is accurate."""
+    return min((point for point in points if accurate(point)), key=lambda point: point.median, default=None)
+
+
+def rows(found: Found) -> list[list[str]]:
+    """One row of text per point, under HEADINGS."""
+    chosen = [best(point for point in found.points if point.kind == kind.name) for kind in found.kinds]
+    return [_row(point, any(point is each for each in chosen)) for point in found.points]
+
+
+def _row(point: Point, chosen: bool) -> list[str]:
+    start = number(round(point.start, 2)) if point.start is not None else ""
+    if point.score is None:
+        return [point.kind, point.setting, "", "", "", "", "", start, f"failed: {point.failure}"]
+    low, high = min(point.seconds), max(point.seconds)
+    spread = f"{number(low)} - {number(high)}" if len(point.seconds) > 1 else "once"
+    verdict = ("best of its kind" if chosen else "accurate") if accurate(point) else "not accurate"
+    score = (number(1e3 * point.score.centre), f"{point.score.strain:.2f}", f"{point.score.peak:.1%}")
+    verdict += f"; {point.remark}" if point.remark else ""
+    return [point.kind, point.setting, *score, number(point.median), spread, start, verdict]
+
+
+def verdicts(found: Found) -> list[str]:
+    """The fastest of ours and of theirs, and who reaches the accuracy at no setting."""
+    own = best(point for point in found.points if point.kind.startswith("nuno-"))
+    other = best(point for point in found.points if not point.kind.startswith("nuno-"))
+    texts = []
+    for whose, point in (("Ours", own), ("Of the others", other)):
+        if point is not None:
+            texts.append(f"{whose}: {point.kind} ({point.setting}) is accurate in {number(point.median)} s.")
+    if own is not None and other is not None:
+        texts.append(f"That is {number(other.median / own.median)} times faster.")
+    measured = {point.kind for point in found.points}
+    never = [
+        k.name for k in found.kinds if k.name in measured and best(p for p in found.points if p.kind == k.name) is None
+    ]
+    return texts + ([f"Accurate at no setting shown: {', '.join(never)}."] if never else [])
+
+
+def sections(found: Found) -> list[str]:
+    """Parts for the documentation."""
+    posed = [[kind.name, kind.posed] for kind in found.kinds]
+    return [
+        " ".join([*verdicts(found), *(f"{text}." for text in found.left_out)]),
+        markdown.table(HEADINGS, rows(found)),
+        JUDGED,
+        markdown.table(("peer", "what it is given"), posed),
+    ]
+
+
+def versions(packages: Iterable[str]) -> str:
+    names = [name for package in dict.fromkeys(packages) for name in PACKAGES.get(package, (package,))]
+    return ", ".join(f"{name} {_version(name)}" for name in names) or "none"
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "of unknown version"
+
+
+def data(found: Found, about: Mapping[str, str]) -> dict[str, Any]:
+    """All that was found, for JSON."""
+    points = [asdict(p) | {"accurate": accurate(p), "median": p.median if p.seconds else None} for p in found.points]
+    posed = {kind.name: kind.posed for kind in found.kinds}
+    judged = {"centre_of_mass_m": CENTRE, "mean_strain": STRAIN, "reference": REFERENCE[0]}
+    judged |= {"reference_seconds": found.exact_seconds}
+    return {
+        "about": dict(about),
+        "accuracy": judged,
+        "points": points,
+        "left_out": list(found.left_out),
+        "posed": posed,
+    }
+
+
+def write(base: Path, found: Found, about: Mapping[str, str]) -> tuple[Path, Path, Path]:
+    """Page, CSV (a line per point and repeat) and JSON."""
+    html, table, raw = (base.with_name(base.name + ending) for ending in (".html", ".csv", ".json"))
+    raw.write_text(json.dumps(data(found, about), indent=1) + "\n", encoding="utf-8")
+    with table.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["peer", "setting", "repeat", "seconds", "start", "centre_m", "strain", "peak", "failure"])
+        for p in found.points:
+            score = (p.score.centre, p.score.strain, p.score.peak) if p.score else ("", "", "")
+            for repeat, seconds in enumerate(p.seconds or ("",)):
+                writer.writerow([p.kind, p.setting, repeat, seconds, p.start, *score, p.failure])
+    html.write_text(_page(found, about), encoding="utf-8")
+    return html, table, raw
+
+
+def _page(found: Found, about: Mapping[str, str]) -> str:
+    caption = (
+        f"Dashed: what is accurate enough, {1e3 * CENTRE:g} mm. Hollow: the mean strain is off by more than "
+        f"{STRAIN:.0%}. Bars across: all repeats. Crosses above: failed, at the time taken or at the left edge."
+    )
+    posed = [[kind.name, kind.posed] for kind in found.kinds]
+    parts: list[tuple[str, Sequence[page.Part]]] = [
+        ("", [" ".join(verdicts(found)), page.Figure(error_over_time(found.points), caption)]),
+        ("All settings", [page.Table(HEADINGS, rows(found), JUDGED)]),
+        ("What each is given", [page.Table(("peer", "material and method"), posed, "From its documentation.", True)]),
+    ]
+    if found.left_out:
+        parts.append(("Left out", list(found.left_out)))
+    parts.append(("Made by", [page.Facts(about)]))
+    return page.render("The stiff sheet in other engines", LEAD, parts)

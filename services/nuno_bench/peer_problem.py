@@ -1,0 +1,93 @@
+"""The stiff sheet as plain arrays, which any engine can be given, and how an end is judged.
+
+Only NumPy is imported, so that no engine's start is charged with what ours needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_schemas.fabric import Float
+
+SECONDS = 1.0
+"""What is simulated [s]."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Vertices, springs and triangles of a sheet at rest.
+
+    x       (n, 3) positions [m], in which every spring has its rest length
+    mass    (n,) [kg]; pinned (n,) bool
+    pairs   (s, 2) int64; k, rest, c (s,) [N/m, m, N s/m]
+    faces   (f, 3) int64; flat (n, 2) the vertices' places in the plane of the sheet [m]
+    gravity (3,) [m/s^2]; drag () a deceleration in proportion to velocity [1/s]
+    """
+
+    x: Float
+    mass: Float
+    pinned: NDArray[np.bool_]
+    pairs: NDArray[np.int64]
+    k: Float
+    rest: Float
+    c: Float
+    faces: NDArray[np.int64]
+    flat: Float
+    gravity: Float
+    drag: Float
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        return np.asarray(~self.pinned)
+
+    def save(self, path: Path) -> None:
+        arrays: dict[str, Any] = vars(self)
+        np.savez(path, allow_pickle=False, **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> Sheet:
+        with np.load(path) as data:
+            return cls(**{field.name: data[field.name] for field in fields(cls)})
+
+
+class Peer(Protocol):
+    """An engine with the sheet in it; it is made as `cls(sheet, **setting)`.
+
+    remark is what a user should know of the last run, e.g. that something did not converge.
+    """
+
+    remark: str
+
+    def reset(self) -> None:
+        """Back to the start; in no time that is measured."""
+
+    def advance(self, seconds: float) -> Float:
+        """Positions (n, 3) [m] after this time. Raises RuntimeError where the engine breaks down."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How far an end is from the converged one: the centre of mass [m], the mean strain as a share of the
+    converged run's, and the largest strain of any spring.
+    """
+
+    centre: float
+    strain: float
+    peak: float
+
+
+def judge(sheet: Sheet, x: Float, exact: Float) -> Score:
+    """Both (n, 3) [m]."""
+    own, other = _strains(sheet, x), _strains(sheet, exact)
+    centre = np.linalg.norm(sheet.mass @ (x - exact)) / sheet.mass.sum()
+    return Score(float(centre), float(own.mean() / other.mean()), float(own.max()))
+
+
+def _strains(sheet: Sheet, x: Float) -> Float:
+    ends = x[sheet.pairs]
+    return np.asarray(np.abs(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / sheet.rest - 1.0))

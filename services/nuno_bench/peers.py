@@ -1,0 +1,124 @@
+"""`nuno bench peers`: the stiff sheet in other engines and in ours, in the same run: error beside time."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nuno import scene_file
+from nuno.simulation.run import Simulation
+from nuno_bench import machine, markdown, plots, stiff
+from nuno_bench import peer_page as shown
+from nuno_bench.peer_problem import Sheet
+from nuno_bench.peer_process import Point, measure
+from nuno_bench.peer_table import KINDS, Kind, label
+from nuno_bench.result import text_table
+from nuno_schemas.errors import BadInput, nearest
+
+GROUPS = {
+    name: [kind for kind in KINDS if kind.name.partition("-")[0] == name] for name in ("nuno", "mujoco", "newton")
+}
+"""What a name of --only may stand for as a whole."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    names = ", ".join([*GROUPS, *(kind.name for kind in KINDS)])
+    parser.add_argument("--only", default="", metavar="NAME,NAME", help=f"which of {names} (default: all installed)")
+    parser.add_argument(
+        "--repeats", type=int, default=3, metavar="N", help="seconds to simulate at each setting (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=150.0,
+        metavar="SECONDS",
+        help="wall time of a setting, start and all; no repeats after a third of it (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("recordings/bench"),
+        metavar="DIR",
+        help="where page, CSV and JSON go (default: %(default)s)",
+    )
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the table into this Markdown page's section")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run every setting, print the table, write page, CSV and JSON. A peer that breaks is a finding."""
+    plots.require_matplotlib()
+    kinds = choose(args.only)
+    if args.repeats < 1:
+        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
+    if not args.limit > 0.0:
+        raise BadInput("a setting needs time", field="--limit", value=args.limit, limit="> 0 s")
+    if args.docs is not None:
+        markdown.check_section(args.docs, "peers")
+    args.out.mkdir(parents=True, exist_ok=True)
+    others = machine.Others()
+    found = measure_all(kinds, args.repeats, args.limit)
+    used = [kind.package for kind in kinds if kind.package and not kind.missing]
+    about = {"command": machine.command(), **machine.describe(), "peers": shown.versions(used)}
+    about["load"] = others.describe()
+    print(text_table(shown.HEADINGS, shown.rows(found)))
+    for text in [*shown.verdicts(found), *found.left_out]:
+        print(text)
+    for file in shown.write(args.out / "peers", found, about):
+        print(f"written {file}")
+    if args.docs is not None:
+        markdown.replace_section(args.docs, "peers", [*shown.sections(found), markdown.facts(about)])
+        print(f"written {args.docs}")
+    return 0
+
+
+def choose(only: str) -> list[Kind]:
+    """Kinds by their names, or by the engine's. Raises BadInput for any other name."""
+    known = {kind.name: [kind] for kind in KINDS} | GROUPS
+    names = [name for name in only.split(",") if name]
+    for name in names:
+        if name not in known:
+            raise BadInput("no such peer", field="--only", value=name, remedy=nearest(name, known))
+    chosen = [kind for name in names for kind in known[name]]
+    return [kind for kind in KINDS if not names or kind in chosen]
+
+
+def stiff_sheet(overrides: Sequence[str] = ()) -> Sheet:
+    """The shipped scene. Its sheet is 1 m wide and high, so that its texture coordinates are metres."""
+    simulation = Simulation(scene_file.read(scene_file.find(stiff.SCENE), tuple(overrides)), None, None, 1)
+    fabric, system = simulation.fabric, simulation.system
+    springs = fabric.springs
+    assert springs is not None and fabric.uv is not None
+    return Sheet(
+        x=fabric.position.copy(),
+        mass=fabric.mass,
+        pinned=fabric.pinned,
+        pairs=springs.pairs().astype(np.int64),
+        k=springs.per_spring(springs.k),
+        rest=springs.per_spring(springs.rest),
+        c=springs.per_spring(springs.c),
+        faces=fabric.faces.astype(np.int64),
+        flat=fabric.uv.astype(np.float64),
+        gravity=np.asarray(system.gravity, np.float64),
+        drag=np.full((), system.damping),
+    )
+
+
+def measure_all(kinds: list[Kind], repeats: int, limit: float) -> shown.Found:
+    """Points of every kind that is installed, against the converged run of ours."""
+    sheet = stiff_sheet()
+    print("the converged run ...", file=sys.stderr)
+    exact = stiff.run(*stiff.REFERENCE)
+    points: list[Point] = []
+    left_out = []
+    for kind in kinds:
+        if kind.missing:
+            left_out.append(f"{kind.name} is left out: {kind.package} is not installed (pip install '{kind.install}')")
+            continue
+        for setting in kind.settings:
+            print(f"{kind.name}, {label(setting)} ...", file=sys.stderr)
+            points.append(measure(kind, setting, label(setting), sheet, exact.x, repeats, limit))
+    return shown.Found(kinds, points, left_out, exact.seconds)

@@ -1,0 +1,57 @@
+"""Engines that work, crash, hang, raise and talk, for processes that test_bench_peers starts."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import numpy as np
+
+from nuno_bench.peer_problem import Sheet
+from nuno_schemas.fabric import Float
+
+
+class Still:
+    """Leaves the sheet where it is, moved by `shift` [m] upwards; it talks while it works."""
+
+    def __init__(self, sheet: Sheet, shift: float) -> None:
+        print("an engine's own line")
+        self.sheet, self.shift, self.remark = sheet, shift, "it did nothing"
+
+    def reset(self) -> None:
+        pass
+
+    def advance(self, seconds: float) -> Float:
+        time.sleep(0.01 * seconds)
+        return self.sheet.x + np.array([0.0, self.shift, 0.0])
+
+
+class Crash(Still):
+    def advance(self, seconds: float) -> Float:
+        os.kill(os.getpid(), signal.SIGSEGV)
+        return self.sheet.x
+
+
+class Hang(Still):
+    """In the `after`th second it is asked for, counted from 0; the first call is the short one."""
+
+    def __init__(self, sheet: Sheet, after: float) -> None:
+        super().__init__(sheet, 0.0)
+        self.left = after
+
+    def advance(self, seconds: float) -> Float:
+        if self.left <= 0:
+            time.sleep(600.0)
+        self.left -= 1
+        return self.sheet.x
+
+
+class Diverge(Still):
+    def advance(self, seconds: float) -> Float:
+        return np.full_like(self.sheet.x, np.nan)
+
+
+class Refuse(Still):
+    def advance(self, seconds: float) -> Float:
+        raise RuntimeError("unstable at step 7")

@@ -1,0 +1,216 @@
+"""Other engines get the very sheet that ours get, and nothing that they do ends the comparison."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import html
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nuno import scene_file
+from nuno.cli import main
+from nuno.simulation.run import Simulation
+from nuno_bench import peer_page, peers, stiff
+from nuno_bench.numpy_peer import SlicedCloth
+from nuno_bench.peer_problem import Score, Sheet, judge
+from nuno_bench.peer_process import Point, measure
+from nuno_bench.peer_python import NumPy, _fabric
+from nuno_bench.peer_table import KINDS, Kind, label
+from nuno_bench.peers import stiff_sheet
+
+SMALL = ("objects.0.model.resolution=[9, 8]",)
+HERE = str(Path(__file__).parent)
+
+
+@pytest.fixture
+def sheet(tmp_path: Path) -> Sheet:
+    """As an engine's process reads it."""
+    stiff_sheet(SMALL).save(tmp_path / "sheet.npz")
+    return Sheet.load(tmp_path / "sheet.npz")
+
+
+@pytest.fixture
+def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", HERE)
+
+
+def fake(made: str, *settings: dict[str, float], package: str = "") -> Kind:
+    return Kind(f"fake-{made.lower()}", package, "nuno[fake]", "fake_engines", made, settings, f"{made} <is> given.")
+
+
+def test_arrays_given_to_engines_have_the_accelerations_of_our_kernels(sheet: Sheet) -> None:
+    simulation = Simulation(scene_file.read(scene_file.find("stiff-sheet"), SMALL), None, None, 1)
+    draw, n = np.random.default_rng(11), sheet.mass.size
+    x = np.ascontiguousarray(sheet.x.T) + draw.normal(0.0, 0.01, (3, n))
+    v = draw.normal(0.0, 1.0, (3, n)) * sheet.free
+    own, other = np.empty((3, n)), np.empty((3, n))
+    simulation.loaded.integrator.plugin.slopes(simulation.memory)(x, v, own)
+    SlicedCloth(_fabric(sheet), sheet.gravity, float(sheet.drag)).accelerate(x, v, other)
+    np.testing.assert_allclose(other, own, rtol=0, atol=1e-12 * np.abs(own).max())
+
+
+def test_score_of_an_end_is_its_shift_and_its_stretch(sheet: Sheet) -> None:
+    """Stretched by 1 % everywhere; twice that is twice the mean strain; the peak is the strain."""
+    exact = 1.01 * sheet.x
+    found = judge(sheet, 1.02 * sheet.x + [0.0, 3e-3, 4e-3], exact)
+    middle = sheet.mass @ sheet.x / sheet.mass.sum()
+    assert found.centre == pytest.approx(float(np.linalg.norm(0.01 * middle + [0.0, 3e-3, 4e-3])))
+    assert found.strain == pytest.approx(2.0)
+    assert found.peak == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(("module", "made", "off"), [("mujoco", "Edges", 1e-9), ("newton", "SemiImplicit", 1e-4)])
+def test_engines_that_step_as_numpy_does_end_where_it_does(sheet: Sheet, module: str, made: str, off: float) -> None:
+    """Both are symplectic Euler: the same springs, dampers, masses, drag and pins give the same positions."""
+    pytest.importorskip(module)
+    engine = getattr(__import__(f"nuno_bench.peer_{module}", fromlist=[made]), made)(sheet, dt=1 / 3000)
+    x, exact = engine.advance(0.2), NumPy(sheet, 1 / 3000).advance(0.2)
+    moved = np.abs(exact - sheet.x).max()
+    assert moved > 0.05
+    np.testing.assert_allclose(x, exact, rtol=0, atol=off * moved)
+
+
+def test_engine_in_a_process_of_its_own_gives_its_score(sheet: Sheet, fakes: None) -> None:
+    point = measure(fake("Still"), {"shift": 2e-3}, "still", sheet, sheet.x + 0.0, 3, 60.0)
+    assert point.failure == ""
+    assert len(point.seconds) == 3
+    assert min(point.seconds) >= 0.01
+    assert point.start is not None and point.start > 0.0
+    assert point.score is not None and point.score.centre == pytest.approx(2e-3)
+    assert point.remark == "it did nothing"
+
+
+@pytest.mark.parametrize(
+    ("made", "setting", "limit", "reason"),
+    [
+        ("Crash", {"shift": 0.0}, 60.0, "signal SIGSEGV"),
+        ("Hang", {"after": 0.0}, 1.0, "not done after 1 s"),
+        ("Refuse", {"shift": 0.0}, 60.0, "RuntimeError: unstable at step 7"),
+        ("Diverge", {"shift": 0.0}, 60.0, "no longer finite"),
+        ("NoSuchEngine", {}, 60.0, "AttributeError"),
+    ],
+)
+def test_engine_that_breaks_is_a_mark_with_its_reason(
+    sheet: Sheet, fakes: None, made: str, setting: dict[str, float], limit: float, reason: str
+) -> None:
+    point = measure(fake(made), setting, made, sheet, sheet.x, 1, limit)
+    assert point.score is None
+    assert reason in point.failure
+
+
+def test_engine_that_runs_out_of_time_while_it_repeats_keeps_what_it_has(sheet: Sheet, fakes: None) -> None:
+    point = measure(fake("Hang"), {"after": 2.0}, "", sheet, 1.001 * sheet.x, 5, 3.0)
+    assert len(point.seconds) == 1
+    assert point.score is not None
+    assert point.failure == ""
+
+
+def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
+    good, off, loose = Score(1e-3, 1.1, 0.1), Score(7e-3, 1.0, 0.1), Score(1e-3, 1.3, 0.1)
+    points = [
+        Point("nuno-a", "coarse", 0.1, (0.1,), off),
+        Point("nuno-a", "fine", 0.1, (0.5, 0.4, 0.6), good),
+        Point("other", "coarse", 0.1, (0.2,), loose),
+        Point("other", "fine", 0.1, (5.0,), good),
+        Point("never", "", None, (), None, "not done after 9 s"),
+    ]
+    kinds = [Kind(name, "", "", "", "", (), "") for name in ("nuno-a", "other", "never")]
+    found = peer_page.Found(kinds, points, (), 1.0)
+    verdicts = [row[-1] for row in peer_page.rows(found)]
+    assert verdicts == [
+        "not accurate",
+        "best of its kind",
+        "not accurate",
+        "best of its kind",
+        "failed: not done after 9 s",
+    ]
+    assert "10 times faster" in " ".join(peer_page.verdicts(found))
+    assert "Accurate at no setting shown: never." in peer_page.verdicts(found)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, Path]:
+    """The command on engines that are quick; one is not installed, one crashes: its code, output and folder."""
+    small, folder, out = stiff_sheet(SMALL), tmp_path_factory.mktemp("peers"), io.StringIO()
+    end = stiff.End(np.zeros(3), 0.0, 1.001 * small.x, 0.5)
+    kinds = (
+        fake("Still", {"shift": 0.0}, {"shift": 1.0}),
+        fake("Crash", {"shift": 0.0}),
+        fake("Hang", {"after": 0.0}, package="no_such_engine"),
+    )
+    docs = folder / "page.md"
+    docs.write_text("before\n<!-- measured: peers -->\n<!-- end: peers -->\nafter\n")
+    argv = ["bench", "peers", "--repeats", "2", "--out", str(folder), "--docs", str(docs)]
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
+        patch.setenv("PYTHONPATH", HERE)
+        patch.setattr(peers, "KINDS", kinds)
+        patch.setattr(peers, "label", lambda setting: f"{setting}")
+        patch.setattr(peers, "stiff_sheet", lambda: small)
+        patch.setattr(stiff, "run", lambda *overrides: end)
+        code = main(argv)
+    return code, out.getvalue(), folder
+
+
+def test_absent_engine_is_named_with_its_install_command_and_no_error(run: tuple[int, str, Path]) -> None:
+    code, out, folder = run
+    told = "fake-hang is left out: no_such_engine is not installed (pip install 'nuno[fake]')"
+    assert code == 0
+    assert told in out
+    assert json.loads((folder / "peers.json").read_text())["left_out"] == [told]
+    assert told in html.unescape((folder / "peers.html").read_text())
+
+
+def test_page_and_table_hold_what_the_json_holds(run: tuple[int, str, Path]) -> None:
+    _, out, folder = run
+    data = json.loads((folder / "peers.json").read_text())
+    shown, docs = html.unescape((folder / "peers.html").read_text()), (folder / "page.md").read_text()
+    assert [point["kind"] for point in data["points"]] == ["fake-still", "fake-still", "fake-crash"]
+    for point in data["points"]:
+        cells = [point["kind"], point["setting"], point["failure"]]
+        if point["score"]:
+            cells.append(peer_page.number(1e3 * point["score"]["centre"]))
+            cells.append(peer_page.number(point["median"]))
+        for text in (shown, out, docs):
+            assert all(cell in text for cell in cells)
+    assert all(text in shown and text in docs for text in data["posed"].values())
+    assert data["about"]["command"] in docs
+    assert "<svg" in shown and "http" not in shown.replace("http://www.w3.org", "")
+    assert docs.startswith("before\n") and docs.endswith("after\n")
+    lines = list(csv.DictReader((folder / "peers.csv").read_text().splitlines()))
+    assert [float(line["seconds"]) for line in lines[:4]] == [s for p in data["points"] for s in p["seconds"]]
+    assert len(lines) == 5
+
+
+@pytest.mark.parametrize("only", ["mujocco", "newton-vbd,numpi"])
+def test_unknown_engine_is_refused_with_the_nearest_name(only: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "peers", "--only", only]) == 2
+    told = capsys.readouterr().err
+    assert "no such peer" in told
+    assert "did you mean" in told or "mujoco" in told or "numpy" in told
+
+
+@pytest.mark.parametrize(("option", "value"), [("--repeats", "0"), ("--limit", "0"), ("--limit", "nan")])
+def test_no_repeats_and_no_time_are_refused(option: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "peers", option, value]) == 2
+    assert option in capsys.readouterr().err
+
+
+def test_names_choose_engines_or_one_way_of_theirs() -> None:
+    assert [kind.name for kind in peers.choose("mujoco,newton-vbd")] == [
+        "mujoco-edges",
+        "mujoco-tendons",
+        "mujoco-membrane",
+        "newton-vbd",
+    ]
+    assert peers.choose("") == list(KINDS)
+
+
+def test_every_setting_has_a_label_of_its_own() -> None:
+    for kind in KINDS:
+        labels = [label(setting) for setting in kind.settings]
+        assert len(set(labels)) == len(labels) >= 1
