@@ -50,7 +50,13 @@ def make_reference(problem: Problem, most_seconds: float, told: Callable[[str], 
         how = "the exact motion (matrix exponential of the linear system); its floor is rounding"
         return Reference(*exact, how, 0.0, twin_at(_allowed(problem)))
     told(f"reference: {PRIMARY}")
-    run, tolerance = _tightest(problem, PRIMARY, 0, most_seconds)
+    try:
+        run, tolerance = _tightest(problem, PRIMARY, 0, most_seconds)
+    except BadInput as refused:
+        from nuno_bench.reference_stepped import stepped_reference
+
+        told(f"{PRIMARY} does not end in time ({refused.value})")
+        return stepped_reference(problem, most_seconds, told)
     told(f"reference: {CHECK}")
     check, checked = _tightest(problem, CHECK, TOLERANCES.index(tolerance), most_seconds)
     how = f"{PRIMARY} at tolerance {tolerance:g}, checked by {CHECK} at {checked:g}"

@@ -28,7 +28,7 @@ from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import Config, StepReport
 
-FLAGS = ("--repeats", "1", "--budget", "60")
+FLAGS = ("--repeats", "1", "--budget", "600")
 
 
 def arguments(path: Path, *flags: str) -> argparse.Namespace:

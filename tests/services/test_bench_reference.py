@@ -12,6 +12,7 @@ from scenes import write_scene
 from nuno_bench.horizon import DISTURBANCE, LOST, find_horizon
 from nuno_bench.precision_errors import POSITIONS, find_scales, measure_errors
 from nuno_bench.reference_closed import exponential, find_linear
+from nuno_bench.reference_stepped import stepped_reference
 from nuno_schemas.errors import BadInput
 
 
@@ -67,6 +68,17 @@ def test_a_flailing_chain_cannot(tmp_path: Path) -> None:
     floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
     longer = measure_errors(reference.check.series, reference.run.series, scales, problem.frames + 1)
     assert floors[POSITIONS].linf < longer[POSITIONS].linf
+
+
+def test_a_reference_by_fixed_steps_is_as_good_as_it_says(tmp_path: Path) -> None:
+    """Where adaptive methods do not end in time. Its floor, the check's own error, bounds what it is off by."""
+    problem = problem_of(write_scene(tmp_path, duration=0.5, frame_rate=20))
+    stepped, tight = stepped_reference(problem, 60.0, lambda text: None), reference_of(problem)
+    off = np.abs(stepped.run.series.x - tight.run.series.x).max()
+    floor = np.abs(stepped.check.series.x - stepped.run.series.x).max()
+    assert 0.0 < off < 0.1 * floor < 1e-3 * problem.size
+    with pytest.raises(BadInput, match="no reference"):
+        stepped_reference(problem, 1e-9, lambda text: None)
 
 
 def test_errors_are_the_stated_norms(tmp_path: Path) -> None:
