@@ -18,9 +18,6 @@ from nuno_schemas.plugin import BodyShape, Mover, System, Term
 BYTES_PER_VERTEX = 400
 """What a run of cloth takes at most per vertex whose springs and hinges are runs along rows, as on
 grids; `nuno bench speed` measures it. Models that keep every element apart know what they take."""
-SECONDS_TOLERANCE = 1e-9
-MOST_STEPS = 10_000_000
-"""Steps a frame: more would keep the simulation from answering for minutes."""
 
 
 @dataclass(frozen=True)
@@ -235,60 +232,6 @@ def start_state(fabric: Fabric) -> State:
     velocity = np.array(fabric.velocity, np.float64, order="C")
     velocity[fabric.pinned] = 0.0
     return State(np.array(fabric.position, np.float64, order="C"), velocity, 0.0)
-
-
-def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:
-    """Steps a frame and the step [s]: the scene's, or the largest safe one for `dt: auto`.
-
-    Auto stays at 0.7 of the limit: cloth that stretches or folds is somewhat stiffer than at its
-    start, where the limit is measured. Raises BadInput for a step that does not divide a frame or
-    exceeds the limit without allow_unstable.
-    """
-    frame = 1.0 / loaded.scene.frame_rate
-    dt = loaded.scene.solver.dt
-    if dt == "auto":
-        if limit <= 0.0:
-            raise loaded.at(
-                "solver.plugin",
-                BadInput(
-                    "no step is stable for this integrator on an undamped scene",
-                    remedy="use symplectic_euler, leapfrog or rk4, or give a dt and allow_unstable: true",
-                ),
-            )
-        _require_few(loaded, frame, 0.7 * limit, "softer or heavier cloth, or a higher frame_rate")
-        steps = max(1, int(np.ceil(frame / (0.7 * limit)))) if np.isfinite(limit) else 1
-        return steps, frame / steps
-    _require_few(loaded, frame, dt, "a larger dt, or a higher frame_rate")
-    steps = max(1, round(frame / dt))
-    if abs(frame / steps - dt) > SECONDS_TOLERANCE * dt + 1e-15:
-        near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
-        choices = " or ".join(f"{frame / n:.9g} s ({n} steps)" for n in near)
-        raise loaded.at(
-            "solver.dt",
-            BadInput(
-                "a frame is not a whole number of steps",
-                value=f"{dt:g} s in frames of {frame:g} s",
-                remedy=f"nearest that divide it: {choices}",
-            ),
-        )
-    if dt > limit and not loaded.scene.allow_unstable:
-        raise loaded.at(
-            "solver.dt",
-            BadInput(
-                "the step is above the stability limit",
-                value=f"{dt:g} s",
-                limit=f"{limit:.4g} s for {loaded.integrator.name}",
-                remedy="use dt: auto, a smaller dt, softer cloth, or allow_unstable: true",
-            ),
-        )
-    return steps, frame / steps
-
-
-def _require_few(loaded: Loaded, frame: float, dt: float, remedy: str) -> None:
-    if frame > MOST_STEPS * dt:
-        value, limit = f"steps of {dt:.3g} s in frames of {frame:.3g} s", f"{MOST_STEPS:,} steps a frame"
-        error = BadInput("too many steps in a frame", value=value, limit=limit, remedy=remedy)
-        raise loaded.at("solver.dt", error)
 
 
 def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:

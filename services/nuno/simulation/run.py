@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nuno import build
 from nuno.choose import decide
 from nuno.scene_file import Loaded, apply_override, load, overridden
+from nuno.step import choose_step
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Memory, State
@@ -65,7 +66,7 @@ class Simulation:
         self.system = build.build_system(self.loaded, self.fabric, self.pieces, *bodies, self.threads)
         # The limit comes before the solver's memory: both at once would be a run's peak.
         self.limit = self._find_limit()
-        self.steps, self.dt = build.choose_step(self.loaded, self.limit.dt)
+        self.steps, self.dt = choose_step(self.loaded, self.limit.dt)
         self.memory = integrator.plugin.prepare(integrator.config, self.system, self.state)
         # A run that goes on from a checkpoint must come to rest in the same frame.
         self.slow_frames = np.zeros(1, np.int64)
