@@ -1,0 +1,145 @@
+"""Every explicit integrator in a run: frames, forces in Python, threads, checkpoints, failures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from explicit_methods import ALL, METHODS, name
+from nets import grid_springs, make_fabric, make_system, random_net, run, start, triangulate
+
+from nuno_contact.penalty import Penalty
+from nuno_integrators.leapfrog import Leapfrog
+from nuno_integrators.rk4 import RK4
+from nuno_integrators.symplectic_euler import SymplecticEuler
+from nuno_kernels.wind import prepare_wind
+from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Term
+
+
+@pytest.mark.parametrize("plugin", ALL, ids=name)
+@pytest.mark.parametrize("damping", [0.0, 0.4])
+def test_interpreted_steps_equal_compiled_ones(plugin: Any, damping: float) -> None:
+    """A force written in Python that adds nothing changes no bit, and is called at the stages' times."""
+    position, springs = random_net(30, 150, 3)
+    times = []
+
+    def nothing(x: Float, v: Float, t: float, out: Float) -> None:
+        assert x.shape == v.shape == out.shape == (30, 3)
+        times.append(t)
+
+    ends = []
+    for terms in ((), (Term("python", nothing),)):
+        system = make_system(make_fabric(position, springs, mass=1.0), np.array([0, -9.81, 0]), damping, terms)
+        state = start(system)
+        run(plugin, system, state, 4, 0.01, frames=2)
+        ends.append(state.x.tobytes() + state.v.tobytes())
+    assert ends[0] == ends[1]
+    assert 0.0 in times
+    assert max(times) <= 0.08 + 1e-12
+
+
+def test_force_in_python_acts_in_newtons() -> None:
+    def push(x: Float, v: Float, t: float, out: Float) -> None:
+        out[:, 0] += 3.0 * t
+
+    system = make_system(make_fabric(np.zeros((2, 3)), mass=0.5), terms=(Term("python", push),))
+    state = start(system)
+    run(RK4(), system, state, 10, 0.02, frames=5)
+    assert np.abs(state.x[:, 0] - 1.0).max() < 1e-12
+    assert np.abs(state.v[:, 0] - 3.0).max() < 1e-12
+
+
+@pytest.mark.parametrize("plugin", ALL, ids=name)
+@pytest.mark.parametrize("n", [0, 1])
+def test_one_particle_and_nothing_at_all(plugin: Any, n: int) -> None:
+    system = make_system(make_fabric(np.zeros((n, 3))))
+    state = start(system)
+    assert run(plugin, system, state, 3, 0.1).status == "ok"
+    assert state.x.shape == (n, 3)
+    assert not state.x.any()
+
+
+@pytest.mark.parametrize("plugin", METHODS, ids=name)
+def test_frames_and_new_memory_change_no_bit(plugin: Any) -> None:
+    """Memory holds nothing of the motion: a run resumed from x and v ends in the same bits."""
+    position, springs = grid_springs(12, 12, 0.01, c=0.01)
+    position[:, 2] = 1e-3 * np.sin(40.0 * position[:, 0])
+    ends = []
+    for frames in (1, 2):
+        system = make_system(make_fabric(position, springs), np.array([0, 0, -9.81]), 0.1)
+        state = start(system)
+        for _ in range(frames):
+            run(plugin, system, state, 60 // frames, 1e-4)
+        ends.append(state.x.tobytes() + state.v.tobytes())
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize("plugin", METHODS, ids=name)
+def test_divergence_is_said(plugin: Any) -> None:
+    position, springs = grid_springs(6, 6, 0.01, k=1e6)
+    position[:, 2] += 1e-3 * np.random.default_rng(1).standard_normal(36)
+    system = make_system(make_fabric(position, springs))
+    report = run(plugin, system, start(system), 4000, 1.0)
+    assert report.status == "diverged"
+    assert report.message.startswith("vertex ")
+
+
+def test_unknown_and_doubled_terms_are_refused() -> None:
+    fabric = make_fabric(np.zeros((1, 3)))
+    for terms, word in (((Term("magnets", None),), "magnets"), ((Term("wind", ()), Term("wind", ())), "wind")):
+        system = make_system(fabric, terms=terms)
+        state = start(system)
+        with pytest.raises(BadInput, match=word):
+            RK4().prepare(RK4.Config(), system, state)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+def test_wind_gives_equal_bytes_for_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wind is added after the blocks' forces, by faces and then by vertices."""
+    monkeypatch.setattr("nuno_kernels.packing.PARALLEL_FROM", 0)
+    rows, columns = 70, 80
+    position, springs = grid_springs(rows, columns, 0.01)
+    faces = triangulate(rows, columns)
+    wind = prepare_wind(faces, rows * columns, np.array([1.0, 0.5, 3.0]), 1.2, 1.0, 0.1)
+    ends = []
+    for threads in (1, 2):
+        system = make_system(make_fabric(position, springs, faces=faces), terms=(Term("wind", wind),), threads=threads)
+        state = start(system)
+        run(SymplecticEuler(), system, state, 10, 1e-4)
+        ends.append(state.x.tobytes() + state.v.tobytes())
+    assert ends[0] == ends[1]
+    assert state.v[:, 2].min() > 0.0
+
+
+def test_friction_anchors_survive_a_checkpoint() -> None:
+    """A sheet slides over a ball; new memory with the old arrays ends in the same bits."""
+    position, springs = grid_springs(15, 15, 0.02, k=20.0, c=0.01)
+    position = np.stack([position[:, 0] - 0.14, np.full(225, 0.195), position[:, 1] - 0.1], axis=1)
+    fabric = make_fabric(position, springs, mass=2e-4)
+    ball = Geometry(
+        ("ball",), ("ball/centre",), np.zeros(1, np.int8), np.zeros(1, np.int32), np.zeros(1, np.int32),
+        np.zeros((1, 3)), np.zeros((1, 3)), np.array([0.2]), np.array([50.0]), np.array([0.5]), np.array([0.3]),
+    )  # fmt: skip
+    gravity = np.array([0.0, -9.81, 0.0])
+    term = Penalty().prepare(Penalty.Config(), fabric, ball, gravity)
+    system = make_system(fabric, gravity, 0.5, (term,))
+    still, ends, plugin = np.array([[1.0, 0.0, 0.0, 0.0]]), [], Leapfrog()
+    for resumed in (None, False, True):
+        state = start(system)
+        memory = plugin.prepare(plugin.Config(), system, state)
+        for frame in range(6):
+            poses = [Poses(t, still, np.array([[0.5 * t, 0.0, 0.0]])) for t in (0.01 * frame, 0.01 * (frame + 1))]
+            plugin.advance(system, state, memory, (poses[0], poses[1]), 20, 5e-4)
+            if frame == 3 and resumed is not None:
+                kept = {key: array.copy() for key, array in memory.arrays.items()}
+                memory = plugin.prepare(plugin.Config(), system, state)
+                if resumed:
+                    memory.arrays.update(kept)
+        ends.append(state.x.tobytes() + state.v.tobytes())
+    assert ends[2] == ends[0]
+    assert ends[1] != ends[0], "the anchors made no difference"
