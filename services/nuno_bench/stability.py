@@ -7,11 +7,12 @@ import sys
 from pathlib import Path
 
 from nuno import registry, scene_file
-from nuno_bench import machine, markdown, plots
+from nuno_bench import executor, machine, markdown, plots
 from nuno_bench import stability_page as shown
+from nuno_bench.kept import Kept, hint, require
 from nuno_bench.result import text_table
 from nuno_bench.stability_drift import measure_modes
-from nuno_bench.stability_run import Kept, measure_all, settings_of
+from nuno_bench.stability_run import measure_all, settings_of
 from nuno_schemas.errors import BadInput, nearest
 
 GROUP = "nuno.integrators"
@@ -28,9 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--budget", type=float, default=180.0, metavar="SECONDS", help="wall time for each scene (default: %(default)g)"
     )
-    parser.add_argument(
-        "--processes", type=int, default=machine.cores(), metavar="N", help="processes of the sweep (default: cores)"
-    )
+    executor.add_arguments(parser, "all cores")
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted sweep of the same arguments")
     parser.add_argument(
         "--out",
@@ -51,10 +50,13 @@ def main(args: argparse.Namespace) -> int:
         markdown.check_section(args.docs, "stability")
     for path in paths:
         scene_file.read(path, args.overrides)
-    args.out.mkdir(parents=True, exist_ok=True)
+    if args.resume:
+        require([_rows(args, path) for path in paths])
     sections = []
-    for path in paths:
-        sections += _map(args, path, solvers)
+    with executor.opened(args) as where:
+        args.out.mkdir(parents=True, exist_ok=True)
+        for path in paths:
+            sections += _map(args, path, solvers, where)
     if args.docs is not None:
         about = {"command": machine.command(), **machine.describe()}
         markdown.replace_section(args.docs, "stability", [*sections, markdown.facts(about)])
@@ -71,12 +73,16 @@ def _choose(args: argparse.Namespace) -> list[str]:
             raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, known))
     if args.budget <= 0.0:
         raise BadInput("a sweep needs time", field="--budget", value=args.budget, limit="> 0 s")
-    if args.processes < 1:
-        raise BadInput("at least one process is needed", field="--processes", value=args.processes)
+    executor.check(args)
     return names
 
 
-def _map(args: argparse.Namespace, path: Path, solvers: list[str]) -> list[str]:
+def _rows(args: argparse.Namespace, path: Path) -> Path:
+    folder: Path = args.out
+    return folder / f"stability-{path.stem}.rows.jsonl"
+
+
+def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: executor.Executor) -> list[str]:
     """One scene; parts for the documentation."""
     others, base = machine.Others(), args.out / f"stability-{path.stem}"
 
@@ -84,15 +90,16 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str]) -> list[str]:
         print(f"{path.stem}: {text}", file=sys.stderr)
 
     settings, omissions = settings_of(path, args.overrides)
-    identity = {"scene": path.read_text(encoding="utf-8"), "overrides": args.overrides, "solvers": solvers}
-    kept = Kept(base.with_name(base.name + ".rows.jsonl"), identity, args.resume)
-    plugins = [registry.load(GROUP, name) for name in solvers]
-    modes = measure_modes(plugins, MODES_SHARE * args.budget, told)
-    sweep = measure_all(settings, solvers, kept, (1.0 - MODES_SHARE) * args.budget, args.processes, told)
+    identity = {"scene": settings[0].scene.digest, "solvers": solvers, "versions": executor.versions()}
+    kept = Kept(_rows(args, path), identity, args.resume)
+    with hint(kept):
+        modes, lost = measure_modes(solvers, kept, MODES_SHARE * args.budget, where, told)
+        sweep = measure_all(settings, solvers, kept, (1.0 - MODES_SHARE) * args.budget, where, told)
+    omissions += lost
     sweep.omissions[:0] = omissions
-    about = {"command": machine.command(), **machine.describe(), "load": others.describe()}
-    files = shown.write(base, path.stem, sweep, modes, about)
-    kept.path.unlink()
+    about = {"command": machine.command(), **machine.describe(), "points": where.where, "load": others.describe()}
+    sizes, drifts = [each.amplification for each in modes], [each.drift for each in modes]
+    files = shown.write(base, path.stem, sweep, (sizes, drifts), about)
     print(f"{path.stem}: {shown.summary(sweep)}")
     print(text_table(shown.COUNTS, shown.counts(sweep.rows)))
     for text in sweep.omissions:
@@ -104,6 +111,6 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str]) -> list[str]:
         f"{shown.summary(sweep)}.",
         markdown.table(shown.COUNTS, shown.counts(sweep.rows)),
         markdown.table(shown.BEYOND, shown.beyond(sweep.rows)),
-        markdown.table(shown.MODES, shown.modes(*modes)),
+        markdown.table(shown.MODES, shown.modes(sizes, drifts)),
         *(f"Left out: {text}." for text in sweep.omissions),
     ]

@@ -6,12 +6,13 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nuno import build, registry, scene_file
+from nuno import build, registry
+from nuno.scene_file import Loaded
+from nuno_bench.packed import Packed, unpacked
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
@@ -40,7 +41,7 @@ LONGEST = 0.1
 class Setting:
     """What a row of points shares: a scene at a stiffness factor or a mesh of some size."""
 
-    path: str
+    scene: Packed
     overrides: tuple[str, ...]
     axis: str
     value: float
@@ -87,7 +88,11 @@ class Point:
 
 def pose(setting: Setting) -> Posed:
     """Build the scene at its stiffness or mesh. Raises BadInput."""
-    loaded = scene_file.read(Path(setting.path), [*setting.overrides, "allow_unstable=true"])
+    with unpacked(setting.scene, [*setting.overrides, "allow_unstable=true"]) as loaded:
+        return _build(loaded, setting)
+
+
+def _build(loaded: Loaded, setting: Setting) -> Posed:
     fabric, pieces = build.build_fabric(loaded)
     if fabric.number == 0 or fabric.pinned.all():
         raise BadInput("nothing in the scene can move", loaded.file, field="objects", remedy="add cloth that is free")
@@ -182,7 +187,7 @@ def measure_row(
 ) -> tuple[float, list[Point]]:
     """The solver's own limit [s], and a point for each number of steps a frame, from long steps to short ones.
 
-    A point that would take more than `most` seconds, or start after `deadline` (time.time), is left out.
+    A point that would take more than `most` seconds, or start after `deadline` (time.monotonic), is left out.
     """
     plugin = registry.load("nuno.integrators", solver)
     config = plugin.Config()
@@ -198,7 +203,7 @@ def measure_row(
     each = 0.0
     for count in sorted(counts):
         made = (setting.axis, setting.value, solver, posed.frame / count)
-        if 2.0 * each > most or time.time() > deadline:
+        if 2.0 * each > most or time.monotonic() > deadline:
             points.append(Point(*made, "left out", why="the budget of time"))
             continue
         begin = time.perf_counter()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from nuno import registry
+from nuno_bench.executor import Executor, Lost
+from nuno_bench.kept import Kept
 from nuno_bench.laws.base import NONE, Broken, Run, make_fabric
 from nuno_bench.laws.nets import random_net
 from nuno_schemas.errors import BadInput
@@ -17,6 +20,7 @@ from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.plugin import System
 
 STEPS, CHUNK = 100_000, 1000
+OUT_OF_TIME = "the budget of time"
 SHARE = 0.5
 """omega dt of the fastest mode in the long run: a quarter of leapfrog's limit."""
 
@@ -88,19 +92,64 @@ def measure_drift(plugin: Any, seconds: float) -> Drift:
         if not np.isfinite(change[-1]) or change[-1] > 1e6:
             ended = "diverged"
         elif time.perf_counter() - begin > seconds and len(change) * CHUNK <= STEPS:
-            ended = "the budget of time"
+            ended = OUT_OF_TIME
     return Drift(str(plugin.name), CHUNK * np.arange(len(change), dtype=float), np.array(change), ended)
 
 
+@dataclass(frozen=True)
+class Modes:
+    """Both of a solver."""
+
+    amplification: Amplification
+    drift: Drift
+
+    def json(self) -> dict[str, Any]:
+        return {name: _lists(vars(value)) for name, value in vars(self).items()}
+
+
+def _lists(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+
+
+def _modes(data: Mapping[str, Any]) -> Modes:
+    def arrays(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: np.array(value, float) if isinstance(value, list) else value for name, value in values.items()}
+
+    return Modes(Amplification(**arrays(data["amplification"])), Drift(**arrays(data["drift"])))
+
+
+def measure_mode(task: tuple[str, float]) -> Modes:
+    """Both of a solver by name, whose long run may take so many seconds."""
+    plugin = registry.load("nuno.integrators", task[0])
+    return Modes(measure_amplification(plugin), measure_drift(plugin, task[1]))
+
+
 def measure_modes(
-    plugins: Sequence[Any], seconds: float, told: Callable[[str], None]
-) -> tuple[list[Amplification], list[Drift]]:
-    """Both for every solver; the long runs share `seconds`, the cheap ones first, so that others have what is left."""
-    told("amplification of a step")
-    sizes = [measure_amplification(plugin) for plugin in plugins]
-    drifts: dict[str, Drift] = {}
-    end = time.perf_counter() + seconds
-    for done, plugin in enumerate(sorted(plugins, key=lambda p: not p.explicit)):
-        told(f"energy over {STEPS:,} steps: {plugin.name}")
-        drifts[plugin.name] = measure_drift(plugin, (end - time.perf_counter()) / (len(plugins) - done))
-    return sizes, [drifts[plugin.name] for plugin in plugins]
+    solvers: Sequence[str], kept: Kept, seconds: float, executor: Executor, told: Callable[[str], None]
+) -> tuple[list[Modes], list[str]]:
+    """Of every solver, and who has none and why; whole ones are kept as they come.
+
+    The long runs share `seconds`, the cheap ones first, so that others have what is left.
+    """
+    found = {modes.drift.solver: modes for line in kept.lines if "modes" in line for modes in (_modes(line["modes"]),)}
+    wanted = sorted(
+        (name for name in solvers if name not in found),
+        key=lambda name: not registry.load("nuno.integrators", name).explicit,
+    )
+    end, omissions = time.monotonic() + seconds, []
+
+    def tasks() -> Iterator[tuple[str, float]]:
+        for i, name in enumerate(wanted):
+            side = min(executor.width, len(wanted) - i)
+            yield name, side * max(0.0, end - time.monotonic()) / (len(wanted) - i)
+
+    for (name, _), modes in executor.run(measure_mode, tasks()):
+        told(f"{name}: a mode, and energy over {STEPS:,} steps")
+        if isinstance(modes, BadInput | Lost):
+            why = modes.problem if isinstance(modes, BadInput) else modes.reason
+            omissions.append(f"modes and energy of {name}: {why}")
+            continue
+        found[name] = modes
+        if modes.drift.ended != OUT_OF_TIME:
+            kept.add({"modes": modes.json()})
+    return [found[name] for name in solvers if name in found], omissions

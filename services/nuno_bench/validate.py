@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 from nuno import registry
+from nuno_bench.executor import Executor, Lost
+from nuno_bench.kept import Kept
 from nuno_bench.laws import contacts, nets, oscillator, statics
 from nuno_bench.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
@@ -62,13 +65,31 @@ def check(case: Case, plugin: Any) -> Outcome:
     return replace(outcome, seconds=time.perf_counter() - begin)
 
 
-def check_all(cases: Sequence[Case], plugins: Sequence[Any], told: Callable[[str], None]) -> list[Outcome]:
-    """Every case with every solver, case by case."""
-    outcomes = []
-    for number, case in enumerate(cases):
-        told(f"{number + 1} of {len(cases)}: {case.name}")
-        outcomes += [check(case, plugin) for plugin in plugins]
-    return outcomes
+def check_named(task: tuple[str, str]) -> Outcome:
+    """What the case of a name says of the solver of a name."""
+    case, solver = task
+    (plugin,) = choose_solvers([solver])
+    return check(next(one for one in CASES if one.name == case), plugin)
+
+
+def check_all(
+    cases: Sequence[Case], solvers: Sequence[str], executor: Executor, kept: Kept, told: Callable[[str], None]
+) -> list[Outcome]:
+    """Every case with every solver, in this order; what comes is kept."""
+    found = {(outcome.case, outcome.solver): outcome for outcome in map(Outcome.from_json, kept.lines)}
+    every = [(case.name, name) for case in cases for name in solvers]
+    wanted = [key for key in every if key not in found]
+    left = Counter(case for case, _ in wanted)
+    for key, outcome in executor.run(check_named, wanted):
+        if isinstance(outcome, BadInput | Lost):
+            why = str(outcome) if isinstance(outcome, BadInput) else outcome.reason
+            outcome = Outcome(*key, "failed", why)
+        found[key] = outcome
+        kept.add(outcome.json())
+        left[key[0]] -= 1
+        if not left[key[0]]:
+            told(f"{sum(not left[case.name] for case in cases)} of {len(cases)}: {key[0]}")
+    return [found[key] for key in every]
 
 
 def count(outcomes: Sequence[Outcome]) -> dict[str, int]:

@@ -8,9 +8,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from nuno_bench import machine, markdown, plots
+from nuno_bench import executor, machine, markdown, plots
 from nuno_bench import validate as suite
 from nuno_bench import validate_page as shown
+from nuno_bench.kept import Kept, hint, require
 from nuno_bench.laws.base import Case, Outcome
 from nuno_schemas.errors import BadInput
 
@@ -21,6 +22,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure as JSON")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a page")
     parser.add_argument("--docs", type=Path, metavar="FILE", help="put the table into this Markdown page's section")
+    executor.add_arguments(parser, "all cores")
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted run of the same arguments")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("recordings/bench"),
+        metavar="DIR",
+        help="where finished cases are kept meanwhile (default: %(default)s)",
+    )
     parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
 
 
@@ -32,8 +42,17 @@ def main(args: argparse.Namespace) -> int:
         print("\n".join(f"{case.name:{width}}  {case.law} ({case.source})" for case in cases))
         return 0
     _check_files(args)
+    executor.check(args)
     names = [str(plugin.name) for plugin in plugins]
-    outcomes = suite.check_all(cases, plugins, lambda text: print(text, file=sys.stderr))
+    path = args.out / "validate.rows.jsonl"
+    if args.resume:
+        require([path])
+    identity = {"cases": [case.name for case in cases], "solvers": names, "versions": executor.versions()}
+    with executor.opened(args) as where:
+        kept = Kept(path, identity, args.resume)
+        with hint(kept):
+            outcomes = suite.check_all(cases, names, where, kept, lambda text: print(text, file=sys.stderr))
+    kept.path.unlink()
     said = suite.summary(outcomes, len(names))
     print(shown.screen(cases, names, outcomes))
     print("\n".join(["", *shown.details(outcomes), said]))

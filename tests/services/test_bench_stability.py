@@ -6,8 +6,6 @@ import csv
 import itertools
 import json
 import math
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +15,12 @@ import pytest
 from nuno import registry
 from nuno.cli import main
 from nuno_bench import stability_page, stability_plots
+from nuno_bench.executor import Here
+from nuno_bench.kept import Kept
+from nuno_bench.packed import pack
 from nuno_bench.stability_case import Motion, Point, Setting, classify, measure_row, pose, run, stiffen
 from nuno_bench.stability_drift import SHARE, measure_amplification, measure_drift
-from nuno_bench.stability_run import Kept, Row, Sweep, measure_all, mesh_overrides, settings_of, step_counts
+from nuno_bench.stability_run import Row, Sweep, measure_all, mesh_overrides, settings_of, step_counts
 from nuno_schemas.errors import BadInput
 
 SCENE = """\
@@ -71,7 +72,7 @@ def test_class_follows_from_distance_and_energy(offset: float, energy: float, ou
 
 
 def row_of(scene: Path, solver: str, value: float = 1.0) -> tuple[float, list[Point]]:
-    setting = Setting(str(scene), (), "stiffness", value)
+    setting = Setting(pack(scene), (), "stiffness", value)
     posed = pose(setting)
     tight = registry.load("nuno.integrators", "dop853")
     reference = run(posed, tight, tight.Config(tolerance=1e-9), 1)[0]
@@ -100,7 +101,7 @@ def test_limits_shrink_with_the_root_of_the_stiffness(scene: Path) -> None:
 
 
 def test_stiffer_cloth_keeps_its_share_of_critical_damping(scene: Path) -> None:
-    fabric = pose(Setting(str(scene), (), "mesh", 1.0)).system.fabric
+    fabric = pose(Setting(pack(scene), (), "mesh", 1.0)).system.fabric
     assert fabric.springs is not None
     stiff = stiffen(fabric, 9.0).springs
     assert stiff is not None
@@ -109,7 +110,7 @@ def test_stiffer_cloth_keeps_its_share_of_critical_damping(scene: Path) -> None:
 
 
 def test_implicit_points_are_never_diverged(scene: Path) -> None:
-    setting = Setting(str(scene), (), "stiffness", 1e4)
+    setting = Setting(pack(scene), (), "stiffness", 1e4)
     posed = pose(setting)
     tight = registry.load("nuno.integrators", "dop853")
     reference = run(posed, tight, tight.Config(tolerance=1e-8), 1)[0]
@@ -136,7 +137,7 @@ def test_meshes_follow_the_models_own_numbers(scene: Path, tmp_path: Path) -> No
     settings, omissions = settings_of(net, [])
     assert {setting.axis for setting in settings} == {"stiffness"}
     assert omissions == ["the map over mesh sizes: the model net has no resolution"]
-    sweep = measure_all(settings[:1], ["rk4"], Kept(tmp_path / "rows.jsonl", {}, False), 9.0, 1, lambda text: None)
+    sweep = measure_all(settings[:1], ["rk4"], Kept(tmp_path / "rows.jsonl", {}, False), 9.0, Here(), lambda text: None)
     assert {row.axis for row in sweep.rows} == {"stiffness"}
 
 
@@ -147,7 +148,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
     def sweep(resume: bool, identity: str = "a") -> Sweep:
         told.clear()
         kept = Kept(tmp_path / "rows.jsonl", {"of": identity}, resume)
-        return measure_all(settings, ["leapfrog"], kept, 60.0, 1, told.append)
+        return measure_all(settings, ["leapfrog"], kept, 60.0, Here(), told.append)
 
     whole = sweep(False)
     assert len(told) == 3, "compiling, and two rows"
@@ -161,51 +162,10 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
         sweep(True, "b")
 
 
-class Lost:
-    """A pool whose first process dies: what it was given and all that follows is lost."""
-
-    def __init__(self, *args: Any) -> None:
-        self.whole = 1
-
-    def __enter__(self) -> Lost:
-        return self
-
-    def __exit__(self, *args: object) -> None:
-        pass
-
-    def submit(self, call: Any, task: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        if self.whole:
-            future.set_result(call(task))
-        else:
-            future.set_exception(BrokenProcessPool("a process ended"))
-        self.whole = 0
-        return future
-
-
-def outcomes(settings: list[Setting], workers: int, folder: Path) -> list[tuple[Any, ...]]:
-    kept = Kept(folder / f"rows{workers}.jsonl", {}, False)
-    sweep = measure_all(settings, ["leapfrog", "implicit_euler"], kept, 600.0, workers, lambda text: None)
-    assert sweep.omissions == []
-    return sorted((r.axis, r.value, r.solver, p.dt, p.outcome, p.error) for r in sweep.rows for p in r.points)
-
-
-def test_processes_make_no_difference(scene: Path, tmp_path: Path) -> None:
-    settings = [s for s in settings_of(scene, [])[0] if s.value in (1.0, 10.0)]
-    assert outcomes(settings, 2, tmp_path) == outcomes(settings, 1, tmp_path)
-
-
-def test_rows_of_a_lost_process_are_run_again(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = [s for s in settings_of(scene, [])[0] if s.value in (1.0, 10.0)]
-    alone = outcomes(settings, 1, tmp_path)
-    monkeypatch.setattr("nuno_bench.stability_run.ProcessPoolExecutor", Lost)
-    assert outcomes(settings, 2, tmp_path) == alone
-
-
 def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> None:
     settings = settings_of(scene, [])[0][:1]
     kept = Kept(tmp_path / "rows.jsonl", {}, False)
-    sweep = measure_all(settings, ["leapfrog"], kept, 1e-9, 1, lambda text: None)
+    sweep = measure_all(settings, ["leapfrog"], kept, 1e-9, Here(), lambda text: None)
     assert sweep.rows == []
     assert sweep.omissions == ["stiffness x 1, leapfrog: the budget of time"]
 
@@ -254,7 +214,7 @@ def test_every_class_has_a_colour_of_its_own_lightness() -> None:
 
 def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, capsys: Any) -> None:
     pytest.importorskip("matplotlib")
-    flags = ["--solvers", "leapfrog,tr_bdf2", "--budget", "4", "--processes", "1", "--out", str(tmp_path / "out")]
+    flags = ["--solvers", "leapfrog,tr_bdf2", "--budget", "4", "--jobs", "1", "--out", str(tmp_path / "out")]
     assert main(["bench", "stability", str(scene), *flags]) == 0
     said = capsys.readouterr().out
     assert "stiffness  leapfrog" in said
@@ -266,13 +226,18 @@ def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, cap
     page = (tmp_path / "out" / "stability-small.html").read_text()
     assert page.count("<svg") >= 3
     assert "http://" not in page.replace("http://www.w3.org", "")
-    assert not (tmp_path / "out" / "stability-small.rows.jsonl").exists()
+    again = (tmp_path / "out" / "stability-small.json").read_text
+    assert main(["bench", "stability", str(scene), *flags, "--resume"]) == 0
+    assert json.loads(again())["drift"][0] == data["drift"][0], "what was whole is not measured again"
 
 
 def test_bad_arguments_are_refused_before_anything_runs(scene: Path, tmp_path: Path, capsys: Any) -> None:
     for flags, word in (
         (["--solvers", "leapfog"], "leapfrog"),
         (["--budget", "0"], "budget"),
+        (["--jobs", "0"], "at least one process"),
+        (["--jobs", "2", "--dask", "tcp://127.0.0.1:1"], "either --jobs or --dask"),
+        (["--resume"], "no sweep to go on with"),
         (["nowhere"], "nowhere"),
     ):
         assert main(["bench", "stability", str(scene), *flags, "--out", str(tmp_path / "out")]) == 2

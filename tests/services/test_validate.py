@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tempfile
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -15,6 +16,8 @@ import pytest
 from nuno import registry
 from nuno.cli import main
 from nuno_bench import validate, validate_page
+from nuno_bench.executor import Here
+from nuno_bench.kept import Kept
 from nuno_bench.laws import statics
 from nuno_bench.laws.base import Case, Found, Outcome, Unsupported
 from nuno_integrators.rk4 import RK4
@@ -66,7 +69,12 @@ def foreign(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def outcomes(cases: list[str], solvers: list[str]) -> dict[tuple[str, str], Outcome]:
-    found = validate.check_all(validate.choose_cases(cases), validate.choose_solvers(solvers), lambda text: None)
+    names = [str(plugin.name) for plugin in validate.choose_solvers(solvers)]
+    with tempfile.TemporaryDirectory() as folder:
+        kept = Kept(Path(folder) / "kept", {}, False)
+        found = validate.check_all(validate.choose_cases(cases), names, Here(), kept, lambda text: None)
+        again = Kept(kept.path, {}, True)
+    assert [Outcome.from_json(line).json() for line in again.lines] == [o.json() for o in found]
     return {(o.case, o.solver): o for o in found}
 
 
@@ -102,6 +110,7 @@ def test_a_wrong_weight_is_found_out_and_the_right_one_passes() -> None:
 def test_a_failure_is_named_and_ends_the_command_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page, data = tmp_path / "laws.html", tmp_path / "laws.json"
     command = ["validate", "one step", "rotation", "--solvers", "rk4,rk4_wrong", "--html", str(page)]
+    command += ["--jobs", "1", "--out", str(tmp_path / "out")]
     assert main([*command, "--json", str(data)]) == 1
     said = capsys.readouterr().out
     assert "FAILED" in said
@@ -113,11 +122,12 @@ def test_a_failure_is_named_and_ends_the_command_with_1(tmp_path: Path, capsys: 
         ("one step", "rk4_wrong")
     ]
     assert 'class="bad">failed' in page.read_text()
-    assert main(["validate", "rotation", "--solvers", "rk4"]) == 0
+    assert main(["validate", "rotation", "--solvers", "rk4", *command[-4:]]) == 0
 
 
-def test_slips_are_told_and_are_no_failure(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["validate", "projectile", "--solvers", "rk4,rk4_printed"]) == 0
+def test_slips_are_told_and_are_no_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flags = ["--solvers", "rk4,rk4_printed", "--jobs", "1", "--out", str(tmp_path / "out")]
+    assert main(["validate", "projectile", *flags]) == 0
     said = capsys.readouterr().out
     assert "slip: rk4_printed, kept with the paper's slips: gravity counted twice" in said
     assert "1 passed, 0 failed, 0 unsupported, 1 slips of rk4_printed" in said
@@ -166,6 +176,43 @@ def test_the_table_fits_a_screen_however_many_solvers_there_are() -> None:
 def test_cases_that_few_can_pose_are_named() -> None:
     found = [Outcome("one step", f"s{i}", "unsupported" if i else "passed") for i in range(4)]
     assert "posed by fewer than 3 solvers: one step" in validate.summary(found, 4)
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--jobs", "0"), "at least one process"),
+        (("--resume",), "no sweep to go on with"),
+        (("--jobs", "1", "--dask", "tcp://127.0.0.1:1"), "either --jobs or --dask"),
+    ],
+)
+def test_bad_input_is_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], said: str
+) -> None:
+    assert main(["validate", "one step", "--out", str(tmp_path / "out"), *flags]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, done = validate.check_named, list[tuple[str, str]]()
+
+    def check(task: tuple[str, str]) -> Outcome:
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(task)
+        return whole(task)
+
+    data = tmp_path / "laws.json"
+    command = ["validate", "one step", "momentum", "--solvers", "rk4,leapfrog,euler", "--json", str(data)]
+    command += ["--jobs", "1", "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(validate, "check_named", check)
+    assert main(command) == 1
+    first = list(done)
+    done[:] = []
+    assert main([*command, "--resume"]) == 0
+    assert [*first, *done] == [(case, s) for case in ("one step", "momentum") for s in ("rk4", "leapfrog", "euler")]
+    assert [(o["case"], o["solver"]) for o in json.loads(data.read_text())["outcomes"]] == [*first, *done]
 
 
 def test_unknown_names_are_answered_with_the_nearest() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -77,6 +77,16 @@ class Outcome:
         figures = {name: value for name, value in vars(self.found).items() if name != "series"}
         safe = {name: value if math.isfinite(value) else str(value) for name, value in figures.items()}
         return kept | safe | {"series": {name: list(values) for name, values in self.found.series.items()}}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Outcome:
+        """The same again."""
+        own = {each.name: data[each.name] for each in fields(Outcome) if each.name != "found"}
+        if "measured" not in data:
+            return Outcome(**own)
+        series = {name: tuple(values) for name, values in data["series"].items()}
+        figures = {name: float(data[name]) for name in ("measured", "expected", "error", "allowed")}
+        return Outcome(**own, found=Found(**figures, series=series))
 
 
 class Run:

@@ -1,0 +1,68 @@
+"""What a sweep has finished, on disk line by line while it goes on, so that an interrupted one can be resumed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from nuno_schemas.errors import BadInput, RunFailed
+
+
+class Kept:
+    """JSON objects, one a line, under a first line that says what they belong to.
+
+    lines  what an interrupted sweep had finished: empty unless it is resumed
+    """
+
+    def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool) -> None:
+        """Start anew, or go on where `resume` and there is a file. Raises BadInput where it is another sweep's."""
+        self.path = path
+        self.lines: list[dict[str, Any]] = self._read(identity) if resume and path.is_file() else []
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = [json.dumps(dict(identity)), *map(json.dumps, self.lines)]
+        path.write_text("\n".join(text) + "\n", encoding="utf-8")
+
+    def _read(self, identity: Mapping[str, Any]) -> list[dict[str, Any]]:
+        head, *lines = self.path.read_text(encoding="utf-8").split("\n")
+        before = _object(head) or {}
+        other = [name for name, value in identity.items() if before.get(name) != value]
+        if other:
+            remedy = "leave --resume out, or give another --out"
+            raise BadInput("what was kept belongs to another sweep", str(self.path), None, "--resume",
+                           ", ".join(other), remedy=remedy)  # fmt: skip
+        # The last line may be half written; what it held is measured again.
+        return [data for line in lines if (data := _object(line)) is not None]
+
+    def add(self, data: Mapping[str, Any]) -> None:
+        with self.path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(dict(data)) + "\n")
+
+
+def require(paths: Iterable[Path]) -> None:
+    """Raises BadInput where there is no sweep at all to go on with."""
+    known = list(paths)
+    if not any(path.is_file() for path in known):
+        raise BadInput("there is no sweep to go on with", field="--resume", value=", ".join(map(str, known)),
+                       remedy="leave --resume out, or name the --out that it was started with")  # fmt: skip
+
+
+@contextmanager
+def hint(kept: Kept) -> Iterator[None]:
+    """Say where finished points are, when what goes on in here is interrupted or fails."""
+    try:
+        yield
+    except (KeyboardInterrupt, RunFailed):
+        print(f"what is finished is kept in {kept.path}; --resume goes on from there", file=sys.stderr)
+        raise
+
+
+def _object(line: str) -> dict[str, Any] | None:
+    try:
+        data = json.loads(line)
+    except ValueError:
+        return None
+    return data if isinstance(data, dict) else None
