@@ -73,8 +73,11 @@ class Problem:
         return (start, start) if start is not None else None
 
 
-def make_problem(loaded: Loaded) -> Problem:
-    """Build cloth, bodies and forces. Raises BadInput for a scene without anything that moves, or too large to keep."""
+def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
+    """Build cloth, bodies and forces; `threads` (0: all cores) step them, to the same bits.
+
+    Raises BadInput for a scene without anything that moves, or too large to keep.
+    """
     fabric, pieces = build.build_fabric(loaded)
     if fabric.number == 0 or bool(fabric.pinned.all()):
         raise BadInput("nothing in the scene can move, so there is no error to measure", loaded.file)
@@ -83,7 +86,7 @@ def make_problem(loaded: Loaded) -> Problem:
     times = [i / float(loaded.scene.frame_rate) for i in range(loaded.scene.frames + 1)]
     poses = tuple(bodies.poses(t) if bodies else None for t in times)
     geometry = bodies.geometry if bodies else None
-    system = build.build_system(loaded, fabric, pieces, geometry, poses[0], cores())
+    system = build.build_system(loaded, fabric, pieces, geometry, poses[0], threads or cores())
     return Problem(loaded, system, poses)
 
 

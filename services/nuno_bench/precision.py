@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,18 +17,21 @@ import numpy as np
 
 from nuno import registry, scene_file
 from nuno.scene_file import Loaded
-from nuno_bench import machine, markdown, plots
+from nuno_bench import executor, machine, markdown, plots
+from nuno_bench.executor import Executor, Here
 from nuno_bench.horizon import DISTURBANCE, find_horizon
 from nuno_bench.observe import OBSERVABLES, Problem, make_problem
+from nuno_bench.packed import pack
 from nuno_bench.precision_errors import find_scales, measure_errors
 from nuno_bench.precision_findings import judge
 from nuno_bench.precision_page import Findings, choices, docs_parts, docs_picture, render
 from nuno_bench.precision_point import Kept, Point
 from nuno_bench.precision_run import Runner, run_sweep, start_sweep
+from nuno_bench.precision_untimed import run_untimed
 from nuno_bench.reference import GROUP, Reference, make_reference
 from nuno_bench.result import text_table
 from nuno_bench.sweep import choose_solvers
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,15 +56,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--docs", type=Path, metavar="FILE", help="put tables and a picture into this Markdown page's sections"
     )
+    executor.add_arguments(parser, "1: what is timed runs alone; with more, errors of points too slow for the budget "
+                           "follow without their times")  # fmt: skip
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted sweep, keeping its points")
 
 
 def main(args: argparse.Namespace) -> int:
     """Sweep each scene; 1 where a reference could judge nothing. A solver that diverges is a result."""
     loaded = _check(args)
+    with executor.opened(args, 1) as where:
+        return _sweep_all(loaded, args, where)
+
+
+def _sweep_all(loaded: Sequence[Loaded], args: argparse.Namespace, where: Executor) -> int:
     failed = False
     for one in loaded:
-        found = sweep_scene(one, args)
+        found = sweep_scene(one, args, where)
         headings, rows = choices(found)
         print(f"\n{one.scene.name}: {found.how}\npredictable: {found.horizon.describe()}")
         print(text_table(headings, rows))
@@ -96,6 +106,7 @@ def _base(args: argparse.Namespace, loaded: Loaded) -> Path:
 def _check(args: argparse.Namespace) -> list[Loaded]:
     """The scenes. Raises BadInput before anything runs."""
     plots.require_matplotlib()
+    executor.check(args)
     if args.repeats < 1:
         raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
     if not (args.budget > 0.0 and math.isfinite(args.budget)):
@@ -124,7 +135,7 @@ def _names(given: str | None) -> list[str]:
     return [name for name in (given or "").split(",") if name]
 
 
-def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
+def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
     others, told = machine.Others(), _teller(loaded.scene.name)
     problem = make_problem(loaded)
@@ -141,7 +152,9 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     runner = Runner(problem, reference, scales, horizon.frames, args.repeats)
     try:
         run_sweep(sweep, runner, solvers, kept, args.budget, told)
-    except KeyboardInterrupt:
+        if not isinstance(where, Here):
+            run_untimed(sweep, runner, pack(loaded.path, loaded.overrides), kept, args.budget, where, told)
+    except (KeyboardInterrupt, RunFailed):
         print(f"finished points are kept in {path}; --resume goes on from there", file=sys.stderr)
         raise
     shown = [name for name in _names(args.observable) or OBSERVABLES if name in floors]

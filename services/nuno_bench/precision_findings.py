@@ -103,7 +103,7 @@ def fastest(points: Sequence[Point], quantity: str, target: float) -> list[Point
     best: dict[str, Point] = {}
     for point in points:
         error = point.error(quantity)
-        if error is None or not error <= target or point.beyond:
+        if error is None or not error <= target or point.beyond or not point.seconds:
             continue
         if point.solver not in best or point.median < best[point.solver].median:
             best[point.solver] = point

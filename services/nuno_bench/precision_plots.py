@@ -63,7 +63,8 @@ def _draw(axis: Any, panel: Panel, points: Sequence[Point], solvers: Sequence[st
 
 def _line(axis: Any, panel: Panel, own: Sequence[Point], index: int) -> None:
     """The finished points from coarse to fine, each with the range of its repeats."""
-    found = [(point, error) for point in own if (error := point.error(panel.quantity)) is not None and error > 0.0]
+    timed = [(point, error) for point in own if point.seconds and (error := point.error(panel.quantity)) is not None]
+    found = [(point, error) for point, error in timed if error > 0.0]
     if not found:
         return
     found.sort(key=lambda pair: -pair[0].finer)

@@ -32,6 +32,8 @@ class Sweep:
     omitted: list[Omission] = field(default_factory=list)
     first_calls: dict[str, float] = field(default_factory=dict)
     costs: dict[str, float] = field(default_factory=dict)
+    unaffordable: list[tuple[Solver, Setting]] = field(default_factory=list)
+    """What the budget left out; `omitted` says so, too."""
 
 
 @dataclass
@@ -54,16 +56,25 @@ class Runner:
             run = simulate(self.problem, solver.plugin, config, setting.steps, most_seconds=most_seconds)
         except (BadInput, ValueError) as error:
             message = error.problem if isinstance(error, BadInput) else str(error)
-            return self._point(solver, setting, "refused", message)
-        outcome, message = self._judge(run)
+            return self.failed(solver, setting, "refused", message)
+        outcome, _ = self._judge(run)
         seconds = [run.seconds]
         wanted = self.repeats * max(1, min(MORE, int(SHORT / max(run.seconds, 1e-9))))
         while outcome == DONE and len(seconds) < wanted and sum(seconds) + seconds[-1] <= left:
             seconds.append(simulate(self.problem, solver.plugin, config, setting.steps).seconds)
+        return self.point_of(solver, setting, run, tuple(seconds))
+
+    def point_of(self, solver: Solver, setting: Setting, run: Run, seconds: tuple[float, ...]) -> Point:
+        """What a run says of a setting, with the times of its repeats; none where it was not run alone."""
+        outcome, message = self._judge(run)
         errors = {}
         if outcome == DONE:
             errors = measure_errors(run.series, self.reference.run.series, self.scales, self.frames)
-        return self._point(solver, setting, outcome, message, tuple(seconds), run.totals, errors)
+        return self._point(solver, setting, outcome, message, seconds, run.totals, errors)
+
+    def failed(self, solver: Solver, setting: Setting, outcome: str, message: str) -> Point:
+        """A point without a run."""
+        return self._point(solver, setting, outcome, message)
 
     def _judge(self, run: Run) -> tuple[str, str]:
         if run.status != "ok":
@@ -113,13 +124,14 @@ def run_sweep(
     started, costs = time.perf_counter(), dict(sweep.costs)
     for solver, setting in _levels([solver for solver in solvers if solver.name in costs]):
         point = kept.points.get((solver.name, setting.label))
-        if point is None:
+        if point is None or (point.done and not point.seconds):
             left = max(0.0, budget - (time.perf_counter() - started))
             once = setting.work * costs[solver.name]
             wanted = runner.repeats * once
             if wanted > left:
                 reason = f"estimated at {wanted:.2g} s, and {left:.2g} s of the budget were left"
                 sweep.omitted.append(Omission(solver.name, setting.label, reason))
+                sweep.unaffordable.append((solver, setting))
                 continue
             told(f"{solver.name}, {setting.label} ({left:.0f} s left)")
             most = max(1.0, min(1.5 * left, max(MISJUDGED * once, budget / len(costs))))

@@ -16,12 +16,14 @@ from scenes import BALL, write_scene
 
 from nuno import registry
 from nuno.cli import main as nuno_main
-from nuno_bench import precision, precision_run
+from nuno_bench import executor, precision, precision_run
 from nuno_bench.observe import Problem, simulate
+from nuno_bench.packed import pack
 from nuno_bench.precision_errors import POSITIONS, Error, find_scales, measure_errors
 from nuno_bench.precision_findings import choice_rows, fit_order, judge
 from nuno_bench.precision_page import Findings
-from nuno_bench.precision_point import Point
+from nuno_bench.precision_point import Kept, Point
+from nuno_bench.precision_untimed import UNTIMED, run_untimed
 from nuno_bench.reference import GROUP, Reference
 from nuno_bench.sweep import choose_solvers
 from nuno_integrators.symplectic_euler import SymplecticEuler
@@ -39,7 +41,8 @@ def arguments(path: Path, *flags: str) -> argparse.Namespace:
 
 def swept(path: Path, *flags: str) -> Findings:
     args = arguments(path, *flags)
-    return precision.sweep_scene(precision._check(args)[0], args)
+    with executor.opened(args, 1) as where:
+        return precision.sweep_scene(precision._check(args)[0], args, where)
 
 
 @pytest.fixture(scope="module")
@@ -212,6 +215,31 @@ def test_a_budget_leaves_finer_points_out_by_name(tmp_path: Path, found: Finding
     assert dropped | kept == {p.key for p in found.points if p.solver in ("rk4", "leapfrog", "tr_bdf2")}
 
 
+def test_points_too_slow_for_the_budget_are_computed_beside_each_other_without_times(
+    tmp_path: Path, found: Findings
+) -> None:
+    """With the same bits as alone, and no word on how fast they are."""
+    path = write_net(tmp_path)
+    args, told = arguments(path, "--jobs", "2"), list[str]()
+    problem = problem_of(path)
+    reference = reference_of(problem)
+    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
+    solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
+    sweep = precision_run.start_sweep(problem, solvers, told.append)
+    kept = Kept(tmp_path / "kept", {}, False)
+    precision_run.run_sweep(sweep, runner, solvers, kept, 1e-9, told.append)
+    assert sweep.points == [] and len(sweep.unaffordable) > 8
+    with executor.opened(args, 1) as where:
+        run_untimed(sweep, runner, pack(path, ["allow_unstable=true"]), kept, 60.0, where, told.append)
+    alone = {point.key: point for point in found.points}
+    assert {point.key for point in sweep.points} == {key for key in alone if key[0] in ("rk4", "leapfrog")}
+    assert all(point == replace(alone[point.key], seconds=()) for point in sweep.points)
+    assert all(UNTIMED in one.reason for one in sweep.omitted)
+    assert choice_rows(sweep.points, POSITIONS, 0.0) == []
+    page = precision.write(tmp_path / "page", replace(found, sweep=sweep))[0].read_text()
+    assert all(point.setting in page for point in sweep.points)
+
+
 def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, found: Findings) -> None:
     horizon = replace(found.horizon, frames=1, t=0.0, whole=False)
     floors = {name: floor for name, floor in found.floors.items() if name != POSITIONS}
@@ -264,6 +292,8 @@ def test_the_fastest_stable_solver_within_each_accuracy_is_named_once() -> None:
         (("--budget", "0"), "more than 0"),
         (("--budget", "nan"), "more than 0"),
         (("--repeats", "0"), "one repeat"),
+        (("--jobs", "0"), "at least one process"),
+        (("--jobs", "2", "--dask", "tcp://127.0.0.1:1"), "either --jobs or --dask"),
         (("--observable", "dropp"), "drop"),
         (("--docs", "nowhere.md"), "no section"),
     ],
