@@ -21,7 +21,8 @@ from pydantic import Field
 from nuno_integrators.adaptive import cloth_size
 from nuno_integrators.compiled import Compiled, Told, Work
 from nuno_kernels.acceleration import Packed, commit, evaluate
-from nuno_kernels.newton import Counts, Stage, compile_stage, make_stage, solve_stage
+from nuno_kernels.newton import Stage, compile_stage, make_stage, solve_stage
+from nuno_kernels.solver import Counts
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config, StepLimit, System
 
@@ -58,7 +59,7 @@ class Implicit(Compiled):
     def make_work(self, config: ImplicitConfig, system: System, packed: Packed) -> ImplicitWork:
         n = system.fabric.number
         python = any(term.kind == "python" for term in system.terms)
-        stage = make_stage(packed, cloth_size(system.fabric), python)
+        stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric), python)
         x, v = np.empty((2, 3, n))
         return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, (config.residual, config.most_iterations))
 
@@ -68,7 +69,7 @@ class Implicit(Compiled):
         return StepLimit(float("inf"), found.omega, found.damping)
 
     def go(self, work: ImplicitWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
-        work.stage.counts = Counts()
+        work.stage.solver.counts = Counts()
         taken, span = 0, steps * dt
         for step in range(steps):
             done, residual = self._step(work, packed, extra, step * dt, dt, span, 0)
@@ -85,6 +86,7 @@ class Implicit(Compiled):
         self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, depth: int
     ) -> tuple[int, float]:
         """One step, halved as often as needed: steps taken, and the residual it failed with or NaN."""
+        work.stage.solver.direct = False
         ok, residual = self.attempt(work, packed, extra, start, h, span)
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
@@ -92,6 +94,7 @@ class Implicit(Compiled):
             return 1, math.nan
         if depth == MOST_HALVINGS:
             return 0, residual
+        work.stage.counts.halvings += 1
         first, failed = self._step(work, packed, extra, start, 0.5 * h, span, depth + 1)
         if not math.isnan(failed):
             return first, failed
@@ -117,7 +120,9 @@ def _totals(counts: Counts, taken: int) -> dict[str, int]:
         "steps": taken,
         "newton_steps": counts.newton,
         "linear_iterations": counts.linear,
+        "factorisations": counts.factorisations,
         "evaluations": counts.evaluations,
+        "halvings": counts.halvings,
     }
 
 
@@ -131,7 +136,7 @@ class ImplicitEuler(Implicit):
         self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float
     ) -> tuple[bool, float]:
         work.stage.v[...] = work.v
-        return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.limits)
+        return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, work.limits)
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
@@ -156,7 +161,7 @@ class TRBDF2(Implicit):
         np.multiply(st.a, g, out=vhat)
         vhat += work.v
         st.v[...] = work.v
-        ok, residual = solve_stage(st, packed, extra, xhat, vhat, g, (start + GAMMA * h) / span, work.limits)
+        ok, residual = solve_stage(st, packed, extra, xhat, vhat, g, (start + GAMMA * h) / span, work.x, work.limits)
         if not ok:
             return ok, residual
         # near * middle - (near - 1) * old, written so that what stands still does so to the last bit.
@@ -165,7 +170,7 @@ class TRBDF2(Implicit):
             np.subtract(middle, old, out=hat)
             hat *= near
             hat += old
-        return solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, work.limits)
+        return solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), work.limits)
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""

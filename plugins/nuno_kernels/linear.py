@@ -12,17 +12,14 @@ Every block keeps copies of its own for the elements that cross its border, as t
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.blocks import Long
 from nuno_kernels.hinges import (
     FLAT,
     LONGEST,
-    HingeLists,
-    HingeRuns,
     cross,
     dot,
     listed_corner,
@@ -30,73 +27,75 @@ from nuno_kernels.hinges import (
     run_corner,
     times,
 )
+from nuno_kernels.linear_layout import HINGE_ROWS, SPRING_ROWS
 from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.simd_choose import higher, where_greater, where_not_zero
-from nuno_kernels.springs import FAR, SpringLists, SpringRuns
+from nuno_kernels.springs import FAR
 from nuno_kernels.springs import LONGEST as LONGEST_SPRINGS
-from nuno_schemas.fabric import Float, Int
-
-SPRING_ROWS, HINGE_ROWS = 4, 9
-
-
-class LinearRuns(NamedTuple):
-    """Runs of springs or hinges: their tasks, each with the column of its first element, and (4 or 9, c) rows."""
-
-    start: Long
-    task: Long
-    column: Long
-    rows: Float
-
-
-class LinearLists(NamedTuple):
-    """Listed springs or hinges: their indices and (4 or 9, p) rows."""
-
-    start: Long
-    indices: Int
-    rows: Float
 
 
 @kernel
-def spring_rows(dx: Any, dy: Any, dz: Any, k: Any, rest: Any, damping: Any, floor: float) -> Any:
-    """alpha and w of eight springs; `damping` is c times the rate. All are 0 at length 0."""
-    square = dx * dx + dy * dy + dz * dz
+def spring_rows(d: Any, d0: Any, k: Any, rest: Any, damping: Any, floor: float, follow: float) -> Any:
+    """alpha and w of eight springs along d, which were along d0; `damping` is c times the rate. All are 0 at length 0.
+
+    alpha is by the tension that is expected, at the length d0.d / |d0|, or |d0| where `follow` is 0.
+    """
+    square, square0 = dot(d, d), dot(d0, d0)
     inverse = where_not_zero(square, 1.0 / root(square))
+    length0 = root(square0)
+    expected = length0 + follow * where_not_zero(square0, dot(d0, d) / length0 - length0)
     # A spring of length 0 has no entries, like its force: with any, vertices that lie together would have
     # different rows, and rounding alone would part them, whereupon the spring throws them apart.
-    across = where_not_zero(square, higher(k * (1.0 - rest * inverse), splat(floor)))
+    across = where_not_zero(square, higher(k * (expected - rest) * inverse, splat(floor)))
+    across = k - higher(k - across, splat(0.0))
     size = root(k - across + damping) * inverse
-    return across, size * dx, size * dy, size * dz
+    return across, size * d[0], size * d[1], size * d[2]
 
 
 @kernel
-def fill_spring_runs(block: int, x: Any, runs: Any, linear: Any, rate: float, floor: float) -> None:
-    """Write the rows of a block's runs at x (3, n)."""
+def run_difference(x: Any, i: int, j: int, m: int) -> Any:
+    """x[:, j] - x[:, i] of up to eight that follow each other."""
+    return read(x, 0, j, m) - read(x, 0, i, m), read(x, 1, j, m) - read(x, 1, i, m), read(x, 2, j, m) - read(x, 2, i, m)
+
+
+@kernel
+def listed_difference(x: Any, ends: Any, p: int) -> Any:
+    """x[:, ends[1]] - x[:, ends[0]] of eight listed ones."""
+    return (
+        gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p), gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p),
+        gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p),
+    )  # fmt: skip
+
+
+@kernel
+def fill_spring_runs(
+    block: int, x: Any, before: Any, runs: Any, linear: Any, rate: float, floor: float, follow: float
+) -> None:
+    """Write the rows of a block's runs at x (3, n), after a step from `before`."""
     task, constants, rows = runs.task, runs.constants, linear.rows
     for t in range(runs.start[block], runs.start[block + 1]):
         i, j, count, at = task[t, 0], task[t, 1], task[t, 2], task[t, 3]
         for q in range(0, count, WIDTH):
             m = min(WIDTH, count - q)
-            dx = read(x, 0, j + q, m) - read(x, 0, i + q, m)
-            dy = read(x, 1, j + q, m) - read(x, 1, i + q, m)
-            dz = read(x, 2, j + q, m) - read(x, 2, i + q, m)
             k = splat(constants[0, at]) if runs.each is None else read(constants, 0, at + q, m)
             rest = splat(constants[1, at]) if runs.each is None else read(constants, 1, at + q, m)
             c = splat(constants[2, at]) if runs.each is None else read(constants, 2, at + q, m)
-            found = spring_rows(dx, dy, dz, k, rest, rate * c, floor)
+            d, d0 = run_difference(x, i + q, j + q, m), run_difference(before, i + q, j + q, m)
+            found = spring_rows(d, d0, k, rest, rate * c, floor, follow)
             for row in range(SPRING_ROWS):
                 write(rows, row, linear.column[t] + q, m, found[row])
 
 
 @kernel
-def fill_spring_lists(block: int, x: Any, lists: Any, linear: Any, rate: float, floor: float) -> None:
-    """Write the rows of a block's listed springs at x (3, n)."""
+def fill_spring_lists(
+    block: int, x: Any, before: Any, lists: Any, linear: Any, rate: float, floor: float, follow: float
+) -> None:
+    """Write the rows of a block's listed springs at x (3, n), after a step from `before`."""
     ends, constants = lists.ends, lists.constants
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
-        dx = gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p)
-        dy = gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p)
-        dz = gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p)
+        d, d0 = listed_difference(x, ends, p), listed_difference(before, ends, p)
         k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
-        found = spring_rows(dx, dy, dz, k, rest, rate * c, floor)
+        found = spring_rows(d, d0, k, rest, rate * c, floor, follow)
         for row in range(SPRING_ROWS):
             store(linear.rows, row, p, found[row])
 
@@ -262,28 +261,3 @@ def multiply_hinge_lists(block: int, u: Any, out: Any, linear: Any) -> None:
             add_at(out, row, corners, 5, p, s * g[row])
             add_at(out, row, corners, 6, p, 0.0 - s * g[3 + row])
             add_at(out, row, corners, 7, p, 0.0 - s * g[6 + row])
-
-
-def linear_runs(runs: SpringRuns | HingeRuns | None, rows: int, counts: int) -> LinearRuns | None:
-    """Room for the rows of runs, whose tasks hold their length in column `counts`."""
-    if runs is None:
-        return None
-    ends = np.cumsum(runs.task[:, counts])
-    return LinearRuns(runs.start, runs.task, ends - runs.task[:, counts], np.zeros((rows, int(ends[-1]) + WIDTH)))
-
-
-def linear_lists(start: Long, indices: Int, rows: int) -> LinearLists:
-    """Room for the rows of lists."""
-    return LinearLists(start, indices, np.zeros((rows, indices.shape[1])))
-
-
-def linear_springs(runs: SpringRuns | None, lists: SpringLists | None) -> tuple[LinearRuns | None, LinearLists | None]:
-    """Room for the springs' rows."""
-    found = None if lists is None else linear_lists(lists.start, lists.ends, SPRING_ROWS)
-    return linear_runs(runs, SPRING_ROWS, 2), found
-
-
-def linear_hinges(runs: HingeRuns | None, lists: HingeLists | None) -> tuple[LinearRuns | None, LinearLists | None]:
-    """Room for the hinges' rows."""
-    found = None if lists is None else linear_lists(lists.start, lists.corners, HINGE_ROWS)
-    return linear_runs(runs, HINGE_ROWS, 4), found

@@ -16,16 +16,8 @@ from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK, PADDING, block_count
 from nuno_kernels.diagonal import invert, sum_hinge_lists, sum_hinge_runs, sum_spring_lists, sum_spring_runs
-from nuno_kernels.linear import (
-    LinearLists,
-    LinearRuns,
-    fill_hinge_lists,
-    fill_hinge_runs,
-    fill_spring_lists,
-    fill_spring_runs,
-    linear_hinges,
-    linear_springs,
-)
+from nuno_kernels.linear import fill_hinge_lists, fill_hinge_runs, fill_spring_lists, fill_spring_runs
+from nuno_kernels.linear_layout import LinearLists, LinearRuns, linear_hinges, linear_springs
 from nuno_schemas.fabric import Float
 
 LOWEST = 1e300
@@ -77,7 +69,8 @@ def make_linear(packed: Packed) -> Linear:
 
 @kernel
 def fill_block(
-    block: int, x: Any, rate: float, floor: float, inverse_mass: Any, own: Any, inverse: Any,
+    block: int, x: Any, before: Any, rate: float, floor: float, follow: float,
+    inverse_mass: Any, own: Any, inverse: Any,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
     to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
 ) -> None:  # fmt: skip
@@ -85,10 +78,10 @@ def fill_block(
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     diagonal = np.zeros((6, high - low + PADDING))
     if runs is not None:
-        fill_spring_runs(block, x, runs, to_runs, rate, floor)
+        fill_spring_runs(block, x, before, runs, to_runs, rate, floor, follow)
         sum_spring_runs(block, low, to_runs, diagonal)
     if lists is not None:
-        fill_spring_lists(block, x, lists, to_lists, rate, floor)
+        fill_spring_lists(block, x, before, lists, to_lists, rate, floor, follow)
         sum_spring_lists(block, to_lists, diagonal)
     if hinge_runs is not None:
         fill_hinge_runs(block, x, hinge_runs, to_hinge_runs)
@@ -103,40 +96,43 @@ def fill_block(
 
 @parallel_kernel
 def fill_parallel(
-    x: Any, rate: float, floor: float, inverse_mass: Any, own: Any, inverse: Any,
+    x: Any, before: Any, rate: float, floor: float, follow: float, inverse_mass: Any, own: Any, inverse: Any,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
     to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
 ) -> None:  # fmt: skip
     """All blocks on several threads."""
     for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
         fill_block(
-            block, x, rate, floor, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
+            block, x, before, rate, floor, follow, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
             to_runs, to_lists, to_hinge_runs, to_hinge_lists,
         )  # fmt: skip
 
 
 @kernel
 def fill_blocks(
-    x: Any, rate: float, floor: float, inverse_mass: Any, own: Any, inverse: Any,
+    x: Any, before: Any, rate: float, floor: float, follow: float, inverse_mass: Any, own: Any, inverse: Any,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
     to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
 ) -> None:  # fmt: skip
     """All blocks on one thread."""
     for block in range((x.shape[1] + BLOCK - 1) // BLOCK):
         fill_block(
-            block, x, rate, floor, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
+            block, x, before, rate, floor, follow, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
             to_runs, to_lists, to_hinge_runs, to_hinge_lists,
         )  # fmt: skip
 
 
-def fill(x: Float, rate: float, p: Packed, a: Linear, exact: bool = False) -> None:
+def fill(
+    x: Float, rate: float, p: Packed, a: Linear, exact: bool = False, before: Float | None = None, follow: bool = True
+) -> None:
     """Linearise at x (3, n), with dv/dx = `rate` [1/s]; a.own holds D already.
 
-    The matrix is positive unless it is `exact`; its preconditioner is in either case.
+    The matrix is positive unless it is `exact`; its preconditioner is in either case. Springs have the tension
+    that a linear step from `before` (3, n) to x leads to, or the one that they had there where not `follow`.
     """
     floor = -LOWEST if exact else 0.0
     call = fill_blocks if p.threads is None else fill_parallel
     call(
-        x, rate, floor, a.inverse_mass, a.own, a.inverse, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
-        a.runs, a.lists, a.hinge_runs, a.hinge_lists,
+        x, x if before is None else before, rate, floor, float(follow), a.inverse_mass, a.own, a.inverse,
+        p.runs, p.lists, p.hinge_runs, p.hinge_lists, a.runs, a.lists, a.hinge_runs, a.hinge_lists,
     )  # fmt: skip

@@ -1,28 +1,26 @@
 """Newton's method for an implicit stage: x = x^ + g v, v = v^ + g a(x, v).
 
 The residual is the force that is missing, m (a(x, v) - (v - v^) / g), and the step in x solves
-(M / g^2 + K + C / g) dx = residual with K and C of nuno_kernels.linear. What springs and hinges do not
-hold (contact, wind, forces in Python, damping) acts on each vertex by itself or nearly so: its derivative
-is taken as one 3 x 3 block a vertex, by moving all vertices together along each axis. Contact and friction
-are exact that way; a triangle's wind is lumped.
+(M / g^2 + K + C / g) dx = residual with K and C of nuno_kernels.linear; nuno_kernels.solver says how. What
+springs and hinges do not hold (contact, wind, forces in Python, damping) acts on each vertex by itself or
+nearly so: its derivative is taken as one 3 x 3 block a vertex, by moving all vertices together along each
+axis. Contact and friction are exact that way; a triangle's wind is lumped.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed, evaluate
-from nuno_kernels.conjugate import solve
-from nuno_kernels.matrix import Linear, fill, make_linear
 from nuno_kernels.packing import silence
+from nuno_kernels.solver import Counts, Solver, compile_solver, make_solver, solve_linear
+from nuno_kernels.tension import largest_tension, turning_work
 from nuno_schemas.fabric import Float
 
-FORCING = 0.05
-"""Share of the residual that conjugate gradients may leave: tighter buys few Newton steps for many products."""
 SLOW = 0.3
 """A Newton step that leaves more than this of the residual is followed by one with the exact matrix. Cloth
 that is about to buckle holds compressed springs in balance: without their negative stiffness every step
@@ -61,15 +59,6 @@ def along(r: Any, d: Any) -> float:
 
 
 @dataclass
-class Counts:
-    """What the solver did: Newton and conjugate-gradient iterations, forces evaluated."""
-
-    newton: int = 0
-    linear: int = 0
-    evaluations: int = 0
-
-
-@dataclass
 class Stage:
     """Memory of the solver for one packed system; x, v (3, n) are the stage's unknowns."""
 
@@ -77,17 +66,20 @@ class Stage:
     mass: Float
     size: float
     scale: float
-    linear: Linear
+    solver: Solver
     x: Float
     v: Float
     a: Float
     residual: Float
     others: Packed | None
-    counts: Counts = field(default_factory=Counts)
+
+    @property
+    def counts(self) -> Counts:
+        return self.solver.counts
 
 
-def make_stage(packed: Packed, size: float, python: bool) -> Stage:
-    """`size` is the cloth's [m]; `python` says whether a force is written in Python."""
+def make_stage(packed: Packed, position: Float, size: float, python: bool) -> Stage:
+    """`position` (n, 3) and `size` are the cloth's at rest [m]; `python` says whether a force is written in Python."""
     w = packed.inverse_mass
     mass = np.divide(1.0, w, out=np.zeros_like(w), where=w > 0.0)
     lumped = python or any(part is not None for part in (packed.contact, packed.air, packed.particle_wind))
@@ -97,21 +89,25 @@ def make_stage(packed: Packed, size: float, python: bool) -> Stage:
         default=0.0,
     )
     x, v, a, residual = np.zeros((4, 3, w.shape[0]))
-    return Stage(packed, mass, size, stiffest, make_linear(packed), x, v, a, residual, others)
+    return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, others)
 
 
 def solve_stage(
-    st: Stage, packed: Packed, extra: Any, xhat: Float, vhat: Float, g: float, s: float, limits: tuple[float, int]
-) -> tuple[bool, float]:
+    st: Stage, packed: Packed, extra: Any, xhat: Float, vhat: Float, g: float, s: float,
+    start: Float, limits: tuple[float, int],
+) -> tuple[bool, float]:  # fmt: skip
     """Solve for st.x, st.v from their present guess st.v; whether it converged, and the residual [N].
 
-    `limits` are the residual as a share of the largest single force, and the most Newton steps.
+    `start` (3, n) is where the cloth is now; `limits` are the residual as a share of the largest single
+    force, and the most Newton steps.
     """
     tolerance, most = limits
     if packed.contact is not None:
         packed.contact.rate[0] = 1.0 / g
+    guess = st.v.copy()
     np.multiply(st.v, g, out=st.x)
     st.x += xhat
+    st.solver.before[...], st.solver.follow = start, False
     worst, slow = _evaluate(st, packed, extra, vhat, g, s), False
     for _ in range(most):
         allowed = tolerance * largest_force(st, packed) + _rounding(st, g)
@@ -120,34 +116,32 @@ def solve_stage(
         if not np.isfinite(worst):
             return False, worst
         before = worst
-        _solve_linear(st, packed, extra, g, s, slow)
+        if not _solve_newton(st, packed, extra, g, s, slow):
+            st.v[...] = guess
+            return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
         worst = _search(st, packed, extra, vhat, g, s)
         slow = worst > SLOW * before
     return False, worst
 
 
-def _solve_linear(st: Stage, packed: Packed, extra: Any, g: float, s: float, exact: bool) -> None:
-    """The Newton step into st.linear.x, by the exact matrix where that is asked for and is positive."""
+def _solve_newton(st: Stage, packed: Packed, extra: Any, g: float, s: float, exact: bool) -> bool:
+    """The Newton step into st.solver.linear.x; False if the stage is to be begun anew."""
     _fill_own(st, packed, extra, g, s)
-    most = 20 * st.mass.shape[0] + 100
     st.counts.newton += 1
-    for kind in (True, False) if exact else (False,):
-        fill(st.x, 1.0 / g, packed, st.linear, kind)
-        st.linear.r[...] = st.residual
-        done = solve(st.linear, FORCING, most, packed.threads)
-        st.counts.linear += max(done, -1 - done)
-        if done >= 0:
-            return
+    done = solve_linear(st.solver, packed, st.x, 1.0 / g, st.residual, exact)
+    st.solver.before[...], st.solver.follow = st.x, True
+    return done
 
 
 def compile_stage(st: Stage, packed: Packed, extra: Any, x: Float, v: Float) -> None:
     """Compile what `solve_stage` needs, by solving for no force at (x, v)."""
     st.x[...], st.v[...] = x, v
     _evaluate(st, packed, extra, st.v, 1.0, 0.0)
-    st.residual[...] = 0.0
-    _solve_linear(st, packed, extra, 1.0, 0.0, False)
-    along(st.residual, st.linear.x)
+    _fill_own(st, packed, extra, 1.0, 0.0)
+    compile_solver(st.solver, packed, st.x)
+    along(st.residual, st.solver.linear.x)
     largest_force(st, packed)
+    turning_work(st.x, st.x, st.x, packed)
 
 
 def _rounding(st: Stage, g: float) -> float:
@@ -163,13 +157,14 @@ def _evaluate(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: f
 
 
 def _search(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: float) -> float:
-    """Go along the solution d in st.linear.x, less far where the residual along it turns round.
+    """Go along the solution d in st.solver.linear.x, less far where the residual along it turns round.
 
     For conservative forces residual.d is minus the slope of the step's energy along d, which a
     minimum makes 0: the rule brings the secant's minimum, and needs no energy, so that it holds for
-    friction and wind too.
+    friction and wind too. Where d is exact, what springs pull for having turned does not count: the next
+    step takes it back, and steps that avoid it are short on stiff cloth (the Maratos effect).
     """
-    d = st.linear.x
+    d = st.solver.linear.x
     before, gone, share = along(st.residual, d), 0.0, 1.0
     worst = np.inf
     for _ in range(MOST_TRIALS):
@@ -178,6 +173,8 @@ def _search(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: flo
         gone = share
         worst = _evaluate(st, packed, extra, vhat, g, s)
         after = along(st.residual, d)
+        if st.solver.direct:
+            after += turning_work(st.solver.before, st.x, d, packed)
         if after >= -SLOPE * before:
             break
         share *= max(0.1, before / (before - after)) if np.isfinite(after) else 0.1
@@ -186,7 +183,7 @@ def _search(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: flo
 
 def _fill_own(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None:
     """What acts on each vertex by itself, and its inertia, into the matrix."""
-    own = st.linear.own
+    own = st.solver.linear.own
     own[:3] = st.mass / (g * g) + (packed.damping / g) * st.mass
     own[3:] = 0.0
     if st.others is not None:
@@ -212,7 +209,7 @@ def _add_others(st: Stage, others: Packed, extra: Any, g: float, s: float) -> No
     values, vectors = np.linalg.eigh(part)
     part = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
     for row, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-        st.linear.own[row, active] += part[:, i, j]
+        st.solver.linear.own[row, active] += part[:, i, j]
 
 
 def largest_force(st: Stage, packed: Packed) -> float:
@@ -220,37 +217,3 @@ def largest_force(st: Stage, packed: Packed) -> float:
     weight = float(np.linalg.norm(packed.gravity)) * float(st.mass.max(initial=0.0))
     inertia = float(np.sqrt(((st.a * st.mass) ** 2).sum(axis=0)).max(initial=0.0))
     return max(weight, inertia, largest_tension(st.x, packed))
-
-
-def largest_tension(x: Float, packed: Packed) -> float:
-    """The largest force k ||d| - L| of a spring [N]."""
-    runs = 0.0 if packed.runs is None else tension_of_runs(x, packed.runs)
-    lists = 0.0 if packed.lists is None else tension_of_lists(x, packed.lists)
-    return float(max(runs, lists))
-
-
-@kernel
-def tension(x: Any, i: int, j: int, k: float, rest: float) -> float:
-    """|k (|d| - L)|."""
-    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-    return float(abs(k * (np.sqrt(dx * dx + dy * dy + dz * dz) - rest)))
-
-
-@kernel
-def tension_of_runs(x: Any, runs: Any) -> float:
-    """The largest over runs."""
-    largest, task, constants = 0.0, runs.task, runs.constants
-    for t in range(task.shape[0]):
-        for q in range(task[t, 2]):
-            c = task[t, 3] if runs.each is None else task[t, 3] + q
-            largest = max(largest, tension(x, task[t, 0] + q, task[t, 1] + q, constants[0, c], constants[1, c]))
-    return largest
-
-
-@kernel
-def tension_of_lists(x: Any, lists: Any) -> float:
-    """The largest over lists."""
-    largest, ends, constants = 0.0, lists.ends, lists.constants
-    for c in range(ends.shape[1]):
-        largest = max(largest, tension(x, ends[0, c], ends[1, c], constants[0, c], constants[1, c]))
-    return largest

@@ -229,6 +229,19 @@ def magnitude(typing: Any, value: Any) -> Any:
     return vector(vector), build
 
 
+@instruction
+def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """a b + c of every lane, rounded once: the same on every machine."""
+    if not a == b == c == vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind = ir.FunctionType(LANES, [LANES, LANES, LANES])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, "llvm.fma.v8f64"), args)
+
+    return vector(vector, vector, vector), build
+
+
 @kernel
 def read(a: Any, row: int, column: int, count: int) -> Any:
     """Up to eight values; zeros beyond `count`."""

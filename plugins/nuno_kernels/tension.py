@@ -1,0 +1,92 @@
+"""What Newton's method asks of springs: the largest force, and how much of it comes of having turned."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.acceleration import Packed
+from nuno_kernels.blocks import BLOCK
+from nuno_schemas.fabric import Float
+
+
+def largest_tension(x: Float, packed: Packed) -> float:
+    """The largest force k ||d| - L| of a spring [N]."""
+    runs = 0.0 if packed.runs is None else tension_of_runs(x, packed.runs)
+    lists = 0.0 if packed.lists is None else tension_of_lists(x, packed.lists)
+    return float(max(runs, lists))
+
+
+@kernel
+def tension(x: Any, i: int, j: int, k: float, rest: float) -> float:
+    """|k (|d| - L)|."""
+    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    return float(abs(k * (np.sqrt(dx * dx + dy * dy + dz * dz) - rest)))
+
+
+@kernel
+def tension_of_runs(x: Any, runs: Any) -> float:
+    """The largest over runs."""
+    largest, task, constants = 0.0, runs.task, runs.constants
+    for t in range(task.shape[0]):
+        for q in range(task[t, 2]):
+            c = task[t, 3] if runs.each is None else task[t, 3] + q
+            largest = max(largest, tension(x, task[t, 0] + q, task[t, 1] + q, constants[0, c], constants[1, c]))
+    return largest
+
+
+@kernel
+def tension_of_lists(x: Any, lists: Any) -> float:
+    """The largest over lists."""
+    largest, ends, constants = 0.0, lists.ends, lists.constants
+    for c in range(ends.shape[1]):
+        largest = max(largest, tension(x, ends[0, c], ends[1, c], constants[0, c], constants[1, c]))
+    return largest
+
+
+def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
+    """Work along d (3, n) of the tension that springs have for having turned on their way from `before` to x [J].
+
+    A spring that turns from a to b is longer than b's share along a, by the square of the angle. A linear step
+    cannot know of that, and the next one takes it back.
+    """
+    runs = 0.0 if packed.runs is None else turning_of_runs(before, x, d, packed.runs)
+    lists = 0.0 if packed.lists is None else turning_of_lists(before, x, d, packed.lists)
+    return float(runs + lists)
+
+
+@kernel
+def turning(x0: Any, x: Any, d: Any, i: int, j: int, k: float) -> float:
+    """k (|b| - a.b / |a|) b.(d_j - d_i) / |b|."""
+    ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
+    bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
+    if a == 0.0 or b == 0.0:
+        return 0.0
+    tension = k * (b - (ax * bx + ay * by + az * bz) / a)
+    return float(tension * (bx * (d[0, j] - d[0, i]) + by * (d[1, j] - d[1, i]) + bz * (d[2, j] - d[2, i])) / b)
+
+
+@kernel
+def turning_of_runs(x0: Any, x: Any, d: Any, runs: Any) -> float:
+    """The sum over runs, each spring once: by the task that adds to its first end."""
+    total, task, constants = 0.0, runs.task, runs.constants
+    for t in range(task.shape[0]):
+        if task[t, 4] & 1:
+            for q in range(task[t, 2]):
+                c = task[t, 3] if runs.each is None else task[t, 3] + q
+                total += turning(x0, x, d, task[t, 0] + q, task[t, 1] + q, constants[0, c])
+    return total
+
+
+@kernel
+def turning_of_lists(x0: Any, x: Any, d: Any, lists: Any) -> float:
+    """The sum over lists, each spring once: by its first end's block."""
+    total, ends, constants = 0.0, lists.ends, lists.constants
+    for block in range(lists.start.shape[0] - 1):
+        for c in range(lists.start[block], lists.start[block + 1]):
+            if ends[0, c] // BLOCK == block:
+                total += turning(x0, x, d, ends[0, c], ends[1, c], constants[0, c])
+    return total
