@@ -1,0 +1,1 @@
+"""Dyeing of woven cloth: cells, diffusion, adsorption."""
