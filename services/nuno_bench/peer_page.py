@@ -17,17 +17,8 @@ from nuno_bench.peer_table import Kind
 from nuno_bench.result import number
 from nuno_bench.stiff import CENTRE, REFERENCE, SCENE, STRAIN
 
-HEADINGS = (
-    "peer",
-    "setting",
-    "centre of mass off [mm]",
-    "mean strain",
-    "peak strain",
-    "median [s]",
-    "min - max [s]",
-    "start [s]",
-    "verdict",
-)
+HEADINGS = ("peer", "setting", "off [mm]", "strain", "peak", "time [s]", "min - max", "start [s]", "verdict")
+NOTES = ("peer", "setting", "note")
 PACKAGES = {"mujoco": ("mujoco",), "newton": ("newton", "warp-lang"), "scipy": ("scipy",)}
 LEAD = (
     f"A second of the scene {SCENE}: 64 x 64 vertices, springs of 1000, 300 and 20 N/m, let go at 45 degrees, held "
@@ -35,9 +26,10 @@ LEAD = (
 )
 JUDGED = (
     f"Accurate is a centre of mass within {1e3 * CENTRE:g} mm and a mean strain within {STRAIN:.0%} of the converged "
-    f"run ({REFERENCE[0].removeprefix('solver={').removesuffix('}')}). Mean strain is a share of that run's. Times are "
-    "medians over the repeats of the simulated second; start, from an empty process to the first step with all that "
-    "is compiled, is in none of them. A setting is not repeated once it has used a third of its limit."
+    f"run ({REFERENCE[0].removeprefix('solver={').removesuffix('}')}). Off: the centre of mass. Strain: the springs' "
+    "mean, as a share of that run's. Peak: the largest strain of any spring. Time: the median over the repeats of the "
+    "simulated second. Start, from an empty process to the first step with all that is compiled, is in no time. A "
+    "setting is not repeated once it has used a third of its limit."
 )
 
 
@@ -70,13 +62,18 @@ def rows(found: Found) -> list[list[str]]:
 def _row(point: Point, chosen: bool) -> list[str]:
     start = number(round(point.start, 2)) if point.start is not None else ""
     if point.score is None:
-        return [point.kind, point.setting, "", "", "", "", "", start, f"failed: {point.failure}"]
+        return [point.kind, point.setting, "", "", "", "", "", start, "failed"]
     low, high = min(point.seconds), max(point.seconds)
     spread = f"{number(low)} - {number(high)}" if len(point.seconds) > 1 else "once"
     verdict = ("best of its kind" if chosen else "accurate") if accurate(point) else "not accurate"
-    score = (number(1e3 * point.score.centre), f"{point.score.strain:.2f}", f"{point.score.peak:.1%}")
-    verdict += f"; {point.remark}" if point.remark else ""
+    score = (number(1e3 * point.score.centre), number(round(point.score.strain, 3)), number(round(point.score.peak, 4)))
     return [point.kind, point.setting, *score, number(point.median), spread, start, verdict]
+
+
+def notes(found: Found) -> list[list[str]]:
+    """Why a point failed, and what an engine says of its run."""
+    told = [(point, point.failure or point.remark) for point in found.points]
+    return [[point.kind, point.setting, text] for point, text in told if text]
 
 
 def verdicts(found: Found) -> list[str]:
@@ -103,6 +100,7 @@ def sections(found: Found) -> list[str]:
         " ".join([*verdicts(found), *(f"{text}." for text in found.left_out)]),
         markdown.table(HEADINGS, rows(found)),
         JUDGED,
+        *([markdown.table(NOTES, notes(found))] if notes(found) else []),
         markdown.table(("peer", "what it is given"), posed),
     ]
 
@@ -151,15 +149,18 @@ def write(base: Path, found: Found, about: Mapping[str, str]) -> tuple[Path, Pat
 
 def _page(found: Found, about: Mapping[str, str]) -> str:
     caption = (
-        f"Dashed: what is accurate enough, {1e3 * CENTRE:g} mm. Hollow: the mean strain is off by more than "
-        f"{STRAIN:.0%}. Bars across: all repeats. Crosses above: failed, at the time taken or at the left edge."
+        f"Line across: {1e3 * CENTRE:g} mm, which is accurate enough. Hollow: the mean strain is off by more than "
+        f"{STRAIN:.0%}. Solid curves: ours. Bars across: all repeats. Crosses above: failed, at the time taken, or "
+        "at the left edge where none was."
     )
     posed = [[kind.name, kind.posed] for kind in found.kinds]
     parts: list[tuple[str, Sequence[page.Part]]] = [
         ("", [" ".join(verdicts(found)), page.Figure(error_over_time(found.points), caption)]),
         ("All settings", [page.Table(HEADINGS, rows(found), JUDGED)]),
-        ("What each is given", [page.Table(("peer", "material and method"), posed, "From its documentation.", True)]),
+        ("What each is given", [page.Table(("peer", "what it is given"), posed, "Material and method.", prose=True)]),
     ]
+    if notes(found):
+        parts.insert(2, ("Notes", [page.Table(NOTES, notes(found), "Failures, and what engines say.", prose=True)]))
     if found.left_out:
         parts.append(("Left out", list(found.left_out)))
     parts.append(("Made by", [page.Facts(about)]))

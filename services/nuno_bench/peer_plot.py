@@ -23,7 +23,7 @@ def error_over_time(points: Sequence[Point]) -> str:
         axis.set_xscale("log")
         axis.set_yscale("log")
         for index, kind in enumerate(kinds):
-            _draw(axis, [point for point in points if point.kind == kind], _look(index, kind))
+            _draw(axis, [point for point in points if point.kind == kind], _look(index, kind), 0.025 * index)
         axis.axhline(1e3 * CENTRE, color="#1b1d21", linewidth=0.9, linestyle=(0, (4, 2)), zorder=1)
         axis.set_xlabel("wall time of a simulated second [s]")
         axis.set_ylabel("centre of mass off by [mm]")
@@ -44,7 +44,8 @@ def _look(index: int, kind: str) -> dict[str, Any]:
     }
 
 
-def _draw(axis: Any, own: Sequence[Point], look: dict[str, Any]) -> None:
+def _draw(axis: Any, own: Sequence[Point], look: dict[str, Any], edge: float) -> None:
+    """`edge`, a share of the axis, is where failures are marked that took no time."""
     shown = [(point, point.score) for point in own if point.score is not None]
     times, errors = [point.median for point, _ in shown], [1e3 * score.centre for _, score in shown]
     low = [point.median - min(point.seconds) for point, _ in shown]
@@ -59,4 +60,4 @@ def _draw(axis: Any, own: Sequence[Point], look: dict[str, Any]) -> None:
         if point.score is None and point.seconds:
             axis.plot(point.median, STRIP, color=look["color"], transform=axis.get_xaxis_transform(), **place)
         elif point.score is None:
-            axis.plot(0.0, STRIP, color=look["color"], transform=axis.transAxes, **place)
+            axis.plot(edge, STRIP, color=look["color"], transform=axis.transAxes, **place)

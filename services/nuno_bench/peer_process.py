@@ -1,6 +1,6 @@
 """Each engine in a process of its own: what crashes, hangs or warns there is a mark, not the end.
 
-`python -m nuno_bench.peer_process REQUEST.json` is such a process. It writes a line of JSON before the first
+`python -m nuno_bench.peer_process REQUEST.json` is such a process. It writes a line before the first
 second, with the time that start and compiling took, and one after each second that it simulated.
 """
 
@@ -25,6 +25,8 @@ from nuno_bench.peer_problem import SECONDS, Peer, Score, Sheet, judge
 from nuno_bench.peer_table import Kind, Setting
 from nuno_schemas.fabric import Float
 
+MARK = "peer: "
+"""Before each line of ours, since engines write lines of their own."""
 ENOUGH = 1 / 3
 """Of a setting's limit, after which its seconds are not repeated."""
 
@@ -64,10 +66,11 @@ def measure(kind: Kind, setting: Setting, name: str, sheet: Sheet, exact: Float,
         start = next((line["start"] for line in lines if "start" in line), None)
         seconds = tuple(line["seconds"] for line in lines if "seconds" in line)
         failure = next((line["failure"] for line in lines if "failure" in line), failure)
-        # What ran out of time while it repeated itself has been measured all the same.
-        if failure and not (seconds and end.is_file()):
-            return Point(kind.name, name, start, failure=failure)
+        if not seconds:
+            return Point(kind.name, name, start, failure=failure or "its process ended without a result")
         x, remark = np.load(end), next((line["remark"] for line in lines if line.get("remark")), "")
+    if failure:  # what broke while it repeated itself has been measured all the same
+        remark = f"a repeat: {failure}"
     if not np.isfinite(x).all():
         return Point(kind.name, name, start, seconds, failure="positions are no longer finite", remark=remark)
     return Point(kind.name, name, start, seconds, judge(sheet, x, exact), remark=remark)
@@ -89,8 +92,8 @@ def _watch(command: Sequence[str], folder: str, limit: float) -> tuple[list[dict
             raise
     lines = []
     for text in out.read_text(errors="replace").splitlines():
-        if text.startswith("{"):  # engines write lines of their own
-            lines.append(json.loads(text))
+        if text.startswith(MARK):
+            lines.append(json.loads(text.removeprefix(MARK)))
     if code and not failure:
         last = told.read_text(errors="replace").strip().splitlines()[-1:]
         what = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
@@ -101,6 +104,7 @@ def _watch(command: Sequence[str], folder: str, limit: float) -> tuple[list[dict
 def main(path: Path) -> None:
     """The process: make the engine, one short run that compiles, then the repeats."""
     asked = json.loads(path.read_text())
+    signal.alarm(int(asked["limit"]) + 1)  # it ends by itself where whoever should end it was killed
     try:
         peer: Peer = getattr(importlib.import_module(asked["module"]), asked["made"])(
             Sheet.load(Path(asked["sheet"])), **asked["setting"]
@@ -108,12 +112,13 @@ def main(path: Path) -> None:
         peer.advance(1 / 60)
         _tell({"start": time.time() - asked["began"]})
         spent = 0.0
-        for _ in range(asked["repeats"]):
+        for repeat in range(asked["repeats"]):
             peer.reset()
             at = time.perf_counter()
             x = peer.advance(SECONDS)
             spent += time.perf_counter() - at
-            np.save(asked["end"], x)
+            if repeat == 0:
+                np.save(asked["end"], x)
             _tell({"seconds": time.perf_counter() - at, "remark": peer.remark})
             if spent > ENOUGH * asked["limit"]:
                 break
@@ -122,7 +127,7 @@ def main(path: Path) -> None:
 
 
 def _tell(line: dict[str, Any]) -> None:
-    print(json.dumps(line), flush=True)
+    print(f"{MARK}{json.dumps(line)}", flush=True)
 
 
 if __name__ == "__main__":

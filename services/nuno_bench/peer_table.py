@@ -45,7 +45,7 @@ def _nuno(solver: str, given: str, *steps: str) -> Kind:
 
 def _auto() -> Kind:
     settings = [{"solver": "plugin: auto", "accuracy": accuracy} for accuracy in ("preview", "normal")]
-    posed = f"{EXACT}; solver and step as `solver: auto` takes them for an accuracy."
+    posed = f"{EXACT}; solver and step as nuno takes them by itself for an accuracy."
     return Kind("nuno-auto", "", "nuno", "nuno_bench.peer_python", "Nuno", settings, posed)
 
 
@@ -86,24 +86,24 @@ KINDS = (
         "SciPy",
         [{"method": "RK45", "rtol": 1e-3}, {"method": "RK45", "rtol": 1e-5}, {"method": "DOP853", "rtol": 1e-4}],
         f"{EXACT}; forces by the same NumPy slices. Its implicit methods are held against ours on a smaller sheet "
-        "by `nuno bench speed scipy`: here each of their matrices has 24,564 columns.",
+        "by nuno bench speed scipy: here each of their matrices has 24,576 columns.",
     ),
     _mujoco(
         "Edges",
         [{"dt": 1 / 7500}, {"dt": 1 / 10000}],
         f"{EXACT}: springs of equal constants are a 1D flex, whose edges have that stiffness and damping; drag is an "
-        "applied force. MuJoCo integrates such edges explicitly only, so `integrator=Euler`.",
+        "applied force. MuJoCo integrates such edges explicitly only, so integrator=Euler.",
     ),
     _mujoco(
         "Tendons",
         [{"dt": 1 / 300}, {"dt": 1 / 600}, {"dt": 1 / 1200}],
-        f"{EXACT}: each spring is a tendon between two sites, drag is joint damping. `integrator=discrete`, the one "
+        f"{EXACT}: each spring is a tendon between two sites, drag is joint damping. integrator=discrete, the one "
         "that MuJoCo documents as implicit in stiffness, with its CG solver.",
     ),
     _mujoco(
         "Membrane",
         [{"dt": 1 / 100}, {"dt": 1 / 400}, {"dt": 1 / 1000}],
-        "What MuJoCo's documentation gives for cloth: a 2D flex with elasticity and `integrator=discrete`. It is "
+        "What MuJoCo's documentation gives for cloth: a 2D flex with elasticity and integrator=discrete. It is "
         "isotropic, so it cannot be this fabric: E t = 1315 N/m and nu = 0.22 give the springs' stiffness along the "
         "threads (1380 N/m) and their contraction across, and 1.8 times their shear stiffness. Rayleigh damping is "
         "c / k of the structural springs. Two-apart springs resist bending only once cloth is bent: elastic2d=stretch.",
@@ -134,7 +134,7 @@ KINDS = (
         [
             {"dt": 1 / 60, "iterations": 10, "linear_iterations": 10},
             {"dt": 1 / 120, "iterations": 10, "linear_iterations": 10},
-            {"dt": 1 / 240, "iterations": 4, "linear_iterations": 50},
+            {"dt": 1 / 240, "iterations": 10, "linear_iterations": 100},
         ],
         WOVEN,
     ),

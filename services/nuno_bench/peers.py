@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--limit",
         type=float,
-        default=150.0,
+        default=200.0,
         metavar="SECONDS",
         help="wall time of a setting, start and all; no repeats after a third of it (default: %(default)g)",
     )
@@ -65,7 +65,8 @@ def main(args: argparse.Namespace) -> int:
     about = {"command": machine.command(), **machine.describe(), "peers": shown.versions(used)}
     about["load"] = others.describe()
     print(text_table(shown.HEADINGS, shown.rows(found)))
-    for text in [*shown.verdicts(found), *found.left_out]:
+    told = [": ".join([", ".join(note[:2]), note[2]]) for note in shown.notes(found)]
+    for text in [*told, *shown.verdicts(found), *found.left_out]:
         print(text)
     for file in shown.write(args.out / "peers", found, about):
         print(f"written {file}")

@@ -27,14 +27,8 @@ class Still:
         return self.sheet.x + np.array([0.0, self.shift, 0.0])
 
 
-class Crash(Still):
-    def advance(self, seconds: float) -> Float:
-        os.kill(os.getpid(), signal.SIGSEGV)
-        return self.sheet.x
-
-
-class Hang(Still):
-    """In the `after`th second it is asked for, counted from 0; the first call is the short one."""
+class Later(Still):
+    """Works until it has been asked `after` times, counted from 0; the first time is the short one."""
 
     def __init__(self, sheet: Sheet, after: float) -> None:
         super().__init__(sheet, 0.0)
@@ -42,9 +36,21 @@ class Hang(Still):
 
     def advance(self, seconds: float) -> Float:
         if self.left <= 0:
-            time.sleep(600.0)
+            self.break_down()
         self.left -= 1
         return self.sheet.x
+
+    def break_down(self) -> None: ...
+
+
+class Crash(Later):
+    def break_down(self) -> None:
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+
+class Hang(Later):
+    def break_down(self) -> None:
+        time.sleep(600.0)
 
 
 class Diverge(Still):

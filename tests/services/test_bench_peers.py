@@ -7,6 +7,9 @@ import csv
 import html
 import io
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +91,7 @@ def test_engine_in_a_process_of_its_own_gives_its_score(sheet: Sheet, fakes: Non
 @pytest.mark.parametrize(
     ("made", "setting", "limit", "reason"),
     [
-        ("Crash", {"shift": 0.0}, 60.0, "signal SIGSEGV"),
+        ("Crash", {"after": 0.0}, 60.0, "signal SIGSEGV"),
         ("Hang", {"after": 0.0}, 1.0, "not done after 1 s"),
         ("Refuse", {"shift": 0.0}, 60.0, "RuntimeError: unstable at step 7"),
         ("Diverge", {"shift": 0.0}, 60.0, "no longer finite"),
@@ -103,11 +106,20 @@ def test_engine_that_breaks_is_a_mark_with_its_reason(
     assert reason in point.failure
 
 
-def test_engine_that_runs_out_of_time_while_it_repeats_keeps_what_it_has(sheet: Sheet, fakes: None) -> None:
-    point = measure(fake("Hang"), {"after": 2.0}, "", sheet, 1.001 * sheet.x, 5, 3.0)
-    assert len(point.seconds) == 1
+def test_engine_that_breaks_while_it_repeats_keeps_what_it_has(sheet: Sheet, fakes: None) -> None:
+    point = measure(fake("Crash"), {"after": 3.0}, "", sheet, 1.001 * sheet.x, 5, 60.0)
+    assert len(point.seconds) == 2
     assert point.score is not None
     assert point.failure == ""
+    assert "signal SIGSEGV" in point.remark
+
+
+def test_engine_whose_starter_was_killed_ends_by_itself(sheet: Sheet, fakes: None, tmp_path: Path) -> None:
+    asked = {"module": "fake_engines", "made": "Hang", "setting": {"after": 0.0}, "repeats": 1, "limit": 0.0}
+    asked |= {"sheet": str(tmp_path / "sheet.npz"), "end": str(tmp_path / "end.npy"), "began": 0.0}
+    (tmp_path / "request.json").write_text(json.dumps(asked))
+    command = [sys.executable, "-m", "nuno_bench.peer_process", str(tmp_path / "request.json")]
+    assert subprocess.run(command, check=False, timeout=60.0).returncode == -signal.SIGALRM
 
 
 def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
@@ -121,14 +133,8 @@ def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
     ]
     kinds = [Kind(name, "", "", "", "", (), "") for name in ("nuno-a", "other", "never")]
     found = peer_page.Found(kinds, points, (), 1.0)
-    verdicts = [row[-1] for row in peer_page.rows(found)]
-    assert verdicts == [
-        "not accurate",
-        "best of its kind",
-        "not accurate",
-        "best of its kind",
-        "failed: not done after 9 s",
-    ]
+    assert [row[-1] for row in peer_page.rows(found)] == ["not accurate", "best of its kind"] * 2 + ["failed"]
+    assert peer_page.notes(found) == [["never", "", "not done after 9 s"]]
     assert "10 times faster" in " ".join(peer_page.verdicts(found))
     assert "Accurate at no setting shown: never." in peer_page.verdicts(found)
 
@@ -140,7 +146,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, Path]:
     end = stiff.End(np.zeros(3), 0.0, 1.001 * small.x, 0.5)
     kinds = (
         fake("Still", {"shift": 0.0}, {"shift": 1.0}),
-        fake("Crash", {"shift": 0.0}),
+        fake("Crash", {"after": 0.0}),
         fake("Hang", {"after": 0.0}, package="no_such_engine"),
     )
     docs = folder / "page.md"
@@ -171,7 +177,7 @@ def test_page_and_table_hold_what_the_json_holds(run: tuple[int, str, Path]) -> 
     shown, docs = html.unescape((folder / "peers.html").read_text()), (folder / "page.md").read_text()
     assert [point["kind"] for point in data["points"]] == ["fake-still", "fake-still", "fake-crash"]
     for point in data["points"]:
-        cells = [point["kind"], point["setting"], point["failure"]]
+        cells = [point["kind"], point["setting"], point["failure"], point["remark"]]
         if point["score"]:
             cells.append(peer_page.number(1e3 * point["score"]["centre"]))
             cells.append(peer_page.number(point["median"]))
