@@ -90,7 +90,7 @@ def verdicts(found: Found) -> list[str]:
     never = [
         k.name for k in found.kinds if k.name in measured and best(p for p in found.points if p.kind == k.name) is None
     ]
-    return texts + ([f"Accurate at no setting shown: {', '.join(never)}."] if never else [])
+    return texts + ([f"Accurate and done at no setting shown: {', '.join(never)}."] if never else [])
 
 
 def sections(found: Found) -> list[str]:

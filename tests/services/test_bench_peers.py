@@ -136,7 +136,7 @@ def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
     assert [row[-1] for row in peer_page.rows(found)] == ["not accurate", "best of its kind"] * 2 + ["failed"]
     assert peer_page.notes(found) == [["never", "", "not done after 9 s"]]
     assert "10 times faster" in " ".join(peer_page.verdicts(found))
-    assert "Accurate at no setting shown: never." in peer_page.verdicts(found)
+    assert "Accurate and done at no setting shown: never." in peer_page.verdicts(found)
 
 
 @pytest.fixture(scope="module")
