@@ -7,6 +7,7 @@ failure is a returned status, not hidden state.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,12 +85,14 @@ class StepLimit:
     """How far a step may go.
 
     dt [s], inf where nothing limits it; omega [1/s] largest angular frequency;
-    damping [1/s] largest rate of velocity damping.
+    damping [1/s] largest rate of velocity damping; resolved [s] up to which a method that solves
+    its steps only in part reaches the accuracy that it is configured for, inf for any other.
     """
 
     dt: float
     omega: float
     damping: float
+    resolved: float = math.inf
 
 
 @dataclass(frozen=True)

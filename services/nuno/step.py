@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from nuno.scene_file import Loaded
@@ -12,12 +14,12 @@ MOST_STEPS = 10_000_000
 """Steps a frame: more would keep the simulation from answering for minutes."""
 
 
-def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:
+def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf) -> tuple[int, float]:
     """Steps a frame and the step [s]: the scene's, or the largest safe one for `dt: auto`.
 
     Auto stays at 0.7 of the limit: cloth that stretches or folds is somewhat stiffer than at its
-    start, where the limit is measured. Raises BadInput for a step that does not divide a frame or
-    exceeds the limit without allow_unstable.
+    start, where the limit is measured. Nor does it exceed `resolved` (StepLimit). Raises BadInput for
+    a step that does not divide a frame or exceeds the limit without allow_unstable.
     """
     frame = 1.0 / loaded.scene.frame_rate
     dt = loaded.scene.solver.dt
@@ -30,8 +32,9 @@ def choose_step(loaded: Loaded, limit: float) -> tuple[int, float]:
                     remedy="use symplectic_euler, leapfrog or rk4, or give a dt and allow_unstable: true",
                 ),
             )
-        _require_few(loaded, frame, 0.7 * limit, "softer or heavier cloth, or a higher frame_rate")
-        steps = max(1, int(np.ceil(frame / (0.7 * limit)))) if np.isfinite(limit) else 1
+        longest = min(0.7 * limit, resolved)
+        _require_few(loaded, frame, longest, "softer or heavier cloth, or a higher frame_rate")
+        steps = max(1, int(np.ceil(frame / longest)))
         return steps, frame / steps
     _require_few(loaded, frame, dt, "a larger dt, or a higher frame_rate")
     steps = max(1, round(frame / dt))

@@ -55,6 +55,8 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
 def _solver(simulation: Simulation) -> str:
     limit = simulation.limit.dt
     most = f"limit {limit * 1e3:.4g} ms" if math.isfinite(limit) else "nothing limits it"
+    if math.isfinite(simulation.limit.resolved):
+        most += f", solved as configured up to {simulation.limit.resolved * 1e3:.4g} ms"
     name = simulation.loaded.integrator.name
     return f"{name}, dt {simulation.dt * 1e3:.4g} ms, {simulation.steps} steps a frame; {most}"
 

@@ -66,7 +66,7 @@ class Simulation:
         self.system = build.build_system(self.loaded, self.fabric, self.pieces, *bodies, self.threads)
         # The limit comes before the solver's memory: both at once would be a run's peak.
         self.limit = self._find_limit()
-        self.steps, self.dt = choose_step(self.loaded, self.limit.dt)
+        self.steps, self.dt = choose_step(self.loaded, self.limit.dt, self.limit.resolved)
         self.memory = integrator.plugin.prepare(integrator.config, self.system, self.state)
         # A run that goes on from a checkpoint must come to rest in the same frame.
         self.slow_frames = np.zeros(1, np.int64)

@@ -21,7 +21,7 @@ MOST_STEPS = 400_000
 """A case that would take a solver more steps than this is not posed to it."""
 EXACT: Mapping[str, float] = {"tolerance": 1.0, "residual": 1e-12}
 """Steps of the given length, solved to rounding."""
-ACCURATE: Mapping[str, float] = {"tolerance": 1e-8, "residual": 1e-8}
+ACCURATE: Mapping[str, float] = {"tolerance": 1e-8, "residual": 1e-8, "iterations": 100}
 """Steps as a careful user would have them."""
 
 
@@ -113,14 +113,14 @@ class Run:
 
 
 def choose_step(run: Run, duration: float, longest: float, intervals: int = 1) -> tuple[int, float]:
-    """Steps and step [s] for each of so many intervals of `duration`: 0.7 of the limit, `longest` at most.
+    """Steps and step [s] for each of so many intervals of `duration`: 0.7 of the limit, what it resolves, `longest`.
 
     Raises Unsupported for a solver that has no stable step here, or needs too many in all.
     """
-    limit = float(run.plugin.limit(run.config, run.system, run.state).dt)
-    if limit <= 0.0:
+    limit = run.plugin.limit(run.config, run.system, run.state)
+    if limit.dt <= 0.0:
         raise Unsupported("no step of this method is stable without damping")
-    dt = min(longest, 0.7 * limit)
+    dt = min(longest, 0.7 * float(limit.dt), float(limit.resolved))
     total = intervals * duration / dt
     if total > MOST_STEPS:
         raise Unsupported(f"it would take {total:,.0f} steps of {dt:.2g} s, more than {MOST_STEPS:,}")

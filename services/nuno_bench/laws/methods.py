@@ -69,6 +69,7 @@ TEXTBOOK: dict[str, Matrix] = {
     "dopri5": _polynomial((1.0, 1.0, 1 / 2, 1 / 6, 1 / 24, 1 / 120, 1 / 600)),
     "implicit_euler": _implicit_euler,
     "tr_bdf2": _tr_bdf2,
+    "xpbd": _implicit_euler,
 }
 """Dormand & Prince's polynomial: Hairer & Wanner 1996, section IV.2."""
 
