@@ -24,6 +24,7 @@ CANDIDATES = {
     "dopri5, tolerance 1e-6": ("solver={plugin: dopri5, tolerance: 1e-6, dt: auto}",),
     "tr_bdf2, a step a frame, residual 1e-2": ("solver={plugin: tr_bdf2, residual: 1e-2, dt: auto}",),
     "implicit_euler, a step a frame, residual 1e-2": ("solver={plugin: implicit_euler, residual: 1e-2, dt: auto}",),
+    "xpbd, 120 steps a frame": ("solver={plugin: xpbd, dt: 1.3888888888888889e-4}",),
 }
 BARS = {64: 0.25, 128: 1.0}
 """Wall time of a second [s], by vertices a side."""
