@@ -7,49 +7,73 @@ import itertools
 import numpy as np
 
 from nuno_dye.diffusion import GHOST, LEFT, Bands
+from nuno_dye.dyeing import LEVELS, SLOT, DyeBands
 from nuno_dye.faces import Faces
 from nuno_kernels.simd import WIDTH
-from nuno_schemas.fabric import Float
+from nuno_schemas.dye import Cells
+from nuno_schemas.fabric import Float, Int
 
 
 def make_bands(phi: Float, faces: Faces, scale: float, number: int) -> Bands:
-    """Bands of about equal height of amounts (2, ny, nx); weights are `scale` times the face values.
+    """Bands for diffusion alone, of amounts (2, ny, nx); weights are `scale` times the face values."""
+    cut = Cut(phi.shape, number, GHOST)
+    edge = np.zeros((cut.number, 2 * GHOST, cut.width))
+    return Bands(*cut.fill(phi), *cut.fill_faces(faces, scale), edge, *cut.places())
 
-    There are at most `number`, and fewer where a band would be lower than the rows that its neighbours copy.
+
+def make_dye_bands(phi: Float, fixed: Float, cells: Cells, faces: Faces, scale: float, number: int) -> DyeBands:
+    """Bands for the whole step, of mobile and fixed amounts (2, ny, nx)."""
+    cut = Cut(phi.shape, number, 2 * LEVELS)
+    rolling = np.zeros((cut.number, 4 * SLOT * LEVELS, cut.width))
+    amounts, rooms = cut.fill(phi, fixed), cut.fill(cells.mobile_room, cells.fixed_room)
+    return DyeBands(*amounts, *cut.fill_faces(faces, scale), *rooms, rolling, *cut.places())
+
+
+class Cut:
+    """How rows are cut into bands of about equal height, with `ghost` rows of their neighbours on either side.
+
+    There are at most `number` of them, and fewer where a band would be lower than the rows its neighbours copy.
     """
-    _, ny, nx = phi.shape
-    number = max(1, min(number, ny // GHOST))
-    cuts = np.linspace(0, ny, number + 1).astype(np.int64)
-    top = 1 + GHOST
-    r, w = int(np.diff(cuts).max()) + 2 * top, LEFT + -(-nx // WIDTH) * WIDTH + WIDTH
-    bands = Bands(
-        *np.zeros((3, number, 2 * r, w)),
-        np.zeros((number, r, w)),
-        np.zeros((number, 2 * GHOST, w)),
-        np.full(number, top),
-        top + np.diff(cuts) - 1,
-        np.ones((number, 2), np.int64),
-    )
-    bands.shrinks[0, 0] = bands.shrinks[-1, 1] = 0
-    for b, (low, high) in enumerate(itertools.pairwise(cuts)):
-        start, stop = max(0, low - GHOST), min(ny, high + GHOST)
-        rows = slice(top - (low - start), top - (low - start) + stop - start)
-        for layer in range(2):
-            place = (b, slice(rows.start + layer * r, rows.stop + layer * r), slice(LEFT, LEFT + nx))
-            bands.phi[place] = phi[layer, start:stop]
-            bands.along[place] = scale * faces.along[layer, start:stop]
-            bands.down[place] = scale * faces.down[layer, start:stop]
-        bands.across[b, rows, LEFT : LEFT + nx] = scale * faces.across[start:stop]
-    return bands
+
+    def __init__(self, shape: tuple[int, ...], number: int, ghost: int) -> None:
+        _, self.ny, self.nx = shape
+        self.number, self.ghost, self.top = max(1, min(number, self.ny // ghost)), ghost, 2 + ghost
+        self.cuts = np.linspace(0, self.ny, self.number + 1).astype(np.int64)
+        self.height = int(np.diff(self.cuts).max()) + 2 * self.top
+        self.width = LEFT + -(-self.nx // WIDTH) * WIDTH + WIDTH
+
+    def fill(self, *arrays: Float) -> list[Float]:
+        """Each of the arrays (layers, ny, nx) as (bands, layers * height, width)."""
+        return [self._fill(array) for array in arrays]
+
+    def fill_faces(self, faces: Faces, scale: float) -> list[Float]:
+        return self.fill(scale * faces.along, scale * faces.down, scale * faces.across[None])
+
+    def _fill(self, array: Float) -> Float:
+        layers = array.shape[0]
+        out = np.zeros((self.number, layers * self.height, self.width))
+        for b, (low, high) in enumerate(itertools.pairwise(self.cuts)):
+            start, stop = max(0, low - self.ghost), min(self.ny, high + self.ghost)
+            first = self.top - (low - start)
+            for layer in range(layers):
+                at = first + layer * self.height
+                out[b, at : at + stop - start, LEFT : LEFT + self.nx] = array[layer, start:stop]
+        return out
+
+    def places(self) -> tuple[Int, Int, Int]:
+        """first, last and shrinks of the bands."""
+        shrinks = np.ones((self.number, 2), np.int64)
+        shrinks[0, 0] = shrinks[-1, 1] = 0
+        return np.full(self.number, self.top), self.top + np.diff(self.cuts) - 1, shrinks
 
 
-def read_bands(bands: Bands, out: Float) -> Float:
-    """Put the amounts of all bands into (2, ny, nx)."""
+def read_bands(bands: Bands | DyeBands, values: Float, out: Float) -> Float:
+    """Put one of the bands' amounts into (2, ny, nx)."""
     r, nx, at = bands.across.shape[1], out.shape[2], 0
-    for b in range(bands.phi.shape[0]):
+    for b in range(values.shape[0]):
         rows = int(bands.last[b] - bands.first[b]) + 1
         for layer in range(2):
             start = int(bands.first[b]) + layer * r
-            out[layer, at : at + rows] = bands.phi[b, start : start + rows, LEFT : LEFT + nx]
+            out[layer, at : at + rows] = values[b, start : start + rows, LEFT : LEFT + nx]
         at += rows
     return out

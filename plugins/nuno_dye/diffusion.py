@@ -119,9 +119,9 @@ def pass_bands(levels: int, bands: Any) -> None:
 
 
 @kernel
-def copy_rows(to: Any, row: int, source: Any, start: int, r: int) -> None:
-    """Copy GHOST rows of both layers."""
-    for i in range(GHOST):
+def copy_rows(to: Any, row: int, source: Any, start: int, r: int, count: int) -> None:
+    """Copy `count` rows of both layers."""
+    for i in range(count):
         for c in range(LEFT, to.shape[1] - WIDTH, WIDTH):
             store(to, row + i, c, load(source, start + i, c))
             store(to, row + r + i, c, load(source, start + r + i, c))
@@ -133,9 +133,9 @@ def renew_ghosts(bands: Any) -> None:
     for b in prange(bands.phi.shape[0]):
         r = bands.across.shape[1]
         if bands.shrinks[b, 0] == 1:
-            copy_rows(bands.phi[b], bands.first[b] - GHOST, bands.phi[b - 1], bands.last[b - 1] - GHOST + 1, r)
+            copy_rows(bands.phi[b], bands.first[b] - GHOST, bands.phi[b - 1], bands.last[b - 1] - GHOST + 1, r, GHOST)
         if bands.shrinks[b, 1] == 1:
-            copy_rows(bands.phi[b], bands.last[b] + 1, bands.phi[b + 1], bands.first[b + 1], r)
+            copy_rows(bands.phi[b], bands.last[b] + 1, bands.phi[b + 1], bands.first[b + 1], r, GHOST)
 
 
 @kernel

@@ -1,0 +1,160 @@
+"""The whole step of dyeing: adsorption, capacities and resist, against a plain loop; dye kept, never too much."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_dye_diffusion import random_cells, spread, step_plainly
+
+from nuno_dye.bands import make_dye_bands, read_bands
+from nuno_dye.dyeing import FREUNDLICH, LANGMUIR, LEVELS, NOTHING, PARTITION, dye
+from nuno_dye.faces import face_values, largest_sum
+from nuno_schemas.dye import Cells
+from nuno_schemas.fabric import Float
+
+ISOTHERMS = {
+    "nothing": (NOTHING, 0.0, 0.0),
+    "partition": (PARTITION, 0.7, 0.0),
+    "freundlich": (FREUNDLICH, 0.4, 0.35),
+    "langmuir": (LANGMUIR, 2.0, 0.0),
+}
+
+
+def resisted(ny: int, nx: int) -> Cells:
+    """Random cells, some of which paste or binding leaves little room or none."""
+    rng = np.random.default_rng(13)
+    return replace(random_cells(ny, nx), resist=rng.random((2, ny, nx)) * (rng.random((2, ny, nx)) > 0.4))
+
+
+def limit(isotherm: str, phi: float, room: float) -> float:
+    _, k, b = ISOTHERMS[isotherm]
+    return {
+        "nothing": 0.0,
+        "partition": k * phi,
+        "freundlich": k * phi**b,
+        "langmuir": room * k * phi / (1.0 + k * phi),
+    }[isotherm]
+
+
+def plain_step(phi: Float, fixed: Float, cells: Cells, scale: float, rate: float, isotherm: str) -> tuple[Float, Float]:
+    """One step, cell by cell and face by face, from the text of the method."""
+    phi, fixed = phi.copy(), fixed.copy()
+    for at in np.ndindex(*phi.shape):
+        room = (1.0 - cells.porosity[at]) * cells.v_max if cells.fibre[at] else 0.0
+        most = min(room, limit(isotherm, phi[at], room)) - fixed[at]
+        taken = max(0.0, min(rate * max(0.0, phi[at] - fixed[at]), most, phi[at]))
+        phi[at] -= taken
+        fixed[at] += taken
+    flows = face_flows(phi, cells, scale)
+    came, went = np.zeros_like(phi), np.zeros_like(phi)
+    for (donor, receiver), flow in flows.items():
+        came[receiver] += flow
+        went[donor] += flow
+    room = cells.v_max * cells.porosity * (1.0 - cells.resist) - phi
+    into = np.minimum(1.0, np.divide(room, came, out=np.ones_like(phi), where=came > 0.0))
+    out_of = np.minimum(1.0, np.divide(phi, went, out=np.ones_like(phi), where=went > 0.0))
+    for (donor, receiver), flow in flows.items():
+        moved = flow * max(0.0, min(into[receiver], out_of[donor]))
+        phi[donor] -= moved
+        phi[receiver] += moved
+    return phi, fixed
+
+
+Place = tuple[int, int, int]
+
+
+def face_flows(phi: Float, cells: Cells, scale: float) -> dict[tuple[Place, Place], float]:
+    """Positive flow of every face, by donor and receiver, from single steps of pairs of cells."""
+    faces, flows = face_values(cells), {}
+    layers, ny, nx = phi.shape
+    for layer, j, i in itertools.product(range(layers), range(ny), range(nx)):
+        here: Place = (layer, j, i)
+        near: list[tuple[Place, float]] = []
+        if i + 1 < nx:
+            near.append(((layer, j, i + 1), faces.along[here]))
+        if j + 1 < ny:
+            near.append(((layer, j + 1, i), faces.down[here]))
+        if layer == 0:
+            near.append(((1, j, i), faces.across[j, i]))
+        for there, value in near:
+            flow = scale * value * (phi[there] - phi[here])
+            flows[(there, here) if flow > 0.0 else (here, there)] = abs(flow)
+    return flows
+
+
+def run(
+    phi: Float, fixed: Float, cells: Cells, scale: float, rate: float, isotherm: str, steps: int, bands: int = 1
+) -> tuple[Float, Float]:
+    packed = make_dye_bands(phi, fixed, cells, face_values(cells), scale, bands)
+    kind, k, b = ISOTHERMS[isotherm]
+    dye(steps, packed, rate, kind, k, b)
+    return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, packed.fixed, np.empty_like(phi))
+
+
+def start(cells: Cells) -> tuple[Float, Float]:
+    """Some cells full, some partly, most empty."""
+    rng = np.random.default_rng(17)
+    return cells.mobile_room * rng.choice([0.0, 0.0, 0.5, 1.0], cells.fibre.shape), np.zeros(cells.fibre.shape)
+
+
+@pytest.mark.parametrize("isotherm", ISOTHERMS)
+def test_equals_a_plain_loop(isotherm: str) -> None:
+    cells = resisted(11, 14)
+    phi, fixed = start(cells)
+    scale, steps = 0.95 / largest_sum(face_values(cells)), 2 * LEVELS + 2
+    exact = phi, fixed
+    for _ in range(steps):
+        exact = plain_step(*exact, cells, scale, 0.05, isotherm)
+    found = run(phi, fixed, cells, scale, 0.05, isotherm, steps)
+    for a, b in zip(found, exact, strict=True):
+        assert np.abs(a - b).max() < 1e-12
+    assert (exact[1].max() > 0.0) == (isotherm != "nothing")
+
+
+def test_without_a_limit_that_binds_it_is_diffusion_to_the_last_bit() -> None:
+    cells = replace(random_cells(23, 30), v_max=1e6)
+    phi = np.random.default_rng(5).random(cells.fibre.shape) * (cells.porosity > 0.0)
+    fixed = np.zeros_like(phi)
+    faces = face_values(cells)
+    scale = 0.9 / largest_sum(faces)
+    assert np.array_equal(run(phi, fixed, cells, scale, 0.0, "nothing", 20)[0], spread(phi, faces, scale, 20))
+    assert np.abs(spread(phi, faces, scale, 1) - step_plainly(phi, cells, scale)).max() < 1e-14
+
+
+@pytest.mark.parametrize("isotherm", ["partition", "langmuir"])
+def test_bands_and_passes_change_no_bit(isotherm: str) -> None:
+    cells = resisted(47, 33)
+    phi, fixed = start(cells)
+    scale, steps = 0.95 / largest_sum(face_values(cells)), 3 * LEVELS + 1
+    whole = run(phi, fixed, cells, scale, 0.02, isotherm, steps)
+    singly = phi, fixed
+    for _ in range(steps):
+        singly = run(*singly, cells, scale, 0.02, isotherm, 1)
+    for other in (*(run(phi, fixed, cells, scale, 0.02, isotherm, steps, n) for n in (2, 3, 5)), singly):
+        assert all(map(np.array_equal, other, whole))
+
+
+@pytest.mark.parametrize("isotherm", ISOTHERMS)
+def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(isotherm: str) -> None:
+    cells, steps = resisted(40, 37), 3000
+    phi, fixed = start(cells)
+    mobile, bound = run(phi, fixed, cells, 1.0 / largest_sum(face_values(cells)), 0.03, isotherm, steps, 2)
+    assert abs(mobile.sum() + bound.sum() - phi.sum()) <= 1e-13 * np.sqrt(steps) * phi.sum()
+    assert mobile.min() >= 0.0 and bound.min() >= 0.0
+    assert (mobile <= cells.mobile_room).all() and (bound <= cells.fixed_room).all()
+
+
+def test_full_resist_lets_nothing_in() -> None:
+    """B = 1 along a line keeps what is beyond it clean, whatever is supplied on this side."""
+    ones = np.ones((2, 24, 30))
+    resist = np.zeros_like(ones)
+    resist[:, :, 14] = 1.0
+    cells = replace(random_cells(24, 30), fibre=ones > 0, porosity=0.5 * ones, resist=resist)
+    phi = np.where(np.arange(30) < 14, cells.mobile_room, 0.0)
+    phi[:, ::2] *= 0.3
+    mobile, _ = run(phi, 0 * phi, cells, 1.0 / largest_sum(face_values(cells)), 0.0, "nothing", 500)
+    assert not mobile[:, :, 14:].any()
+    assert mobile.sum() == pytest.approx(phi.sum(), rel=1e-13)
