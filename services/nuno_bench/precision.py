@@ -17,6 +17,7 @@ import numpy as np
 
 from nuno import registry, scene_file
 from nuno.scene_file import Loaded
+from nuno.viewer.require import require
 from nuno_bench import executor, machine, markdown, plots
 from nuno_bench.executor import Executor, Here
 from nuno_bench.horizon import DISTURBANCE, find_horizon
@@ -58,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     executor.add_arguments(parser, "1: what is timed runs alone; with more, errors of points too slow for the budget "
                            "follow without their times")  # fmt: skip
+    parser.add_argument("--rrd", type=Path, metavar="FILE", help="write the series as a rerun file, too")
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted sweep, keeping its points")
 
 
@@ -69,9 +71,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _sweep_all(loaded: Sequence[Loaded], args: argparse.Namespace, where: Executor) -> int:
-    failed = False
+    failed, swept = False, list[Findings]()
     for one in loaded:
         found = sweep_scene(one, args, where)
+        swept.append(found)
         headings, rows = choices(found)
         print(f"\n{one.scene.name}: {found.how}\npredictable: {found.horizon.describe()}")
         print(text_table(headings, rows))
@@ -91,6 +94,10 @@ def _sweep_all(loaded: Sequence[Loaded], args: argparse.Namespace, where: Execut
         if all(judgement.verdict in ("failed", "no point") for judgement in judged):
             print(f"{one.scene.name}: the reference judges no point", file=sys.stderr)
             failed = True
+    if args.rrd is not None:
+        from nuno_bench import precision_rerun
+
+        print(f"written {precision_rerun.write(args.rrd, swept)}")
     return int(failed)
 
 
@@ -107,6 +114,7 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     """The scenes. Raises BadInput before anything runs."""
     plots.require_matplotlib()
     executor.check(args)
+    require(None, args.rrd, "--rrd")
     if args.repeats < 1:
         raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
     if not (args.budget > 0.0 and math.isfinite(args.budget)):
@@ -165,7 +173,7 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Fi
         **machine.describe(),
         "load": others.describe(),
     }
-    return Findings(loaded.scene.name, sweep, floors, horizon, reference.how, shown, about)
+    return Findings(loaded.scene.name, sweep, floors, horizon, reference.how, shown, about, problem.frame)
 
 
 def _teller(scene: str) -> Callable[[str], None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,14 +54,22 @@ def measure_errors(run: Series, reference: Series, scales: Scales, frames: int) 
     """
     if len(run.t) < len(reference.t):
         return {}
-    found = {}
+    over = errors_over_frames(run, reference, scales, frames)
+    found = {name: Error(float(e[-1]), float(np.sqrt((e**2).mean())), float(e.max())) for name, e in over.items()}
+    if POSITIONS in found:
+        far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[POSITIONS]
+        found[POSITIONS] = replace(found[POSITIONS], linf=float(far.max()))
+    return found
+
+
+def errors_over_frames(run: Series, reference: Series, scales: Scales, frames: int) -> dict[str, Float]:
+    """The error at every compared frame but the first, by quantity; of positions their root mean square."""
+    found: dict[str, Float] = {}
     if frames > 1:
         far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[POSITIONS]
-        over = np.sqrt((far**2).mean(axis=1))
-        found[POSITIONS] = Error(float(over[-1]), float(np.sqrt((over**2).mean())), float(far.max()))
+        found[POSITIONS] = np.sqrt((far**2).mean(axis=1))
     for name, values in reference.values.items():
-        away = np.linalg.norm(run.values[name][1:] - values[1:], axis=1) / scales[name]
-        found[name] = Error(float(away[-1]), float(np.sqrt((away**2).mean())), float(away.max()))
+        found[name] = np.linalg.norm(run.values[name][1:] - values[1:], axis=1) / scales[name]
     return found
 
 

@@ -39,6 +39,7 @@ class Findings:
 
     floors   disagreement of the references by quantity
     shown    observables that are plotted
+    frame    length of a frame [s]
     """
 
     scene: str
@@ -48,6 +49,7 @@ class Findings:
     how: str
     shown: Sequence[str]
     about: Mapping[str, str]
+    frame: float
 
     @property
     def points(self) -> list[Point]:

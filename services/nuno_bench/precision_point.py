@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import statistics
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ class Point:
     outcome  "done", "diverged", "unconverged", "ran away", "refused", "cut" (out of time)
     seconds  of each repeat, in the solver's own calls [s]
     errors   by quantity, where the run reached its end
+    history  by quantity, the error at every compared frame but the first, to four digits
     """
 
     solver: str
@@ -35,6 +36,7 @@ class Point:
     seconds: tuple[float, ...]
     totals: Mapping[str, int]
     errors: Mapping[str, Error]
+    history: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[str, str]:
@@ -55,7 +57,8 @@ class Point:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Point:
         errors = {name: Error(**values) for name, values in data["errors"].items()}
-        return Point(**{**data, "seconds": tuple(data["seconds"]), "errors": errors})
+        history = {name: tuple(values) for name, values in data.get("history", {}).items()}
+        return Point(**{**data, "seconds": tuple(data["seconds"]), "errors": errors, "history": history})
 
 
 class Kept:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from nuno_bench.observe import Problem, Run, first_call, simulate
-from nuno_bench.precision_errors import RAN_AWAY, Error, Scales, measure_errors, ran_away
+from nuno_bench.precision_errors import RAN_AWAY, Scales, errors_over_frames, measure_errors, ran_away
 from nuno_bench.precision_point import DONE, Kept, Point
 from nuno_bench.reference import Reference
 from nuno_bench.sweep import Omission, Setting, Solver
@@ -67,10 +67,13 @@ class Runner:
     def point_of(self, solver: Solver, setting: Setting, run: Run, seconds: tuple[float, ...]) -> Point:
         """What a run says of a setting, with the times of its repeats; none where it was not run alone."""
         outcome, message = self._judge(run)
-        errors = {}
-        if outcome == DONE:
-            errors = measure_errors(run.series, self.reference.run.series, self.scales, self.frames)
-        return self._point(solver, setting, outcome, message, seconds, run.totals, errors)
+        point = self._point(solver, setting, outcome, message, seconds, run.totals)
+        if outcome != DONE:
+            return point
+        compared = (run.series, self.reference.run.series, self.scales, self.frames)
+        over = errors_over_frames(*compared)
+        history = {name: tuple(float(f"{value:.4g}") for value in values) for name, values in over.items()}
+        return replace(point, errors=measure_errors(*compared), history=history)
 
     def failed(self, solver: Solver, setting: Setting, outcome: str, message: str) -> Point:
         """A point without a run."""
@@ -92,11 +95,10 @@ class Runner:
         message: str,
         seconds: tuple[float, ...] = (),
         totals: Mapping[str, int] | None = None,
-        errors: Mapping[str, Error] | None = None,
     ) -> Point:
         order, finer = int(solver.plugin.order), setting.finer
         what = (solver.name, setting.label, solver.kind, order, finer, setting.beyond, outcome, message, seconds)
-        return Point(*what, dict(totals or {}), dict(errors or {}))
+        return Point(*what, dict(totals or {}), {})
 
 
 def start_sweep(problem: Problem, solvers: list[Solver], told: Callable[[str], None]) -> Sweep:

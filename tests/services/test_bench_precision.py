@@ -10,12 +10,14 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from line_net import problem_of, reference_of, write_net
 from scenes import BALL, write_scene
 
 from nuno import registry
 from nuno.cli import main as nuno_main
+from nuno.viewer.layout import entity
 from nuno_bench import executor, precision, precision_run
 from nuno_bench.observe import Problem, simulate
 from nuno_bench.packed import pack
@@ -262,6 +264,33 @@ def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
     assert text.count("<svg") == 2 and "http" not in text.replace("http://www.w3.org", "")
 
 
+def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="needs nuno[view]")
+    import rerun.chunk
+
+    from nuno_bench import precision_rerun
+
+    found = swept(write_net(tmp_path), "--solvers", "rk4,leapfrog")
+    path = precision_rerun.write(tmp_path / "line.rrd", [found])
+    assert not list(tmp_path.glob("*.part"))
+    curves, dots = dict[str, list[float]](), dict[str, list[list[float]]]()
+    for chunk in rerun.chunk.RrdReader(path).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        if "Scalars:scalars" in batch.schema.names:
+            curves[chunk.entity_path] = [value[0] for value in batch["Scalars:scalars"].to_pylist()]
+        if "/solvers/" in chunk.entity_path and "Points2D:positions" in batch.schema.names:
+            dots[chunk.entity_path] = batch["Points2D:positions"].to_pylist()[0]
+    done = [each for each in found.points if each.done]
+    assert len(curves) == sum(len(each.history) for each in done) == 5 * len(done)
+    for each in done:
+        curve = 10.0 ** np.array(curves[entity("line", POSITIONS, "frames", each.solver, each.setting)])
+        assert np.sqrt((curve**2).mean()) == pytest.approx(each.errors[POSITIONS].l2, rel=1e-3)
+    rk4 = sorted((each for each in done if each.solver == "rk4"), key=lambda each: -each.finer)
+    drawn = np.array(dots[entity("line", POSITIONS, "wall time", "solvers", "rk4")])
+    expected = [[3.0 * np.log10(each.median), -np.log10(each.errors[POSITIONS].l2)] for each in rk4]
+    assert drawn == pytest.approx(np.array(expected), rel=1e-5)
+
+
 def point(error: float, solver: str = "rk4", seconds: float = 1.0, beyond: bool = False) -> Point:
     setting, errors = f"{error:g}", {"drop": Error(0.0, error, 0.0)}
     return Point(solver, setting, "fixed steps", 4, error, beyond, "done", "", (seconds,), {}, errors)
@@ -293,6 +322,7 @@ def test_the_fastest_stable_solver_within_each_accuracy_is_named_once() -> None:
         (("--budget", "nan"), "more than 0"),
         (("--repeats", "0"), "one repeat"),
         (("--jobs", "0"), "at least one process"),
+        (("--rrd", "series.txt"), "ends in .rrd"),
         (("--jobs", "2", "--dask", "tcp://127.0.0.1:1"), "either --jobs or --dask"),
         (("--observable", "dropp"), "drop"),
         (("--docs", "nowhere.md"), "no section"),

@@ -19,15 +19,15 @@ def has_screen() -> bool:
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def require(view: str | None, save: Path | None) -> None:
+def require(view: str | None, save: Path | None, option: str = "--save") -> None:
     """Raises BadInput where a run could not be shown (`view`) or written (`save`) as asked.
 
     view  "window", "web", the address of a viewer that is open already, or None
-    save  a rerun file to write, or None
+    save  a rerun file to write, or None; `option` is what asks for it
     """
     if view is None and save is None:
         return
-    field = "--view" if view is not None else "--save"
+    field = "--view" if view is not None else option
     if importlib.util.find_spec("rerun") is None or importlib.util.find_spec("rerun_cli") is None:
         raise BadInput("rerun, which shows runs, is not installed", field=field, remedy="pip install 'nuno[view]'")
     if view is not None and view not in VIEWS and not view.startswith(ADDRESS):
@@ -37,7 +37,7 @@ def require(view: str | None, save: Path | None) -> None:
         remedy = "--view web serves a page for a browser; --save FILE.rrd writes a file; --no-view shows nothing"
         raise BadInput("there is no screen to open a window on", field="--view", value=view, remedy=remedy)
     if save is not None:
-        _require_target(save)
+        _require_target(save, option)
 
 
 def part_of(path: Path) -> Path:
@@ -45,20 +45,18 @@ def part_of(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
-def _require_target(path: Path) -> None:
+def _require_target(path: Path, option: str) -> None:
     if path.suffix != ".rrd":
-        raise BadInput("a rerun file's name ends in .rrd", field="--save", value=str(path), remedy=f"{path}.rrd")
+        raise BadInput("a rerun file's name ends in .rrd", field=option, value=str(path), remedy=f"{path}.rrd")
     part = part_of(path)
     try:
         if path.exists() and path.open("rb").read(3) not in (MAGIC, b""):
             remedy = "choose another name"
             raise BadInput(
-                "the file there is none of rerun's and would be lost", field="--save", value=str(path), remedy=remedy
+                "the file there is none of rerun's and would be lost", field=option, value=str(path), remedy=remedy
             )
         part.open("wb").close()
         part.unlink()
     except OSError as error:
         remedy = "choose a folder that exists and can be written"
-        raise BadInput(
-            f"cannot write there: {error.strerror}", field="--save", value=str(path), remedy=remedy
-        ) from None
+        raise BadInput(f"cannot write there: {error.strerror}", field=option, value=str(path), remedy=remedy) from None
