@@ -7,8 +7,12 @@ result is the same to the last bit, so the number may change from frame to frame
 
 from __future__ import annotations
 
+import math
+
 TRY_AGAIN = 24
 """Frames after which the number not in use is tried for one."""
+SLOWER = 1.2
+"""How much slower a frame may make what is known of a number of threads."""
 BETTER = 0.95
 """What a change must promise, as a share of the time now taken: times vary by a few percent."""
 
@@ -32,7 +36,8 @@ class Pace:
         """What the frame just chosen for took, for so much work (steps, or evaluations)."""
         if work < 1 or self.frames == 1:
             return
-        self.taken[self.used] = seconds / work
+        # A single slow frame is somebody else's doing; one after the other is a change.
+        self.taken[self.used] = min(seconds / work, SLOWER * self.taken.get(self.used, math.inf))
         best = min(self.taken, key=self.taken.__getitem__)
         if self.taken[best] < BETTER * self.taken.get(self.threads, 0.0):
             self.threads = best

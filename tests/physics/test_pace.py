@@ -42,6 +42,13 @@ def test_changes_for_no_difference_that_is_noise() -> None:
     assert frames(Pace(2), 5 * TRY_AGAIN, {1: close, 2: 1.0}).count(1) <= 7
 
 
+def test_a_single_slow_frame_changes_nothing() -> None:
+    pace = Pace(2)
+    frames(pace, 10, {1: 1.5, 2: 1.0})
+    assert frames(pace, 1, {1: 1.5, 2: 9.0}) == [2]
+    assert set(frames(pace, 5, {1: 1.5, 2: 1.0})) == {2}
+
+
 @pytest.mark.parametrize("steps", [1, 2, 7])
 def test_one_pass_has_the_bits_of_two(steps: int) -> None:
     """A force in Python that adds nothing takes the way by forces first and updates after."""
