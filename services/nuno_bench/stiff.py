@@ -19,6 +19,7 @@ CENTRE, STRAIN = 6e-3, 0.2
 """What a result may be off by: its centre of mass [m], and its mean strain as a share."""
 REFERENCE = ("solver={plugin: dop853, tolerance: 1e-8, dt: auto}",)
 CANDIDATES = {
+    "auto, accuracy: preview": ("solver=auto", "accuracy=preview"),
     "symplectic_euler, dt: auto": ("solver={plugin: symplectic_euler, dt: auto}",),
     "leapfrog, dt: auto": ("solver={plugin: leapfrog, dt: auto}",),
     "dopri5, tolerance 1e-6": ("solver={plugin: dopri5, tolerance: 1e-6, dt: auto}",),
