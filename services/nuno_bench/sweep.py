@@ -117,7 +117,7 @@ def _choose(problem: Problem, name: str) -> Solver:
     elif plugin.explicit:
         settings = _steps(problem, limit)
     else:
-        settings = _implicit(problem, plugin)
+        settings = _implicit(problem, plugin, limit)
     return Solver(name, plugin, limit, tuple(settings), base)
 
 
@@ -132,16 +132,17 @@ def _tolerances(plugin: Any) -> list[Setting]:
     ]
 
 
-def _implicit(problem: Problem, plugin: Any) -> list[Setting]:
+def _implicit(problem: Problem, plugin: Any, limit: StepLimit) -> list[Setting]:
     """Halved steps; the residual falls with the step's own error, or it would end the convergence.
 
     A force that is missing by a share r moves the solution by a share of order r however small the
-    step, while the step's error falls as its power `order`: so r falls by that power too.
+    step, while the step's error falls as its power `order`: so r falls by that power too. Where the step
+    alone decides what a method resolves, there is no residual to choose.
     """
     settings = []
     for steps in FEW:
         fields, label = {}, _length(problem.frame / steps)
-        if "residual" in plugin.Config.model_fields:
+        if "residual" in plugin.Config.model_fields and math.isinf(limit.resolved):
             start = float(plugin.Config.model_fields["residual"].default)
             fields = {"residual": max(TIGHTEST_RESIDUAL, start / steps**plugin.order)}
             label += f", residual {fields['residual']:.1e}"

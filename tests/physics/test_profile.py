@@ -16,6 +16,7 @@ from nuno_contact.penalty import Penalty
 from nuno_integrators.leapfrog import Leapfrog
 from nuno_integrators.rk4 import RK4
 from nuno_integrators.symplectic_euler import SymplecticEuler
+from nuno_integrators.xpbd import XPBD
 from nuno_kernels.packing import PARTS
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Memory, State
@@ -46,7 +47,7 @@ def moved(plugin: Any, system: System) -> tuple[State, Memory]:
     return state, memory
 
 
-@pytest.mark.parametrize("plugin", [SymplecticEuler(), Leapfrog(), RK4()], ids=lambda p: p.name)
+@pytest.mark.parametrize("plugin", [SymplecticEuler(), Leapfrog(), RK4(), XPBD()], ids=lambda p: p.name)
 def test_a_profile_changes_nothing(plugin: Any) -> None:
     """Not the state, not the friction anchors, and not one bit of what follows."""
     system = worn_skirt()

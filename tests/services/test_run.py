@@ -102,6 +102,18 @@ def test_divergence_fails_plainly_and_keeps_the_recording(tmp_path: Path) -> Non
     assert recording.report()["state"] == "diverged"
 
 
+@pytest.mark.parametrize("residual", [0.1, 0.01])
+def test_auto_takes_a_step_that_its_solver_resolves(residual: float) -> None:
+    chosen = f"solver={{plugin: xpbd, residual: {residual}, dt: auto}}"
+    simulation = Simulation(scene_file.read(scene_file.find("stiff-sheet"), [chosen]), None, None, 1)
+    assert simulation.limit.dt == np.inf
+    reach = 2.0 * np.sqrt(residual / (1.0 - residual))
+    assert simulation.limit.resolved * simulation.limit.omega == pytest.approx(reach)
+    assert 0.99 * simulation.limit.resolved < simulation.dt <= simulation.limit.resolved
+    longer = scene_file.read(scene_file.find("stiff-sheet"), [chosen.replace("dt: auto", "dt: 8.3333333333e-3")])
+    assert Simulation(longer, None, None, 1).steps == 2, "what is longer is stable as well"
+
+
 def test_step_above_the_limit_is_refused_with_limit_and_remedy(tmp_path: Path) -> None:
     scene = write_scene(tmp_path, solver={"plugin": "symplectic_euler", "dt": "20 ms"})
     with pytest.raises(BadInput, match="above the stability limit") as caught:
