@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numba
 import numpy as np
 from pydantic import Field
 
@@ -81,6 +82,10 @@ class Implicit(Compiled):
 
     def compile(self, work: ImplicitWork, packed: Packed, extra: Any) -> None:
         compile_stage(work.stage, packed, extra, work.x, work.v)
+        # By its signature: called, it would let friction forget where it holds.
+        held = (work.x, work.v, 1.0, packed.bindings, packed.contact, packed.threads)
+        kernel: Any = commit
+        kernel.compile(tuple(numba.typeof(value) for value in held))
 
     def _step(
         self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, depth: int

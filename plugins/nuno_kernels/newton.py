@@ -16,6 +16,7 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed, evaluate
+from nuno_kernels.lumped import add_stiffness
 from nuno_kernels.packing import silence
 from nuno_kernels.solver import Counts, Solver, compile_solver, make_solver, solve_linear
 from nuno_kernels.tension import largest_tension, turning_work
@@ -193,23 +194,16 @@ def _fill_own(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None
 
 def _add_others(st: Stage, others: Packed, extra: Any, g: float, s: float) -> None:
     """Add each vertex's own stiffness, symmetric and without negative parts."""
-    base, moved = np.empty_like(st.a), np.empty_like(st.a)
+    base, moved = np.empty_like(st.a), np.empty((3, *st.a.shape))
     evaluate(st.x, st.v, s, base, others, extra)
     step = REACH * st.size
-    jacobian = np.empty((st.mass.shape[0], 3, 3))
     for axis in range(3):
         x, v = st.x.copy(), st.v.copy()
         x[axis] += step
         v[axis] += step / g
-        evaluate(x, v, s, moved, others, extra)
-        jacobian[:, :, axis] = ((base - moved) * (st.mass / step)).T
+        evaluate(x, v, s, moved[axis], others, extra)
     st.counts.evaluations += 4
-    active = np.flatnonzero(np.abs(jacobian).max(axis=(1, 2)) > 0.0)
-    part = 0.5 * (jacobian[active] + jacobian[active].transpose(0, 2, 1))
-    values, vectors = np.linalg.eigh(part)
-    part = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
-    for row, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-        st.solver.linear.own[row, active] += part[:, i, j]
+    add_stiffness(base, moved, st.mass / step, st.solver.linear.own)
 
 
 def largest_force(st: Stage, packed: Packed) -> float:

@@ -133,7 +133,7 @@ def implicit_evaluations(vertices: int) -> int:
     """Evaluations that an implicit step takes the time of: of the stiff sheet at 1e7 N/m, a frame as the step,
     730 for 8 x 8 vertices, 1,400 for 16 x 16, 4,900 for 32 x 32 and 13,600 for 64 x 64.
     """
-    return math.ceil(50.0 * float(vertices) ** (2.0 / 3.0))
+    return math.ceil(50.0 * math.cbrt(vertices) ** 2)
 
 
 def _others(system: System, start: Method | None) -> list[str]:

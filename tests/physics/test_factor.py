@@ -11,6 +11,7 @@ import nuno_kernels.packing
 from nuno_kernels.conjugate import multiply
 from nuno_kernels.dissection import dissect
 from nuno_kernels.factor import factorise, make_factor, solve_factored
+from nuno_kernels.lumped import positive_part
 from nuno_kernels.matrix import fill, make_linear
 from nuno_kernels.packing import pack, to_rows
 from nuno_kernels.plan import make_plan
@@ -128,6 +129,17 @@ def test_a_spring_that_turned_is_as_stiff_across_as_a_linear_step_expects():
     work = turning_work(before, x, x - before, packed)
     assert work == pytest.approx(k * (length - 1.0) * 0.25 / length, rel=1e-12)
     assert turning_work(before, 1.3 * before, 0.3 * before, packed) == 0.0
+
+
+@pytest.mark.parametrize(
+    "values", [(3, 2, 1), (3, 2, -1), (1, 1, -2), (-1, -2, -3), (5, 0, 0), (1e9, -1e-3, 2.0), (0, 0, 0)]
+)
+def test_the_positive_part_has_the_positive_eigenvalues(values):
+    turn = np.linalg.qr(np.random.default_rng(6).standard_normal((3, 3)))[0]
+    values = np.array(values, float)
+    a, expected = ((turn * part) @ turn.T for part in (values, np.maximum(values, 0.0)))
+    a = 0.5 * (a + a.T)
+    np.testing.assert_allclose(positive_part(a), expected, atol=1e-14 * max(1.0, np.abs(values).max()))
 
 
 @PLUGINS

@@ -1,0 +1,83 @@
+"""The stiffness of what acts on each vertex by itself: measured by differences, made symmetric and positive."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_schemas.fabric import Float
+
+MOST_SWEEPS = 12
+"""Jacobi's method converges quadratically: 3 x 3 matrices take four sweeps or five."""
+EPSILON = float(np.finfo(float).eps)
+
+
+@kernel
+def rotate(a: Any, vectors: Any, p: int, q: int) -> None:
+    """One rotation of Jacobi's method, which makes a[p, q] zero (Golub & Van Loan, Matrix Computations, 8.5)."""
+    if a[p, q] == 0.0:
+        return
+    tau = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+    t = (1.0 if tau >= 0.0 else -1.0) / (abs(tau) + np.sqrt(1.0 + tau * tau))
+    c = 1.0 / np.sqrt(1.0 + t * t)
+    s = t * c
+    for k in range(3):
+        a[k, p], a[k, q] = c * a[k, p] - s * a[k, q], s * a[k, p] + c * a[k, q]
+    for k in range(3):
+        a[p, k], a[q, k] = c * a[p, k] - s * a[q, k], s * a[p, k] + c * a[q, k]
+    for k in range(3):
+        vectors[k, p], vectors[k, q] = c * vectors[k, p] - s * vectors[k, q], s * vectors[k, p] + c * vectors[k, q]
+
+
+@kernel
+def keep_positive(a: Any, vectors: Any, values: Any) -> None:
+    """Replace the symmetric a (3, 3) by its part with positive eigenvalues; the others are scratch."""
+    minor = a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
+    rest = a[0, 1] * a[1, 2] - a[1, 1] * a[0, 2]
+    determinant = a[2, 2] * minor + a[0, 2] * rest - a[1, 2] * (a[0, 0] * a[1, 2] - a[0, 1] * a[0, 2])
+    if a[0, 0] > 0.0 and minor > 0.0 and determinant > 0.0:
+        return
+    vectors[:] = np.eye(3)
+    size = np.abs(a).max()
+    for _ in range(MOST_SWEEPS):
+        if max(abs(a[0, 1]), abs(a[0, 2]), abs(a[1, 2])) <= EPSILON * size:
+            break
+        rotate(a, vectors, 0, 1)
+        rotate(a, vectors, 0, 2)
+        rotate(a, vectors, 1, 2)
+    for k in range(3):
+        values[k] = max(a[k, k], 0.0)
+    for i in range(3):
+        for j in range(3):
+            a[i, j] = 0.0
+            for k in range(3):
+                a[i, j] += vectors[i, k] * values[k] * vectors[j, k]
+
+
+@kernel
+def add_stiffness(base: Any, moved: Any, scale: Any, own: Any) -> None:
+    """Add to own (6, n) what the accelerations base (3, n) lose as all vertices move along each axis, (3, 3, n):
+    scale (n,) times the differences, mass over the way.
+    """
+    a, vectors, values = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for p in range(base.shape[1]):
+        for i in range(3):
+            for j in range(3):
+                a[i, j] = 0.5 * scale[p] * ((base[i, p] - moved[j, i, p]) + (base[j, p] - moved[i, j, p]))
+        if not np.any(a):
+            continue
+        keep_positive(a, vectors, values)
+        for i in range(3):
+            own[i, p] += a[i, i]
+        own[3, p] += a[0, 1]
+        own[4, p] += a[0, 2]
+        own[5, p] += a[1, 2]
+
+
+def positive_part(a: Float) -> Float:
+    """The part of a symmetric matrix (3, 3) with positive eigenvalues."""
+    out = a.copy()
+    keep_positive(out, np.empty((3, 3)), np.empty(3))
+    return out
