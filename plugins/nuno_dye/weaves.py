@@ -1,0 +1,178 @@
+"""Weaves as drawdowns: which yarn lies above where.
+
+A drawdown is (picks, ends) bool: rows are weft picks, columns warp ends, True where the warp is above. It is one
+repeat; row 0 is at the top of a picture, column 0 at its left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal, cast
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool
+from nuno_schemas.plugin import Config, Files
+
+MOST_YARNS = 16_384
+"""Of a repeat, in either direction."""
+MOST_CROSSINGS = 2**24
+
+Floats = Annotated[int, Field(ge=1, le=256)]
+SatinEnds = Annotated[int, Field(ge=5, le=1024)]
+
+
+def draw_plain() -> Bool:
+    """(2, 2): every yarn goes over one and under one."""
+    return np.array([[True, False], [False, True]])
+
+
+def draw_twill(over: int, under: int, direction: Literal["right", "left"] = "right") -> Bool:
+    """(n, n), n = over + under: each end is above `over` picks and below `under`, its neighbour one pick on.
+
+    The diagonal climbs to the right (Z) or to the left (S) of a picture.
+    """
+    n = over + under
+    pick, end = np.indices((n, n))
+    return np.asarray((pick + end if direction == "right" else pick - end) % n < over)
+
+
+def find_satin_steps(n: int) -> tuple[int, ...]:
+    """Steps that make a regular satin on n ends: coprime to n, and neither 1 nor n - 1, which make a twill."""
+    return tuple(step for step in range(2, n - 1) if math.gcd(step, n) == 1)
+
+
+def draw_satin(n: int, step: int, face: Literal["warp", "weft"] = "warp") -> Bool:
+    """(n, n): on each pick one end is bound, `step` ends on from the pick before.
+
+    Between bindings the warp is above (satin), or the weft (sateen). Raises BadInput for a step that binds some
+    ends never, or lines the bindings up.
+    """
+    steps = find_satin_steps(n)
+    if step not in steps:
+        raise BadInput(
+            f"no satin on {n} ends has this step", field="step", value=step,
+            limit=f"one of {', '.join(map(str, steps))}" if steps else f"none exists for {n} ends",
+            remedy="a step coprime to the ends, and not 1 or one less than the ends" if steps else "5, 7 or 8 ends",
+        )  # fmt: skip
+    bound = np.zeros((n, n), np.bool_)
+    pick = np.arange(n)
+    bound[pick, step * pick % n] = True
+    return ~bound if face == "warp" else bound
+
+
+def read_matrix(rows: Sequence[str] | Sequence[Sequence[int]]) -> Bool:
+    """(picks, ends) from rows such as "1010" or [1, 0, 1, 0].
+
+    Raises BadInput for rows of different lengths, entries other than 0 and 1, sizes beyond the limits, and a
+    matrix in which no yarn crosses another: its layers would lie loose.
+    """
+    _check_size(len(rows), len(rows[0]) if len(rows) else 0)
+    for pick, row in enumerate(rows):
+        if len(row) != len(rows[0]):
+            raise BadInput(
+                "rows differ in length", field=f"rows[{pick}]", value=f"{len(row)} entries",
+                limit=f"{len(rows[0])} entries, as rows[0] has",
+            )  # fmt: skip
+        for end, entry in enumerate(row):
+            if entry not in ("0", "1", 0, 1):
+                raise BadInput(
+                    "not an entry of a drawdown", field=f"rows[{pick}][{end}]", value=entry,
+                    limit="1 where the warp is above, 0 where the weft is",
+                )  # fmt: skip
+    drawdown = np.array([[int(entry) for entry in row] for row in rows], np.bool_)
+    check_interlacing(drawdown)
+    return drawdown
+
+
+def check_interlacing(drawdown: Bool) -> None:
+    """Raises BadInput where one layer is above the other everywhere."""
+    if drawdown.all() or not drawdown.any():
+        raise BadInput(
+            "the warp is above the weft everywhere" if drawdown.all() else "the weft is above the warp everywhere",
+            field="rows", value=f"{drawdown.shape[0]} x {drawdown.shape[1]}", limit="yarns that interlace",
+        )  # fmt: skip
+
+
+def _check_size(picks: int, ends: int) -> None:
+    if not (1 <= picks <= MOST_YARNS and 1 <= ends <= MOST_YARNS and picks * ends <= MOST_CROSSINGS):
+        raise BadInput(
+            "not the size of a drawdown", field="rows", value=f"{picks} picks x {ends} ends",
+            limit=f"1 to {MOST_YARNS} each, {MOST_CROSSINGS} crossings",
+        )  # fmt: skip
+
+
+class PlainConfig(Config):
+    """Plain weave."""
+
+
+class TwillConfig(Config):
+    """A twill over/under, for example 2/1 for denim."""
+
+    over: Floats = Field(default=2, description="picks that an end is above, in a repeat")
+    under: Floats = Field(default=2, description="picks that it is below")
+    direction: Literal["right", "left"] = Field(default="right", description="to which the diagonal climbs")
+
+
+class SatinConfig(Config):
+    """A satin ends/step, for example 5/2 or 8/3."""
+
+    ends: SatinEnds = Field(default=5, description="of a repeat, which has as many picks")
+    step: int = Field(default=2, description="ends from one pick's binding to the next one's")
+    face: Literal["warp", "weft"] = Field(default="warp", description="what floats above: satin or sateen")
+
+
+class MatrixConfig(Config):
+    """A drawdown of your own."""
+
+    rows: tuple[str | tuple[int, ...], ...] = Field(
+        description='one per pick, from the top, such as "1010" or [1, 0, 1, 0]: 1 where the warp is above'
+    )
+
+
+class Plain:
+    """Each yarn over one, under one."""
+
+    name: ClassVar[str] = "plain"
+    Config: ClassVar[type[BaseModel]] = PlainConfig
+
+    def draw(self, config: BaseModel, files: Files) -> Bool:
+        return draw_plain()
+
+
+class Twill:
+    """Diagonal ridges."""
+
+    name: ClassVar[str] = "twill"
+    Config: ClassVar[type[BaseModel]] = TwillConfig
+
+    def draw(self, config: BaseModel, files: Files) -> Bool:
+        c = cast(TwillConfig, config)
+        return draw_twill(c.over, c.under, c.direction)
+
+
+class Satin:
+    """Long floats, bindings apart from each other."""
+
+    name: ClassVar[str] = "satin"
+    Config: ClassVar[type[BaseModel]] = SatinConfig
+
+    def draw(self, config: BaseModel, files: Files) -> Bool:
+        """Raises BadInput for a step that makes no satin."""
+        c = cast(SatinConfig, config)
+        return draw_satin(c.ends, c.step, c.face)
+
+
+class Matrix:
+    """Any drawdown, written out."""
+
+    name: ClassVar[str] = "matrix"
+    Config: ClassVar[type[BaseModel]] = MatrixConfig
+
+    def draw(self, config: BaseModel, files: Files) -> Bool:
+        """Raises BadInput for rows that are no drawdown."""
+        rows = cast(MatrixConfig, config).rows
+        return read_matrix([list(row) if isinstance(row, str) else row for row in rows])  # type: ignore[arg-type]
