@@ -1,0 +1,144 @@
+"""From a drawdown to cells: yarns laid out in two layers, up or down by the weave, varied from yarn to yarn.
+
+A yarn runs on without a break in its own direction, so gaps lie only between the yarns of a layer, and it turns
+from above to below half-way between the yarns that it crosses. Were there a gap at every crossing instead, a small
+tau 3 III would lock each crossing in.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from nuno_dye.quantities import Length, Share
+from nuno_schemas.dye import Cells, Tortuosity
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.plugin import Config
+
+MOST_CELLS = 2**27
+"""Of both layers: 7 GiB of arrays."""
+
+Number = Annotated[int, Field(ge=1, le=65_536)]
+Gap = Annotated[int, Field(ge=0, le=65_536)]
+Quantity = Literal["P", "T", "B"]
+
+
+class YarnConfig(Config):
+    """The yarns of one layer."""
+
+    width: Number = Field(default=8, description="of a yarn, in cells")
+    gap: Gap = Field(default=2, description="to the next yarn, in cells")
+    porosity: Share = Field(default=0.5, description="P, share of the yarn that is not fibre")
+    twist: Share = Field(default=1.0, description="tau 1; smaller is more twisted")
+    resist: Share = Field(default=0.0, description="B, share of the room for mobile dye that is taken")
+
+
+class VaryConfig(Config):
+    """What differs from yarn to yarn: it is multiplied with r, uniform between `low` and `high`."""
+
+    of: tuple[Quantity, ...] = Field(default=("P",), description="P porosity, T tortuosity, B volume taken")
+    low: Share = Field(default=0.5, description="smallest r")
+    high: Share = Field(default=1.0, description="largest r")
+
+
+class WovenConfig(Config):
+    """A woven cloth; its weave is given apart."""
+
+    cells: tuple[Number, Number] = Field(default=(200, 200), description="across and down, in each of the two layers")
+    cell_size: Length = Field(default=5e-5, description="side of a cell [m]")
+    weft: YarnConfig = Field(default=YarnConfig(), description="yarns along x")
+    warp: YarnConfig = Field(default=YarnConfig(), description="yarns along y")
+    gap_porosity: Share | None = Field(default=None, description="P of a gap; its layer's yarns' unless given")
+    vary: VaryConfig | None = Field(default=None, description="differences from yarn to yarn")
+
+
+class Lay(NamedTuple):
+    """How a layer's yarns lie side by side, by cell across them.
+
+    yarn   (n,) int32  the yarn in whose pitch a cell lies
+    fibre  (n,) bool   whether it lies in the yarn itself
+    """
+
+    yarn: Int
+    fibre: Bool
+
+
+def lay_evenly(width: int, gap: int, cells: int) -> Lay:
+    """Yarns of a width with a gap between them, each in the middle of its pitch."""
+    yarn, place = np.divmod(np.arange(cells), width + gap)
+    before = gap // 2
+    return Lay(yarn.astype(np.int32), (place >= before) & (place < before + width))
+
+
+def lay_measured(spacing: Float, thickness: Float, size: float, cells: int) -> Lay:
+    """Yarns with pitches `spacing` and widths `thickness` (k,) [m], again and again over cells of `size` [m].
+
+    A cell is of the yarn in whose pitch its middle lies, and is fibre if that is within the yarn's width.
+    """
+    ends = np.cumsum(spacing)
+    turn, middle = np.divmod((np.arange(cells) + 0.5) * size, ends[-1])
+    yarn = np.minimum(np.searchsorted(ends, middle, side="right"), len(ends) - 1)
+    away = np.abs(middle - (ends[yarn] - 0.5 * spacing[yarn]))
+    return Lay((turn.astype(np.int64) * len(ends) + yarn).astype(np.int32), away <= 0.5 * thickness[yarn])
+
+
+def build_cells(
+    drawdown: Bool, config: WovenConfig, tortuosity: Tortuosity, seed: int, lays: tuple[Lay, Lay] | None = None
+) -> Cells:
+    """Cells of a cloth of a weave, repeated as often as its yarns need.
+
+    `lays` are those of weft and warp, where yarns are not even. Raises BadInput for a cloth of too many cells, and
+    for a variation of nothing.
+    """
+    (nx, ny), weft, warp = config.cells, config.weft, config.warp
+    _check(config)
+    down, across = lays or (lay_evenly(weft.width, weft.gap, ny), lay_evenly(warp.width, warp.gap, nx))
+    picks, ends = drawdown.shape
+    over = drawdown[np.ix_(down.yarn % picks, across.yarn % ends)]
+    fibre = np.empty((2, ny, nx), np.bool_)
+    fibre[0], fibre[1] = down.fibre[:, None], across.fibre
+    porosity, twist, resist = np.empty((3, 2, ny, nx))
+    for layer, (yarn, lay) in enumerate(((weft, down), (warp, across))):
+        values = _per_cell(yarn, lay, config, seed, layer)
+        shape = (ny, 1) if layer == 0 else (1, nx)
+        porosity[layer], twist[layer], resist[layer] = (value.reshape(shape) for value in values)
+    return Cells(fibre, np.stack([~over, over]), porosity, twist, resist, config.cell_size, tortuosity)
+
+
+def _per_cell(yarn: YarnConfig, lay: Lay, config: WovenConfig, seed: int, layer: int) -> tuple[Float, Float, Float]:
+    """P, tau 1 and B across a layer's yarns. A gap has the nominal P, no twist, and nothing in it."""
+    in_gap = yarn.porosity if config.gap_porosity is None else config.gap_porosity
+    given: tuple[tuple[Quantity, float, float], ...] = (
+        ("P", yarn.porosity, in_gap), ("T", yarn.twist, 1.0), ("B", yarn.resist, 0.0),
+    )  # fmt: skip
+    p, t, b = (
+        np.where(lay.fibre, value * draw_factors(config.vary, name, lay, seed, layer), gap)
+        for name, value, gap in given
+    )
+    return p, t, b
+
+
+def draw_factors(vary: VaryConfig | None, name: Quantity, lay: Lay, seed: int, layer: int) -> Float:
+    """(n,) r of each cell's yarn. Each quantity and layer has its own stream: more wefts leave warps alone."""
+    if vary is None or name not in vary.of:
+        return np.ones(len(lay.yarn))
+    stream = np.random.default_rng([seed, "PTB".index(name), layer])
+    return stream.uniform(vary.low, vary.high, int(lay.yarn.max()) + 1)[lay.yarn]
+
+
+def _check(config: WovenConfig) -> None:
+    nx, ny = config.cells
+    if 2 * nx * ny > MOST_CELLS:
+        raise BadInput("too many cells", field="cells", value=f"2 x {ny} x {nx}", limit=f"{MOST_CELLS}")
+    vary = config.vary
+    if vary is None:
+        return
+    if vary.low > vary.high:
+        raise BadInput("the smallest r is above the largest", field="vary.low", value=vary.low, limit=f"{vary.high}")
+    if "B" in vary.of and config.weft.resist == config.warp.resist == 0.0:
+        raise BadInput(
+            "B is 0, and stays 0 times any r", field="vary.of", value="B", remedy="a resist for weft or warp"
+        )
