@@ -6,27 +6,29 @@ import itertools
 
 import numpy as np
 
-from nuno_dye.diffusion import GHOST, LEFT, Bands
+from nuno_dye.diffusion import GHOST, LEFT, Bands, Rows
 from nuno_dye.dyeing import LEVELS, SLOT, DyeBands
 from nuno_dye.faces import Faces
 from nuno_kernels.simd import WIDTH
 from nuno_schemas.dye import Cells
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Float
 
 
 def make_bands(phi: Float, faces: Faces, scale: float, number: int) -> Bands:
     """Bands for diffusion alone, of amounts (2, ny, nx); weights are `scale` times the face values."""
     cut = Cut(phi.shape, number, GHOST)
     edge = np.zeros((cut.number, 2 * GHOST, cut.width))
-    return Bands(*cut.fill(phi), *cut.fill_faces(faces, scale), edge, *cut.places())
+    (amounts,), (along, down, across) = cut.fill(phi), cut.fill_faces(faces, scale)
+    return Bands(amounts, along, down, across, edge, *cut.places())
 
 
 def make_dye_bands(phi: Float, fixed: Float, cells: Cells, faces: Faces, scale: float, number: int) -> DyeBands:
     """Bands for the whole step, of mobile and fixed amounts (2, ny, nx)."""
     cut = Cut(phi.shape, number, 2 * LEVELS)
     rolling = np.zeros((cut.number, 4 * SLOT * LEVELS, cut.width))
-    amounts, rooms = cut.fill(phi, fixed), cut.fill(cells.mobile_room, cells.fixed_room)
-    return DyeBands(*amounts, *cut.fill_faces(faces, scale), *rooms, rolling, *cut.places())
+    mobile, bound, most, room = cut.fill(phi, fixed, cells.mobile_room, cells.fixed_room)
+    along, down, across = cut.fill_faces(faces, scale)
+    return DyeBands(mobile, bound, along, down, across, most, room, rolling, *cut.places())
 
 
 class Cut:
@@ -60,7 +62,7 @@ class Cut:
                 out[b, at : at + stop - start, LEFT : LEFT + self.nx] = array[layer, start:stop]
         return out
 
-    def places(self) -> tuple[Int, Int, Int]:
+    def places(self) -> tuple[Rows, Rows, Rows]:
         """first, last and shrinks of the bands."""
         shrinks = np.ones((self.number, 2), np.int64)
         shrinks[0, 0] = shrinks[-1, 1] = 0

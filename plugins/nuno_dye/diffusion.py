@@ -16,13 +16,16 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
 from llvmlite import ir
 from numba import prange
+from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.simd import WIDTH, instruction, load, splat, store, vector
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Float
 
+Rows = NDArray[np.int64]
 GHOST = 8
 """Steps of a pass. Their rows (a row of 800 x 2 cells has 58 kB of amounts and weights) must fit into a core's
 cache; so must what is stepped twice stay little."""
@@ -59,9 +62,9 @@ class Bands(NamedTuple):
     down: Float
     across: Float
     edge: Float
-    first: Int
-    last: Int
-    shrinks: Int
+    first: Rows
+    last: Rows
+    shrinks: Rows
 
 
 @kernel

@@ -18,11 +18,11 @@ from llvmlite import ir
 from numba import prange
 from numba.core import cgutils, types
 
-from nuno_dye.diffusion import LEFT, copy_rows, slide
+from nuno_dye.diffusion import LEFT, Rows, copy_rows, slide
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.simd import LANES, WIDTH, instruction, load, splat, spread, store, vector
 from nuno_kernels.simd_choose import higher, lower
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Float
 
 NOTHING, PARTITION, FREUNDLICH, LANGMUIR = 0, 1, 2, 3
 """Isotherms that the kernel knows."""
@@ -52,9 +52,9 @@ class DyeBands(NamedTuple):
     mobile: Float
     fibre: Float
     rolling: Float
-    first: Int
-    last: Int
-    shrinks: Int
+    first: Rows
+    last: Rows
+    shrinks: Rows
 
 
 @instruction

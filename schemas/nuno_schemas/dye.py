@@ -1,4 +1,4 @@
-"""Cloth that is dyed: two layers of cells, what they hold, and how dye passes between them.
+"""Cloth that is dyed: two layers of cells, what they hold, how dye passes between them, and plugins for it.
 
 Arrays are (2, ny, nx): layer 0 is the weft, whose yarns run along x (the last axis), layer 1 the warp, along y.
 Amounts are fractions of what a cell can hold at most (`v_max`), per cell.
@@ -6,9 +6,14 @@ Amounts are fractions of what a cell can hold at most (`v_max`), per cell.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, Protocol
 
-from nuno_schemas.fabric import Bool, Float
+from pydantic import BaseModel
+
+from nuno_schemas.fabric import Bool, Float, Memory
+from nuno_schemas.plugin import Files
 
 
 @dataclass(frozen=True)
@@ -64,3 +69,114 @@ class Cells:
         """(2, ny, nx) V_d = (1 - P) V_max, capacity for fixed dye (equation 6); fibre alone holds any."""
         room: Float = (1.0 - self.porosity) * self.v_max * self.fibre
         return room
+
+
+@dataclass(frozen=True)
+class Isotherm:
+    """How much dye fibre may fix, A_d, at the mobile amount phi beside it (dye paper, equations 5 to 8).
+
+    A `kind` that the kernels know has its numbers in `first` and `second`:
+
+        "partition"   k phi                     first k
+        "freundlich"  k phi^b                   first k, second b
+        "langmuir"    V_d K phi / (1 + K phi)   first K
+
+    Any other has kind "python" and a `function(phi, room)` of arrays (2, ny, nx), room being V_d; it is
+    called at every step.
+    """
+
+    kind: str
+    first: float = 0.0
+    second: float = 0.0
+    function: Callable[[Float, Float], Float] | None = None
+
+
+@dataclass(frozen=True)
+class Dye:
+    """One dye: D0 [m^2/s], its diffusion coefficient in water, and how fibre fixes it.
+
+    `adsorption` is D_ab / D0; where it is 0, or without an isotherm, nothing is fixed.
+    """
+
+    name: str
+    D0: float
+    adsorption: float = 0.0
+    isotherm: Isotherm | None = None
+
+
+@dataclass(frozen=True)
+class DyeSystem:
+    """A cloth and the dyes in it, each an amount by itself; `threads` is the most that kernels may use."""
+
+    cells: Cells
+    dyes: tuple[Dye, ...]
+    threads: int = 1
+
+
+@dataclass
+class DyeState:
+    """Amounts at time t [s], (dyes, 2, ny, nx): phi is mobile, fixed has been taken by fibre."""
+
+    phi: Float
+    fixed: Float
+    t: float = 0.0
+
+
+@dataclass(frozen=True)
+class DyeReport:
+    """What a solver did in a frame; mobile and fixed are the dyes' totals at its end, summed with compensation."""
+
+    status: Literal["ok", "diverged"]
+    steps: int
+    mobile: tuple[float, ...]
+    fixed: tuple[float, ...]
+    message: str = ""
+    totals: Mapping[str, int] = field(default_factory=dict)
+    """What adds up over a run."""
+
+
+class IsothermPlugin(Protocol):
+    """An isotherm by name."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def prepare(self, config: Any) -> Isotherm: ...
+
+
+class DyeCloth(Protocol):
+    """Builds a cloth's cells and what they hold at the start."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def build(self, config: Any, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
+        """Cells, and the amounts (dyes, 2, ny, nx) of each dye. Raises BadInput."""
+        ...
+
+    def count(self, config: Any, files: Files) -> int:
+        """Cells it will have, found without building it."""
+        ...
+
+
+class DyeSolver(Protocol):
+    """Advances the amounts of dye by whole steps over one frame."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def prepare(self, config: Any, system: DyeSystem, state: DyeState) -> Memory:
+        """Memory for this system. Raises BadInput for what the solver cannot do."""
+        ...
+
+    def limit(self, config: Any, system: DyeSystem) -> float:
+        """Largest stable step [s], inf where nothing limits it."""
+        ...
+
+    def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
+        """Advance `state` in place by `steps` steps of `dt` [s]; no steps at all only measure it."""
+        ...
+
+    def about(self, system: DyeSystem) -> str:
+        """How its kernels run this system, in words for the report: threads, and why."""
+        ...

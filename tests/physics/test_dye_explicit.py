@@ -1,0 +1,136 @@
+"""The explicit dye solver: the plain loop's amounts, dye kept, the same bits however frames and threads are cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import fsum
+
+import numpy as np
+import pytest
+from test_dye_diffusion import random_cells
+from test_dye_step import ISOTHERMS, plain_step, resisted, start
+
+from nuno_dye.explicit import CELLS_PER_THREAD, Explicit, ExplicitConfig
+from nuno_dye.faces import face_values, largest_sum
+from nuno_dye.isotherms import Freundlich, FreundlichConfig, Langmuir, LangmuirConfig, Partition, PartitionConfig
+from nuno_dye.sums import sum_compensated
+from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Isotherm
+from nuno_schemas.fabric import Float
+
+LAWS = {
+    "partition": Partition().prepare(PartitionConfig(k=0.7)),
+    "freundlich": Freundlich().prepare(FreundlichConfig(k=0.4, b=0.35)),
+    "langmuir": Langmuir().prepare(LangmuirConfig(K=2.0)),
+}
+D0, CONFIG = 2e-10, ExplicitConfig()
+
+
+def advance(
+    system: DyeSystem, phi: Float, fixed: Float, steps: int, frames: int = 1
+) -> tuple[DyeState, list[DyeReport]]:
+    """Frames of steps at 0.9 of the limit."""
+    solver, state = Explicit(), DyeState(phi[None].copy(), fixed[None].copy())
+    memory = solver.prepare(CONFIG, system, state)
+    dt = 0.9 * solver.limit(CONFIG, system)
+    return state, [solver.advance(system, state, memory, steps, dt) for _ in range(frames)]
+
+
+def dyed(cells: Cells, law: Isotherm | None, threads: int = 1, adsorption: float = 0.06) -> DyeSystem:
+    return DyeSystem(cells, (Dye("blue", D0, adsorption, law),), threads)
+
+
+@pytest.mark.parametrize("name", ISOTHERMS)
+def test_equals_a_plain_loop(name: str) -> None:
+    cells = resisted(9, 11)
+    phi, fixed = start(cells)
+    state, reports = advance(dyed(cells, LAWS.get(name)), phi, fixed, 4, 3)
+    scale = 0.9 / largest_sum(face_values(cells))
+    exact = phi, fixed
+    for _ in range(12):
+        exact = plain_step(*exact, cells, scale, 0.06 * scale, name)
+    assert np.abs(state.phi[0] - exact[0]).max() < 1e-12
+    assert np.abs(state.fixed[0] - exact[1]).max() < 1e-12
+    assert sum(report.steps for report in reports) == 12
+
+
+def test_the_limit_is_where_the_weights_of_some_cell_add_to_one() -> None:
+    cells = random_cells(12, 15)
+    limit = Explicit().limit(CONFIG, dyed(cells, None))
+    assert limit * D0 / cells.size**2 * largest_sum(face_values(cells)) == pytest.approx(1.0, rel=1e-14)
+    closed = replace(cells, porosity=np.zeros_like(cells.porosity))
+    assert Explicit().limit(CONFIG, dyed(closed, None)) == np.inf
+
+
+@pytest.mark.parametrize("law", [None, *LAWS])
+def test_frames_and_threads_change_no_bit(law: str | None) -> None:
+    side = int(CELLS_PER_THREAD**0.5) + 1
+    cells = resisted(side, side)
+    phi, fixed = start(cells)
+    one, two = (dyed(cells, LAWS.get(law or ""), threads) for threads in (1, 2))
+    whole, _ = advance(one, phi, fixed, 12)
+    for state, _ in (advance(two, phi, fixed, 12), advance(one, phi, fixed, 3, 4)):
+        assert np.array_equal(state.phi, whole.phi) and np.array_equal(state.fixed, whole.fixed)
+
+
+def test_an_isotherm_in_python_is_followed() -> None:
+    cells = resisted(9, 11)
+    phi, fixed = start(cells)
+    law = Isotherm("python", function=lambda phi, room: room * 2.0 * phi / (1.0 + 2.0 * phi))
+    ours, _ = advance(dyed(cells, law), phi, fixed, 7)
+    known, _ = advance(dyed(cells, LAWS["langmuir"]), phi, fixed, 7)
+    assert known.fixed.max() > 0.0
+    assert np.abs(ours.phi - known.phi).max() < 1e-14 and np.abs(ours.fixed - known.fixed).max() < 1e-14
+
+
+def test_diffusion_alone_has_the_bits_of_the_whole_step() -> None:
+    """Where no limit can bind another kernel runs; from a full cell beside an empty one, too."""
+    cells = replace(random_cells(31, 40), v_max=1e3)
+    phi = np.random.default_rng(5).random(cells.fibre.shape) * (cells.porosity > 0.0)
+    system, solver = dyed(cells, None), Explicit()
+    plain, whole = (DyeState(phi[None].copy(), 0 * phi[None]) for _ in range(2))
+    memory = [solver.prepare(CONFIG, system, state) for state in (plain, whole)]
+    assert not memory[0].arrays["limited"][0]
+    memory[1].arrays["limited"][0] = True
+    dt = solver.limit(CONFIG, system)
+    solver.advance(system, plain, memory[0], 20, 0.9 * dt)
+    solver.advance(system, whole, memory[1], 20, 0.9 * dt)
+    assert np.array_equal(plain.phi, whole.phi)
+
+
+def test_dyes_do_not_act_on_each_other() -> None:
+    cells = resisted(9, 11)
+    phi, fixed = start(cells)
+    dyes = (Dye("blue", D0, 0.06, LAWS["langmuir"]), Dye("red", 0.4 * D0))
+    state, solver = DyeState(np.stack([phi, 0.5 * phi]), np.stack([fixed, fixed])), Explicit()
+    memory = solver.prepare(CONFIG, DyeSystem(cells, dyes), state)
+    solver.advance(DyeSystem(cells, dyes), state, memory, 6, 1.0)
+    for k, (one, amount) in enumerate(zip(dyes, (phi, 0.5 * phi), strict=True)):
+        system, alone = DyeSystem(cells, (one,)), DyeState(amount[None].copy(), fixed[None].copy())
+        solver.advance(system, alone, solver.prepare(CONFIG, system, alone), 6, 1.0)
+        assert np.array_equal(state.phi[k], alone.phi[0]) and np.array_equal(state.fixed[k], alone.fixed[0])
+    assert not state.fixed[1].any()
+
+
+@pytest.mark.parametrize("name", ISOTHERMS)
+def test_reported_totals_are_kept(name: str) -> None:
+    cells = resisted(40, 37)
+    phi, fixed = start(cells)
+    state, reports = advance(dyed(cells, LAWS.get(name)), phi, fixed, 500, 4)
+    supplied = fsum(phi.reshape(-1))
+    for steps, report in zip(range(500, 2001, 500), reports, strict=True):
+        assert abs(report.mobile[0] + report.fixed[0] - supplied) <= 1e-13 * np.sqrt(steps) * supplied
+    assert reports[-1].mobile[0] == pytest.approx(fsum(state.phi.reshape(-1)), rel=1e-15)
+
+
+def test_a_compensated_sum_is_exact_to_rounding() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.random(100_000) * 10.0 ** rng.integers(-12, 12, 100_000)
+    assert sum_compensated(values) == pytest.approx(fsum(values), rel=2e-16)
+    assert sum_compensated(np.array([1.0, 1e100, 1.0, -1e100])) == 2.0
+
+
+def test_amounts_that_are_not_finite_are_reported() -> None:
+    cells = random_cells(5, 6)
+    phi = np.full(cells.fibre.shape, np.nan)
+    _, reports = advance(dyed(cells, None), phi, 0 * phi, 1)
+    assert reports[0].status == "diverged"
