@@ -7,6 +7,7 @@ as a disturbance has grown no more than a thousandfold, which is how far the pro
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import math
 import sys
@@ -159,7 +160,7 @@ def _apart(problem: Problem, run: Run, exact: Run, frames: int) -> float:
 
 
 def write(folder: Path, found: Sequence[Delivered], summary: str, about: dict[str, str]) -> list[Path]:
-    """The page, and the same as JSON."""
+    """The page, and the same as JSON and CSV."""
     folder.mkdir(parents=True, exist_ok=True)
     lead = "What the solver and the step that are chosen for a scene deliver, against what the level promises."
     caption = "Root mean square distance to a converged run as a share of the cloth's size, up to the time given."
@@ -169,8 +170,12 @@ def write(folder: Path, found: Sequence[Delivered], summary: str, about: dict[st
         ("Why", [page.Table(("scene", "accuracy", "reason"), reasons, "What was tried.", prose=True)]),
         ("Made by", [page.Facts(about)]),
     ]
-    html, data = folder / "accuracy.html", folder / "accuracy.json"
+    html, data, table = (folder / f"accuracy.{ending}" for ending in ("html", "json", "csv"))
     html.write_text(page.render("Accuracy promised and delivered", lead, sections), encoding="utf-8")
     results = [asdict(one) | {"verdict": one.verdict} for one in found]
     data.write_text(json.dumps({"about": about, "results": results}, indent=1) + "\n", encoding="utf-8")
-    return [html, data]
+    with table.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(HEADINGS)
+        writer.writerows(one.row() for one in found)
+    return [html, data, table]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from nuno import registry, scene_file
@@ -12,7 +13,8 @@ from nuno_bench import stability_page as shown
 from nuno_bench.kept import Kept, hint, require
 from nuno_bench.result import text_table
 from nuno_bench.stability_drift import measure_modes
-from nuno_bench.stability_run import measure_all, settings_of
+from nuno_bench.stability_plots import maps
+from nuno_bench.stability_run import Row, measure_all, settings_of
 from nuno_schemas.errors import BadInput, nearest
 
 GROUP = "nuno.integrators"
@@ -109,8 +111,22 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: execut
     return [
         f"### {path.stem}",
         f"{shown.summary(sweep)}.",
+        *_pictures(args, path.stem, sweep.rows),
         markdown.table(shown.COUNTS, shown.counts(sweep.rows)),
         markdown.table(shown.BEYOND, shown.beyond(sweep.rows)),
         markdown.table(shown.MODES, shown.modes(sizes, drifts)),
         *(f"Left out: {text}." for text in sweep.omissions),
     ]
+
+
+def _pictures(args: argparse.Namespace, name: str, rows: Sequence[Row]) -> list[str]:
+    """The maps beside the page of the documentation, as the page of the run shows them."""
+    if args.docs is None:
+        return []
+    folder, parts = args.docs.parent / "pictures", []
+    folder.mkdir(exist_ok=True)
+    for axis, words in shown.AXES.items():
+        picture = folder / f"stability-{name}-{axis}.svg"
+        picture.write_text(maps([row for row in rows if row.axis == axis], axis, words), encoding="utf-8")
+        parts.append(f"![Maps of {name} over {words}, and the step](pictures/{picture.name})")
+    return parts
