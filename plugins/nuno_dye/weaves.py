@@ -88,12 +88,13 @@ def read_matrix(rows: Sequence[str] | Sequence[Sequence[int]]) -> Bool:
     return drawdown
 
 
-def check_interlacing(drawdown: Bool) -> None:
+def check_interlacing(drawdown: Bool, file: str | None = None) -> None:
     """Raises BadInput where one layer is above the other everywhere."""
     if drawdown.all() or not drawdown.any():
         raise BadInput(
             "the warp is above the weft everywhere" if drawdown.all() else "the weft is above the warp everywhere",
-            field="rows", value=f"{drawdown.shape[0]} x {drawdown.shape[1]}", limit="yarns that interlace",
+            file=file, field="drawdown", value=f"{drawdown.shape[0]} picks x {drawdown.shape[1]} ends",
+            limit="yarns that interlace",
         )  # fmt: skip
 
 

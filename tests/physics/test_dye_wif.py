@@ -1,0 +1,331 @@
+"""Weaving Information Files, in the manner of the programs that write them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from nuno_dye.weaves import draw_plain, draw_twill
+from nuno_dye.wif import read_wif
+from nuno_schemas.errors import BadInput
+
+FLOOR_LOOM = """[WIF]
+Version=1.1
+Date=April 20, 1997
+Source Program=A floor loom's
+
+[CONTENTS]
+WEAVING=true
+WARP=true
+WEFT=true
+THREADING=true
+TIEUP=true
+TREADLING=true
+COLOR PALETTE=true
+COLOR TABLE=true
+WARP COLORS=true
+
+[TEXT]
+Title=Twill; or so = it says
+
+[WEAVING]
+Shafts=4
+Treadles=6
+Rising Shed=true
+
+[WARP]
+Threads=8
+Color=2
+Units=Inches
+Spacing=0.05
+Thickness=0.04
+
+[WEFT]
+Threads=4
+Color=1
+Units=Inches
+Spacing=0.1
+
+[COLOR PALETTE]
+Entries=2
+Form=RGB
+Range=0,255
+
+[COLOR TABLE]
+1=255,255,255
+2=0,51,102  ; indigo
+
+[WARP COLORS]
+3=1
+
+[WARP SPACING]
+2=0.075
+
+[THREADING]
+1=1
+2=2
+3=3
+4=4
+5=1
+6=2
+7=3
+8=4
+
+[TIEUP]
+1=1,2
+2=2,3
+3=3,4
+4=4,1
+5=
+6=0
+
+[TREADLING]
+1=4
+2=3
+3=2
+4=1
+"""
+
+DOBBY = """; written by a program for dobby looms
+[wif]
+version=1.1
+[contents]
+threading=1
+tieup=0
+treadling=0
+liftplan=1
+[Weaving]
+shafts=4
+treadles=0
+rising shed=yes
+[warp]
+threads=4   ; one repeat
+units=centimeters
+spacing=0,212
+[weft]
+threads=4
+units=Decipoints
+spacing=72
+thickness=36
+[threading]
+4=4
+3=3
+2=2
+1=1
+[tieup]
+[treadling]
+[liftplan]
+1=1,4
+2=3,4
+3=2,3
+4=1,2
+[PRIVATE DOBBY NOTES]
+this is not = a line of ours
+nor this
+[notes]
+1=; text
+"""
+
+SINKING = """[WIF]
+Version=1.1
+[WEAVING]
+Shafts=2
+Treadles=2
+Rising Shed=off
+[WARP]
+Threads=2
+[WEFT]
+Threads=2
+[THREADING]
+1=1
+2=2
+[TIEUP]
+1=1
+2=2
+[TREADLING]
+1=1
+2=2
+"""
+
+
+@pytest.fixture
+def write(tmp_path: Path):  # type: ignore[no-untyped-def]
+    def write(text: str | bytes) -> Path:
+        path = tmp_path / "draft.wif"
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        return path
+
+    return write
+
+
+def test_floor_loom_s_twill_with_yarns(write) -> None:  # type: ignore[no-untyped-def]
+    draft = read_wif(write(FLOOR_LOOM))
+    # The first pick lifts shafts 4 and 1, the next 3 and 4: climbs to the left from end 4.
+    expected = np.array([[1, 0, 0, 1], [0, 0, 1, 1], [0, 1, 1, 0], [1, 1, 0, 0]], bool)
+    assert np.array_equal(draft.drawdown, np.tile(expected, 2))
+    assert np.array_equal(np.roll(expected, 1, axis=1), draw_twill(2, 2))
+    indigo, white = [0.0, 0.2, 0.4], [1.0, 1.0, 1.0]
+    assert draft.warp.colour is not None and draft.weft.colour is not None
+    assert np.allclose(draft.warp.colour, [indigo, indigo, white, *[indigo] * 5], atol=1e-15)
+    assert (draft.weft.colour == 1.0).all()
+    inch = 0.0254
+    assert np.allclose(draft.warp.spacing, np.array([0.05, 0.075, *[0.05] * 6]) * inch, rtol=1e-15)
+    assert np.allclose(draft.warp.thickness, 0.04 * inch, rtol=1e-15)
+    assert np.allclose(draft.weft.spacing, 0.1 * inch, rtol=1e-15) and draft.weft.thickness is None
+
+
+def test_lift_plan_gives_the_same_cloth_as_tie_up_and_treadling(write) -> None:  # type: ignore[no-untyped-def]
+    draft = read_wif(write(DOBBY))
+    assert np.array_equal(draft.drawdown, read_wif(write(FLOOR_LOOM)).drawdown[:, :4])
+    assert np.allclose(draft.warp.spacing, 2.12e-3) and np.allclose(draft.weft.spacing, 2.54e-3)
+    assert np.allclose(draft.weft.thickness, 1.27e-3)
+    assert draft.warp.colour is None and draft.warp.thickness is None
+
+
+def test_sinking_shed_lowers_what_rising_shed_lifts(write) -> None:  # type: ignore[no-untyped-def]
+    assert np.array_equal(read_wif(write(SINKING)).drawdown, ~draw_plain())
+    assert np.array_equal(read_wif(write(SINKING.replace("=off", "=on"))).drawdown, draw_plain())
+    assert np.array_equal(read_wif(write(SINKING.replace("Rising Shed=off\n", ""))).drawdown, draw_plain())
+
+
+def test_several_shafts_and_treadles_act_together(write) -> None:  # type: ignore[no-untyped-def]
+    text = SINKING.replace("=off", "=on").replace("Threads=2", "Threads=3")
+    text = text.replace("[TIEUP]", "3=1,2\n[TIEUP]") + "3=1,2\n"
+    assert read_wif(write(text)).drawdown.tolist() == [[1, 0, 1], [0, 1, 1], [1, 1, 1]]
+
+
+@pytest.mark.parametrize("text", [FLOOR_LOOM, DOBBY, SINKING])
+def test_marks_line_ends_case_and_encodings_change_nothing(write, text: str) -> None:  # type: ignore[no-untyped-def]
+    draft = read_wif(write(text))
+    note = "[NOTES]\n1=Köper für Ärmel\n"
+    variants = [
+        text.replace("\n", "\r\n").encode(),
+        text.replace("\n", "\r").encode(),
+        b"\xef\xbb\xbf" + text.encode(),
+        (text + note).encode("latin-1"),
+        (text + note).encode("utf-8"),
+        text.encode("utf-16"),
+        text.lower().encode(),
+        text.upper().encode(),
+        text.replace("=", " = ").encode(),
+    ]
+    for data in variants:
+        other = read_wif(write(data))
+        assert np.array_equal(other.drawdown, draft.drawdown)
+        assert np.array_equal(other.warp.spacing, draft.warp.spacing)  # type: ignore[arg-type]
+
+
+def test_treadles_that_are_not_stated_are_those_tied_up(write) -> None:  # type: ignore[no-untyped-def]
+    drawdown = read_wif(write(FLOOR_LOOM)).drawdown
+    for stated in ("", "Treadles=\n", "Treadles=0\n"):
+        assert np.array_equal(read_wif(write(FLOOR_LOOM.replace("Treadles=6\n", stated))).drawdown, drawdown)
+
+
+def test_tie_up_and_treadling_go_before_a_lift_plan(write) -> None:  # type: ignore[no-untyped-def]
+    drawdown = read_wif(write(FLOOR_LOOM)).drawdown
+    assert np.array_equal(read_wif(write(FLOOR_LOOM + "[LIFTPLAN]\n1=1\n2=1\n3=1\n4=1\n")).drawdown, drawdown)
+
+
+def test_colours_of_a_wider_range_and_written_out(write) -> None:  # type: ignore[no-untyped-def]
+    text = FLOOR_LOOM.replace("0,255", "0,999").replace("=255,255,255", "=999,999,999").replace("0,51,102", "0,333,666")
+    colour = read_wif(write(text)).warp.colour
+    assert colour is not None and np.allclose(colour[0], [0, 1 / 3, 2 / 3]) and (colour[2] == 1).all()
+    written = read_wif(write(SINKING.replace("[WEFT]\n", "[WEFT]\nColor=7,255,0,51\n"))).weft.colour
+    assert written is not None and np.allclose(written, [1.0, 0.0, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[WIF]", "[FIW]", "not a Weaving Information File"),
+        ("[WEAVING]", "[WOVEN]", r"\[WEAVING\]: the section is missing"),
+        ("Shafts=4", "Shafts=", r"\[WEAVING\] Shafts: missing"),
+        ("Shafts=4", "Shafts=four", r"draft.wif:21: \[WEAVING\] SHAFTS: not a number of shafts\n.*four"),
+        ("[THREADING]", "[THREADING]\n[OTHER]", r":53: \[THREADING\]: the section is empty"),
+        ("[TREADLING]", "[X]", r"\[TREADLING\]: the section is missing"),
+        ("[TIEUP]", "[X]", r"\[TIEUP\]: the section is missing"),
+        ("8=4", "9=4", r"\[THREADING\] 9: no such end\n.*\n.*from 1 to 8"),
+        ("8=4", "8=5", r"\[THREADING\] 8: not a shaft\n.*5.*\n.*0 to 4"),
+        ("7=3\n8=4\n", "", r"\[THREADING\]: fewer lines.*\n.*6 ends.*\n.*8 ends"),
+        ("4=1\n", "4=7\n", r"\[TREADLING\] 4: not a treadle\n.*7.*\n.*0 to 6"),
+        ("4=4,1", "7=4,1", r"\[TIEUP\] 7: no such treadle"),
+        ("2=2,3", "2=2,-3", r"\[TIEUP\] 2: not a shaft"),
+        ("Threads=8", "Threads=1000000000", r"\[WARP\] THREADS.*\n.*1000000000.*\n.*16384"),
+        ("Threads=8", "Threads=9999999999999999999", r"\[WARP\] THREADS"),
+        ("Threads=4", "Threads=16385", r"\[WEFT\] THREADS"),
+        ("Treadles=6", "Treadles=16385", r"\[WEAVING\] TREADLES"),
+        ("Units=Inches", "Units=Furlongs", r"\[WARP\] UNITS: an unknown unit\n.*Furlongs.*\n.*decipoints"),
+        ("Spacing=0.05", "Spacing=-0.05", r"\[WARP\] SPACING: not a spacing"),
+        ("Spacing=0.05", "Spacing=1e999", r"\[WARP\] SPACING: not a spacing"),
+        ("Color=2", "Color=3", r"\[WARP\] COLOR: a colour that is not in \[COLOR TABLE\]"),
+        ("Range=0,255", "Range=255,0", r"\[COLOR PALETTE\] RANGE"),
+        ("0,51,102", "0,51,256", r"\[COLOR TABLE\] 2: not a colour\n.*256.*\n.*0 to 255"),
+        ("Rising Shed=true", "Rising Shed=perhaps", r"\[WEAVING\] RISING SHED: neither true nor false"),
+        ("[WARP COLORS]\n3=1", "[WARP COLORS]\n9=1", r"\[WARP COLORS\] 9: no such yarn"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_place(write, old: str, new: str, said: str) -> None:  # type: ignore[no-untyped-def]
+    assert old in FLOOR_LOOM
+    with pytest.raises(BadInput, match=said):
+        read_wif(write(FLOOR_LOOM.replace(old, new, 1)))
+
+
+def test_gigantic_sizes_are_refused_before_they_are_allocated(write) -> None:  # type: ignore[no-untyped-def]
+    """16,384 shafts and treadles for as many yarns would be a gigabyte of tables."""
+    for old, new in (("Threads=8", "Threads=16384"), ("Shafts=4", "Shafts=16384")):
+        text = FLOOR_LOOM.replace(old, new).replace("Threads=4", "Threads=16384")
+        with pytest.raises(BadInput, match=r"THREADS|SHAFTS"):
+            read_wif(write(text))
+    with pytest.raises(BadInput, match="bytes"):
+        read_wif(write(b""))
+
+
+LINES = FLOOR_LOOM.splitlines() + DOBBY.splitlines() + SINKING.splitlines()
+VALUES = st.sampled_from(["", "0", "1", "2,3", ",", ";", "-1", "1e9", "16384", "999999999", "é", "0,5", "1=1", "\x00"])
+KEYS = st.sampled_from(sorted({line.split("=")[0] for line in LINES if "=" in line}))
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    base=st.sampled_from([FLOOR_LOOM, DOBBY, SINKING]),
+    changes=st.lists(st.tuples(st.integers(0, 10**6), st.sampled_from("dsir"), KEYS, VALUES), max_size=6),
+    tail=st.binary(max_size=30),
+)
+def test_any_other_file_is_read_or_refused(
+    tmp_path: Path, base: str, changes: list[tuple[int, str, str, str]], tail: bytes
+) -> None:
+    """Lines dropped, moved, inserted and changed, and bytes after them: nothing but BadInput comes of it."""
+    lines = base.splitlines()
+    for at, change, key, value in changes:
+        place = at % max(1, len(lines))
+        if change == "d":
+            del lines[place : place + 1]
+        elif change == "s":
+            lines.insert(place, lines.pop(at // 7 % len(lines)) if lines else "")
+        elif change == "i":
+            lines.insert(place, f"{key}={value}")
+        elif lines:
+            lines[place] = f"{lines[place].split('=')[0]}={value}"
+    path = tmp_path / "fuzz.wif"
+    path.write_bytes("\n".join(lines).encode() + tail)
+    try:
+        draft = read_wif(path)
+    except BadInput:
+        return
+    assert draft.drawdown.dtype == np.bool_ and draft.drawdown.any() and not draft.drawdown.all()
+    for yarns, number in ((draft.weft, draft.drawdown.shape[0]), (draft.warp, draft.drawdown.shape[1])):
+        assert yarns.spacing is None or ((yarns.spacing > 0).all() and yarns.spacing.shape == (number,))
+        assert yarns.colour is None or (yarns.colour.shape == (number, 3) and (yarns.colour >= 0).all())
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.binary(max_size=300))
+def test_any_bytes_are_refused(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "bytes.wif"
+    path.write_bytes(data)
+    with pytest.raises(BadInput):
+        read_wif(path)
