@@ -1,0 +1,122 @@
+"""Parts of a cloth: discs, rectangles, polygons, strokes along polylines, or all of it.
+
+Places are [m] to the right and down from the cloth's upper left corner. A cell belongs to a part if its middle does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from nuno_dye.quantities import Length, Place
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.plugin import Config
+
+MOST_POINTS = 10_000
+
+
+class All(Config):
+    """The whole cloth."""
+
+    shape: Literal["all"] = "all"
+
+
+class Disc(Config):
+    """A round part."""
+
+    shape: Literal["disc"] = "disc"
+    centre: Place = Field(description="x to the right, y down [m]")
+    diameter: Length = Field(description="[m]")
+
+
+class Rectangle(Config):
+    """Between two corners."""
+
+    shape: Literal["rectangle"] = "rectangle"
+    low: Place = Field(description="upper left corner [m]")
+    high: Place = Field(description="lower right corner [m]")
+
+
+class Polygon(Config):
+    """Inside of a closed line, which may cross itself: what it winds around an odd number of times."""
+
+    shape: Literal["polygon"] = "polygon"
+    points: Annotated[tuple[Place, ...], Field(min_length=3, max_length=MOST_POINTS)] = Field(
+        description="corners [m]; the last is joined to the first"
+    )
+
+
+class Stroke(Config):
+    """What a round brush touches along a line."""
+
+    shape: Literal["stroke"] = "stroke"
+    points: Annotated[tuple[Place, ...], Field(min_length=1, max_length=MOST_POINTS)] = Field(
+        description="of the line [m]"
+    )
+    width: Length = Field(description="of the brush [m]")
+
+
+Region = Annotated[All | Disc | Rectangle | Polygon | Stroke, Field(discriminator="shape")]
+
+
+def find_middles(shape: tuple[int, int], size: float) -> tuple[Float, Float]:
+    """Middles of cells: x (1, nx) and y (ny, 1) [m], for a cloth of (ny, nx) cells with side `size` [m]."""
+    ny, nx = shape
+    x: Float = (np.arange(nx, dtype=np.float64)[None] + 0.5) * size
+    y: Float = (np.arange(ny, dtype=np.float64)[:, None] + 0.5) * size
+    return x, y
+
+
+def cover(region: All | Disc | Rectangle | Polygon | Stroke, shape: tuple[int, int], size: float) -> Bool:
+    """(ny, nx) the cells of a part. Raises BadInput for one that holds the middle of no cell."""
+    x, y = find_middles(shape, size)
+    if isinstance(region, Disc):
+        inside = np.hypot(x - region.centre[0], y - region.centre[1]) <= 0.5 * region.diameter
+    elif isinstance(region, Rectangle):
+        (left, top), (right, bottom) = region.low, region.high
+        inside = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+    elif isinstance(region, Polygon):
+        inside = _fill(region.points, x, y)
+    elif isinstance(region, Stroke):
+        inside = _touch(region.points, 0.5 * region.width, x, y)
+    else:
+        inside = np.ones(shape, np.bool_)
+    if not inside.any():
+        width, height = shape[1] * size, shape[0] * size
+        raise BadInput(
+            "the part holds no cell", field=region.shape, value=region.model_dump(exclude={"shape"}),
+            limit=f"the cloth is {width:g} m x {height:g} m, in cells of {size:g} m",
+            remedy="places count from the upper left corner, x to the right and y down",
+        )  # fmt: skip
+    return np.asarray(inside, np.bool_)
+
+
+def _fill(points: Sequence[Place], x: Float, y: Float) -> Bool:
+    """(ny, nx) inside by the even-odd rule: a ray to the left crosses an odd number of sides."""
+    inside = np.zeros((y.size, x.size), np.bool_)
+    for (ax, ay), (bx, by) in zip(points, [*points[1:], points[0]], strict=True):
+        rows = np.flatnonzero((ay > y[:, 0]) != (by > y[:, 0]))
+        crossing = ax + (y[rows] - ay) / (by - ay) * (bx - ax) if len(rows) else y[rows]
+        inside[rows] ^= crossing < x
+    return inside
+
+
+def _touch(points: Sequence[Place], radius: float, x: Float, y: Float) -> Bool:
+    """(ny, nx) no further from a polyline than `radius` [m]; each piece looks at the cells around it only."""
+    inside = np.zeros((y.size, x.size), np.bool_)
+    for (ax, ay), (bx, by) in zip(points, [*points[1:], points[-1]], strict=True):
+        columns = np.flatnonzero((x[0] >= min(ax, bx) - radius) & (x[0] <= max(ax, bx) + radius))
+        rows = np.flatnonzero((y[:, 0] >= min(ay, by) - radius) & (y[:, 0] <= max(ay, by) + radius))
+        if not (len(columns) and len(rows)):
+            continue
+        px, py = x[:, columns] - ax, y[rows] - ay
+        dx, dy = bx - ax, by - ay
+        long = dx * dx + dy * dy
+        along = np.clip((px * dx + py * dy) / long, 0.0, 1.0) if long > 0.0 else np.zeros((len(rows), len(columns)))
+        near = np.hypot(px - along * dx, py - along * dy) <= radius
+        inside[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] |= near
+    return inside
