@@ -82,7 +82,7 @@ def cover(region: All | Disc | Rectangle | Polygon | Stroke, shape: tuple[int, i
     elif isinstance(region, Polygon):
         inside = _fill(region.points, x, y)
     elif isinstance(region, Stroke):
-        inside = _touch(region.points, 0.5 * region.width, x, y)
+        inside = np.isfinite(find_distance(region.points, 0.5 * region.width, x, y))
     else:
         inside = np.ones(shape, np.bool_)
     if not inside.any():
@@ -105,18 +105,22 @@ def _fill(points: Sequence[Place], x: Float, y: Float) -> Bool:
     return inside
 
 
-def _touch(points: Sequence[Place], radius: float, x: Float, y: Float) -> Bool:
-    """(ny, nx) no further from a polyline than `radius` [m]; each piece looks at the cells around it only."""
-    inside = np.zeros((y.size, x.size), np.bool_)
+def find_distance(points: Sequence[Place], reach: float, x: Float, y: Float) -> Float:
+    """(ny, nx) distance to a polyline [m], inf where it is beyond `reach` [m].
+
+    Each piece looks at the cells around it only.
+    """
+    distance = np.full((y.size, x.size), np.inf)
     for (ax, ay), (bx, by) in zip(points, [*points[1:], points[-1]], strict=True):
-        columns = np.flatnonzero((x[0] >= min(ax, bx) - radius) & (x[0] <= max(ax, bx) + radius))
-        rows = np.flatnonzero((y[:, 0] >= min(ay, by) - radius) & (y[:, 0] <= max(ay, by) + radius))
+        columns = np.flatnonzero((x[0] >= min(ax, bx) - reach) & (x[0] <= max(ax, bx) + reach))
+        rows = np.flatnonzero((y[:, 0] >= min(ay, by) - reach) & (y[:, 0] <= max(ay, by) + reach))
         if not (len(columns) and len(rows)):
             continue
         px, py = x[:, columns] - ax, y[rows] - ay
         dx, dy = bx - ax, by - ay
         long = dx * dx + dy * dy
         along = np.clip((px * dx + py * dy) / long, 0.0, 1.0) if long > 0.0 else np.zeros((len(rows), len(columns)))
-        near = np.hypot(px - along * dx, py - along * dy) <= radius
-        inside[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] |= near
-    return inside
+        near = np.hypot(px - along * dx, py - along * dy)
+        part = distance[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        np.minimum(part, np.where(near <= reach, near, np.inf), out=part)
+    return distance
