@@ -1,0 +1,132 @@
+"""From amounts of dye to a picture of the cloth.
+
+One dye's colour goes linearly in HSV, through three colours measured on dyed cloth: undyed, half and full (dye
+paper, section 4.3.1). Several dyes mix subtractively: each lets through a share of the light, per channel of linear
+sRGB, that is its colour at its amount over its colour at none, and shares multiply,
+
+    light = ground  product over dyes of  colour_k(a_k) / colour_k(0),
+
+which is Beer and Lambert's law for three bands. A single dye on its own ground keeps its measured colours exactly.
+The cloth's texture multiplies the result, in linear light too.
+"""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from nuno_dye.quantities import Positive
+from nuno_dye.texture import TextureConfig, Textures
+from nuno_dye.woven import Lay
+from nuno_schemas.colour import to_linear, to_srgb
+from nuno_schemas.dye import Cells
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Config
+
+MOST_PIXELS = 2**27
+ROWS = 64
+"""Of cells that are drawn at once: what lies between amounts and bytes is not kept for the whole picture."""
+
+Hex = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
+
+
+class ColourConfig(Config):
+    """A dye's colours on cloth; indigo on cotton unless given."""
+
+    light: Hex = Field(
+        default="#eef2f7", description="where there is none of it; of the dye's own hue, for hues between are passed"
+    )
+    mid: Hex = Field(default="#5f86b3", description="at half of the full amount")
+    dark: Hex = Field(default="#16264f", description="at the full amount, and beyond")
+    full: Positive = Field(default=1.0, description="the amount that is dark, as a share of v_max")
+
+
+def amount_seen(phi: Float, fixed: Float, view: Literal["all", "fixed", "mobile"] = "all") -> Float:
+    """What a view shows of mobile and fixed amounts: all of it, what fibre has taken, or what it has not."""
+    return {"all": phi + fixed, "fixed": fixed, "mobile": phi}[view]
+
+
+def colour_of(amount: Float, colours: ColourConfig, v_max: float = 1.0) -> Float:
+    """(..., 3) linear light of amounts (...), interpolated in HSV, the short way around the circle of hues.
+
+    A grey has no hue: it takes its neighbour's, so that colour fades without passing through others.
+    """
+    knots = np.array([_to_hsv(text) for text in (colours.light, colours.mid, colours.dark)])
+    grey = knots[:, 1] == 0.0
+    if grey[1]:
+        knots[1, 0] = knots[2, 0] if grey[0] else knots[0, 0]
+    knots[0, 0] = knots[1, 0] if grey[0] else knots[0, 0]
+    knots[2, 0] = knots[1, 0] if grey[2] else knots[2, 0]
+    for near, far in ((1, 0), (1, 2)):
+        knots[far, 0] -= np.round(knots[far, 0] - knots[near, 0])
+    share = np.clip(np.asarray(amount) / (colours.full * v_max), 0.0, 1.0)
+    h, s, v = (np.interp(share, (0.0, 0.5, 1.0), knots[:, k]) for k in range(3))
+    return to_linear(_from_hsv(h, s, v))
+
+
+def mix(amounts: Float, dyes: Sequence[ColourConfig], v_max: float = 1.0, ground: Float | None = None) -> Float:
+    """(2, ny, nx, 3) linear light of cells with amounts (dyes, 2, ny, nx).
+
+    `ground` is the undyed cloth's linear light, (3,) or for every cell; the first dye's `light` unless given.
+    """
+    if len(amounts) != len(dyes):
+        raise BadInput("one colour a dye", field="colours", value=len(dyes), limit=f"{len(amounts)} dyes")
+    first = to_linear(_to_rgb(dyes[0].light)) if ground is None else ground
+    light = np.broadcast_to(first, (*amounts.shape[1:], 3)).copy()
+    for amount, dye in zip(amounts, dyes, strict=True):
+        none = to_linear(_to_rgb(dye.light))
+        # Where undyed cloth is black in a channel, dye takes nothing from it.
+        light *= np.divide(colour_of(amount, dye, v_max), none, out=np.ones_like(light), where=none > 0.0)
+    return np.minimum(light, 1.0)
+
+
+def draw_cloth(
+    cells: Cells,
+    light: Float,
+    scale: int = 1,
+    lays: tuple[Lay, Lay] | None = None,
+    texture: TextureConfig | None = None,
+) -> NDArray[np.uint8]:
+    """(scale ny, scale nx, 3) sRGB picture of cells with colours `light` (2, ny, nx, 3), from `mix`.
+
+    `lays` are those of weft and warp, which tell yarns without a gap apart; runs of fibre count as yarns without
+    them. Raises BadInput for a scale that is no whole number from 1 on, and for a picture of too many pixels.
+    """
+    _, ny, nx = cells.fibre.shape
+    if isinstance(scale, bool) or not isinstance(scale, int) or scale < 1 or scale * scale * ny * nx > MOST_PIXELS:
+        raise BadInput(
+            "a picture cannot have this scale", field="scale", value=scale,
+            limit=f"whole number of pixels a cell, from 1; {MOST_PIXELS} pixels in all, of {nx} x {ny} cells",
+        )  # fmt: skip
+    textures = Textures(cells, lays, scale, texture or TextureConfig())
+    picture = np.empty((scale * ny, scale * nx, 3), np.uint8)
+    column = np.arange(scale * nx) // scale
+    for low in range(0, ny, ROWS):
+        high = min(ny, low + ROWS)
+        layer, shade = textures.find(low, high)
+        row = np.arange(scale * low, scale * high) // scale
+        drawn = light[layer, row[:, None], column] * shade[..., None]
+        picture[scale * low : scale * high] = np.rint(255.0 * to_srgb(drawn))
+    return picture
+
+
+def _to_rgb(text: str) -> Float:
+    return np.frombuffer(bytes.fromhex(text[1:]), np.uint8) / 255.0
+
+
+def _to_hsv(text: str) -> tuple[float, float, float]:
+    r, g, b = (float(channel) for channel in _to_rgb(text))
+    return colorsys.rgb_to_hsv(r, g, b)
+
+
+def _from_hsv(h: Float, s: Float, v: Float) -> Float:
+    """(..., 3) sRGB: a channel is v, less v s by how far the hue is from its third of the circle."""
+    place = (np.array([5.0, 3.0, 1.0]) + 6.0 * h[..., None]) % 6.0
+    away = np.clip(np.minimum(place, 4.0 - place), 0.0, 1.0)
+    return np.asarray(v[..., None] * (1.0 - s[..., None] * away))

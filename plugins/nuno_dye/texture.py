@@ -1,0 +1,122 @@
+"""Shade of woven yarns: which layer shows at a pixel, and how bright it is.
+
+A yarn is a cylinder of twisted fibre. A fibre on it is a helix: as it climbs by the angle theta around the yarn it
+goes theta / 2 pi of a turn's length along it. Seen from above, at v in [-1, 1] across the yarn,
+
+    theta = arcsin v = arctan(v / sqrt(1 - v^2)),
+
+the arctangent twist profile (Adabala et al. 2003, whom the dye paper follows): steep lines in the middle, which lie
+down towards the rims. Where a yarn dives under the next one it turns away from the light.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from nuno_dye.quantities import Positive, Share
+from nuno_dye.woven import Lay
+from nuno_schemas.dye import Cells
+from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.plugin import Config
+
+
+class TextureConfig(Config):
+    """How yarns look."""
+
+    turn: Positive = Field(default=2.0, description="length of a turn of the twist, in widths of the yarn")
+    plies: Annotated[int, Field(ge=1, le=64)] = Field(default=3, description="lines around a yarn")
+    depth: Share = Field(default=0.3, description="how dark the grooves between plies are")
+    relief: Share = Field(default=0.5, description="how dark a yarn's rims are")
+    bend: Share = Field(default=0.45, description="how dark a yarn is where it dives under another")
+    shadow: Share = Field(default=0.45, description="brightness of yarns that show between those above")
+    hole: Share = Field(default=0.2, description="brightness where no yarn is")
+
+
+def find_lays(fibre: Bool) -> tuple[Lay, Lay]:
+    """Lays of weft and warp from runs of fibre (2, ny, nx) along the first column and the first row."""
+    lays = []
+    for across in (fibre[0, :, 0], fibre[1, 0]):
+        starts = across & ~np.concatenate([[False], across[:-1]])
+        lays.append(Lay(np.maximum(np.cumsum(starts) - 1, 0).astype(np.int32), across))
+    return lays[0], lays[1]
+
+
+class Across(NamedTuple):
+    """Pixels across a layer's yarns: v in [-1, 1], and the yarn's width [cells]."""
+
+    v: Float
+    width: Float
+
+
+def look_across(lay: Lay, scale: int) -> Across:
+    """Where `scale` pixels a cell lie in their yarns; beyond a yarn's rim v is held at the rim."""
+    place, number = np.arange(len(lay.yarn)), int(lay.yarn.max()) + 1
+    first, last = np.full(number, len(place)), np.full(number, -1)
+    np.minimum.at(first, lay.yarn[lay.fibre], place[lay.fibre])
+    np.maximum.at(last, lay.yarn[lay.fibre], place[lay.fibre])
+    width = np.maximum(last + 1.0 - first, 1.0)
+    yarn = np.repeat(lay.yarn, scale)
+    x = (np.arange(len(yarn)) + 0.5) / scale
+    return Across(np.clip((2.0 * x - first[yarn] - last[yarn] - 1.0) / width[yarn], -1.0, 1.0), width[yarn])
+
+
+def find_floats(up: Bool, axis: int) -> tuple[Int, Int]:
+    """First cell of each cell's run of equal `up` (ny, nx) along an axis, and the one after its last."""
+    n = up.shape[axis]
+    turned = up if axis == 0 else up.T
+    place = np.arange(n, dtype=np.int32)[:, None]
+    change = np.ones((n + 1, turned.shape[1]), np.bool_)
+    change[1:-1] = turned[1:] != turned[:-1]
+    first = np.maximum.accumulate(np.where(change[:-1], place, 0), axis=0)
+    after = np.minimum.accumulate(np.where(change[1:], place + 1, n)[::-1], axis=0)[::-1]
+    return (first, after) if axis == 0 else (first.T, after.T)
+
+
+class Textures:
+    """A cloth's layers and shades, for any rows of it."""
+
+    def __init__(self, cells: Cells, lays: tuple[Lay, Lay] | None, scale: int, config: TextureConfig) -> None:
+        self.cells, self.scale, self.config = cells, scale, config
+        down, across = lays or find_lays(cells.fibre)
+        self.weft, self.warp = look_across(down, scale), look_across(across, scale)
+        self.floats = find_floats(cells.up[0], 1), find_floats(cells.up[1], 0)
+
+    def find(self, low: int, high: int) -> tuple[NDArray[np.intp], Float]:
+        """Layer that shows, and its shade in [0, 1], for rows of cells: both (scale (high - low), scale nx).
+
+        Of two yarns the upper one shows; where its layer has a gap the lower one does, in shadow; else a hole.
+        """
+        c, nx = self.config, self.cells.fibre.shape[2]
+        row = np.arange(self.scale * low, self.scale * high)
+        column = np.arange(self.scale * nx)
+        at = np.ix_(row // self.scale, column // self.scale)
+        upper = self.cells.up[1][at].astype(np.intp)
+        there = self.cells.fibre[0][at], self.cells.fibre[1][at]
+        shows = np.where(upper == 1, there[1], there[0])
+        other = np.where(upper == 1, there[0], there[1])
+        layer = np.where(shows | ~other, upper, 1 - upper)
+        x, y = (column + 0.5)[None] / self.scale, (row + 0.5)[:, None] / self.scale
+        v, width = self.weft.v[row, None], self.weft.width[row, None]
+        weft = shade_yarn(v, x / width, self._near(0, x, at) / width, c)
+        warp = shade_yarn(self.warp.v[None], y / self.warp.width, self._near(1, y, at) / self.warp.width, c)
+        shade = np.where(layer == 1, warp, weft)
+        return layer, shade * np.where(shows, 1.0, np.where(other, c.shadow, c.hole))
+
+    def _near(self, layer: int, along: Float, at: tuple[NDArray[np.intp], ...]) -> Float:
+        """How far a pixel is from where its yarn turns [cells]."""
+        first, after = self.floats[layer]
+        return np.asarray(np.minimum(along - first[at], after[at] - along))
+
+
+def shade_yarn(v: Float, along: Float, near: Float, config: TextureConfig) -> Float:
+    """Brightness at v across a yarn and `along` it, `near` to where it turns, both in widths of the yarn."""
+    up = np.sqrt(1.0 - v * v)
+    turns = along / config.turn - np.arctan2(v, up) / (2.0 * np.pi)
+    groove = 0.5 - 0.5 * np.cos(2.0 * np.pi * config.plies * turns)
+    dive = np.square(1.0 - np.minimum(2.0 * near, 1.0))
+    shade: Float = (1.0 - config.depth * groove) * (1.0 - config.relief * (1.0 - up)) * (1.0 - config.bend * dive)
+    return shade
