@@ -112,8 +112,8 @@ def force_block(
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
     air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, late: Any, to_x: Any, to_v: Any, dt: float,
 ) -> None:  # fmt: skip
-    """Forces [N] on a block's vertices, summed in the core's cache and written to a (3, n); or, where to_x is
-    given, a step of symplectic Euler into to_x and to_v.
+    """Forces [N] on a block's vertices, summed in the core's cache and written to a (3, n); or, where dt is not 0,
+    a step of symplectic Euler into to_x and to_v. One function for both: each kind would compile all forces anew.
     """
     origin = block * BLOCK
     width = min(BLOCK, x.shape[1] - origin)
@@ -134,9 +134,9 @@ def force_block(
         add_wind_runs(block, origin, x, v, force, wind_runs.start, wind_runs.task, air)
     if wind_lists is not None:
         add_wind_lists(block, x, v, force, wind_lists.start, wind_lists.corners, air)
-    if to_x is not None:
+    if dt != 0.0:
         step_block(block, x, v, force, dt, inverse_mass, gravity, damping, to_x, to_v)
-    if a is not None:
+    else:
         for q in range(0, width, WIDTH):
             m = min(WIDTH, width - q)
             for row in range(3):
@@ -217,7 +217,7 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
     """
     add_forces(
         x, v, s, a, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
-        p.bindings, p.contact, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.threads, p.late, None, None, 0.0,
+        p.bindings, p.contact, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.threads, p.late, a, a, 0.0,
     )  # fmt: skip
     if extra is not None:
         extra(x, v, s, a)
@@ -226,12 +226,12 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
 @kernel
 def step_at_once(x: Any, v: Any, s: float, to_x: Any, to_v: Any, dt: float, p: Any) -> None:
-    """A step of symplectic Euler from x, v into to_x, to_v (3, n), where neither contact nor Python adds forces.
+    """A step dt > 0 of symplectic Euler from x, v into to_x, to_v (3, n), where nothing adds forces afterwards.
 
     One pass over the vertices instead of two, and one meeting of the threads.
     """
     add_forces(
-        x, v, s, None, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
+        x, v, s, to_x, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
         p.bindings, None, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.threads, None, to_x, to_v, dt,
     )  # fmt: skip
 
