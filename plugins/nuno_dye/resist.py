@@ -66,7 +66,7 @@ class Shibori(_Resist):
     """A tied or clamped cloth, or waves."""
 
     kind: Literal["shibori"] = "shibori"
-    pattern: Pattern
+    pattern: Pattern = Field(description="rings, stripes, squares or seigaiha")
     fold: tuple[Panels, Panels] = Field(default=(1, 1), description="panels across and down that it is folded into")
 
 

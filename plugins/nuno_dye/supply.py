@@ -22,7 +22,7 @@ from nuno_schemas.plugin import Config
 class _Supply(Config):
     """What all kinds share."""
 
-    dye: str = Field(default="", description="the dye's name; the scene's first unless given")
+    dye: Annotated[int, Field(ge=0, le=255)] = Field(default=0, description="its place in the list of dyes, from 0")
     amount: Share = Field(default=1.0, description="share of what a cell can hold of mobile dye")
     layers: Literal["both", "weft", "warp"] = Field(default="both", description="which yarns it reaches")
     maintained: bool = Field(default=False, description="kept up from `start` to `stop`; else given once, at `start`")

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal, cast
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool
-from nuno_schemas.plugin import Config, Files
+from nuno_schemas.plugin import Config
 
 MOST_YARNS = 16_384
 """Of a repeat, in either direction."""
@@ -64,7 +64,7 @@ def draw_satin(n: int, step: int, face: Literal["warp", "weft"] = "warp") -> Boo
     return ~bound if face == "warp" else bound
 
 
-def read_matrix(rows: Sequence[str] | Sequence[Sequence[int]]) -> Bool:
+def read_matrix(rows: Sequence[Sequence[object]]) -> Bool:
     """(picks, ends) from rows such as "1010" or [1, 0, 1, 0].
 
     Raises BadInput for rows of different lengths, entries other than 0 and 1, sizes beyond the limits, and a
@@ -83,7 +83,7 @@ def read_matrix(rows: Sequence[str] | Sequence[Sequence[int]]) -> Bool:
                     "not an entry of a drawdown", field=f"rows[{pick}][{end}]", value=entry,
                     limit="1 where the warp is above, 0 where the weft is",
                 )  # fmt: skip
-    drawdown = np.array([[int(entry) for entry in row] for row in rows], np.bool_)
+    drawdown = np.array([[entry in ("1", 1) for entry in row] for row in rows], np.bool_)
     check_interlacing(drawdown)
     return drawdown
 
@@ -107,12 +107,15 @@ def _check_size(picks: int, ends: int) -> None:
 
 
 class PlainConfig(Config):
-    """Plain weave."""
+    """Each yarn over one, under one."""
+
+    plugin: Literal["plain"] = "plain"
 
 
 class TwillConfig(Config):
     """A twill over/under, for example 2/1 for denim."""
 
+    plugin: Literal["twill"] = "twill"
     over: Floats = Field(default=2, description="picks that an end is above, in a repeat")
     under: Floats = Field(default=2, description="picks that it is below")
     direction: Literal["right", "left"] = Field(default="right", description="to which the diagonal climbs")
@@ -121,6 +124,7 @@ class TwillConfig(Config):
 class SatinConfig(Config):
     """A satin ends/step, for example 5/2 or 8/3."""
 
+    plugin: Literal["satin"] = "satin"
     ends: SatinEnds = Field(default=5, description="of a repeat, which has as many picks")
     step: int = Field(default=2, description="ends from one pick's binding to the next one's")
     face: Literal["warp", "weft"] = Field(default="warp", description="what floats above: satin or sateen")
@@ -129,51 +133,7 @@ class SatinConfig(Config):
 class MatrixConfig(Config):
     """A drawdown of your own."""
 
+    plugin: Literal["matrix"] = "matrix"
     rows: tuple[str | tuple[int, ...], ...] = Field(
         description='one per pick, from the top, such as "1010" or [1, 0, 1, 0]: 1 where the warp is above'
     )
-
-
-class Plain:
-    """Each yarn over one, under one."""
-
-    name: ClassVar[str] = "plain"
-    Config: ClassVar[type[BaseModel]] = PlainConfig
-
-    def draw(self, config: BaseModel, files: Files) -> Bool:
-        return draw_plain()
-
-
-class Twill:
-    """Diagonal ridges."""
-
-    name: ClassVar[str] = "twill"
-    Config: ClassVar[type[BaseModel]] = TwillConfig
-
-    def draw(self, config: BaseModel, files: Files) -> Bool:
-        c = cast(TwillConfig, config)
-        return draw_twill(c.over, c.under, c.direction)
-
-
-class Satin:
-    """Long floats, bindings apart from each other."""
-
-    name: ClassVar[str] = "satin"
-    Config: ClassVar[type[BaseModel]] = SatinConfig
-
-    def draw(self, config: BaseModel, files: Files) -> Bool:
-        """Raises BadInput for a step that makes no satin."""
-        c = cast(SatinConfig, config)
-        return draw_satin(c.ends, c.step, c.face)
-
-
-class Matrix:
-    """Any drawdown, written out."""
-
-    name: ClassVar[str] = "matrix"
-    Config: ClassVar[type[BaseModel]] = MatrixConfig
-
-    def draw(self, config: BaseModel, files: Files) -> Bool:
-        """Raises BadInput for rows that are no drawdown."""
-        rows = cast(MatrixConfig, config).rows
-        return read_matrix([list(row) if isinstance(row, str) else row for row in rows])  # type: ignore[arg-type]

@@ -9,18 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field
 
 from nuno_dye.weaves import MOST_CROSSINGS, MOST_YARNS, check_interlacing
 from nuno_dye.wif_text import Section, Sections
 from nuno_dye.wif_yarns import Yarns, read_yarns
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool
-from nuno_schemas.plugin import Config, Files
 
 MOST_LIFTS = 2**28
 """Of single ends or shafts, over all picks: threading with several shafts an end multiplies the work."""
@@ -131,20 +128,3 @@ def _check_work(section: Section, lifts: int) -> None:
             "lists too many at once", file=section.file, line=section.line, field=f"[{section.name}]", value=lifts,
             limit=f"{MOST_LIFTS} lifts",
         )  # fmt: skip
-
-
-class WifConfig(Config):
-    """A draft of a weaving program."""
-
-    file: str = Field(description="the WIF file, beside the scene")
-
-
-class Wif:
-    """The weave of a Weaving Information File."""
-
-    name: ClassVar[str] = "wif"
-    Config: ClassVar[type[BaseModel]] = WifConfig
-
-    def draw(self, config: BaseModel, files: Files) -> Bool:
-        """Raises BadInput for a file that does not say how to weave."""
-        return read_wif(files.resolve(cast(WifConfig, config).file)).drawdown

@@ -86,7 +86,12 @@ def lay_measured(spacing: Float, thickness: Float, size: float, cells: int) -> L
 
 
 def build_cells(
-    drawdown: Bool, config: WovenConfig, tortuosity: Tortuosity, seed: int, lays: tuple[Lay, Lay] | None = None
+    drawdown: Bool,
+    config: WovenConfig,
+    tortuosity: Tortuosity,
+    seed: int,
+    lays: tuple[Lay, Lay] | None = None,
+    v_max: float = 1.0,
 ) -> Cells:
     """Cells of a cloth of a weave, repeated as often as its yarns need.
 
@@ -105,7 +110,7 @@ def build_cells(
         values = _per_cell(yarn, lay, config, seed, layer)
         shape = (ny, 1) if layer == 0 else (1, nx)
         porosity[layer], twist[layer], resist[layer] = (value.reshape(shape) for value in values)
-    return Cells(fibre, np.stack([~over, over]), porosity, twist, resist, config.cell_size, tortuosity)
+    return Cells(fibre, np.stack([~over, over]), porosity, twist, resist, config.cell_size, tortuosity, v_max)
 
 
 def _per_cell(yarn: YarnConfig, lay: Lay, config: WovenConfig, seed: int, layer: int) -> tuple[Float, Float, Float]:

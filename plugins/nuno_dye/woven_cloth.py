@@ -1,0 +1,134 @@
+"""A woven cloth with what keeps dye out of it, and the dye that is on it at the start."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_dye.cells import Tau, Tau3Config
+from nuno_dye.quantities import Positive
+from nuno_dye.resist import Resist, combine, find_resist
+from nuno_dye.supply import Supply, find_cells, give
+from nuno_dye.weaves import (
+    MatrixConfig,
+    PlainConfig,
+    SatinConfig,
+    TwillConfig,
+    draw_plain,
+    draw_satin,
+    draw_twill,
+    read_matrix,
+)
+from nuno_dye.wif import Draft, read_wif
+from nuno_dye.wif_yarns import Yarns
+from nuno_dye.woven import Lay, WovenConfig, build_cells, lay_measured
+from nuno_schemas.dye import Cells, DyeState, Tortuosity
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.plugin import Config, Files
+
+
+class WifConfig(Config):
+    """A draft of a weaving program, WIF 1.1."""
+
+    plugin: Literal["wif"] = "wif"
+    file: str = Field(description="the WIF file, beside the scene")
+    measured: bool = Field(
+        default=False, description="yarns as wide and as far apart as the file says, in place of width and gap"
+    )
+
+
+Weave = Annotated[PlainConfig | TwillConfig | SatinConfig | MatrixConfig | WifConfig, Field(discriminator="plugin")]
+
+
+class WovenClothConfig(WovenConfig):
+    """A cloth from a weave and its yarns."""
+
+    weave: Weave = Field(default=PlainConfig(), description="plain, twill, satin, matrix or wif")
+    tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
+    tau3: Tau3Config = Field(description="by kind of face, I to V")
+    v_max: Positive = Field(default=1.0, description="most that a cell holds")
+    resist: tuple[Resist, ...] = Field(default=(), description="what keeps dye out, on both layers")
+    supply: tuple[Supply, ...] = Field(default=(), description="dye that is given at the start")
+
+    @property
+    def tortuosity(self) -> Tortuosity:
+        t = self.tau3
+        return Tortuosity(layers=t.I, beside=t.II, rim=t.III, gap=t.IV, yarn=t.V, weave=self.tau2)
+
+
+class WovenCloth:
+    """Yarns laid out in two layers and woven."""
+
+    name: ClassVar[str] = "woven"
+    Config: ClassVar[type[BaseModel]] = WovenClothConfig
+
+    def count(self, config: WovenClothConfig, files: Files) -> int:
+        return 2 * config.cells[0] * config.cells[1]
+
+    def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
+        """Raises BadInput for a weave, resist or supply that is none, or does not fit the cloth."""
+        drawdown, lays = draw_weave(config, files)
+        cells = build_cells(drawdown, config, config.tortuosity, seed, lays, config.v_max)
+        shape = (config.cells[1], config.cells[0])
+        for item in config.resist:
+            part = find_resist(item, shape, config.cell_size, files)
+            np.copyto(cells.resist, combine([cells.resist, np.broadcast_to(part, cells.resist.shape)]))
+        return cells, DyeState(supply_start(config, cells, dyes), np.zeros((dyes, *cells.fibre.shape)))
+
+
+def draw_weave(config: WovenClothConfig, files: Files) -> tuple[Bool, tuple[Lay, Lay] | None]:
+    """Drawdown (picks, ends), and lays of weft and warp where a file has measured them."""
+    weave = config.weave
+    if isinstance(weave, TwillConfig):
+        return draw_twill(weave.over, weave.under, weave.direction), None
+    if isinstance(weave, SatinConfig):
+        return draw_satin(weave.ends, weave.step, weave.face), None
+    if isinstance(weave, MatrixConfig):
+        return read_matrix(weave.rows), None
+    if isinstance(weave, WifConfig):
+        draft = read_wif(files.resolve(weave.file))
+        return draft.drawdown, lay_draft(draft, weave.file, config) if weave.measured else None
+    return draw_plain(), None
+
+
+def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Lay, Lay]:
+    """Lays of weft and warp as measured. Raises BadInput for a file without spacing, and yarns finer than a cell.
+
+    A file without thickness has yarns that touch.
+    """
+
+    def lay(what: str, yarns: Yarns, cells: int) -> Lay:
+        if yarns.spacing is None:
+            raise BadInput(
+                "the file does not say how far its yarns are apart", file=file, field=f"[{what}] Spacing",
+                remedy="measured: false, and width and gap of the yarns in cells",
+            )  # fmt: skip
+        thickness = yarns.spacing if yarns.thickness is None else np.minimum(yarns.thickness, yarns.spacing)
+        if thickness.min() < config.cell_size:
+            raise BadInput(
+                "a yarn is finer than a cell", file=file, field="cell_size", value=config.cell_size,
+                limit=f"{thickness.min():g} m, the finest yarn of [{what}]",
+            )  # fmt: skip
+        return lay_measured(yarns.spacing, thickness, config.cell_size, cells)
+
+    return lay("WEFT", draft.weft, config.cells[1]), lay("WARP", draft.warp, config.cells[0])
+
+
+def supply_start(config: WovenClothConfig, cells: Cells, dyes: int) -> Float:
+    """(dyes, 2, ny, nx) mobile dye at the start.
+
+    Raises BadInput for what is kept up, comes later, or is of a dye that the scene does not have.
+    """
+    phi = np.zeros((dyes, *cells.fibre.shape))
+    for index, item in enumerate(config.supply):
+        place = f"supply[{index}]"
+        if item.maintained or item.start > 0.0:
+            raise BadInput("a cloth is given dye at the start, and once", field=place, value=item.model_dump())
+        if item.dye >= dyes:
+            raise BadInput("no such dye", field=f"{place}.dye", value=item.dye, limit=f"0 to {dyes - 1}")
+        reached = find_cells(item, (config.cells[1], config.cells[0]), config.cell_size)
+        phi[item.dye], _ = give(phi[item.dye], cells.mobile_room, reached, item.amount)
+    return phi
