@@ -28,12 +28,16 @@ class Explicit(Compiled):
         n = system.fabric.number
         return Work(packed, np.empty((3, n)), np.empty((3, n)), np.empty((self.buffers, 3, n)))
 
+    def loop_for(self, packed: Packed) -> Any:
+        """The loop for a system."""
+        return type(self).loop
+
     def go(self, work: Work, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
-        source_of(type(self).loop, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
+        source_of(self.loop_for(packed), extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         return Told(steps)
 
     def compile(self, work: Work, packed: Packed, extra: Any) -> None:
         self.go(work, packed, extra, 0, 0.0)
 
     def step_at_rest(self, work: Work, extra: Any) -> Any:
-        return source_of(type(self).loop, extra)
+        return source_of(self.loop_for(work.packed), extra)

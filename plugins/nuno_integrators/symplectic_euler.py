@@ -7,36 +7,39 @@ from typing import Any, ClassVar
 import numpy as np
 
 from nuno_integrators.explicit import Explicit
-from nuno_kernels import kernel, shared_source
-from nuno_kernels.acceleration import commit, evaluate, step_at_once
+from nuno_kernels import kernel
+from nuno_kernels.acceleration import Packed, add_forces, commit, evaluate
 from nuno_kernels.updates import add_twice
 from nuno_schemas.fabric import Float
-
-
-@shared_source
-def march(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any, late: Any) -> None:
-    """Forces first, then both updates; where nothing adds to the forces, all in one pass between two states."""
-    if late is not None:
-        a = stages[0]
-        for step in range(steps):
-            evaluate(x, v, step / steps, a, p, extra)
-            add_twice(v, v, dt, a, x, x, dt, v, p.threads)
-            commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.threads)
-    if late is None:
-        here_x, here_v, to_x, to_v = x, v, stages[0], stages[1]
-        for step in range(steps):
-            step_at_once(here_x, here_v, step / steps, to_x, to_v, dt, p)
-            here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
-            commit(here_x, here_v, (step + 1) / steps, p.bindings, p.contact, p.threads)
-        if steps % 2 == 1:
-            x[...] = here_x
-            v[...] = here_v
 
 
 @kernel
 def advance_symplectic_euler(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
     """`steps` steps of x, v (3, n); stages (2, 3, n)."""
-    march(x, v, stages, steps, dt, p, extra, p.late)
+    a = stages[0]
+    for step in range(steps):
+        evaluate(x, v, step / steps, a, p, extra)
+        add_twice(v, v, dt, a, x, x, dt, v, p.threads)
+        commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.threads)
+
+
+@kernel
+def advance_at_once(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+    """The same to the last bit, where nothing adds to the forces after the blocks: each step in one pass over the
+    vertices instead of two, from one pair of arrays to another, and with one meeting of the threads.
+    """
+    here_x, here_v, to_x, to_v = x, v, stages[0], stages[1]
+    for step in range(steps):
+        add_forces(
+            here_x, here_v, step / steps, to_x, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs,
+            p.hinge_lists, p.bindings, None, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.threads, None,
+            to_x, to_v, dt,
+        )  # fmt: skip
+        here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
+        commit(here_x, here_v, (step + 1) / steps, p.bindings, None, p.threads)
+    if steps % 2 == 1:
+        x[...] = here_x
+        v[...] = here_v
 
 
 class SymplecticEuler(Explicit):
@@ -46,6 +49,10 @@ class SymplecticEuler(Explicit):
     order: ClassVar[int] = 1
     buffers: ClassVar[int] = 2
     loop: ClassVar[Any] = advance_symplectic_euler
+
+    def loop_for(self, packed: Packed) -> Any:
+        """One pass a step where contact and Python add no forces."""
+        return advance_at_once if packed.late is None else advance_symplectic_euler
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""

@@ -225,18 +225,6 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
 
 @kernel
-def step_at_once(x: Any, v: Any, s: float, to_x: Any, to_v: Any, dt: float, p: Any) -> None:
-    """A step dt > 0 of symplectic Euler from x, v into to_x, to_v (3, n), where nothing adds forces afterwards.
-
-    One pass over the vertices instead of two, and one meeting of the threads.
-    """
-    add_forces(
-        x, v, s, to_x, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
-        p.bindings, None, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.threads, None, to_x, to_v, dt,
-    )  # fmt: skip
-
-
-@kernel
 def commit(x: Any, v: Any, s: float, bindings: Any, contact: Any, threads: Any) -> None:
     """After a whole step that ends at fraction s: place bound vertices, update friction anchors."""
     if bindings is not None:
