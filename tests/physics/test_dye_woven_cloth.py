@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from pydantic import ValidationError
 
 from nuno_dye.explicit import Explicit
@@ -72,6 +73,16 @@ def test_every_weave_is_chosen_by_name(tmp_path: Path) -> None:
         cells, _ = build(tmp_path, cells=[80, 80], weave={"plugin": name, **settings})
         n, m = drawdown.shape
         assert np.array_equal(cells.up[1][5 : 10 * n : 10, 5 : 10 * m : 10], drawdown), name
+
+
+def test_the_documented_cloth_is_one(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs" / "dye-cloth.md"
+    cloth = yaml.safe_load(page.read_text().split("```yaml\n")[1].split("```")[0])["cloth"]
+    assert cloth.pop("plugin") == WovenCloth.name
+    write_image(tmp_path / "stencil.png", np.eye(200))
+    cells, state = build(tmp_path, **cloth)
+    assert np.array_equal(cells.resist[0], np.eye(200)) and state.phi.sum() > 0.0
+    assert len(np.unique(cells.porosity[1][cells.fibre[1]])) == 20
 
 
 def test_measured_yarns_of_a_file(tmp_path: Path) -> None:
