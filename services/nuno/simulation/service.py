@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from nuno.collision.ask import ask_geometry, ask_poses
@@ -44,14 +43,4 @@ def main(context: Context) -> None:
     if context.options.resume is not None:
         poses = resume(context, simulation, context.options.resume, poses)
     simulation.measure(poses)  # compiles what the steps need, so that the run itself is timed without it
-    driver = Driver(context, simulation, poses)
-    with context.bus.alive():
-        while driver.state == "paused" and driver.finish is None:
-            driver.listen(0.5)
-        begin = time.perf_counter()
-        ended = driver.run() if driver.finish is None else "failed"
-        summary = driver.summary(ended, time.perf_counter() - begin)
-        context.event("end", ended, simulation.frame, simulation.t, summary=summary)
-        while driver.finish is None:
-            driver.listen(0.5)
-        driver.finish.answer_json(context.counts(driver.inbox) | {"summary": summary})
+    Driver(context, simulation, poses).serve()

@@ -1,0 +1,246 @@
+"""Frames in lockstep with the services that must see them, under control: what every service that steps shares."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, Literal, Protocol
+
+from pydantic import ValidationError
+
+from nuno.bus import Inbox, Message, Question
+from nuno.scene_file import Loaded
+from nuno.service import Context, ack_topic, asks_to_finish
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import Ack
+
+WINDOW = 4
+"""Frames that the steps may run ahead of a service that must see every one."""
+ACK_TIMEOUT = 60.0
+"""Silence [s] after which such a service counts as hung."""
+CONTROL = "control"
+
+
+class Work(Protocol):
+    """What is stepped, independent of how it is sent."""
+
+    loaded: Loaded
+    frame: int
+
+    @property
+    def t(self) -> float: ...
+
+    @property
+    def finished(self) -> bool: ...
+
+    def digest(self) -> str:
+        """Hash of the float64 state: equal digests mean equal bits."""
+        ...
+
+    def set(self, item: str) -> None:
+        """Change a field of the running scene. Raises BadInput."""
+        ...
+
+
+class Report(Protocol):
+    """What a solver says of a frame."""
+
+    @property
+    def status(self) -> Literal["ok", "diverged", "unconverged"]: ...
+
+    @property
+    def message(self) -> str: ...
+
+    @property
+    def totals(self) -> Mapping[str, int]: ...
+
+
+class Lockstep(ABC):
+    """Runs its work frame by frame and answers control."""
+
+    def __init__(self, context: Context, work: Work) -> None:
+        self.context, self.work = context, work
+        self.scene = context.loaded.scene
+        self.state = "paused"
+        self.single = 0
+        self.finish: Question | None = None
+        self.acked = dict.fromkeys(context.options.must_see, -1)
+        self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
+        self.totals: dict[str, int] = {}
+        self.message = ""
+        self.begin = work.t
+        self.paused_seconds = 0.0
+        self.inbox = Inbox(context.bus, [ack_topic("*")])
+        self.inbox.answer(CONTROL)
+        self.inbox.answer(f"finish/{context.bus.service}")
+
+    @abstractmethod
+    def publish_start(self) -> None:
+        """Tell what does not change, and the state at the start."""
+
+    @abstractmethod
+    def step_frame(self) -> Report:
+        """Step one frame and publish it."""
+
+    @abstractmethod
+    def publish_checkpoint(self) -> None:
+        """The whole float64 state, enough to go on from in the same bits."""
+
+    @abstractmethod
+    def facts(self, ended: str) -> dict[str, Any]:
+        """What the report says of this service, beside `summary`."""
+
+    # One queue brings acknowledgements, control and the end of the run, in order.
+    def listen(self, timeout: float) -> None:
+        """Handle one thing from the inbox, if one comes in time."""
+        item = self.inbox.get(timeout)
+        if isinstance(item, Message):
+            try:
+                ack = Ack.model_validate_json(item.payload)
+            except ValidationError:
+                self.inbox.refuse(item)
+                return
+            if item.topic != ack_topic(ack.service).name or ack.frame > self.work.frame:
+                self.inbox.refuse(item)
+            elif ack.service in self.acked:
+                self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
+        elif isinstance(item, Question) and item.name == CONTROL:
+            item.answer_json(self.control(item.json()))
+        elif isinstance(item, Question):
+            if asks_to_finish(self.inbox, item):
+                self.finish = item
+        elif timeout > 0 and self.context.orphaned():
+            raise RunFailed("the supervisor has gone")
+
+    def control(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out one control request; the answer says what happened.
+
+        `left` are the frames after which a run that was told to step pauses again, 0 for none.
+        """
+        action, work = str(request.get("action")), self.work
+        before, change = self.state, {}
+        if action in ("pause", "resume", "stop"):
+            self.single = 0
+        if action in ("start", "resume"):
+            self.state = "running"
+        elif action == "pause":
+            self.state = "paused"
+        elif action == "step":
+            frames = request.get("frames", 1)
+            if type(frames) is not int or not 1 <= frames <= self.scene.frames:
+                problem = f"step takes a number of frames, 1 to {self.scene.frames}: {frames!r:.60}"
+                return {"ok": False, "error": problem}
+            self.state, self.single = "running", frames
+        elif action == "stop":
+            self.state = "stopped"
+        elif action == "set":
+            try:
+                change = self.change(str(request.get("item")))
+            except BadInput as error:
+                return {"ok": False, "error": str(error)}
+        elif action != "status":
+            return {"ok": False, "error": f"unknown action {action!r}; known: pause, resume, step, stop, set, status"}
+        if action not in ("start", "status"):
+            args = {name: request[name] for name in ("item", "frames") if name in request}
+            self.context.event("control", action, work.frame, work.t, **args)
+        return {
+            "ok": True,
+            "state": self.state,
+            "before": before,
+            "left": self.single,
+            "frame": work.frame,
+            "frames": self.scene.frames,
+            "t": work.t,
+        } | change
+
+    def change(self, item: str) -> dict[str, Any]:
+        """Set a field of the running scene; its name, and what it held before and holds now."""
+        field = item.partition("=")[0]
+        before = self.work.loaded.value(field)
+        self.work.set(item)
+        return {"field": field, "old": before, "new": self.work.loaded.value(field)}
+
+    def serve(self) -> None:
+        """Be alive, wait for the start, step through the frames, answer the end."""
+        with self.context.bus.alive():
+            while self.state == "paused" and self.finish is None:
+                self.listen(0.5)
+            begin = time.perf_counter()
+            ended = self.run() if self.finish is None else "failed"
+            summary = self.summary(ended, time.perf_counter() - begin)
+            self.context.event("end", ended, self.work.frame, self.work.t, summary=summary)
+            while self.finish is None:
+                self.listen(0.5)
+            self.finish.answer_json(self.context.counts(self.inbox) | {"summary": summary})
+
+    def run(self) -> str:
+        """All frames; how it ended: done, stopped, diverged, unconverged or (asked to finish early) failed."""
+        self.publish_start()
+        while not self.work.finished:
+            self.listen(0)
+            self.stand_still()
+            if self.finish is not None:
+                return "failed"
+            if self.state == "stopped":
+                break
+            status = self.one_frame().status
+            if status != "ok":
+                return status
+            if self.single:
+                self.single -= 1
+                self.state = "running" if self.single else "paused"
+        self.publish_checkpoint()
+        self.wait_for(self.work.frame)
+        return "stopped" if self.state == "stopped" else "done"
+
+    def stand_still(self) -> None:
+        """Wait while the run is paused; that time is counted apart."""
+        start = time.perf_counter()
+        while self.state == "paused" and self.finish is None:
+            self.listen(0.5)
+        self.paused_seconds += time.perf_counter() - start
+
+    def one_frame(self) -> Report:
+        """Step, publish, and let nobody who must see it fall far behind."""
+        report = self.step_frame()
+        for name, value in report.totals.items():
+            self.totals[name] = self.totals.get(name, 0) + value
+        self.message = report.message
+        every, frame = self.scene.record.checkpoint_every, self.work.frame
+        if (
+            report.status == "ok"
+            and every is not None
+            and frame % max(1, round(every * self.scene.frame_rate)) == 0
+            and frame < self.scene.frames
+        ):
+            self.publish_checkpoint()
+        self.wait_for(frame - WINDOW)
+        return report
+
+    def wait_for(self, frame: int) -> None:
+        """Wait until every service that must see `frame` has. Raises RunFailed for a hung one."""
+        start = time.perf_counter()
+        while self.finish is None and min(self.acked.values(), default=frame) < frame:
+            self.listen(0.5)
+            if time.perf_counter() - start > ACK_TIMEOUT:
+                late = [name for name, seen in self.acked.items() if seen < frame]
+                raise RunFailed(f"{', '.join(late)} has not acknowledged frame {frame} within {ACK_TIMEOUT:g} s")
+        self.seconds["waiting"] += time.perf_counter() - start
+
+    def summary(self, ended: str, wall: float) -> dict[str, Any]:
+        """What the report says of this service."""
+        work = self.work
+        return {
+            "state": ended,
+            "message": self.message,
+            "frame": work.frame,
+            "t": work.t,
+            "began": self.begin,
+            "simulated_seconds": work.t - self.begin,
+            "digest": work.digest(),
+            "wall_seconds": wall - self.paused_seconds,
+            "paused_seconds": self.paused_seconds,
+            "seconds": self.seconds,
+            "totals": self.totals,
+        } | self.facts(ended)
