@@ -30,8 +30,8 @@ class Header(BaseModel):
     digest: str = ""
 
 
-class Status(BaseModel):
-    """Simulation, once a frame."""
+class FrameStatus(BaseModel):
+    """What a service that steps says of each frame."""
 
     frame: int
     t: float
@@ -40,11 +40,26 @@ class Status(BaseModel):
     steps: int
     step_seconds: float
     """Wall time of the frame's steps [s]."""
+    message: str = ""
+
+
+class Status(FrameStatus):
+    """Simulation, once a frame."""
+
     energy: dict[str, float | None]
     """Joules by kind: kinetic, gravitational, springs, hinges. None: not finite, which JSON cannot say."""
     stretch: float | None
     """Largest |d| / rest - 1 over the springs. None: not finite."""
-    message: str = ""
+
+
+class DyeStatus(FrameStatus):
+    """Dye service, once a frame: amounts by dye, summed with compensation. None: not finite."""
+
+    mobile: dict[str, float | None]
+    fixed: dict[str, float | None]
+    supplied: dict[str, float]
+    balance: float | None
+    """Largest |mobile + fixed - supplied| / supplied of the dyes; 0 where none was supplied."""
 
 
 class Penetration(BaseModel):
@@ -98,8 +113,22 @@ CHECKPOINT = Topic("sim/checkpoint", "protobuf", "nuno.Arrays")
 GEOMETRY = Topic("collision/geometry", "protobuf", "nuno.Arrays")
 BODIES = Topic("collision/bodies", "protobuf", "nuno.Arrays")
 PENETRATION = Topic("collision/report", "json", "nuno.Penetration")
+CLOTH = Topic("dye/cloth", "protobuf", "nuno.Arrays")
+CONCENTRATION = Topic("dye/concentration", "protobuf", "nuno.Arrays")
+DYE_STATUS = Topic("dye/status", "json", "nuno.DyeStatus")
+DYE_CHECKPOINT = Topic("dye/checkpoint", "protobuf", "nuno.Arrays")
 EVENT = Topic("run/event", "json", "nuno.Event")
 REPORT = Topic("run/report", "json", "nuno.Report")
 ACK = Topic("ack", "json", "nuno.Ack", recorded=False)
 
-TOPICS = {t.name: t for t in (FABRIC, STATE, STATUS, CHECKPOINT, GEOMETRY, BODIES, PENETRATION, EVENT, REPORT, ACK)}
+TOPICS = {
+    topic.name: topic
+    for topic in (
+        FABRIC, STATE, STATUS, CHECKPOINT, GEOMETRY, BODIES, PENETRATION, CLOTH, CONCENTRATION, DYE_STATUS,
+        DYE_CHECKPOINT, EVENT, REPORT, ACK,
+    )
+}  # fmt: skip
+FRAMES = (STATE.name, CONCENTRATION.name)
+"""Topics of which a run has one message a frame, and which services that must see every frame acknowledge."""
+STATUSES: dict[str, type[FrameStatus]] = {STATUS.name: Status, DYE_STATUS.name: DyeStatus}
+CHECKPOINTS = (CHECKPOINT.name, DYE_CHECKPOINT.name)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
     Angle = float
     Distance = float
     Metres = float
+    Diffusion = float
 else:
     Interval = quantity("s", gt=0)
     Duration = quantity("s", gt=0, le=1e9)
@@ -30,6 +31,7 @@ else:
     Angle = quantity("rad")
     Distance = quantity("m", gt=0)
     Metres = quantity("m")
+    Diffusion = quantity("m^2/s", ge=0)
 
 
 def _written(pattern: str, problem: str) -> Any:
@@ -102,6 +104,20 @@ class Solver(Choice):
         return self
 
 
+def require_distinct(parts: list[Any]) -> list[Any]:
+    """Refuse a list of parts two of which have the same name."""
+    first: dict[str, int] = {}
+    for i, part in enumerate(parts):
+        if first.setdefault(part.name, i) != i:
+            # pydantic places an error of a list at the list; `inside` says where in it.
+            raise PydanticCustomError(
+                "same_name",
+                "the name '{name}' is used twice; rename one of them",
+                {"name": part.name, "inside": (i, "name")},
+            )
+    return parts
+
+
 class Object(Part):
     """A piece of cloth."""
 
@@ -141,6 +157,61 @@ class View(Part):
     size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
 
 
+class DyeSolver(Choice):
+    """What spreads the dye, and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
+
+    dt: Interval | Literal["auto"] = Field(
+        default="auto", description="step [s]; whole steps make a frame; auto: the largest that is safely stable"
+    )
+    substeps: Literal["refused", "allowed"] = Field(
+        default="refused", description="allowed: a step above the stability limit is taken as several shorter ones"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"plugin": value} if isinstance(value, str) else value
+
+
+class Dyestuff(Part):
+    """One of the dyes in a cloth; they do not act on each other."""
+
+    name: Name = Field(description="of the dye; no other has it")
+    D0: Diffusion = Field(description="its diffusion coefficient in water, 3.6 sqrt(76 / M) mm^2/h [m^2/s]")
+    adsorption: float = Field(
+        default=0.0, ge=0, le=1e6, description="D_ab / D0, how fast fibre fixes dye; 0: it fixes none"
+    )
+    isotherm: Choice | None = Field(default=None, description="how much fibre fixes at most: a plugin and its fields")
+
+    @model_validator(mode="after")
+    def _fixed_by_a_law(self) -> Dyestuff:
+        if self.adsorption and self.isotherm is None:
+            problem = (
+                "fibre that fixes dye needs an isotherm; add isotherm: {plugin: partition, k: 1}, or adsorption: 0"
+            )
+            raise PydanticCustomError("no_isotherm", problem, {"inside": ("adsorption",)})
+        return self
+
+
+class Dyeing(Part):
+    """A cloth that is dyed."""
+
+    cloth: Choice = Field(description="what builds it: a plugin and its fields")
+    solver: DyeSolver = Field(
+        default=DyeSolver(plugin="explicit"), description="a plugin with its fields, and its step"
+    )
+    dyes: list[Dyestuff] = Field(min_length=1, max_length=16, description="what the cloth is dyed with")
+
+    @field_validator("dyes")
+    @classmethod
+    def _names_differ(cls, dyes: list[Dyestuff]) -> list[Dyestuff]:
+        return require_distinct(dyes)
+
+
+MOVING = ("objects", "bodies", "forces", "solver", "accuracy", "until")
+"""Fields of a scene of moving cloth, which a scene of dye is not."""
+
+
 class Scene(Part):
     """The whole scene. Quantities carry units ("1 ms", "27 N/m"); a bare number is SI."""
 
@@ -175,22 +246,22 @@ class Scene(Part):
         default_factory=list, max_length=1000, description="beyond springs, gravity and damping, in their order"
     )
     contact: Choice = Field(default=Choice(plugin="penalty"), description="the force between cloth and bodies")
+    dye: Dyeing | None = Field(default=None, description="a cloth that is dyed; it does not move")
     record: Record = Field(default=Record(), description="what goes into the recording beside every frame")
     view: View = Field(default=View(), description="how pictures are taken")
 
     @field_validator("objects", "bodies")
     @classmethod
     def _names_differ(cls, parts: list[Any]) -> list[Any]:
-        first: dict[str, int] = {}
-        for i, part in enumerate(parts):
-            if first.setdefault(part.name, i) != i:
-                # pydantic places an error of a list at the list; `inside` says where in it.
-                raise PydanticCustomError(
-                    "same_name",
-                    "the name '{name}' is used twice; rename one of them",
-                    {"name": part.name, "inside": (i, "name")},
-                )
-        return parts
+        return require_distinct(parts)
+
+    @model_validator(mode="after")
+    def _dye_alone(self) -> Scene:
+        for name in MOVING if self.dye is not None else ():
+            if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True):
+                problem = "cloth that moves is not dyed in the same scene; leave `{part}` or `dye` out"
+                raise PydanticCustomError("dye_alone", problem, {"part": name, "inside": (name,)})
+        return self
 
     @model_validator(mode="after")
     def _one_step(self) -> Scene:
@@ -205,7 +276,7 @@ class Scene(Part):
     @property
     def undecided(self) -> bool:
         """Whether the solver's step, or the solver, is still to be chosen."""
-        return self.solver.plugin == AUTO or self.accuracy is not None
+        return self.dye is None and (self.solver.plugin == AUTO or self.accuracy is not None)
 
     @property
     def frames(self) -> int:

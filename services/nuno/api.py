@@ -41,8 +41,9 @@ WORDS = (
 class Result:
     """A finished run.
 
-    x (n, 3) [m] and v (n, 3) [m/s] are the last state, float64; report is what the command line
-    prints; recording is the file with every frame.
+    x (n, 3) [m] and v (n, 3) [m/s] are the last state, float64; of a cloth that is dyed phi and fixed
+    (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, and no vertices. report is what the command
+    line prints; recording is the file with every frame.
     """
 
     state: str
@@ -52,6 +53,8 @@ class Result:
     digest: str
     report: Report
     path: Path
+    phi: Float | None = None
+    fixed: Float | None = None
 
     @property
     def recording(self) -> Recording:
@@ -108,14 +111,22 @@ def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool,
     )
     if outcome.problem:
         raise RunFailed(f"{outcome.problem}; recording kept in {path}")
+    digest, report = outcome.summary["digest"], make_report(loaded, outcome)
+    if loaded.dye is not None:
+        from nuno.dye.checkpoint import last_checkpoint, per_dye
+
+        end = last_checkpoint(open_recording(path))
+        x, v = np.zeros((2, 0, 3))
+        phi, fixed = (np.array(per_dye(amounts)) for amounts in (end.phi, end.fixed))
+        return Result(outcome.state, end.t, x, v, digest, report, path, phi, fixed)
     last = open_recording(path).last_checkpoint()
     return Result(
         outcome.state,
         last.t,
         np.array(last.x),
         np.array(last.v),
-        outcome.summary["digest"],
-        make_report(loaded, outcome),
+        digest,
+        report,
         path,
     )
 

@@ -14,8 +14,13 @@ _PLACES = {
     ("Scene", "solver"): "nuno.integrators",
     ("Scene", "contact"): "nuno.contacts",
     ("Scene", "forces"): "nuno.forces",
+    ("Dyeing", "cloth"): "nuno.dye_cloths",
+    ("Dyeing", "solver"): "nuno.dye_solvers",
+    ("Dyestuff", "isotherm"): "nuno.isotherms",
 }
 """Where a scene names a plugin of which group."""
+_BESIDE = {"nuno.integrators": "Solver", "nuno.dye_solvers": "DyeSolver"}
+"""Parts of the contract whose own fields stand beside a plugin's."""
 
 
 def scene_schema() -> dict[str, Any]:
@@ -25,31 +30,34 @@ def scene_schema() -> dict[str, Any]:
     for (part, field), group in _PLACES.items():
         owner = schema if part == "Scene" else definitions[part]
         place = owner["properties"][field]
-        choices = [_choice(group, name, definitions, field) for name in sorted(registry.installed(group))]
+        beside = definitions[_BESIDE[group]]["properties"] if group in _BESIDE else {}
+        choices = [_choice(group, name, definitions, beside) for name in sorted(registry.installed(group))]
         if place.get("type") == "array":
             place["items"] = {"oneOf": choices}
         else:
             for key in ("$ref", "anyOf", "default"):
                 place.pop(key, None)
             place["oneOf"] = [*choices, *(_short(group) if field == "solver" else ())]
+            if field == "isotherm":
+                place["oneOf"].append({"type": "null"})
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 def _short(group: str) -> list[dict[str, Any]]:
     """A solver by its name alone, and the one that is chosen for the scene."""
+    if group == "nuno.dye_solvers":
+        return [{"title": "by name", "type": "string", "enum": sorted(registry.installed(group))}]
     auto = {"type": "object", "properties": {"plugin": {"const": AUTO}}, "additionalProperties": False}
     names = [AUTO, *sorted(registry.installed(group))]
     return [{"title": "by name", "type": "string", "enum": names}, {"title": AUTO, "required": ["plugin"], **auto}]
 
 
-def _choice(group: str, name: str, definitions: dict[str, Any], field: str) -> dict[str, Any]:
-    """One plugin's fields, with `plugin` fixed to its name."""
+def _choice(group: str, name: str, definitions: dict[str, Any], beside: dict[str, Any]) -> dict[str, Any]:
+    """One plugin's fields and those that stand beside them, with `plugin` fixed to its name."""
     prefix = f"{group}.{name}."  # two plugins may use one name for different parts
     own = registry.load(group, name).Config.model_json_schema(ref_template=f"#/$defs/{prefix}{{model}}")
     definitions |= {prefix + key: value for key, value in own.pop("$defs", {}).items()}
-    properties = {"plugin": {"const": name}, **own.get("properties", {})}
-    if field == "solver":
-        properties["dt"] = definitions["Solver"]["properties"]["dt"]
+    properties = beside | {"plugin": {"const": name}, **own.get("properties", {})}
     return {
         "title": name,
         "type": "object",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from nuno.scene_file import Loaded
 from nuno.service import Options
+from nuno_schemas.errors import BadInput
 
 
 @dataclass(frozen=True)
@@ -16,9 +17,16 @@ class Plan:
     must_see: tuple[str, ...]
     left_out: tuple[str, ...]
 
+    @property
+    def leader(self) -> str:
+        """The service that steps: it sets the pace, answers control and says when the run ends."""
+        return self.services[0]
+
 
 def make_plan(loaded: Loaded, options: Options) -> Plan:
     """Choose the services for a scene and the user's options."""
+    if loaded.dye is not None:
+        return _plan_dye(options)
     services, left_out = ["simulation"], []
     scene = loaded.scene
     if not scene.objects:
@@ -45,3 +53,17 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
     # A window may skip frames; a file that is being written may not.
     must_see = tuple(n for n in ("collision", "recorder") if n in services) + (("viewer",) if options.save else ())
     return Plan(tuple(services), must_see, tuple(left_out))
+
+
+def _plan_dye(options: Options) -> Plan:
+    """The services of a cloth that is dyed and does not move."""
+    services, left_out = ["dye"], ["simulation and collision services: nothing in the scene moves"]
+    if options.record is not None:
+        services.append("recorder")
+    else:
+        left_out.append("recorder: not asked for")
+    if options.save is not None:
+        remedy = "leave --save out; nuno export --npz writes the amounts"
+        raise BadInput("a run of dye has no file for rerun", field="--save", value=str(options.save), remedy=remedy)
+    left_out.append("viewer: it shows no dye" if options.view is not None else "viewer: no screen, or not asked for")
+    return Plan(tuple(services), tuple(name for name in ("recorder",) if name in services), tuple(left_out))

@@ -12,13 +12,13 @@ from nuno.recording.reader import Recorded, Recording
 from nuno.recording.writer import topic_of
 from nuno.service import ack_topic
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import BODIES, CHECKPOINT, FABRIC, GEOMETRY, STATE, STATUS, Topic
+from nuno_schemas.messages import BODIES, CHECKPOINTS, CLOTH, FABRIC, FRAMES, GEOMETRY, STATUSES, Topic
 
 WINDOW = 4
 """Frames that may be out before they are acknowledged."""
 ACK_TIMEOUT = 60.0
 """Silence [s] after which a service that must see every frame counts as hung."""
-DIGESTED = (STATE.name, STATUS.name, CHECKPOINT.name)
+DIGESTED = (*FRAMES, *STATUSES, *CHECKPOINTS)
 """Topics whose headers carry the digest of the float64 state."""
 
 Progress = Callable[[float], None]
@@ -47,7 +47,7 @@ class Replay:
         """Publish `recording` as the run of `bus`, until its end or `stop`.
 
         Headers are new: the run is the bus's, numbers count from 0 on, frame and digest come
-        from the simulation's status. `progress` is told each frame's time [s]. Raises BadInput
+        from the status of each frame. `progress` is told each frame's time [s]. Raises BadInput
         for a rate or start out of range, RunFailed where a service that must see every frame
         dies or hangs.
         """
@@ -62,15 +62,20 @@ class Replay:
                     if self.stop.is_set():
                         return
                     self._publish(bus, message, marks)
-                    if message.topic == STATE.name:
-                        acks.wait(self.sent[STATE.name] - WINDOW, self.stop)
+                    if message.topic in FRAMES:
+                        acks.wait(self.frames - WINDOW, self.stop)
                         if progress is not None:
                             progress(message.t)
                 if not self.loop:
                     break
-            acks.wait(self.sent.get(STATE.name, 0), self.stop)
+            acks.wait(self.frames, self.stop)
         finally:
             acks.close()
+
+    @property
+    def frames(self) -> int:
+        """Frames sent."""
+        return sum(self.sent.get(name, 0) for name in FRAMES)
 
     def _check(self, recording: Recording) -> tuple[float, float]:
         if self.rate is not None and not 1e-6 <= self.rate <= 1e6:
@@ -99,7 +104,7 @@ class Replay:
 def _from(recording: Recording, start: float) -> Iterator[Recorded]:
     """All messages from `start` [s] on, after the last of each kind that a viewer needs."""
     if start > recording.span[0]:
-        for name in (FABRIC.name, GEOMETRY.name, BODIES.name):
+        for name in (FABRIC.name, GEOMETRY.name, BODIES.name, CLOTH.name):
             message = recording.last(name, before=start - 1e-9)
             if message is not None:
                 yield message

@@ -6,8 +6,10 @@ from typing import Any, TextIO
 
 from nuno.scene_file import Loaded
 from nuno.supervisor import Outcome
+from nuno_schemas.messages import FRAMES
 
 Report = dict[str, Any]
+SIZES, DYE_SIZES = ("vertices", "springs", "hinges"), ("cells",)
 
 MOST_STRETCH = 1.0
 """No woven or knitted thread is twice as long as it was and still cloth."""
@@ -23,6 +25,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
     simulated = float(summary.get("simulated_seconds", 0.0))
     wall = float(summary.get("wall_seconds", 0.0))
     parts = dict(summary.get("seconds", {}))
+    solver = loaded.dye.solver if loaded.dye is not None else loaded.integrator
     recorder, collision, viewer = (services.get(name, {}) for name in ("recorder", "collision", "viewer"))
     return {
         "run": outcome.run,
@@ -40,8 +43,8 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         | {"bus": sum(float(s.get("bus_seconds", 0.0)) for s in services.values())}
         | {name: float(s["seconds"]) for name, s in services.items() if "seconds" in s},
         "step_seconds": summary.get("step_seconds", {}),
-        "solver": loaded.integrator.name,
-        "adaptive": loaded.integrator.plugin.adaptive,
+        "solver": solver.name,
+        "adaptive": loaded.dye is None and solver.plugin.adaptive,
         "chosen": loaded.why,
         "totals": summary.get("totals", {}),
         "dt": summary.get("dt"),
@@ -50,7 +53,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "steps_per_frame": summary.get("steps_per_frame"),
         "idle": summary.get("idle", 0),
         "rested": summary.get("rested", False),
-        "size": {name: summary.get(name, 0) for name in ("vertices", "springs", "hinges")},
+        "size": {name: summary.get(name, 0) for name in (DYE_SIZES if loaded.dye is not None else SIZES)},
         "threads": summary.get("threads", ""),
         "energy": summary.get("energy", []),
         "stretch": summary.get("stretch", 0.0),
@@ -58,9 +61,10 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "last_penetration": collision.get("last_depth"),
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
         "counts": summary.get("counts", {}),
+        "dye": summary.get("dye"),
         "frames": {
-            "sent": (services.get("simulation", {}).get("sent") or {}).get("sim/state", 0),
-            "recorded": recorder["counts"].get("sim/state", 0) if "counts" in recorder else None,
+            "sent": _frames(services.get(outcome.plan.leader, {}).get("sent") or {}),
+            "recorded": _frames(recorder["counts"]) if "counts" in recorder else None,
             "shown": viewer.get("shown", 0),
         },
         "missing": _count("missing", services),
@@ -69,6 +73,10 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "services": list(outcome.plan.services),
         "left_out": list(outcome.plan.left_out),
     }
+
+
+def _frames(counts: dict[str, int]) -> int:
+    return sum(counts.get(topic, 0) for topic in FRAMES)
 
 
 def _count(name: str, services: dict[str, dict[str, Any]]) -> int:
@@ -128,6 +136,8 @@ def _step(report: Report) -> str:
         return "none was taken"
     text = f"{report['solver']}, dt {dt * 1e3:.4g} ms, {report['steps_per_frame']} a frame"
     taken = report["totals"].get("steps", 0)
+    if report.get("dye"):
+        text += f", {taken:,} in all"
     if report["adaptive"] and taken:
         mean, own = report["simulated_seconds"] / taken, f"{report['solver']}, {taken:,} of its own choice"
         return f"{own}, {mean * 1e3:.3g} ms on average, at most {dt * 1e3:.4g} ms"
@@ -139,8 +149,25 @@ def _step(report: Report) -> str:
     return f"{text}; limit {limit * 1e3:.4g} ms, {share}"
 
 
+def _dye(report: Report) -> list[tuple[str, str]]:
+    """Amounts of each dye in full cells, and how well they are kept."""
+    dye = report["dye"]
+    rows: list[tuple[str, str]] = []
+    for name, supplied in dye["supplied"].items():
+        mobile, fixed = (_cells(dye[kind][name]) for kind in ("mobile", "fixed"))
+        rows.append(("" if rows else "dye", f"{name}: {supplied:.6g} supplied, {mobile} mobile, {fixed} fixed"))
+    text = "not finite" if dye["balance"] is None else f"off by at most {dye['balance']:.2g} of what was supplied"
+    return [*rows, ("balance", f"mobile + fixed - supplied: {text}")]
+
+
+def _cells(amount: float | None) -> str:
+    return "not finite" if amount is None else f"{amount:.6g}"
+
+
 def _physics(report: Report) -> list[tuple[str, str]]:
     rows = []
+    if report.get("dye"):
+        return _dye(report)
     if report["energy"]:
         first, last = report["energy"][0], report["energy"][-1]
         kinds = [kind for kind in last if first.get(kind) or last.get(kind)]

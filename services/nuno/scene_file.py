@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files as package_files
 from pathlib import Path
@@ -15,7 +15,7 @@ from nuno.explain import OVERRIDDEN, UNNUMBERED, explain, located
 from nuno.files import SceneFiles
 from nuno.yaml_lines import dotted
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.scene import AUTO, Choice, Scene
+from nuno_schemas.scene import AUTO, Choice, Dyeing, Scene
 
 FIRST = "symplectic_euler"
 """The solver that a choice starts from: the cheapest step."""
@@ -36,6 +36,20 @@ class Chosen:
 
 
 @dataclass
+class ChosenDye:
+    """The plugins of a scene's dye; isotherms by dye, None where fibre fixes nothing."""
+
+    cloth: Chosen
+    solver: Chosen
+    isotherms: list[Chosen | None]
+
+    @property
+    def plugins(self) -> list[Chosen]:
+        """All of them."""
+        return [self.cloth, self.solver, *(law for law in self.isotherms if law is not None)]
+
+
+@dataclass
 class Loaded:
     """A scene with its plugins found and their configurations validated."""
 
@@ -47,16 +61,25 @@ class Loaded:
     lines: dict[yaml_lines.Path, int]
     files: SceneFiles
     models: list[Chosen]
-    integrator: Chosen
+    solver: Chosen | None
+    """The integrator; None for a scene of dye."""
     colliders: list[Chosen]
     motions: list[Chosen | None]
     forces: list[Chosen]
     contact: Chosen | None
+    dye: ChosenDye | None = None
     overrides: tuple[str, ...] = ()
     path: Path = Path()
     """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
     why: str = ""
     """Where the solver and its step were chosen: for what reason."""
+
+    @property
+    def integrator(self) -> Chosen:
+        """What steps the cloth of a scene that has no dye."""
+        if self.solver is None:
+            raise ValueError("a scene of dye has no integrator")
+        return self.solver
 
     def value(self, field: str) -> Any:
         """What a field such as `forces.0.velocity` holds, given or by default, in SI units; None if there is none."""
@@ -178,6 +201,17 @@ def _solver(scene: Scene) -> Choice:
     return scene.solver if scene.solver.plugin != AUTO else Choice(plugin=FIRST)
 
 
+def _chosen_dye(dye: Dyeing, chosen: Callable[[str, Choice, yaml_lines.Path], Chosen]) -> ChosenDye:
+    return ChosenDye(
+        chosen("nuno.dye_cloths", dye.cloth, ("dye", "cloth")),
+        chosen("nuno.dye_solvers", dye.solver, ("dye", "solver")),
+        [
+            chosen("nuno.isotherms", one.isotherm, ("dye", "dyes", i, "isotherm")) if one.isotherm else None
+            for i, one in enumerate(dye.dyes)
+        ],
+    )
+
+
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
     """Validate a scene's data and find its plugins. Raises BadInput."""
     try:
@@ -203,7 +237,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         lines,
         files,
         models=[chosen("nuno.models", o.model, ("objects", i, "model")) for i, o in enumerate(scene.objects)],
-        integrator=chosen("nuno.integrators", _solver(scene), ("solver",)),
+        solver=chosen("nuno.integrators", _solver(scene), ("solver",)) if scene.dye is None else None,
         colliders=[chosen("nuno.colliders", b.collider, ("bodies", i, "collider")) for i, b in enumerate(scene.bodies)],
         motions=[
             chosen("nuno.motions", b.motion, ("bodies", i, "motion")) if b.motion else None
@@ -211,4 +245,5 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         ],
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
         contact=chosen("nuno.contacts", scene.contact, ("contact",)) if scene.bodies else None,
+        dye=_chosen_dye(scene.dye, chosen) if scene.dye is not None else None,
     )

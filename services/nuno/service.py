@@ -26,6 +26,7 @@ from nuno_schemas.messages import EVENT, Event, Topic
 SUPERVISOR = "supervisor"
 MODULES = {
     "simulation": "nuno.simulation.service",
+    "dye": "nuno.dye.service",
     "collision": "nuno.collision.service",
     "recorder": "nuno.recording.service",
     "viewer": "nuno.viewer.service",

@@ -33,22 +33,10 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf) -> tup
                 ),
             )
         longest = min(0.7 * limit, resolved)
-        _require_few(loaded, frame, longest, "softer or heavier cloth, or a higher frame_rate")
+        require_few(loaded, "solver.dt", frame, longest, "softer or heavier cloth, or a higher frame_rate")
         steps = max(1, int(np.ceil(frame / longest)))
         return steps, frame / steps
-    _require_few(loaded, frame, dt, "a larger dt, or a higher frame_rate")
-    steps = max(1, round(frame / dt))
-    if abs(frame / steps - dt) > SECONDS_TOLERANCE * dt + 1e-15:
-        near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
-        choices = " or ".join(f"{frame / n:.9g} s ({n} steps)" for n in near)
-        raise loaded.at(
-            "solver.dt",
-            BadInput(
-                "a frame is not a whole number of steps",
-                value=f"{dt:g} s in frames of {frame:g} s",
-                remedy=f"nearest that divide it: {choices}",
-            ),
-        )
+    steps, dt = whole_steps(loaded, "solver.dt", dt)
     if dt > limit and not loaded.scene.allow_unstable:
         raise loaded.at(
             "solver.dt",
@@ -59,11 +47,34 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf) -> tup
                 remedy="use dt: auto, a smaller dt, softer cloth, or allow_unstable: true",
             ),
         )
+    return steps, dt
+
+
+def whole_steps(loaded: Loaded, field: str, dt: float) -> tuple[int, float]:
+    """Steps a frame for the scene's `field`, a step of dt [s], and the step that divides a frame exactly.
+
+    Raises BadInput where no whole number of steps comes close.
+    """
+    frame = 1.0 / loaded.scene.frame_rate
+    require_few(loaded, field, frame, dt, "a larger dt, or a higher frame_rate")
+    steps = max(1, round(frame / dt))
+    if abs(frame / steps - dt) > SECONDS_TOLERANCE * dt + 1e-15:
+        near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
+        choices = " or ".join(f"{frame / n:.9g} s ({n} steps)" for n in near)
+        raise loaded.at(
+            field,
+            BadInput(
+                "a frame is not a whole number of steps",
+                value=f"{dt:g} s in frames of {frame:g} s",
+                remedy=f"nearest that divide it: {choices}",
+            ),
+        )
     return steps, frame / steps
 
 
-def _require_few(loaded: Loaded, frame: float, dt: float, remedy: str) -> None:
+def require_few(loaded: Loaded, field: str, frame: float, dt: float, remedy: str) -> None:
+    """Raises BadInput, at the scene's `field`, for more steps of dt [s] in a frame [s] than MOST_STEPS."""
     if frame > MOST_STEPS * dt:
         value, limit = f"steps of {dt:.3g} s in frames of {frame:.3g} s", f"{MOST_STEPS:,} steps a frame"
         error = BadInput("too many steps in a frame", value=value, limit=limit, remedy=remedy)
-        raise loaded.at("solver.dt", error)
+        raise loaded.at(field, error)

@@ -21,7 +21,7 @@ from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
 from nuno.sessions import hub_at, spoke
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import EVENT, STATUS, Event, Status, Topic
+from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
 
 START_TIMEOUT = 120.0
 """Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
@@ -33,7 +33,7 @@ COMPILING_AFTER = 1.5
 """Preparing takes this long [s] only where kernels are compiled, and then it is said."""
 COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
 
-Progress = Callable[[Status | str], None]
+Progress = Callable[[FrameStatus | str], None]
 """Told each frame's status, and what services have to say."""
 
 
@@ -80,7 +80,7 @@ class Supervisor:
         self.bus = Bus(session, run, SUPERVISOR)
         self.alive = self.bus.alive()
         self.watch = Watch(self.bus)
-        self.inbox = Inbox(self.bus, [STATUS, Topic("run/event/*", "json", "nuno.Event")])
+        self.inbox = Inbox(self.bus, [STATUS, DYE_STATUS, Topic("run/event/*", "json", "nuno.Event")])
         self.errors: dict[str, str] = {}
         self.bad_input: BadInput | None = None
         self.blamed = ""
@@ -117,12 +117,12 @@ class Supervisor:
             raise self.bad_input
 
     def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> bool:
-        """Take in what services say; whether the simulation has ended."""
+        """Take in what services say; whether the run has ended."""
         item = self.inbox.get(timeout)
         while isinstance(item, Message):
             try:
-                if item.topic == STATUS.name:
-                    status = Status.model_validate_json(item.payload)
+                if item.topic in STATUSES:
+                    status = STATUSES[item.topic].model_validate_json(item.payload)
                     if progress is not None:
                         progress(status)
                 else:
@@ -143,14 +143,14 @@ class Supervisor:
                 self.bad_input = BadInput(event.text)
         elif event.kind == "end":
             summary = event.args.get("summary")
-            if event.service != "simulation" or not isinstance(summary, dict):
-                raise ValueError("not the end of a simulation")
+            if event.service != self.plan.leader or not isinstance(summary, dict):
+                raise ValueError("not the end of the run")
             self.ended = summary
         elif event.kind in ("start", "warning") and progress is not None:
             progress(event.text)
 
     def follow(self, progress: Progress | None) -> str:
-        """Let the simulation run to its end; the error that ended it early, or ""."""
+        """Let the run go to its end; the error that ended it early, or ""."""
         self.bus.ask_json("control", {"action": "start"})
         while self.ended is None:
             self._drain(progress, timeout=0.2)
@@ -181,7 +181,7 @@ class Supervisor:
         answers: dict[str, dict[str, Any]] = {}
         if "recorder" in self.plan.services:
             self._await_recorder()
-        order = [name for name in ("simulation", "collision", "viewer", "recorder") if name in self.plan.services]
+        order = [self.plan.leader, *(n for n in ("collision", "viewer", "recorder") if n in self.plan.services)]
         for name in order:
             if name not in self.watch.alive():
                 continue

@@ -40,6 +40,10 @@ def verify(recording: Recording, threads: int = 0, progress: Callable[[float], N
     checkpoints = {point.frame: point.x for point in recording.checkpoints()}
     changes = [event for event in control_events(recording) if event.text == "set"]
     with restored_scene(recording) as loaded:
+        if loaded.dye is not None:
+            from nuno.dye.verify import verify_dye
+
+            return verify_dye(recording, loaded, wanted, threads, progress)
         bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
         rate = loaded.scene.frame_rate
         start = bodies.poses(0.0) if bodies else None

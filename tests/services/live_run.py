@@ -14,7 +14,7 @@ from nuno import runs, scene_file, supervisor
 from nuno.report import Report, make_report
 from nuno.service import Options
 from nuno.supervisor import Deployment, Outcome
-from nuno_schemas.messages import Status
+from nuno_schemas.messages import FrameStatus
 
 
 class Run:
@@ -36,8 +36,8 @@ class Run:
         self.outcome = supervisor.supervise(self.loaded, self.options, self.deployment, self._note)
         self.report = make_report(self.loaded, self.outcome)
 
-    def _note(self, status: Status | str) -> None:
-        if isinstance(status, Status) and status.frame > 0:
+    def _note(self, status: FrameStatus | str) -> None:
+        if isinstance(status, FrameStatus) and status.frame > 0:
             self.moved.set()
 
     @property

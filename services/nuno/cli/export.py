@@ -15,9 +15,11 @@ MESHES = (".obj", ".ply", ".glb")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RECORDING")
     what = parser.add_argument_group("what to write (any number of these)")
-    what.add_argument("--npz", type=Path, metavar="FILE", help="float64 x, v and t of the last checkpoint")
     what.add_argument(
-        "--csv", type=Path, metavar="FILE", help="energy, stretch, penetration and step time of every frame"
+        "--npz", type=Path, metavar="FILE", help="float64 x, v, t (dye: phi, fixed, t) of the last checkpoint"
+    )
+    what.add_argument(
+        "--csv", type=Path, metavar="FILE", help="energy, stretch, penetration, dye and step time of every frame"
     )
     what.add_argument("--png", type=Path, metavar="FILE", help="a picture of a frame")
     what.add_argument("--gif", type=Path, metavar="FILE", help="an animation")
@@ -64,6 +66,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     from nuno.export import animations, meshes, pictures, tables
 
     size = _size(args.size)
+    _check_kinds(recording, args)
     written: list[Path] = []
     if args.npz:
         written.append(tables.export_npz(recording, args.npz))
@@ -91,6 +94,14 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
         require(None, args.rrd)
         written.append(convert(recording, args.rrd))
     return written
+
+
+def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
+    """Raises BadInput where pictures or meshes of a cloth are asked for that has no place in space."""
+    asked = [name for name in ("png", "gif", "mp4", "rrd", *(m[1:] for m in MESHES)) if getattr(args, name)]
+    if asked and recording.scene.get("dye"):
+        problem, remedy = "a recording of dye holds no cloth to draw", "use --npz and --csv"
+        raise BadInput(problem, str(recording.path), field=f"--{asked[0]}", remedy=remedy)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -11,6 +11,7 @@ from nuno import build
 from nuno.choose import decide
 from nuno.cli.common import add_scene, load_scene
 from nuno.plan import make_plan
+from nuno.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 
@@ -22,22 +23,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     loaded = decide(load_scene(args))
     plan = make_plan(loaded, Options(record=Path("recordings")))
+    rows = [("scene", f"{loaded.scene.name}: {loaded.scene.description}"), ("services", ", ".join(plan.services))]
+    if loaded.dye is not None:
+        from nuno.dye.describe import describe_dye
+
+        rows += describe_dye(loaded)
+    else:
+        rows += _cloth(loaded)
+    rows += [("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)]
+    for name, text in rows:
+        print(f"{name:9} {text}")
+    return 0
+
+
+def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
     poses = bodies.poses(0.0) if bodies else None
     simulation = Simulation(loaded, bodies.geometry if bodies else None, poses, 0)
     seconds = _time_frame(simulation, bodies)
-    rows = [
-        ("scene", f"{loaded.scene.name}: {loaded.scene.description}"),
-        ("services", ", ".join(plan.services)),
+    return [
         *_size(simulation),
         ("solver", _solver(simulation)),
         *([("chosen", loaded.why)] if loaded.why else []),
         *_cost(simulation, seconds),
-        *(("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)),
     ]
-    for name, text in rows:
-        print(f"{name:9} {text}")
-    return 0
 
 
 def _size(simulation: Simulation) -> list[tuple[str, str]]:

@@ -7,7 +7,7 @@ import time
 from types import TracebackType
 from typing import Any
 
-from nuno_schemas.messages import Status
+from nuno_schemas.messages import FrameStatus
 from nuno_schemas.scene import Scene
 
 
@@ -43,7 +43,7 @@ class ProgressLine:
         if self._bar is not None:
             self._bar.stop()
 
-    def update(self, status: Status | str) -> None:
+    def update(self, status: FrameStatus | str) -> None:
         """Show one frame's status, or a line that a service has to say."""
         if isinstance(status, str):
             print(status, file=sys.stderr)

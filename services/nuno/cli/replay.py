@@ -79,6 +79,9 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         viewer = None
         if shown:
             loaded = stack.enter_context(restored_scene(recording))
+            if loaded.dye is not None:
+                remedy = "use --no-view; nuno export --npz writes the amounts"
+                raise BadInput("the viewer shows no dye", str(recording.path), remedy=remedy)
             viewer = _Viewer(loaded, bus, options)
         print(f"replaying {recording.path} as {run} at {endpoint}", file=sys.stderr)
         with contextlib.suppress(KeyboardInterrupt):
@@ -86,7 +89,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         if viewer is not None:
             viewer.finish()
     total = sum(replay.sent.values())
-    print(f"{total} messages, {replay.sent.get('sim/state', 0)} frames")
+    print(f"{total} messages, {replay.frames} frames")
     return 0
 
 

@@ -106,7 +106,7 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
         loaded,
         options,
         Deployment(args.processes, args.listen, args.connect, run, args.config),
-        picture=_wants_picture(args, options),
+        picture=_wants_picture(args, options) and loaded.dye is None,
     )
 
 

@@ -71,4 +71,5 @@ def _strings(value: object) -> Iterator[str]:
 
 def _chosen(loaded: Loaded) -> list[Chosen]:
     optional = [c for c in (*loaded.motions, loaded.contact) if c is not None]
-    return [*loaded.models, loaded.integrator, *loaded.colliders, *loaded.forces, *optional]
+    own = loaded.dye.plugins if loaded.dye is not None else [loaded.integrator]
+    return [*loaded.models, *own, *loaded.colliders, *loaded.forces, *optional]

@@ -17,7 +17,7 @@ from nuno.recording.layout import ChunkPlace, Damaged, Layout, attachment, chunk
 from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.messages import BODIES, CHECKPOINT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS
+from nuno_schemas.messages import BODIES, CHECKPOINT, CHECKPOINTS, FABRIC, GEOMETRY, REPORT, STATE, STATUSES
 
 Arrays = dict[str, NDArray[Any]]
 END = "end"
@@ -132,13 +132,13 @@ class Recording:
     @property
     def missing(self) -> dict[str, int]:
         """Messages per topic that were sent but never arrived, as the recorder counted them."""
-        missing = self._json(self.metadata.get(END, {}).get("missing", "{}"))
+        missing = self.json(self.metadata.get(END, {}).get("missing", "{}"))
         return {str(topic): int(number) for topic, number in missing.items()}
 
     @property
     def scene(self) -> dict[str, Any]:
         """The scene's data, as read and overridden."""
-        return self._json(self.metadata.get("scene", {}).get("json", "{}"))
+        return self.json(self.metadata.get("scene", {}).get("json", "{}"))
 
     @property
     def attachments(self) -> tuple[str, ...]:
@@ -184,59 +184,50 @@ class Recording:
                 yield Frame(number, message.t, digest, decode_points(message.payload))
 
     def marks(self) -> dict[int, tuple[int, str]]:
-        """Frame number and digest by log time [ns]: the simulation's status of each frame."""
+        """Frame number and digest by log time [ns], from the status of each frame."""
         if self._marks is None:
-            statuses = ((m.log_time, self._json(m.payload)) for m in self.messages([STATUS.name]))
+            statuses = ((m.log_time, self.json(m.payload)) for m in self.messages(STATUSES))
             self._marks = {time: (int(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses}
         return self._marks
 
     def fabric(self) -> tuple[Arrays, dict[str, Any]]:
         """Arrays of the cloth that do not change (faces, uv, edges, ...) and their text."""
-        return self._arrays(self.last(FABRIC.name))
+        return self.arrays(self.last(FABRIC.name))
 
     def geometry(self) -> tuple[Arrays, dict[str, Any]]:
         """Arrays of the bodies that do not change and their text; empty where there are none."""
-        return self._arrays(self.last(GEOMETRY.name))
+        return self.arrays(self.last(GEOMETRY.name))
 
     def poses(self, t: float | None = None) -> tuple[Arrays, dict[str, Any]]:
         """Rotation (f, 4) and translation (f, 3) [m] of the bodies' frames, at t [s] or last."""
-        return self._arrays(self.last(BODIES.name, t))
+        return self.arrays(self.last(BODIES.name, t))
 
     def checkpoints(self) -> Iterator[Checkpoint]:
         for message in self.messages([CHECKPOINT.name]):
             yield self._checkpoint(message)
 
-    def last_checkpoint(self, before: float | None = None) -> Checkpoint:
-        """The last checkpoint with t <= before [s]. Raises BadInput where there is none."""
-        message = self.last(CHECKPOINT.name, before)
-        if message is None:
+    def last_checkpoint_message(self, before: float | None = None, topics: tuple[str, ...] = CHECKPOINTS) -> Recorded:
+        """The last checkpoint with t <= before [s], of cloth or of dye. Raises BadInput where there is none."""
+        found = [m for m in (self.last(topic, before) for topic in topics) if m is not None]
+        if not found:
             remedy = "record with record: {checkpoint_every: 1 s}"
             raise BadInput("the recording holds no checkpoint", str(self.path), remedy=remedy)
-        return self._checkpoint(message)
+        return found[0]
+
+    def last_checkpoint(self, before: float | None = None) -> Checkpoint:
+        """The last checkpoint of cloth with t <= before [s]. Raises BadInput where there is none."""
+        return self._checkpoint(self.last_checkpoint_message(before, (CHECKPOINT.name,)))
 
     def series(self) -> dict[str, NDArray[Any]]:
-        """Columns over the frames: frame, t [s], steps, step_seconds [s], energy_* [J], stretch,
-        and from the collision service depth [m], inside, mean [m]; NaN where one is missing.
-        """
-        rows: dict[int, dict[str, Any]] = {}
-        for message in self.messages([STATUS.name]):
-            value = self._json(message.payload)
-            row = {name: value.get(name) for name in ("frame", "t", "steps", "step_seconds", "stretch")}
-            energy = value.get("energy")
-            row |= {f"energy_{kind}": joules for kind, joules in energy.items()} if isinstance(energy, dict) else {}
-            rows[int(value.get("frame", -1))] = row
-        for message in self.messages([PENETRATION.name]):
-            value = self._json(message.payload)
-            rows.setdefault(int(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}).update(
-                {name: value.get(name) for name in ("depth", "inside", "mean")}
-            )
-        names = list(dict.fromkeys(name for row in rows.values() for name in row))
-        return {name: _column([rows[frame].get(name) for frame in sorted(rows)]) for name in names}
+        """Columns over the frames; see nuno.recording.series."""
+        from nuno.recording.series import read_series
+
+        return read_series(self)
 
     def report(self) -> dict[str, Any]:
         """The closing report; empty where the run did not end by itself."""
         message = self.last(REPORT.name)
-        return self._json(message.payload) if message else {}
+        return self.json(message.payload) if message else {}
 
     def _channels(self, topics: Iterable[str] | None) -> frozenset[int]:
         if topics is None:
@@ -253,14 +244,15 @@ class Recording:
             for m in chunk_messages(body, wanted):
                 yield Recorded(self._topics[m.channel], m.sequence, m.log_time, m.publish_time, bytes(m.payload))
 
-    def _arrays(self, message: Recorded | None) -> tuple[Arrays, dict[str, Any]]:
+    def arrays(self, message: Recorded | None) -> tuple[Arrays, dict[str, Any]]:
+        """Arrays and text of a message; empty for None. Raises BadInput where it is damaged."""
         if message is None:
             return {}, {}
         with self._damage_reported(message):
             return decode_arrays(message.payload)
 
     def _checkpoint(self, message: Recorded) -> Checkpoint:
-        arrays, text = self._arrays(message)
+        arrays, text = self.arrays(message)
         try:
             x, v = (np.asarray(arrays[name], np.float64) for name in ("x", "v"))
             if not (x.ndim == 2 and x.shape[1] == 3 and v.shape == x.shape):
@@ -270,7 +262,8 @@ class Recording:
         except (KeyError, ValueError, TypeError) as error:
             raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(self.path)) from None
 
-    def _json(self, payload: bytes | str) -> dict[str, Any]:
+    def json(self, payload: bytes | str) -> dict[str, Any]:
+        """The mapping that a message holds; empty for anything else. Raises BadInput where it is damaged."""
         try:
             value = json.loads(payload)
         except ValueError as error:
@@ -285,13 +278,6 @@ class Recording:
         except (Damaged, BadMessage) as error:
             remedy = "the disk or a copy changed it: take another copy"
             raise BadInput(f"the recording is damaged: {place}{error}", str(self.path), remedy=remedy) from None
-
-
-def _column(values: list[Any]) -> NDArray[Any]:
-    """Whole numbers where all are, else float64 with NaN for what is missing."""
-    if all(isinstance(value, int) for value in values):
-        return np.array(values, np.int64)
-    return np.array([np.nan if value is None else value for value in values], np.float64)
 
 
 def open_recording(path: Path | str) -> Recording:

@@ -11,17 +11,20 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from nuno import scene_file
-from nuno.recording.reader import Checkpoint, Recording
+from nuno.recording.reader import Recording
 from nuno.recording.writer import RecordingWriter
 from nuno.scene_file import Loaded
 from nuno_schemas.errors import BadInput
-from nuno_schemas.messages import CHECKPOINT, EVENT, REPORT, Event, Header
+from nuno_schemas.messages import CHECKPOINTS, EVENT, REPORT, Event, Header
+
+CONTROLS = tuple(f"{EVENT.name}/{service}" for service in ("simulation", "dye"))
+"""Events of the services that answer control."""
 
 
 def control_events(recording: Recording) -> list[Event]:
     """What a user did to the run while it went on, in order: pause, resume, step, stop, set."""
     found = []
-    for message in recording.messages([f"{EVENT.name}/simulation"]):
+    for message in recording.messages(CONTROLS):
         try:
             event = Event.model_validate_json(message.payload)
         except ValidationError as error:
@@ -53,14 +56,15 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
         yield scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
 
 
-def copy_until(recording: Recording, checkpoint: Checkpoint, writer: RecordingWriter) -> None:
-    """Write everything from before a checkpoint, and the checkpoint itself: what a resumed run
+def copy_until(recording: Recording, writer: RecordingWriter) -> None:
+    """Write everything from before the last checkpoint, and the checkpoint itself: what a resumed run
     has in common with the one it goes on from.
     """
-    control = f"{EVENT.name}/simulation"  # a change made at the checkpoint's frame comes after it
+    checkpoint = recording.last_checkpoint_message()
     for message in recording.messages():
         earlier = message.t < checkpoint.t - 1e-9
-        same = message.t < checkpoint.t + 1e-9 and message.topic in (CHECKPOINT.name, control)
+        # A change made at the checkpoint's frame comes after it.
+        same = message.t < checkpoint.t + 1e-9 and message.topic in (*CHECKPOINTS, *CONTROLS)
         if message.topic != REPORT.name and (earlier or same):
             header = Header(run="", service="", seq=message.seq, frame=0, t=message.t)
             writer.write(message.topic, header, message.payload)

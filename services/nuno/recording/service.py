@@ -14,7 +14,7 @@ from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.service import Context, ack_topic, each_message
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import ACK, REPORT, STATE, Ack, Header, Topic
+from nuno_schemas.messages import ACK, FRAMES, REPORT, Ack, Header, Topic
 
 ALL = Topic("**", "json", "")
 """One subscription to all topics: between several, messages overtake each other."""
@@ -37,7 +37,7 @@ def main(context: Context) -> None:
     writer = RecordingWriter(path, describe_run(context.loaded, context.bus.run), assets(context.loaded))
     if context.options.resume is not None:
         with open_recording(context.options.resume) as before:
-            copy_until(before, before.last_checkpoint(), writer)
+            copy_until(before, writer)
     recorder = Recorder(context, inbox, writer)
     try:
         question = each_message(context, inbox, recorder.handle)
@@ -78,7 +78,7 @@ class Recorder:
         except BadMessage:
             self._inbox.refuse(message)
             return
-        if message.topic == STATE.name:
+        if message.topic in FRAMES:
             self._digest = header.digest or self._digest
             ack = Ack(service=self._context.bus.service, frame=header.frame)
             self._acks.put(ack.model_dump_json().encode(), header.frame, header.t)
@@ -140,7 +140,7 @@ class Recorder:
         return self._writer.counts[topic] - self._before.get(topic, 0)
 
     def _refused(self) -> dict[str, int]:
-        """Messages dropped per topic; acknowledgements are for the simulation to judge."""
+        """Messages dropped per topic; acknowledgements are for the service that steps to judge."""
         counts = self._inbox.counts.refused
         return {topic: number for topic, number in counts.items() if number and not topic.startswith(f"{ACK.name}/")}
 

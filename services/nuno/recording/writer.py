@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 from nuno.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, points_schema
 from nuno.recording.mcap_file import CHUNK_BYTES, MAGIC, McapFile
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import EVENT, TOPICS, Event, Header, Penetration, Status, Topic
+from nuno_schemas.messages import EVENT, TOPICS, DyeStatus, Event, Header, Penetration, Status, Topic
 
 FLUSH_SECONDS = 0.5
 """At most this much wall time is lost when the process is killed."""
@@ -31,7 +31,9 @@ def topic_of(name: str) -> Topic | None:
     return topic if topic is not None and topic.recorded else None
 
 
-_MODELS: dict[str, type[BaseModel]] = {"nuno.Status": Status, "nuno.Penetration": Penetration, "nuno.Event": Event}
+_MODELS: dict[str, type[BaseModel]] = {
+    "nuno.Status": Status, "nuno.Penetration": Penetration, "nuno.Event": Event, "nuno.DyeStatus": DyeStatus,
+}  # fmt: skip
 
 
 def check_payload(topic: Topic, payload: bytes) -> None:

@@ -1,0 +1,1 @@
+"""The dye service: dye spreads in a woven cloth that does not move."""

@@ -1,0 +1,58 @@
+"""The float64 amounts of a recording: what a run of dye resumes from, and what is exported."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nuno.recording.reader import Arrays, Recorded, Recording
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.messages import DYE_CHECKPOINT
+
+
+@dataclass(frozen=True)
+class DyeCheckpoint:
+    """The amounts after a frame, phi and fixed (dyes, 2, ny, nx), with all solver memory."""
+
+    frame: int
+    t: float
+    digest: str
+    phi: Float
+    fixed: Float
+    memory: Arrays
+    text: dict[str, Any]
+    """What the service wrote beside the arrays: dt, steps, the dyes' names."""
+
+
+def read_checkpoints(recording: Recording) -> Iterator[DyeCheckpoint]:
+    """All of them, in order. Raises BadInput for a damaged one."""
+    for message in recording.messages([DYE_CHECKPOINT.name]):
+        yield _checkpoint(recording, message)
+
+
+def last_checkpoint(recording: Recording, before: float | None = None) -> DyeCheckpoint:
+    """The last one with t <= before [s]. Raises BadInput where there is none."""
+    return _checkpoint(recording, recording.last_checkpoint_message(before, (DYE_CHECKPOINT.name,)))
+
+
+def per_dye(amounts: Float) -> Float:
+    """(dyes, 2, ny, nx) as people write it: without the first axis where there is one dye."""
+    return amounts[0] if len(amounts) == 1 else amounts
+
+
+def _checkpoint(recording: Recording, message: Recorded) -> DyeCheckpoint:
+    arrays, text = recording.arrays(message)
+    try:
+        phi, fixed = (np.asarray(arrays[name], np.float64) for name in ("phi", "fixed"))
+        if phi.ndim != 4 or phi.shape != fixed.shape:
+            raise ValueError(f"phi has shape {phi.shape} and fixed {fixed.shape}")
+        memory = {name.removeprefix("memory/"): a for name, a in arrays.items() if name.startswith("memory/")}
+        return DyeCheckpoint(
+            int(text["frame"]), float(text["t"]), str(text.get("digest", "")), phi, fixed, memory, text
+        )
+    except (KeyError, ValueError, TypeError) as error:
+        raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(recording.path)) from None

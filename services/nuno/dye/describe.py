@@ -1,0 +1,48 @@
+"""What a dyeing will take, for `nuno plan`: its size, its step, and its cost by a frame."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from nuno.dye.run import DyeRun, estimate_memory
+from nuno.scene_file import Loaded
+from nuno_schemas.dye import Dye
+
+
+def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
+    """Rows of (heading, text). Raises BadInput for a scene that would not start."""
+    dyeing = DyeRun(loaded, 0)
+    return [
+        ("cloth", f"{dyeing.cells.fibre.size:,} cells of {dyeing.cells.size * 1e3:.4g} mm, in two layers"),
+        ("dyes", ", ".join(map(_dye, dyeing.system.dyes))),
+        ("solver", _solver(dyeing, loaded)),
+        *_cost(dyeing, loaded),
+    ]
+
+
+def _dye(one: Dye) -> str:
+    law = one.isotherm.kind if one.isotherm is not None and one.adsorption else "nothing is fixed"
+    return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h, {law})"
+
+
+def _solver(dyeing: DyeRun, loaded: Loaded) -> str:
+    most = f"limit {dyeing.limit * 1e3:.4g} ms" if math.isfinite(dyeing.limit) else "nothing limits it"
+    name = loaded.dye.solver.name if loaded.dye is not None else ""
+    return f"{name}, dt {dyeing.dt * 1e3:.4g} ms, {dyeing.steps} steps a frame; {most}; {dyeing.about()}"
+
+
+def _cost(dyeing: DyeRun, loaded: Loaded) -> list[tuple[str, str]]:
+    scene, dye, chosen = loaded.scene, loaded.scene.dye, loaded.dye
+    every = scene.record.checkpoint_every
+    checkpoints = 1 + (int(scene.duration / every) if every else 0)
+    size = (8 * (scene.frames + 1) + 16 * checkpoints) * dyeing.state.phi.size
+    memory = estimate_memory(loaded, dye, chosen)[1] if dye is not None and chosen is not None else 0
+    start = time.perf_counter()
+    dyeing.advance()
+    seconds = max(time.perf_counter() - start, 1e-9)
+    return [
+        ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s"),
+        ("time", f"about {seconds * scene.frames:.2g} s, {1 / scene.frame_rate / seconds:.1f}x real time (by a frame)"),
+        ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
+    ]

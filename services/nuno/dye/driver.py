@@ -1,0 +1,108 @@
+"""Frames of dye in lockstep: dye is spread and published."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno.arrays import encode_arrays
+from nuno.dye.run import DyeRun, Frame
+from nuno.lockstep import Lockstep
+from nuno.service import Context
+from nuno_schemas.dye import DyeReport
+from nuno_schemas.messages import CLOTH, CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, DyeStatus
+
+
+class Driver(Lockstep):
+    """Runs a dyeing frame by frame and answers control."""
+
+    def __init__(self, context: Context, dyeing: DyeRun) -> None:
+        super().__init__(context, dyeing)
+        self.dyeing = dyeing
+        self.balance = 0.0
+        self.amounts: dict[str, dict[str, float | None]] = {}
+
+    def publish_start(self) -> None:
+        """The cloth, and the amounts before the first step."""
+        dyeing, cells = self.dyeing, self.dyeing.cells
+        arrays = {"fibre": cells.fibre, "up": cells.up} | {
+            name: np.asarray(getattr(cells, name), np.float32) for name in ("porosity", "twist", "resist")
+        }
+        text = {"scene": self.scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}
+        self.context.bus.publisher(CLOTH).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t)
+        self.publish(Frame(dyeing.frame, dyeing.measure(), 0.0, dyeing.digest()), "running")
+
+    def step_frame(self) -> DyeReport:
+        """Spread, publish."""
+        frame = self.dyeing.advance()
+        self.seconds["steps"] += frame.seconds
+        self.publish(frame, "running" if frame.report.status == "ok" else frame.report.status)
+        return frame.report
+
+    def publish(self, frame: Frame, state: str) -> None:
+        """The amounts as float32, and their totals."""
+        start = time.perf_counter()
+        dyeing, bus, report = self.dyeing, self.context.bus, frame.report
+        balance = dyeing.balance(report)
+        self.balance = max(self.balance, balance) if math.isfinite(balance) else math.nan
+        totals = {"mobile": report.mobile, "fixed": report.fixed, "supplied": dyeing.supplied}
+        self.amounts = {
+            name: {one: _finite(value) for one, value in zip(dyeing.names, values, strict=True)}
+            for name, values in totals.items()
+        }
+        arrays = {name: getattr(dyeing.state, name).astype(np.float32) for name in ("phi", "fixed")}
+        amounts = encode_arrays(arrays, {"t": dyeing.t, "frame": frame.number, "dyes": dyeing.names})
+        status = DyeStatus.model_validate(
+            {
+                "frame": frame.number,
+                "t": dyeing.t,
+                "digest": frame.digest,
+                "state": state,
+                "steps": report.steps,
+                "step_seconds": frame.seconds,
+                "message": report.message,
+                "balance": _finite(balance),
+                **self.amounts,
+            }
+        )
+        self.seconds["encoding"] += time.perf_counter() - start
+        bus.publisher(CONCENTRATION).put(amounts, frame.number, dyeing.t, frame.digest)
+        bus.publisher(DYE_STATUS).put(status.model_dump_json().encode(), frame.number, dyeing.t, frame.digest)
+
+    def publish_checkpoint(self) -> None:
+        """The float64 amounts and the solver's memory, enough to go on from in the same bits."""
+        dyeing = self.dyeing
+        arrays: dict[str, NDArray[Any]] = {"phi": dyeing.state.phi, "fixed": dyeing.state.fixed}
+        arrays |= {f"memory/{name}": values for name, values in dyeing.memory.arrays.items()}
+        digest = dyeing.digest()
+        text = {
+            "t": dyeing.t,
+            "frame": dyeing.frame,
+            "digest": digest,
+            "dt": dyeing.dt,
+            "steps": dyeing.steps,
+            "dyes": dyeing.names,
+        }
+        self.context.bus.publisher(DYE_CHECKPOINT).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t, digest)
+
+    def facts(self, ended: str) -> dict[str, Any]:
+        """Amounts, balance, limits and sizes for the report."""
+        dyeing = self.dyeing
+        return {
+            "steps_per_frame": dyeing.steps,
+            "dt": dyeing.dt,
+            "limit": {"dt": dyeing.limit},
+            "threads": dyeing.about(),
+            "cells": dyeing.cells.fibre.size,
+            "dyes": len(dyeing.names),
+            "dye": {**self.amounts, "balance": _finite(self.balance)},
+        }
+
+
+def _finite(value: float) -> float | None:
+    """A number as JSON can say it."""
+    return value if math.isfinite(value) else None

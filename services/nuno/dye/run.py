@@ -1,0 +1,151 @@
+"""The dye service's work: from a scene to frames, independent of how they are sent."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from dataclasses import dataclass
+from math import fsum
+
+import numpy as np
+import psutil
+
+from nuno.dye.checkpoint import DyeCheckpoint
+from nuno.dye.step import choose_dye_step
+from nuno.scene_file import ChosenDye, Loaded
+from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Memory
+from nuno_schemas.scene import Dyeing
+
+BYTES_PER_CELL, BYTES_PER_AMOUNT = 150, 150
+"""What a run takes at most per cell: the cloth and its faces, and for each dye amounts, bands and messages."""
+
+
+@dataclass
+class Frame:
+    """One finished frame."""
+
+    number: int
+    report: DyeReport
+    seconds: float
+    digest: str
+
+
+def estimate_memory(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[int, int]:
+    """Cells that the cloth will have, and what a run of them takes at most [bytes]. Raises BadInput."""
+    try:
+        cells = int(chosen.cloth.plugin.count(chosen.cloth.config, loaded.files))
+    except BadInput as error:
+        raise loaded.at("dye.cloth", error) from None
+    return cells, cells * (BYTES_PER_CELL + len(dye.dyes) * BYTES_PER_AMOUNT)
+
+
+class DyeRun:
+    """A scene's cloth, its dyes, their solver and their amounts."""
+
+    def __init__(self, loaded: Loaded, threads: int) -> None:
+        dye, chosen = loaded.scene.dye, loaded.dye
+        if dye is None or chosen is None:
+            raise BadInput("the scene has no dye", loaded.file, remedy="add dye: {cloth: ..., dyes: [...]}")
+        self.loaded, self.frame, self.names = loaded, 0, tuple(one.name for one in dye.dyes)
+        self._solver = chosen.solver
+        self.cells, self.state = _build_cloth(loaded, dye, chosen)
+        laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
+        dyes = (Dye(one.name, one.D0, one.adsorption, law) for one, law in zip(dye.dyes, laws, strict=True))
+        self.system = DyeSystem(self.cells, tuple(dyes), threads or os.cpu_count() or 1)
+        try:
+            self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
+            self.steps, self.dt = choose_dye_step(loaded, dye, self.limit)
+            self.memory: Memory = self._solver.plugin.prepare(self._solver.config, self.system, self.state)
+        except BadInput as error:
+            raise loaded.at("dye.solver", error) from None
+        start = self.measure()
+        self.supplied = tuple(fsum(pair) for pair in zip(start.mobile, start.fixed, strict=True))
+
+    @property
+    def t(self) -> float:
+        """Time [s], from the frame number so that it never drifts."""
+        return float(self.frame / self.loaded.scene.frame_rate)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the scene's last frame is done."""
+        return self.frame >= self.loaded.scene.frames
+
+    def measure(self) -> DyeReport:
+        """The present amounts, without a step; compiles what the steps need."""
+        found: DyeReport = self._solver.plugin.advance(self.system, self.state, self.memory, 0, self.dt)
+        return found
+
+    def advance(self) -> Frame:
+        """Spread dye for one frame."""
+        begin = time.perf_counter()
+        self.state.t = self.t
+        report = self._solver.plugin.advance(self.system, self.state, self.memory, self.steps, self.dt)
+        self.frame += 1
+        self.state.t = self.t
+        return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
+
+    def balance(self, report: DyeReport) -> float:
+        """Largest |mobile + fixed - supplied| / supplied of the dyes; nan where an amount is not finite."""
+        amounts = zip(report.mobile, report.fixed, self.supplied, strict=True)
+        shares = [abs(fsum((mobile, fixed, -supplied))) / (supplied or 1.0) for mobile, fixed, supplied in amounts]
+        return float(np.max(shares))
+
+    def about(self) -> str:
+        """How the solver's kernels run, in words."""
+        return str(self._solver.plugin.about(self.system))
+
+    def digest(self) -> str:
+        """Hash of the float64 state: equal digests mean equal bits."""
+        hasher = hashlib.blake2b(digest_size=16)
+        hasher.update(np.int64(self.frame).tobytes())
+        hasher.update(np.ascontiguousarray(self.state.phi).data)
+        hasher.update(np.ascontiguousarray(self.state.fixed).data)
+        return hasher.hexdigest()
+
+    def resume(self, point: DyeCheckpoint) -> None:
+        """Go on from a checkpoint. Raises BadInput if it does not fit."""
+        held = {"phi": self.state.phi, "fixed": self.state.fixed, **self.memory.arrays}
+        given = {"phi": point.phi, "fixed": point.fixed, **point.memory}
+        for name, target in held.items():
+            shape = given[name].shape if name in given else "nothing"
+            if shape != target.shape:
+                raise BadInput(
+                    "the checkpoint does not fit this scene",
+                    value=f"{name} of shape {shape}",
+                    limit=f"{target.shape}",
+                    remedy="resume with the recording's own scene",
+                )
+            np.copyto(target, given[name])
+        self.frame = point.frame
+        self.state.t = self.t
+
+    def set(self, item: str) -> None:
+        """Raises BadInput: dye that spreads cannot be changed."""
+        field = item.partition("=")[0]
+        remedy = "stop, and run again with --set"
+        raise BadInput("this field cannot change while a run goes on", field=field, value=item, remedy=remedy)
+
+
+def _build_cloth(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[Cells, DyeState]:
+    """Cells and the amounts at the start. Raises BadInput."""
+    number, size = estimate_memory(loaded, dye, chosen)
+    available = psutil.virtual_memory().available
+    if size > available:
+        too_much = BadInput(
+            "the cloth does not fit in memory",
+            value=f"{number:,} cells, about {size / 2**30:.1f} GiB",
+            limit=f"{available / 2**30:.1f} GiB are free",
+            remedy="larger cells, or fewer dyes",
+        )
+        raise loaded.at("dye.cloth", too_much)
+    try:
+        built: tuple[Cells, DyeState] = chosen.cloth.plugin.build(
+            chosen.cloth.config, loaded.files, loaded.scene.seed, len(dye.dyes)
+        )
+    except BadInput as error:
+        raise loaded.at("dye.cloth", error) from None
+    return built

@@ -1,0 +1,209 @@
+"""A dyeing as a run: the plain loop's amounts, recorded, verified, resumed, exported; nothing else is started."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+import yaml
+from dye_scene import arrays, step_plainly, write_scene
+from live_run import Run
+
+import nuno
+from nuno import scene_file, supervisor
+from nuno.cli import main
+from nuno.dye.run import DyeRun
+from nuno.json_schema import scene_schema
+from nuno.recording.restore import control_events
+from nuno.service import Options
+from nuno.verify import verify
+from nuno_schemas.errors import BadInput
+
+PROGRAM = """
+import json, os, sys
+from nuno.cli import main
+code = main(["run", "scene.yaml", "--no-view", "--record", "one.mcap"])
+print(json.dumps([code, sorted(sys.modules)]))
+sys.stdout.flush()
+os._exit(0)
+"""
+RED = {"name": "red", "D0": "0.7 mm^2/h"}
+BLUE = {"name": "blue", "D0": "1.93 mm^2/h", "adsorption": 0.5, "isotherm": {"plugin": "langmuir", "K": 2.0}}
+
+
+def test_the_exact_scene_equals_a_plain_loop(tmp_path: Path) -> None:
+    data = arrays()
+    result = nuno.run(write_scene(tmp_path, data=data), record=tmp_path / "run.mcap")
+    phi, fixed = data["phi"].copy(), data["fixed"].copy()
+    for _ in range(10):
+        step_plainly(data, phi, fixed, 1.8, 0.5, 2.0)
+    assert main(["export", str(result.path), "--npz", str(tmp_path / "out.npz")]) == 0
+    with np.load(tmp_path / "out.npz") as out:
+        assert np.abs(out["phi"] - phi).max() < 1e-12 and np.abs(out["fixed"] - fixed).max() < 1e-12
+        assert np.array_equal(out["phi"], result.phi) and np.array_equal(out["fixed"], result.fixed)
+        assert out["t"] == pytest.approx(18.0, rel=1e-15)
+    assert fixed.max() > 0.05 and not np.array_equal(phi, data["phi"])
+    assert result.report["totals"]["steps"] == 10
+    assert result.report["dye"]["balance"] < 1e-13
+
+
+def test_no_service_of_moving_cloth_is_started(tmp_path: Path) -> None:
+    write_scene(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], cwd=tmp_path, env=os.environ, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    code, modules = json.loads(done.stdout.splitlines()[-1])
+    assert code == 0 and "nuno.dye.service" in modules
+    unneeded = ("nuno.simulation", "nuno.collision.service", "nuno_integrators", "nuno_cloth", "nuno_contact")
+    assert [name for name in modules if any(word in name for word in unneeded)] == []
+    with nuno.open(tmp_path / "one.mcap") as recording:
+        assert recording.report()["services"] == ["dye", "recorder"]
+        assert recording.complete and recording.counts["dye/concentration"] == 11
+
+
+def test_the_recording_verifies_and_tells_where_it_differs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = nuno.run(write_scene(tmp_path), record=tmp_path / "run.mcap").path
+    assert main(["replay", str(path), "--verify"]) == 0
+    assert "equal to the last bit: 11 frames" in capsys.readouterr().out
+    monkeypatch.setattr("nuno_dye.isotherms.Langmuir.prepare", _weaker)
+    with nuno.open(path) as recording:
+        found = verify(recording)
+    assert found.frame == 1 and found.compared == 1
+
+
+def _weaker(self: Any, config: Any) -> Any:
+    from nuno_schemas.dye import Isotherm
+
+    return Isotherm("langmuir", 0.5 * config.K)
+
+
+def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path) -> None:
+    """Of dye alone, whose kernel is chosen by the start: by its end no cell is as full as at the start."""
+    data = arrays()
+    data["resist"] = np.zeros_like(data["resist"])
+    dyes = [BLUE, RED]
+    data |= {name: np.stack([data[name], data[name]]) for name in ("phi", "fixed")}
+    scene = write_scene(tmp_path, data=data, dyes=dyes)
+    whole = nuno.run(scene, record=tmp_path / "whole.mcap")
+    part = nuno.run(scene, "duration=9 s", record=tmp_path / "part.mcap")
+    options = Options(record=tmp_path / "resumed.mcap", resume=part.path)
+    resumed = supervisor.supervise(scene_file.read(scene), options)
+    assert resumed.state == "done" and resumed.summary["digest"] == whole.digest
+    with nuno.open(tmp_path / "resumed.mcap") as ours, nuno.open(whole.path) as reference:
+        assert ours.marks() == reference.marks()
+        assert ours.series()["mobile_red"].tolist() == reference.series()["mobile_red"].tolist()
+
+
+@pytest.mark.parametrize("how", [{"threads": 1}, {"threads": 2}, {"processes": True}])
+def test_where_it_runs_changes_no_bit(how: dict[str, Any], tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, data=arrays(150, 150))
+    with nuno.open(nuno.run(scene, record=tmp_path / "one.mcap", **how).path) as recording:
+        assert recording.complete
+        assert verify(recording, threads=1).frame is None
+
+
+def test_a_checkpoint_is_kept_where_the_scene_asks(tmp_path: Path) -> None:
+    result = nuno.run(write_scene(tmp_path, record={"checkpoint_every": "3.6 s"}), record=tmp_path / "run.mcap")
+    assert result.recording.counts["dye/checkpoint"] == 5
+
+
+def test_substeps_are_taken_only_where_they_are_allowed(tmp_path: Path) -> None:
+    slow = {"solver": {"plugin": "explicit", "dt": "18 s"}, "frame_rate": 1 / 18}
+    with pytest.raises(BadInput, match="above the stability limit") as refused:
+        nuno.run(write_scene(tmp_path, **slow))
+    assert "dye.solver.dt: " in str(refused.value) and "s for explicit" in str(refused.value)
+    slow["solver"] = {"plugin": "explicit", "dt": "18 s", "substeps": "allowed"}
+    result = nuno.run(write_scene(tmp_path, **slow))
+    assert 18.0 / result.report["totals"]["steps"] <= result.report["dt_limit"]
+    assert result.report["totals"]["steps"] == np.ceil(18.0 / result.report["dt_limit"])
+
+
+def test_an_automatic_step_is_stable(tmp_path: Path) -> None:
+    result = nuno.run(write_scene(tmp_path, solver="explicit", frame_rate=1 / 18, until="duration", objects=[]))
+    assert 0.5 * result.report["dt_limit"] < result.report["dt"] <= 0.9 * result.report["dt_limit"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "field", "words"),
+    [
+        ({"frame_rate": 1.0}, "dye.solver.dt", "a frame is shorter than a step"),
+        ({"frame_rate": 0.4}, "dye.solver.dt", "not a whole number of steps"),
+        ({"dyes": [BLUE | {"isotherm": {"plugin": "langmuire", "K": 2}}]}, "dye.dyes[0].isotherm.plugin", "langmuir"),
+        ({"dyes": [BLUE | {"isotherm": {"plugin": "freundlich", "k": 1, "b": 0.05}}]}, "dye.dyes[0].isotherm.b", "0.1"),
+        ({"dyes": [{"name": "blue", "D0": 1e-10, "adsorption": 1}]}, "dye.dyes[0].adsorption", "isotherm"),
+        ({"dyes": [RED, RED]}, "dye.dyes[1].name", "used twice"),
+        ({"dyes": [RED | {"D0": "1 mm/h"}]}, "dye.dyes[0].D0", "cannot be converted"),
+        ({"dyes": []}, "dye.dyes", "too short"),
+        ({"solver": "implicitt"}, "dye.solver.plugin", "known: explicit"),
+        ({"cloth": {"plugin": "cells", "file": "none.npz", "cell_size": 1, "tau3": {}}}, "dye.cloth.tau3.I", "missing"),
+        ({"bodies": [{"name": "b", "collider": {"plugin": "sphere", "radius": 1}}]}, "bodies", "leave `bodies`"),
+        ({"objects": [{"name": "a", "model": {"plugin": "sheet"}}]}, "objects", "leave `objects`"),
+        ({"until": "rest"}, "until", "leave `until`"),
+        ({"accuracy": "normal"}, "accuracy", "leave `accuracy`"),
+    ],
+)
+def test_scenes_are_refused_by_name(fields: dict[str, Any], field: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput) as refused:
+        nuno.run(write_scene(tmp_path, **fields))
+    assert f"{field}: " in str(refused.value) and words in str(refused.value)
+
+
+@pytest.mark.parametrize(("name", "value"), [("porosity", 1.5), ("resist", np.nan), ("phi", -1.0), ("fixed", 2.0)])
+def test_arrays_are_refused_before_anything_starts(name: str, value: float, tmp_path: Path) -> None:
+    data = arrays()
+    data[name][0, 1, 2] = value
+    with pytest.raises(BadInput, match=r"dye\.cloth") as refused:
+        nuno.run(write_scene(tmp_path, data=data), record=tmp_path / "run.mcap")
+    assert refused.value.problem and f"{name}[0, 1, 2]" in str(refused.value)
+    assert list(tmp_path.glob("*.mcap*")) == []
+
+
+def test_a_run_of_dye_answers_control(tmp_path: Path) -> None:
+    run = Run(write_scene(tmp_path, duration="200000 s"), tmp_path / "long.mcap")
+    assert run.moved.wait(60)
+    assert run.control("pause")["state"] == "paused"
+    before = run.wait_until_paused()
+    assert run.control("step", frames=3)["left"] == 3
+    assert run.wait_until_paused() == before + 3
+    refused = run.control("set", item="dye.solver.dt=1 s")
+    assert not refused["ok"] and "cannot change" in refused["error"]
+    assert run.stop().state == "stopped"
+    with nuno.open(tmp_path / "long.mcap") as recording:
+        assert recording.complete
+        assert [event.text for event in control_events(recording)] == ["pause", "step", "stop"]
+        assert verify(recording).frame is None
+
+
+def test_the_schema_for_editors_knows_dye(tmp_path: Path) -> None:
+    validator = jsonschema.Draft202012Validator(scene_schema())
+    scene = yaml.safe_load(write_scene(tmp_path).read_text())
+    validator.validate(scene)
+    validator.validate(yaml.safe_load(write_scene(tmp_path, solver="explicit", dyes=[RED]).read_text()))
+    for wrong in (write_scene(tmp_path, solver="euler"), write_scene(tmp_path, dyes=[BLUE | {"D1": 1}])):
+        assert not validator.is_valid(yaml.safe_load(wrong.read_text()))
+
+
+def test_a_plan_names_what_runs_and_the_limit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", str(write_scene(tmp_path))]) == 0
+    said = capsys.readouterr().out
+    assert "services  dye, recorder" in said and "198 cells of 0.05 mm" in said
+    assert "simulation and collision services: nothing in the scene moves" in said
+    limit = DyeRun(scene_file.read(tmp_path / "scene.yaml"), 1).limit
+    assert f"limit {limit * 1e3:.4g} ms" in said
+
+
+def test_pictures_are_refused_by_name(tmp_path: Path) -> None:
+    path = nuno.run(write_scene(tmp_path), record=tmp_path / "run.mcap").path
+    assert main(["export", str(path), "--png", str(tmp_path / "out.png")]) == 2
+    assert main(["export", str(path), "--csv", str(tmp_path / "out.csv")]) == 0
+    assert (tmp_path / "out.csv").read_text().startswith("frame,t [s],steps,step_seconds [s],balance [1],mobile_blue")
