@@ -70,7 +70,7 @@ def test_score_of_an_end_is_its_shift_and_its_stretch(sheet: Sheet) -> None:
 @pytest.mark.parametrize(("module", "made", "off"), [("mujoco", "Edges", 1e-9), ("newton", "SemiImplicit", 1e-4)])
 def test_engines_that_step_as_numpy_does_end_where_it_does(sheet: Sheet, module: str, made: str, off: float) -> None:
     """Both are symplectic Euler: the same springs, dampers, masses, drag and pins give the same positions."""
-    pytest.importorskip(module)
+    pytest.importorskip(module, reason=f"the peer engine {module} is not installed")
     engine = getattr(__import__(f"nuno_bench.peer_{module}", fromlist=[made]), made)(sheet, dt=1 / 3000)
     x, exact = engine.advance(0.2), NumPy(sheet, 1 / 3000).advance(0.2)
     moved = np.abs(exact - sheet.x).max()
