@@ -153,6 +153,12 @@ class Adaptive(Compiled):
             work.b, work.pair, table.stages, table.estimate, control, np.zeros(2, np.int64),
             0.0, 0.0, work.landing, work.allowed, packed, extra,
         )  # fmt: skip
+        if not work.landing:
+            # What reads a state inside of a step: no stages, and into arrays of its own.
+            attempt(work.b, work.pair, 0, 0, 0.0, 0.0, 1.0, packed, None)
+            b, weights = work.b, table.output(0.0)
+            ends = np.empty_like(b.x), np.empty_like(b.v)
+            combine(b.x, b.v, b.flat, 0.0, 0.0, weights @ table.a, weights, len(table.c), *ends, packed.threads)
 
     def _goes_on(self, work: AdaptiveWork, packed: Packed, span: float) -> bool:
         """Whether the pending step leads to the present state; its slopes are made again after a resume."""
