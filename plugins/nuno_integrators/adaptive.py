@@ -202,13 +202,11 @@ class Adaptive(Compiled):
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one accepted step on x'' = -omega^2 x - damping x', state (x, v)."""
-        table, one = self.tableau, np.eye(2)
-        rate = np.array([[0.0, 1.0], [-omega * omega, -damping]])
-        slopes: list[Float] = []
-        for i in range(table.stages):
-            slopes.append(rate @ (one + dt * sum((table.a[i, j] * slopes[j] for j in range(i)), 0.0 * one)))
-        last = table.stages - 1
-        result: Float = one + dt * sum((table.a[last, j] * slopes[j] for j in range(last)), 0.0 * one)
+        one = np.eye(2)
+        z = dt * np.array([[0.0, 1.0], [-omega * omega, -damping]])
+        result: Float = 0.0 * one
+        for coefficient in reversed(self.tableau.polynomial):
+            result = z @ result + coefficient * one
         return result
 
 

@@ -48,6 +48,18 @@ class Tableau:
         used: Float = self.errors @ self.a[: self.stages, : self.stages]
         return used
 
+    @cached_property
+    def polynomial(self) -> tuple[float, ...]:
+        """Coefficients of 1, z, z^2, ... of the stability polynomial: a step on y' = z y multiplies y with it.
+
+        The stages are the sum of z^k A^k 1, and the last one is the step's end.
+        """
+        power, found = np.ones(self.stages), []
+        for _ in range(self.stages):
+            found.append(float(power[-1]))
+            power = self.a[: self.stages, : self.stages] @ power
+        return tuple(found)
+
 
 def _table(rows: Rows, shape: tuple[int, int]) -> Float:
     table = np.zeros(shape)

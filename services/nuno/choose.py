@@ -72,8 +72,8 @@ def decide(loaded: Loaded) -> Loaded:
     trials = _trials(loaded, system, bodies, start)
     found = _try_all(loaded, trials, start, accuracy)
     best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
-    steps = 1.0 / float(scene.frame_rate) / best.steps
-    return _written(loaded, best.method.name, steps, _reason(trials, best, found, accuracy))
+    dt = 1.0 / float(scene.frame_rate) / best.steps
+    return _written(loaded, best.method.name, dt, _reason(trials, best, found, accuracy))
 
 
 def _build(loaded: Loaded) -> tuple[System, build.Bodies | None]:
