@@ -62,8 +62,9 @@ class Played:
 
     @property
     def give(self) -> float:
-        """How much softer than its fabric a run may be, from the share of a force that its solver may leave missing."""
-        return 1.0 / (1.0 - float(getattr(self.simulation.loaded.integrator.config, "residual", 0.0)))
+        """How much softer than its fabric a run may be: where a solver leaves a share of each force missing."""
+        partly = np.isfinite(self.simulation.limit.resolved)
+        return 1.0 / (1.0 - float(self.simulation.loaded.integrator.config.residual)) if partly else 1.0
 
     @property
     def pull(self) -> float:
