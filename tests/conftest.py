@@ -24,11 +24,10 @@ def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Where a system package or an extra is missing a test skips by name; in CI, which installs
-    them all, it fails. Only outside data, engines to compare with, and what a superuser cannot be refused,
-    may be missing.
+    them all, it fails. Only outside data, and what a superuser cannot be refused, may be missing.
     """
     report = yield
-    excused = ("shared data", "root", "one core", "fewer than", "peer engine")
+    excused = ("shared data", "root", "one core", "fewer than")
     if report.skipped and os.environ.get("CI") and not any(word in str(report.longrepr) for word in excused):
         report.outcome = "failed"
         report.longrepr = f"skipped in CI: {report.longrepr}"
