@@ -106,11 +106,16 @@ class Dye:
 
 @dataclass(frozen=True)
 class DyeSystem:
-    """A cloth and the dyes in it, each an amount by itself; `threads` is the most that kernels may use."""
+    """A cloth and the dyes in it, each an amount by itself; `threads` is the most that kernels may use.
+
+    `supply` (dyes, 2, ny, nx) is what supplies keep up: the least mobile dye that a cell holds after every step, 0
+    where none does; None where nothing is kept up. It only ever adds: a cell that holds more is left alone.
+    """
 
     cells: Cells
     dyes: tuple[Dye, ...]
     threads: int = 1
+    supply: Float | None = None
 
 
 @dataclass
@@ -124,7 +129,10 @@ class DyeState:
 
 @dataclass(frozen=True)
 class DyeReport:
-    """What a solver did in a frame; mobile and fixed are the dyes' totals at its end, summed with compensation."""
+    """What a solver did in a frame; mobile and fixed are the dyes' totals at its end, summed with compensation.
+
+    `supplied` are the totals that kept-up supplies gave in this frame; empty stands for nothing.
+    """
 
     status: Literal["ok", "diverged"]
     steps: int
@@ -133,6 +141,7 @@ class DyeReport:
     message: str = ""
     totals: Mapping[str, int] = field(default_factory=dict)
     """What adds up over a run."""
+    supplied: tuple[float, ...] = ()
 
 
 class IsothermPlugin(Protocol):
