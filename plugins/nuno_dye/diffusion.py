@@ -21,6 +21,7 @@ from llvmlite import ir
 from numba import prange
 from numpy.typing import NDArray
 
+from nuno_dye.upkeep import keep_row
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.simd import WIDTH, instruction, load, splat, store, vector
 from nuno_schemas.fabric import Float
@@ -99,8 +100,9 @@ def start_row(phi: Any, down: Any, edge: Any, level: int, row: int, r: int) -> N
 
 @kernel
 def pass_over(
-    levels: int, phi: Any, along: Any, down: Any, across: Any, edge: Any, first: int, last: int, up: int, low: int
-) -> None:
+    levels: int, phi: Any, along: Any, down: Any, across: Any, edge: Any, first: int, last: int, up: int, low: int,
+    floor: Any, given: Any, lost: Any, rows: Any,
+) -> None:  # fmt: skip
     """`levels` steps of one band. Level s is right where it has levels - 1 - s rows of its neighbours."""
     for at in range(first - up * (levels - 1), last + low * (levels - 1) + levels + 1):
         for level in range(levels):
@@ -109,16 +111,26 @@ def pass_over(
                 if row == first - up * beyond:
                     start_row(phi, down, edge, level, row, across.shape[0])
                 step_row(phi, along, down, across, edge, level, row)
+                if floor is not None and rows[row]:
+                    keep_row(phi, floor, given, lost, LEFT, row)
+                    keep_row(phi, floor, given, lost, LEFT, row + across.shape[0])
 
 
 @parallel_kernel
-def pass_bands(levels: int, bands: Any) -> None:
+def pass_bands(levels: int, bands: Any, upkeep: Any) -> None:
     """`levels` steps of all bands."""
     for b in prange(bands.phi.shape[0]):
-        pass_over(
-            levels, bands.phi[b], bands.along[b], bands.down[b], bands.across[b], bands.edge[b],
-            bands.first[b], bands.last[b], bands.shrinks[b, 0], bands.shrinks[b, 1],
-        )  # fmt: skip
+        if upkeep is None:
+            pass_over(
+                levels, bands.phi[b], bands.along[b], bands.down[b], bands.across[b], bands.edge[b],
+                bands.first[b], bands.last[b], bands.shrinks[b, 0], bands.shrinks[b, 1], None, None, None, None,
+            )  # fmt: skip
+        else:
+            pass_over(
+                levels, bands.phi[b], bands.along[b], bands.down[b], bands.across[b], bands.edge[b],
+                bands.first[b], bands.last[b], bands.shrinks[b, 0], bands.shrinks[b, 1],
+                upkeep.floor[b], upkeep.given[b], upkeep.lost[b], upkeep.rows[b],
+            )  # fmt: skip
 
 
 @kernel
@@ -142,8 +154,8 @@ def renew_ghosts(bands: Any) -> None:
 
 
 @kernel
-def diffuse(steps: int, bands: Any) -> None:
-    """`steps` steps, GHOST of them in a pass."""
+def diffuse(steps: int, bands: Any, upkeep: Any) -> None:
+    """`steps` steps, GHOST of them in a pass; `upkeep` may be None."""
     for done in range(0, steps, GHOST):
-        pass_bands(min(GHOST, steps - done), bands)
+        pass_bands(min(GHOST, steps - done), bands, upkeep)
         renew_ghosts(bands)

@@ -19,6 +19,7 @@ from numba import prange
 from numba.core import cgutils, types
 
 from nuno_dye.diffusion import LEFT, Rows, copy_rows, slide
+from nuno_dye.upkeep import keep_row
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.simd import LANES, WIDTH, instruction, load, splat, spread, store, vector
 from nuno_kernels.simd_choose import higher, lower
@@ -183,6 +184,7 @@ def move_row(phi: Any, rolling: Any, base: int, row: int, r: int) -> None:
 def pass_over_dye(
     levels: int, phi: Any, fixed: Any, along: Any, down: Any, across: Any, mobile: Any, fibre: Any, rolling: Any,
     first: int, last: int, up: int, low: int, rate: float, isotherm: int, k: float, b: float,
+    floor: Any, given: Any, lost: Any, rows: Any,
 ) -> None:  # fmt: skip
     """`levels` steps of one band: rows are adsorbed two ahead, their fluxes and factors known one ahead."""
     r = across.shape[0]
@@ -203,17 +205,28 @@ def pass_over_dye(
                 scale_down(rolling, base, row)
                 if row >= start:
                     move_row(phi, rolling, base, row, r)
+                    if floor is not None and rows[row]:
+                        keep_row(phi, floor, given, lost, LEFT, row)
+                        keep_row(phi, floor, given, lost, LEFT, row + r)
 
 
 @parallel_kernel
-def pass_dye_bands(levels: int, bands: Any, rate: float, isotherm: int, k: float, b: float) -> None:
+def pass_dye_bands(levels: int, bands: Any, rate: float, isotherm: int, k: float, b: float, upkeep: Any) -> None:
     """`levels` steps of all bands."""
     for n in prange(bands.phi.shape[0]):
-        pass_over_dye(
-            levels, bands.phi[n], bands.fixed[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n],
-            bands.fibre[n], bands.rolling[n], bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1],
-            rate, isotherm, k, b,
-        )  # fmt: skip
+        if upkeep is None:
+            pass_over_dye(
+                levels, bands.phi[n], bands.fixed[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n],
+                bands.fibre[n], bands.rolling[n], bands.first[n], bands.last[n], bands.shrinks[n, 0],
+                bands.shrinks[n, 1], rate, isotherm, k, b, None, None, None, None,
+            )  # fmt: skip
+        else:
+            pass_over_dye(
+                levels, bands.phi[n], bands.fixed[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n],
+                bands.fibre[n], bands.rolling[n], bands.first[n], bands.last[n], bands.shrinks[n, 0],
+                bands.shrinks[n, 1], rate, isotherm, k, b,
+                upkeep.floor[n], upkeep.given[n], upkeep.lost[n], upkeep.rows[n],
+            )  # fmt: skip
 
 
 @parallel_kernel
@@ -231,8 +244,8 @@ def renew_dye_ghosts(bands: Any) -> None:
 
 
 @kernel
-def dye(steps: int, bands: Any, rate: float, isotherm: int, k: float, b: float) -> None:
-    """`steps` steps, LEVELS of them in a pass."""
+def dye(steps: int, bands: Any, rate: float, isotherm: int, k: float, b: float, upkeep: Any) -> None:
+    """`steps` steps, LEVELS of them in a pass; `upkeep` may be None."""
     for done in range(0, steps, LEVELS):
-        pass_dye_bands(min(LEVELS, steps - done), bands, rate, isotherm, k, b)
+        pass_dye_bands(min(LEVELS, steps - done), bands, rate, isotherm, k, b, upkeep)
         renew_dye_ghosts(bands)

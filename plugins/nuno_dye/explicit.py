@@ -2,9 +2,10 @@
 
 Where nothing is adsorbed and no limit can bind, the faster kernel of diffusion alone takes the steps. A step of
 it replaces each amount by a mean of itself and its neighbours', with weights that add to 1 and are none of them
-negative as long as D0 dt / size^2 sum P T <= 1; so no amount leaves the range of those at the start, and a cell's
-inflow is at most (max - phi). Nothing can be limited, then, if every cell that a face reaches has room for the
-largest amount of the start.
+negative as long as D0 dt / size^2 sum P T <= 1; limits only make the neighbours' weights smaller, and adsorption the
+amounts. So no amount ever exceeds the largest of those at the start and of what supplies have kept up since, and a
+cell's inflow is at most (that - phi). Nothing can be limited, then, if every cell that a face reaches has room for
+it. Memory keeps this largest amount, so that a resumed run chooses its kernel as the whole run did.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from nuno_dye.diffusion import GHOST, Bands, diffuse
 from nuno_dye.dyeing import FREUNDLICH, LANGMUIR, LEVELS, NOTHING, PARTITION, DyeBands, dye
 from nuno_dye.faces import Faces, face_sums, face_values
 from nuno_dye.sums import sum_compensated
+from nuno_dye.upkeep import Upkeep, begin_upkeep, make_upkeep, sum_given
 from nuno_kernels import threads_available
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput
@@ -40,12 +42,23 @@ class ExplicitConfig(Config):
 
 @dataclass
 class Work:
-    """Face values, their largest sum, and by dye: the step [s] and the kernels' layout for it."""
+    """What was made from a system's cells, dyes and threads, and from its supply.
 
+    faces   face values, and `most`, the largest sum of a cell's
+    room    least capacity V_u of a cell that a face reaches
+    floors  (dyes, 2, ny, nx) what is kept up as far as there is room, None where nothing is
+    plain, whole  by dye: the step [s] and the kernels' layout for it
+    upkeep  by dye and kernel: the layout of its floors
+    """
+
+    system: DyeSystem
     faces: Faces
     most: float
+    room: float
+    floors: Float | None
     plain: dict[int, tuple[float, Bands]] = field(default_factory=dict)
     whole: dict[int, tuple[float, DyeBands]] = field(default_factory=dict)
+    upkeep: dict[tuple[int, int], Upkeep] = field(default_factory=dict)
 
 
 class Explicit:
@@ -55,16 +68,13 @@ class Explicit:
     Config: ClassVar[type[BaseModel]] = ExplicitConfig
 
     def prepare(self, config: ExplicitConfig, system: DyeSystem, state: DyeState) -> Memory:
-        """Memory: which dyes a limit can bind. A resumed run must choose its kernel as the whole run did."""
+        """Memory: `highest` (dyes,), the largest amount that any cell can have had."""
         for one in system.dyes:
             law = one.isotherm
             if law is not None and (law.kind not in KINDS or (law.kind == "python") != (law.function is not None)):
                 raise BadInput("no kernel knows this isotherm", value=law.kind, limit=", ".join(KINDS))
-        faces = face_values(system.cells)
-        sums = face_sums(faces)
-        room = float(system.cells.mobile_room[sums > 0.0].min(initial=np.inf))
-        limited = [_adsorbs(one) or float(state.phi[k].max()) > room for k, one in enumerate(system.dyes)]
-        return Memory({"limited": np.array(limited)}, Work(faces, float(sums.max())))
+        highest = state.phi.reshape(len(system.dyes), -1).max(axis=1)
+        return Memory({"highest": highest.astype(np.float64)}, _make_work(system))
 
     def limit(self, config: ExplicitConfig, system: DyeSystem) -> float:
         """D0 dt / size^2 times the largest sum of P T over a cell's faces is 1 there."""
@@ -73,19 +83,22 @@ class Explicit:
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
         """See nuno_schemas.dye.DyeSolver."""
-        work: Work = memory.work  # type: ignore[assignment]
+        work = memory.work = _renew_work(memory.work, system)  # type: ignore[arg-type]
+        highest = memory.arrays["highest"]
         numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
+        supplied = []
         for k in range(len(system.dyes)):
-            _advance_one(system, work, k, state, steps, dt, bool(memory.arrays["limited"][k]))
+            if work.floors is not None:
+                highest[k] = max(highest[k], work.floors[k].max())
+            supplied.append(_advance_one(work, k, state, steps, dt, float(highest[k])))
         state.t += steps * dt
         mobile, fixed = (
             tuple(sum_compensated(values.reshape(-1)) for values in amounts) for amounts in (state.phi, state.fixed)
         )
         finite = bool(np.isfinite([*mobile, *fixed]).all())
-        totals = {"steps": steps}
-        if not finite:
-            return DyeReport("diverged", steps, mobile, fixed, "amounts of dye are no longer finite", totals)
-        return DyeReport("ok", steps, mobile, fixed, "", totals)
+        status, message = ("ok", "") if finite else ("diverged", "amounts of dye are no longer finite")
+        gave = tuple(supplied) if system.supply is not None else ()
+        return DyeReport(status, steps, mobile, fixed, message, {"steps": steps}, gave)  # type: ignore[arg-type]
 
     def about(self, system: DyeSystem) -> str:
         available, why = threads_available()
@@ -93,6 +106,31 @@ class Explicit:
         if number == 1 and min(system.threads, available) > 1:
             return f"1 thread: {system.cells.fibre.size:,} cells are fewer than several threads pay for"
         return f"{number} thread{'s' if number > 1 else ''} of {available} ({why})"
+
+
+def _make_work(system: DyeSystem) -> Work:
+    faces = face_values(system.cells)
+    sums = face_sums(faces)
+    room = float(system.cells.mobile_room[sums > 0.0].min(initial=np.inf))
+    return Work(system, faces, float(sums.max()), room, _floors(system))
+
+
+def _renew_work(work: Work, system: DyeSystem) -> Work:
+    """What still holds for a system that may have other cells, dyes, threads or another supply than before."""
+    before = work.system
+    if system is before:
+        return work
+    if system.cells is not before.cells or system.dyes != before.dyes or system.threads != before.threads:
+        return _make_work(system)
+    if system.supply is not before.supply:
+        work.floors = _floors(system)
+        work.upkeep.clear()
+    work.system = system
+    return work
+
+
+def _floors(system: DyeSystem) -> Float | None:
+    return None if system.supply is None else np.minimum(system.supply, system.cells.mobile_room)
 
 
 def _adsorbs(one: Dye) -> bool:
@@ -104,25 +142,48 @@ def _bands(system: DyeSystem) -> int:
     return max(1, min(system.threads, threads_available()[0], system.cells.fibre.size // CELLS_PER_THREAD))
 
 
-def _advance_one(system: DyeSystem, work: Work, k: int, state: DyeState, steps: int, dt: float, limited: bool) -> None:
-    """Bring one dye from the start of a frame to its end; with no steps, compile what they need."""
-    one, phi, fixed = system.dyes[k], state.phi[k], state.fixed[k]
-    scale, number = one.D0 * dt / system.cells.size**2, _bands(system)
-    if limited or scale * work.most > 1.0:
-        _step_whole(system, work, k, phi, fixed, steps, dt)
-        return
+def _upkeep(work: Work, k: int, ghost: int) -> Upkeep | None:
+    """Floors of one dye in a kernel's layout, with nothing given yet; None where it has none."""
+    if work.floors is None or not work.floors[k].any():
+        return None
+    found = work.upkeep.get((k, ghost))
+    if found is None:
+        found = make_upkeep(Cut(work.floors[k].shape, _bands(work.system), ghost).fill(work.floors[k])[0])
+        work.upkeep[k, ghost] = found
+    return begin_upkeep(found)
+
+
+def _read_given(bands: Bands | DyeBands, upkeep: Upkeep | None, shape: tuple[int, ...]) -> float:
+    """All that a dye's supplies gave."""
+    if upkeep is None:
+        return 0.0
+    return sum_given(*(read_bands(bands, values, np.empty(shape)) for values in (upkeep.given, upkeep.lost)))
+
+
+def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, highest: float) -> float:
+    """Bring one dye from the start of a frame to its end; with no steps, compile what they need.
+
+    Returns what its supplies gave.
+    """
+    system, phi, fixed = work.system, state.phi[k], state.fixed[k]
+    one, number = system.dyes[k], _bands(system)
+    scale = one.D0 * dt / system.cells.size**2
+    if _adsorbs(one) or not highest <= work.room or scale * work.most > 1.0:
+        return _step_whole(work, k, phi, fixed, steps, dt)
     known, plain = work.plain.get(k, (0.0, None))
     if plain is None or known != dt:
         plain = make_bands(phi, work.faces, scale, number)
         work.plain[k] = dt, plain
     plain = plain._replace(phi=Cut(phi.shape, number, GHOST).fill(phi)[0])
-    diffuse(steps, plain)
+    upkeep = _upkeep(work, k, GHOST)
+    diffuse(steps, plain, upkeep)
     read_bands(plain, plain.phi, phi)
+    return _read_given(plain, upkeep, phi.shape)
 
 
-def _step_whole(system: DyeSystem, work: Work, k: int, phi: Float, fixed: Float, steps: int, dt: float) -> None:
+def _step_whole(work: Work, k: int, phi: Float, fixed: Float, steps: int, dt: float) -> float:
     """The same with adsorption, capacities and resist."""
-    one, cells, number = system.dyes[k], system.cells, _bands(system)
+    one, cells, number = work.system.dyes[k], work.system.cells, _bands(work.system)
     scale = one.D0 * dt / cells.size**2
     known, whole = work.whole.get(k, (0.0, None))
     if whole is None or known != dt:
@@ -131,14 +192,16 @@ def _step_whole(system: DyeSystem, work: Work, k: int, phi: Float, fixed: Float,
     law = one.isotherm if _adsorbs(one) else None
     kind, first, second = (KINDS[law.kind], law.first, law.second) if law else (NOTHING, 0.0, 0.0)
     function = law.function if law else None
+    upkeep = _upkeep(work, k, 2 * LEVELS)
     for count in [steps] if function is None or not steps else [1] * steps:
         if function is not None and count:
             _adsorb(phi, fixed, cells, one.adsorption * scale, function)
         amounts = Cut(phi.shape, number, 2 * LEVELS).fill(phi, fixed)
         whole = whole._replace(phi=amounts[0], fixed=amounts[1])
-        dye(count, whole, one.adsorption * scale, kind, first, second)
+        dye(count, whole, one.adsorption * scale, kind, first, second, upkeep)
         read_bands(whole, whole.phi, phi)
         read_bands(whole, whole.fixed, fixed)
+    return _read_given(whole, upkeep, phi.shape)
 
 
 def _adsorb(phi: Float, fixed: Float, cells: Cells, rate: float, function: Callable[[Float, Float], Float]) -> None:

@@ -109,7 +109,8 @@ class DyeSystem:
     """A cloth and the dyes in it, each an amount by itself; `threads` is the most that kernels may use.
 
     `supply` (dyes, 2, ny, nx) is what supplies keep up: the least mobile dye that a cell holds after every step, 0
-    where none does; None where nothing is kept up. It only ever adds: a cell that holds more is left alone.
+    where none does; None where nothing is kept up. It only ever adds: a cell that holds more is left alone, and one
+    with less room is kept full. Solvers may keep what they made of arrays in here: give others, do not change them.
     """
 
     cells: Cells

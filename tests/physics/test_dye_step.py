@@ -90,7 +90,7 @@ def run(
 ) -> tuple[Float, Float]:
     packed = make_dye_bands(phi, fixed, cells, face_values(cells), scale, bands)
     kind, k, b = ISOTHERMS[isotherm]
-    dye(steps, packed, rate, kind, k, b)
+    dye(steps, packed, rate, kind, k, b, None)
     return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, packed.fixed, np.empty_like(phi))
 
 
