@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_dye.cells_file import load_arrays, read_shape
-from nuno_schemas.dye import Cells, DyeState, Tortuosity
+from nuno_dye.supply import Supplies, prepare_supplies
+from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config, Files
@@ -47,6 +48,7 @@ class CellsConfig(Config):
     tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
     tau3: Tau3Config = Field(description="by kind of face, I to V")
     v_max: float = Field(default=1.0, gt=0, le=1e12, description="most that a cell holds")
+    supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
     @property
     def tortuosity(self) -> Tortuosity:
@@ -79,6 +81,11 @@ class CellsCloth:
         for name, (room, formula) in rooms.items():
             data[name] = _amounts(path, name, data[name], room, formula)
         return cells, DyeState(data["phi"], data["fixed"])
+
+    def supplies(self, config: CellsConfig, cells: Cells, dyes: int) -> tuple[Supply, ...]:
+        """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
+        _, ny, nx = cells.fibre.shape
+        return prepare_supplies(config.supply, (ny, nx), config.cell_size, dyes)
 
 
 def _amounts(path: Path, name: str, values: Float, room: Float, formula: str) -> Float:

@@ -8,15 +8,20 @@ makes a cell neither overflow nor dry. A finite bath exchanges dye both ways.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from nuno_dye.quantities import Length, Moment, Place, Positive, Share
 from nuno_dye.regions import MOST_POINTS, All, Disc, Region, Stroke, cover
-from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.dye import Supply
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool
 from nuno_schemas.plugin import Config
+
+MOST_SUPPLIES = 256
 
 
 class _Supply(Config):
@@ -72,10 +77,11 @@ class Bath(_Supply):
         return self
 
 
-Supply = Annotated[Drop | Brush | Bath, Field(discriminator="kind")]
+AnySupply = Annotated[Drop | Brush | Bath, Field(discriminator="kind")]
+Supplies = Annotated[tuple[AnySupply, ...], Field(max_length=MOST_SUPPLIES)]
 
 
-def find_cells(supply: Drop | Brush | Bath, shape: tuple[int, int], size: float) -> Bool:
+def find_cells(supply: AnySupply, shape: tuple[int, int], size: float) -> Bool:
     """(2, ny, nx) the cells it reaches. Raises BadInput where there is none."""
     if isinstance(supply, Drop):
         part = cover(Disc(centre=supply.place, diameter=supply.diameter), shape, size)
@@ -87,42 +93,25 @@ def find_cells(supply: Drop | Brush | Bath, shape: tuple[int, int], size: float)
     return np.asarray(part & reached[:, None, None])
 
 
-def is_due(supply: Drop | Brush | Bath, t0: float, t1: float) -> bool:
-    """Whether it acts in a step from t0 to t1 [s]: given once in the step that its start lies in."""
-    if supply.maintained:
-        return supply.start < t1 and (supply.stop is None or supply.stop > t0)
-    return t0 <= supply.start < t1
+def prepare_supplies(items: Sequence[AnySupply], shape: tuple[int, int], size: float, dyes: int) -> tuple[Supply, ...]:
+    """What a cloth of (ny, nx) cells with side `size` [m] is given.
 
-
-class Given(NamedTuple):
-    """Amounts afterwards (2, ny, nx), and how much was given in all (taken, below 0)."""
-
-    phi: Float
-    given: float
-
-
-def give(phi: Float, room: Float, cells: Bool, amount: float) -> Given:
-    """Raise cells (2, ny, nx) to a share of their room V_u; what holds more is left alone."""
-    raised = np.where(cells, np.maximum(phi, amount * room), phi)
-    return Given(raised, math.fsum((raised - phi)[cells]))
-
-
-class Exchange(NamedTuple):
-    """Amounts afterwards (2, ny, nx), and what is left in the bath, as a share of what it can hold."""
-
-    phi: Float
-    share: float
-
-
-def exchange(phi: Float, room: Float, cells: Bool, share: float, liquor: float) -> Exchange:
-    """Well stirred exchange of immersed cells with a bath of finite volume, down to equal shares.
-
-    With sum V the room of the cells and liquor L, the bath holds share L sum V, and everything together settles at
-
-        s = (L share sum V + sum phi) / ((L + 1) sum V).
+    Raises BadInput, at `supply[i]`, for what reaches no cell and for a dye that is none of the scene's.
     """
-    held, total = math.fsum(phi[cells]), math.fsum(room[cells])
-    if total == 0.0:
-        return Exchange(phi.copy(), share)
-    settled = min(1.0, (liquor * share * total + held) / ((liquor + 1.0) * total))
-    return Exchange(np.where(cells, settled * room, phi), settled)
+    return tuple(_prepare(item, f"supply[{index}]", shape, size, dyes) for index, item in enumerate(items))
+
+
+def _prepare(item: AnySupply, place: str, shape: tuple[int, int], size: float, dyes: int) -> Supply:
+    if item.dye >= dyes:
+        raise BadInput(
+            "no such dye", field=f"{place}.dye", value=item.dye, limit=f"0 to {dyes - 1}",
+            remedy="dye is a place in the list of dyes, from 0",
+        )  # fmt: skip
+    try:
+        cells = find_cells(item, shape, size)
+    except BadInput as error:
+        inside = "region" if isinstance(item, Bath) else item.kind
+        raise BadInput(error.problem, None, None, f"{place}.{inside}", error.value, error.limit, error.remedy) from None
+    until = math.inf if item.stop is None else item.stop
+    liquor = item.liquor if isinstance(item, Bath) else None
+    return Supply(item.kind, item.dye, cells, item.amount, item.start, until if item.maintained else None, liquor)

@@ -1,4 +1,4 @@
-"""A woven cloth with what keeps dye out of it, and the dye that is on it at the start."""
+"""A woven cloth with what keeps dye out of it, and what gives dye to it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 from nuno_dye.cells import Tau, Tau3Config
 from nuno_dye.quantities import Positive
 from nuno_dye.resist import Resist, combine, find_resist
-from nuno_dye.supply import Supply, find_cells, give
+from nuno_dye.supply import Supplies, prepare_supplies
 from nuno_dye.weaves import (
     MatrixConfig,
     PlainConfig,
@@ -24,9 +24,9 @@ from nuno_dye.weaves import (
 from nuno_dye.wif import Draft, read_wif
 from nuno_dye.wif_yarns import Yarns
 from nuno_dye.woven import Lay, WovenConfig, build_cells, lay_measured
-from nuno_schemas.dye import Cells, DyeState, Tortuosity
+from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.fabric import Bool
 from nuno_schemas.plugin import Config, Files
 
 
@@ -51,7 +51,7 @@ class WovenClothConfig(WovenConfig):
     tau3: Tau3Config = Field(description="by kind of face, I to V")
     v_max: Positive = Field(default=1.0, description="most that a cell holds")
     resist: tuple[Resist, ...] = Field(default=(), description="what keeps dye out, on both layers")
-    supply: tuple[Supply, ...] = Field(default=(), description="dye that is given at the start")
+    supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
     @property
     def tortuosity(self) -> Tortuosity:
@@ -69,14 +69,19 @@ class WovenCloth:
         return 2 * config.cells[0] * config.cells[1]
 
     def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
-        """Raises BadInput for a weave, resist or supply that is none, or does not fit the cloth."""
+        """Raises BadInput for a weave or resist that is none, or does not fit the cloth."""
         drawdown, lays = draw_weave(config, files)
         cells = build_cells(drawdown, config, config.tortuosity, seed, lays, config.v_max)
         shape = (config.cells[1], config.cells[0])
         for item in config.resist:
             part = find_resist(item, shape, config.cell_size, files)
             np.copyto(cells.resist, combine([cells.resist, np.broadcast_to(part, cells.resist.shape)]))
-        return cells, DyeState(supply_start(config, cells, dyes), np.zeros((dyes, *cells.fibre.shape)))
+        empty = np.zeros((dyes, *cells.fibre.shape))
+        return cells, DyeState(empty, empty.copy())
+
+    def supplies(self, config: WovenClothConfig, cells: Cells, dyes: int) -> tuple[Supply, ...]:
+        """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
+        return prepare_supplies(config.supply, (config.cells[1], config.cells[0]), config.cell_size, dyes)
 
 
 def draw_weave(config: WovenClothConfig, files: Files) -> tuple[Bool, tuple[Lay, Lay] | None]:
@@ -115,20 +120,3 @@ def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Lay, Lay]:
         return lay_measured(yarns.spacing, thickness, config.cell_size, cells)
 
     return lay("WEFT", draft.weft, config.cells[1]), lay("WARP", draft.warp, config.cells[0])
-
-
-def supply_start(config: WovenClothConfig, cells: Cells, dyes: int) -> Float:
-    """(dyes, 2, ny, nx) mobile dye at the start.
-
-    Raises BadInput for what is kept up, comes later, or is of a dye that the scene does not have.
-    """
-    phi = np.zeros((dyes, *cells.fibre.shape))
-    for index, item in enumerate(config.supply):
-        place = f"supply[{index}]"
-        if item.maintained or item.start > 0.0:
-            raise BadInput("a cloth is given dye at the start, and once", field=place, value=item.model_dump())
-        if item.dye >= dyes:
-            raise BadInput("no such dye", field=f"{place}.dye", value=item.dye, limit=f"0 to {dyes - 1}")
-        reached = find_cells(item, (config.cells[1], config.cells[0]), config.cell_size)
-        phi[item.dye], _ = give(phi[item.dye], cells.mobile_room, reached, item.amount)
-    return phi

@@ -145,6 +145,28 @@ class DyeReport:
     supplied: tuple[float, ...] = ()
 
 
+@dataclass(frozen=True)
+class Supply:
+    """Dye that is given to a part of the cloth: once, or kept up for a time.
+
+    kind    what a report calls it
+    dye     its place among the dyes
+    cells   (2, ny, nx) bool, what it reaches
+    amount  share of V_u that cells are raised to; of a finite bath, the share that it holds before it is used
+    start   [s] when it is given or begins to be kept up
+    stop    [s] until when it is kept up, inf to the end; None: given once
+    liquor  a finite bath's volume over the room of the cells it reaches; None: endless
+    """
+
+    kind: str
+    dye: int
+    cells: Bool
+    amount: float
+    start: float = 0.0
+    stop: float | None = None
+    liquor: float | None = None
+
+
 class IsothermPlugin(Protocol):
     """An isotherm by name."""
 
@@ -155,13 +177,17 @@ class IsothermPlugin(Protocol):
 
 
 class DyeCloth(Protocol):
-    """Builds a cloth's cells and what they hold at the start."""
+    """Builds a cloth's cells, what they hold at the start, and what gives dye to them."""
 
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
     def build(self, config: Any, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
-        """Cells, and the amounts (dyes, 2, ny, nx) of each dye. Raises BadInput."""
+        """Cells, and the amounts (dyes, 2, ny, nx) of each dye before any is supplied. Raises BadInput."""
+        ...
+
+    def supplies(self, config: Any, cells: Cells, dyes: int) -> tuple[Supply, ...]:
+        """What gives dye to the cells that were built, in the order of `config.supply`. Raises BadInput."""
         ...
 
     def count(self, config: Any, files: Files) -> int:

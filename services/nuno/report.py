@@ -156,8 +156,18 @@ def _dye(report: Report) -> list[tuple[str, str]]:
     for name, supplied in dye["supplied"].items():
         mobile, fixed = (_cells(dye[kind][name]) for kind in ("mobile", "fixed"))
         rows.append(("" if rows else "dye", f"{name}: {supplied:.6g} supplied, {mobile} mobile, {fixed} fixed"))
+        rows += [("", f"  {text}") for text in _given(dye, name)]
     text = "not finite" if dye["balance"] is None else f"off by at most {dye['balance']:.2g} of what was supplied"
     return [*rows, ("balance", f"mobile + fixed - supplied: {text}")]
+
+
+def _given(dye: Report, name: str) -> list[str]:
+    """What each supply gave of a dye, where there is more than one, and what is left in finite baths."""
+    baths, account = dye["baths"], dye["given"][name]
+    if len(account) == 1 and not baths.keys() & account.keys():
+        return []
+    left = {one: f", {baths[one]:.4g} of the bath is left" if one in baths else "" for one in account}
+    return [f"{one}: {_cells(amount)}{left[one]}" for one, amount in account.items()]
 
 
 def _cells(amount: float | None) -> str:

@@ -1,4 +1,4 @@
-"""Supply of dye: parts of the cloth against closed forms, amounts, and when they are due."""
+"""Supply of dye: parts of the cloth against closed forms, and what is no supply."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from nuno_dye.regions import Disc, Polygon, Rectangle, Region, Stroke, cover
-from nuno_dye.supply import Bath, Brush, Drop, Supply, exchange, find_cells, give, is_due
+from nuno_dye.supply import AnySupply, Bath, Brush, find_cells, prepare_supplies
 from nuno_schemas.errors import BadInput
 
 SIZE = 5e-5
@@ -34,7 +34,7 @@ def test_areas_are_those_of_the_shapes() -> None:
 
 
 def test_the_drop_of_the_dye_paper_has_a_diameter_of_30_cells() -> None:
-    drop = TypeAdapter(Supply).validate_python({"kind": "drop", "place": ["5 mm", "5 mm"], "diameter": "1.5 mm"})
+    drop = TypeAdapter(AnySupply).validate_python({"kind": "drop", "place": ["5 mm", "5 mm"], "diameter": "1.5 mm"})
     cells = find_cells(drop, (200, 200), SIZE)
     assert cells.shape == (2, 200, 200) and np.array_equal(cells[0], cells[1])
     rows, columns = np.flatnonzero(cells[0].any(axis=1)), np.flatnonzero(cells[0].any(axis=0))
@@ -64,53 +64,10 @@ def test_a_stroke_is_the_union_of_its_pieces_and_a_single_point_is_a_disc() -> N
     assert cover(Stroke(points=((-1.0, 1e-3), (1.0, 1e-3)), width=4e-4), SHAPE, SIZE).sum() == 8 * SHAPE[1]
 
 
-def test_giving_fills_to_a_share_takes_nothing_and_counts_what_it_gave() -> None:
-    rng = np.random.default_rng(3)
-    room = rng.random((2, 30, 40)) * (rng.random((2, 30, 40)) > 0.2)
-    phi = room * rng.random(room.shape)
-    cells = rng.random(room.shape) > 0.5
-    after, given = give(phi, room, cells, 0.6)
-    assert np.array_equal(after[~cells], phi[~cells]) and (after >= phi).all() and (after <= room).all()
-    assert (after[cells] >= 0.6 * room[cells]).all() and np.array_equal(
-        after[phi >= 0.6 * room], phi[phi >= 0.6 * room]
-    )
-    assert given == pytest.approx(math.fsum(after.ravel()) - math.fsum(phi.ravel()), rel=1e-13)
-    assert give(after, room, cells, 0.6).given == 0.0
-    assert np.array_equal(give(phi, room, np.ones_like(cells), 1.0).phi, room)
-
-
 def test_only_the_layer_that_is_named_is_reached() -> None:
     for layers, expected in (("weft", (True, False)), ("warp", (False, True)), ("both", (True, True))):
         cells = find_cells(Bath(layers=layers), (5, 6), SIZE)  # type: ignore[arg-type]
         assert tuple(layer.all() for layer in cells) == expected == tuple(layer.any() for layer in cells)
-
-
-def test_a_finite_bath_settles_at_equal_shares_and_keeps_the_dye() -> None:
-    rng = np.random.default_rng(5)
-    room, cells = rng.random((2, 20, 20)), rng.random((2, 20, 20)) > 0.3
-    phi, liquor, share = room * rng.random(room.shape), 3.0, 0.9
-    total = room[cells].sum()
-    after, left = exchange(phi, room, cells, share, liquor)
-    assert np.allclose(after[cells], left * room[cells], rtol=1e-15) and np.array_equal(after[~cells], phi[~cells])
-    before = phi[cells].sum() + share * liquor * total
-    assert after[cells].sum() + left * liquor * total == pytest.approx(before, rel=1e-13)
-    # An empty cloth takes up 1 / (L + 1) of the bath; again nothing happens.
-    assert exchange(0 * phi, room, cells, share, liquor).share == pytest.approx(share * liquor / (liquor + 1.0))
-    assert exchange(after, room, cells, left, liquor).share == pytest.approx(left, rel=1e-14)
-    assert exchange(phi, 0 * room, cells, share, liquor).share == share
-
-
-def test_every_supply_acts_in_its_time() -> None:
-    """Steps follow on each other without gap: once is once, and maintained is in every step that it overlaps."""
-    edges = np.linspace(0.0, 10.0, 41)
-    steps = list(itertools.pairwise(edges))
-    for start in (0.0, 0.25, 3.1, 9.99):
-        drop = Drop(place=(0.0, 0.0), diameter=1e-3, start=start)
-        due = [step for step in steps if is_due(drop, *step)]
-        assert len(due) == 1 and due[0][0] <= start < due[0][1]
-    kept = Bath(maintained=True, start=2.0, stop=4.0)
-    assert [step for step in steps if is_due(kept, *step)] == [s for s in steps if s[0] >= 2.0 and s[1] <= 4.0]
-    assert all(is_due(Bath(maintained=True), *step) for step in steps)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +87,7 @@ def test_every_supply_acts_in_its_time() -> None:
 )
 def test_what_is_no_supply_is_refused(supply: dict[str, object], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
-        TypeAdapter(Supply).validate_python(supply)
+        TypeAdapter(AnySupply).validate_python(supply)
 
 
 @pytest.mark.parametrize(
@@ -151,3 +108,18 @@ def test_a_brush_covers_what_a_stroke_does() -> None:
     points = ((1e-3, 1e-3), (4e-3, 2e-3))
     brush = find_cells(Brush(points=points, width=1e-3), SHAPE, SIZE)
     assert np.array_equal(brush[0], cover(Stroke(points=points, width=1e-3), SHAPE, SIZE))
+
+
+def test_what_is_given_is_told_with_its_time_and_its_cells() -> None:
+    items = TypeAdapter(tuple[AnySupply, ...]).validate_python(
+        [
+            {"kind": "drop", "place": ["1 mm", "1 mm"], "diameter": "1 mm", "start": "2 min", "amount": 0.5},
+            {"kind": "bath", "maintained": True, "start": 1, "stop": "1 h", "dye": 1, "layers": "warp"},
+            {"kind": "bath", "maintained": True, "liquor": 20},
+        ]
+    )
+    drop, bath, finite = prepare_supplies(items, SHAPE, SIZE, 2)
+    assert (drop.kind, drop.dye, drop.amount, drop.start, drop.stop, drop.liquor) == ("drop", 0, 0.5, 120.0, None, None)
+    assert np.array_equal(drop.cells, find_cells(items[0], SHAPE, SIZE))
+    assert (bath.dye, bath.start, bath.stop, bath.liquor) == (1, 1.0, 3600.0, None) and not bath.cells[0].any()
+    assert (finite.stop, finite.liquor) == (math.inf, 20.0)

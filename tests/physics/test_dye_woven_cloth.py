@@ -56,7 +56,10 @@ def build(root: Path, dyes: int = 1, **scene: Any) -> tuple[Cells, DyeState]:
     cloth = WovenCloth()
     cells, state = cloth.build(config, Folder(root), 3, dyes)
     assert cloth.count(config, Folder(root)) == cells.fibre.size
-    assert state.phi.shape == state.fixed.shape == (dyes, *cells.fibre.shape) and not state.fixed.any()
+    assert state.phi.shape == state.fixed.shape == (dyes, *cells.fibre.shape)
+    assert not state.phi.any() and not state.fixed.any()
+    for one in cloth.supplies(config, cells, dyes):
+        state.phi[one.dye][one.cells] = one.amount * cells.mobile_room[one.cells]
     return cells, state
 
 
@@ -137,8 +140,11 @@ def test_it_is_dyed_and_the_dye_is_kept(tmp_path: Path) -> None:
     ("scene", "said"),
     [
         ({"supply": [DROP | {"dye": 1}]}, r"(?s)supply\[0\].dye.*0 to 0"),
-        ({"supply": [DROP, DROP | {"maintained": True}]}, r"supply\[1\]: .*at the start"),
-        ({"supply": [DROP | {"start": "1 s"}]}, r"supply\[0\]: .*at the start"),
+        ({"supply": [DROP, DROP | {"place": ["9 mm", 0]}]}, r"(?s)supply\[1\].drop: the part holds no cell.*0.002 m"),
+        (
+            {"supply": [{"kind": "bath", "region": {"shape": "disc", "centre": [1, 1], "diameter": 1e-3}}]},
+            r"(?s)supply\[0\].region: the part holds no cell",
+        ),
         ({"weave": {"plugin": "satin", "ends": 6, "step": 2}}, "no satin on 6 ends"),
         ({"weave": {"plugin": "matrix", "rows": ["10", "1"]}}, "rows differ"),
     ],

@@ -86,6 +86,7 @@ class Driver(Lockstep):
             "dt": dyeing.dt,
             "steps": dyeing.steps,
             "dyes": dyeing.names,
+            "supply": dyeing.supplies.save(),
         }
         self.context.bus.publisher(DYE_CHECKPOINT).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t, digest)
 
@@ -99,8 +100,17 @@ class Driver(Lockstep):
             "threads": dyeing.about(),
             "cells": dyeing.cells.fibre.size,
             "dyes": len(dyeing.names),
-            "dye": {**self.amounts, "balance": _finite(self.balance)},
+            "dye": {**self.amounts, "balance": _finite(self.balance), "given": self.given(), "baths": self.baths()},
         }
+
+    def given(self) -> dict[str, dict[str, float | None]]:
+        """What came from where, by dye."""
+        accounts = zip(self.dyeing.names, self.dyeing.supplies.given, strict=True)
+        return {dye: {name: _finite(amount) for name, amount in account.items()} for dye, account in accounts}
+
+    def baths(self) -> dict[str, float]:
+        """What is left in finite baths, as a share of what they can hold."""
+        return {entry.name: entry.share for entry in self.dyeing.supplies.entries if entry.finite}
 
 
 def _finite(value: float) -> float | None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from math import fsum
 
 import numpy as np
@@ -13,8 +14,9 @@ import psutil
 
 from nuno.dye.checkpoint import DyeCheckpoint
 from nuno.dye.step import choose_dye_step
+from nuno.dye.supply import AT_THE_START, Supplies
 from nuno.scene_file import ChosenDye, Loaded
-from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem
+from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.scene import Dyeing
@@ -51,18 +53,23 @@ class DyeRun:
             raise BadInput("the scene has no dye", loaded.file, remedy="add dye: {cloth: ..., dyes: [...]}")
         self.loaded, self.frame, self.names = loaded, 0, tuple(one.name for one in dye.dyes)
         self._solver = chosen.solver
-        self.cells, self.state = _build_cloth(loaded, dye, chosen)
+        self.cells, self.state, given = _build_cloth(loaded, dye, chosen)
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
         dyes = (Dye(one.name, one.D0, one.adsorption, law) for one, law in zip(dye.dyes, laws, strict=True))
         self.system = DyeSystem(self.cells, tuple(dyes), threads or os.cpu_count() or 1)
         try:
             self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
             self.steps, self.dt = choose_dye_step(loaded, dye, self.limit)
-            self.memory: Memory = self._solver.plugin.prepare(self._solver.config, self.system, self.state)
+            supplies = Supplies(given, self.cells.mobile_room, self.dt, len(dye.dyes))
+            most = supplies.most(self.state)
+            self.memory: Memory = self._solver.plugin.prepare(self._solver.config, self.system, most)
         except BadInput as error:
             raise loaded.at("dye.solver", error) from None
         start = self.measure()
-        self.supplied = tuple(fsum(pair) for pair in zip(start.mobile, start.fixed, strict=True))
+        for k, pair in enumerate(zip(start.mobile, start.fixed, strict=True)):
+            supplies.note(k, AT_THE_START, fsum(pair))
+        self.supplies = supplies
+        self.supplies.begin(self.state.phi, 0)
 
     @property
     def t(self) -> float:
@@ -80,13 +87,34 @@ class DyeRun:
         return found
 
     def advance(self) -> Frame:
-        """Spread dye for one frame."""
+        """Spread dye for one frame, in pieces between which supplies begin, end or exchange."""
         begin = time.perf_counter()
         self.state.t = self.t
-        report = self._solver.plugin.advance(self.system, self.state, self.memory, self.steps, self.dt)
+        step, end = self.frame * self.steps, (self.frame + 1) * self.steps
+        totals: Counter[str] = Counter()
+        exchanged = False
+        while True:
+            self.supplies.begin(self.state.phi, step)
+            until = self.supplies.until(step, end)
+            system = replace(self.system, supply=self.supplies.keep(step))
+            report = self._solver.plugin.advance(system, self.state, self.memory, until - step, self.dt)
+            totals.update(report.totals)
+            exchanged = self.supplies.end(self.state.phi, step, report.supplied)
+            step = until
+            if step == end or report.status != "ok":
+                break
+        if exchanged:
+            measured = self.measure()
+            report = replace(report, mobile=measured.mobile, fixed=measured.fixed)
         self.frame += 1
         self.state.t = self.t
+        report = replace(report, totals=dict(totals))
         return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
+
+    @property
+    def supplied(self) -> tuple[float, ...]:
+        """What was supplied in all, by dye."""
+        return self.supplies.total
 
     def balance(self, report: DyeReport) -> float:
         """Largest |mobile + fixed - supplied| / supplied of the dyes; nan where an amount is not finite."""
@@ -104,6 +132,7 @@ class DyeRun:
         hasher.update(np.int64(self.frame).tobytes())
         hasher.update(np.ascontiguousarray(self.state.phi).data)
         hasher.update(np.ascontiguousarray(self.state.fixed).data)
+        hasher.update(np.array(self.supplies.shares).data)
         return hasher.hexdigest()
 
     def resume(self, point: DyeCheckpoint) -> None:
@@ -120,6 +149,10 @@ class DyeRun:
                     remedy="resume with the recording's own scene",
                 )
             np.copyto(target, given[name])
+        try:
+            self.supplies.restore(point.text["supply"])
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
+            raise BadInput(f"the checkpoint's supplies are not those of this scene: {error}") from None
         self.frame = point.frame
         self.state.t = self.t
 
@@ -130,8 +163,8 @@ class DyeRun:
         raise BadInput("this field cannot change while a run goes on", field=field, value=item, remedy=remedy)
 
 
-def _build_cloth(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[Cells, DyeState]:
-    """Cells and the amounts at the start. Raises BadInput."""
+def _build_cloth(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
+    """Cells, the amounts at the start and what gives dye to them. Raises BadInput."""
     number, size = estimate_memory(loaded, dye, chosen)
     available = psutil.virtual_memory().available
     if size > available:
@@ -143,9 +176,8 @@ def _build_cloth(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[Cells,
         )
         raise loaded.at("dye.cloth", too_much)
     try:
-        built: tuple[Cells, DyeState] = chosen.cloth.plugin.build(
-            chosen.cloth.config, loaded.files, loaded.scene.seed, len(dye.dyes)
-        )
+        plugin, config, dyes = chosen.cloth.plugin, chosen.cloth.config, len(dye.dyes)
+        cells, state = plugin.build(config, loaded.files, loaded.scene.seed, dyes)
+        return cells, state, plugin.supplies(config, cells, dyes)
     except BadInput as error:
         raise loaded.at("dye.cloth", error) from None
-    return built

@@ -1,0 +1,264 @@
+"""Dye that is given over time: closed forms of baths, whole steps, accounts, and the same bits again."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dye_scene import CELL, D0, arrays, write_scene
+
+import nuno
+from nuno import scene_file, supervisor
+from nuno.dye.run import DyeRun
+from nuno.dye.supply import exchange, first_step, give
+from nuno.service import Options
+from nuno.verify import verify
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+SPREAD = {"I": 0, "II": 1, "III": 1, "IV": 1, "V": 1}
+RED = {"name": "red", "D0": D0}
+LEFT = {"shape": "rectangle", "low": [0, 0], "high": [CELL, 1]}
+"""The first column of cells."""
+WHOLE = {"kind": "bath", "maintained": True}
+DROP = {"kind": "drop", "place": [3 * CELL, 4 * CELL], "diameter": 4 * CELL}
+
+
+def slab(folder: Path, cells: int, supply: list[dict[str, Any]], side: float = CELL, **fields: Any) -> DyeRun:
+    """A row of cells without dye, D = D0 / 2 along it, and a hundred steps of d^2 / (4 D0) a frame."""
+    shape = (2, 1, cells)
+    data = {name: np.ones(shape, np.bool_) for name in ("fibre", "up")}
+    data |= {"porosity": np.full(shape, 0.5), "tau1": np.ones(shape), "resist": np.zeros(shape)}
+    data |= {"phi": np.zeros(shape), "fixed": np.zeros(shape)}
+    cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": side, "tau3": SPREAD, "supply": supply}
+    dt = side**2 / (4.0 * D0)
+    solver = {"plugin": "explicit", "dt": dt}
+    scene = {"cloth": cloth, "solver": solver, "dyes": [RED], "duration": 1e4 * dt, "frame_rate": 0.01 / dt} | fields
+    return DyeRun(scene_file.read(write_scene(folder, data=data, **scene)), 1)
+
+
+def taken_up(t: float) -> float:
+    """M_t / M_inf of a slab, one face of which is held, at t = D t / l^2 (Crank 1975, equation 4.18)."""
+    orders = math.pi * (np.arange(200) + 0.5)
+    return float(1.0 - np.sum(2.0 / orders**2 * np.exp(-(orders**2) * t)))
+
+
+def test_a_bath_that_is_kept_up_holds_the_face_of_a_slab(tmp_path: Path) -> None:
+    """The face lies in the middle of the bath's cells, half a cell before the slab's; of the second order in cells."""
+    errors = []
+    for cells in (11, 21):
+        side = CELL * 10.5 / (cells - 0.5)
+        region = LEFT | {"high": [side, 1]}
+        dyeing = slab(tmp_path, cells, [WHOLE | {"region": region, "amount": 0.5}], side)
+        for _ in range(4 if cells > 11 else 1):
+            report = dyeing.advance().report
+        phi = dyeing.state.phi[0, 0, 0]
+        assert phi[0] == 0.25
+        length = cells - 0.5
+        share = (phi[1:].sum() + 0.5 * phi[0]) / (0.25 * length)
+        steps = dyeing.frame * dyeing.steps
+        errors.append(share - taken_up(0.5 * 0.25 * steps / length**2))
+        given = dyeing.supplies.given[0]["supply[0] bath"]
+        assert given == pytest.approx(2.0 * phi.sum(), rel=1e-13), "the account, of both layers, is what is there"
+        assert dyeing.balance(report) < 1e-13
+    assert abs(errors[1]) < 1e-3
+    assert errors[0] / errors[1] == pytest.approx((20.5 / 10.5) ** 2, rel=0.05)
+
+
+def taken_up_of_little(t: float, ratio: float) -> float:
+    """M_t / M_inf of a slab in stirred liquor, `ratio` times as much of it (Crank 1975, equation 4.37)."""
+    roots = []
+    for n in range(1, 200):
+        low, high = (n - 0.5) * math.pi, n * math.pi
+        for _ in range(60):  # tan q = -ratio q has one root there; (-1)^n (sin q + ratio q cos q) rises through 0
+            q = 0.5 * (low + high)
+            below = (-1) ** n * (math.sin(q) + ratio * q * math.cos(q)) < 0.0
+            low, high = (q, high) if below else (low, q)
+        roots.append(0.5 * (low + high))
+    q2 = np.array(roots) ** 2
+    terms = 2.0 * ratio * (1.0 + ratio) / (1.0 + ratio + ratio**2 * q2) * np.exp(-q2 * t)
+    return float(1.0 - terms.sum())
+
+
+def test_a_finite_bath_is_exhausted_as_a_slab_takes_it_up(tmp_path: Path) -> None:
+    """Half of the bath's cells are the slab's; a bath of L times their room is L + 1/2 cells of liquor."""
+    errors = []
+    for cells in (11, 21):
+        side = CELL * 10.5 / (cells - 0.5)
+        length, liquor = cells - 0.5, 0.8 * (cells - 0.5) - 0.5
+        bath = WHOLE | {"region": LEFT | {"high": [side, 1]}, "liquor": liquor, "amount": 0.5}
+        dyeing = slab(tmp_path, cells, [bath], side)
+        for _ in range(4 if cells > 11 else 1):
+            report = dyeing.advance().report
+        phi = dyeing.state.phi[0, 0, 0]
+        most = 0.25 * liquor * length / (liquor + cells)
+        steps = dyeing.frame * dyeing.steps
+        errors.append((phi[1:].sum() + 0.5 * phi[0]) / most - taken_up_of_little(0.125 * steps / length**2, 0.8))
+        assert dyeing.supplies.shares == [pytest.approx(2.0 * phi[0], rel=1e-15)]
+        assert dyeing.supplied[0] == pytest.approx(liquor * (0.5 - 2.0 * phi[0]), rel=1e-12)
+        assert dyeing.balance(report) < 1e-12
+    assert abs(errors[1]) < 1e-3
+    assert errors[0] / errors[1] == pytest.approx((20.5 / 10.5) ** 2, rel=0.1)
+
+
+def test_a_finite_bath_ends_at_its_share(tmp_path: Path) -> None:
+    """a L V_bath / (L V_bath + V_all): the cells that it reaches hand dye on to those that it does not."""
+    dyeing = slab(tmp_path, 6, [WHOLE | {"region": LEFT, "liquor": 3.0, "amount": 0.9}])
+    for _ in range(30):
+        dyeing.advance()
+    assert dyeing.supplies.shares == [pytest.approx(0.9 * 3.0 / (3.0 + 6.0), rel=1e-12)]
+    assert dyeing.state.phi == pytest.approx(0.15 * np.ones((1, 2, 1, 6)), rel=1e-12)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 4, 8])
+def test_fibre_that_fixes_dye_exhausts_a_bath_further(parts: int, tmp_path: Path) -> None:
+    """a L / (L + 1 + k) by the partition isotherm. What is fixed stays: where the last step took r (1 - k) of the
+    share too much, r = D_ab dt / d^2, cells and bath have 1 / (L + 1) of that too little.
+    """
+    blue = RED | {"adsorption": 0.05, "isotherm": {"plugin": "partition", "k": 0.5}}
+    bath, dt = WHOLE | {"liquor": 2.0, "amount": 0.8}, CELL**2 / (4.0 * D0) / parts
+    dyeing = slab(tmp_path, 3, [bath], dyes=[blue], solver={"plugin": "explicit", "dt": dt})
+    for _ in range(10):
+        dyeing.advance()
+    exact, rate = 0.8 * 2.0 / (2.0 + 1.0 + 0.5), 0.05 * 0.25 / parts
+    assert -1e-12 <= exact - dyeing.supplies.shares[0] <= rate * 0.5 * exact / 3.0
+
+
+@pytest.mark.parametrize(
+    ("time", "dt", "step"),
+    [(0.0, 0.3, 0), (0.9, 0.3, 3), (0.91, 0.3, 4), (1e6, 1e-3, 10**9), (math.inf, 0.3, math.inf), (0.1, 0.3, 1)],
+)
+def test_times_are_the_first_whole_steps_at_or_after_them(time: float, dt: float, step: float) -> None:
+    assert first_step(time, dt) == step
+
+
+def test_nothing_is_given_before_its_start_nor_after_its_stop(tmp_path: Path) -> None:
+    """Of a dye that does not spread: half a frame is 50 steps."""
+    still = [RED | {"D0": 0.0}]
+    frame = 100 * CELL**2 / (4.0 * D0)
+    drop = DROP | {"place": [2 * CELL, 0], "start": 1.5 * frame, "amount": 0.5}
+    kept = WHOLE | {"region": LEFT, "start": 2.495 * frame, "stop": 2.505 * frame}
+    dyeing = slab(tmp_path, 11, [drop, kept], dyes=still)
+    seen = []
+    for _ in range(4):
+        dyeing.advance()
+        seen.append(dict(dyeing.supplies.given[0]))
+    assert seen[0] == {} and list(seen[1]) == ["supply[0] drop"] and list(seen[2]) == [*seen[1], "supply[1] bath"]
+    assert seen[2] == seen[3]
+    entries = dyeing.supplies.entries
+    assert [(entry.first, entry.last) for entry in entries] == [(150, 150), (250, 251)]
+
+
+def test_what_is_kept_up_stops_at_its_time(tmp_path: Path) -> None:
+    """A bath for half a frame gives as much in that frame as in one that it ends with, and no more."""
+    frame = 100 * CELL**2 / (4.0 * D0)
+    bath = WHOLE | {"region": LEFT}
+    short, long = (slab(tmp_path, 9, [bath | more]) for more in ({"stop": 0.5 * frame}, {}))
+    doubled = slab(tmp_path, 9, [bath], frame_rate=0.02 * 4.0 * D0 / CELL**2)
+    short.advance()
+    long.advance()
+    doubled.advance()
+    assert short.supplied == doubled.supplied < long.supplied
+    short.advance()
+    assert short.supplied == doubled.supplied
+
+
+def test_giving_fills_to_a_share_takes_nothing_and_counts_what_it_gave() -> None:
+    rng = np.random.default_rng(3)
+    room = rng.random((2, 30, 40)) * (rng.random((2, 30, 40)) > 0.2)
+    phi = room * rng.random(room.shape)
+    cells = rng.random(room.shape) > 0.5
+    after, given = give(phi, room, cells, 0.6)
+    assert np.array_equal(after[~cells], phi[~cells]) and (after >= phi).all() and (after <= room).all()
+    assert (after[cells] >= 0.6 * room[cells]).all()
+    assert np.array_equal(after[phi >= 0.6 * room], phi[phi >= 0.6 * room])
+    assert given == pytest.approx(math.fsum(after.ravel()) - math.fsum(phi.ravel()), rel=1e-13)
+    assert give(after, room, cells, 0.6).given == 0.0
+    assert np.array_equal(give(phi, room, np.ones_like(cells), 1.0).phi, room)
+
+
+def test_a_finite_bath_settles_at_equal_shares_and_keeps_the_dye() -> None:
+    rng = np.random.default_rng(5)
+    room, cells = rng.random((2, 20, 20)), rng.random((2, 20, 20)) > 0.3
+    phi, share = room * rng.random(room.shape), 0.9
+    total = float(room[cells].sum())
+    volume = 3.0 * total
+    after, left, given = exchange(phi, room, cells, share, volume)
+    assert np.allclose(after[cells], left * room[cells], rtol=1e-15) and np.array_equal(after[~cells], phi[~cells])
+    assert after[cells].sum() - phi[cells].sum() == pytest.approx(given, rel=1e-12)
+    assert given == volume * (share - left)
+    # An empty cloth takes up 1 / (L + 1) of the bath; again nothing happens.
+    assert exchange(0 * phi, room, cells, share, volume).share == pytest.approx(share * 3.0 / 4.0)
+    assert exchange(after, room, cells, left, volume).share == pytest.approx(left, rel=1e-14)
+    assert exchange(phi, 0 * room, cells, share, volume).share == share
+
+
+def rich(folder: Path, **fields: Any) -> Path:
+    """All kinds at once, on cells of all kinds, of two dyes, at odd times."""
+    data = arrays()
+    data |= {name: np.stack([data[name], np.zeros_like(data[name])]) for name in ("phi", "fixed")}
+    stroke = {"kind": "stroke", "points": [[0, 0], [6 * CELL, 8 * CELL]], "width": 3 * CELL, "maintained": True}
+    supply = [
+        DROP | {"start": "5 s", "amount": 0.7},
+        WHOLE | {"liquor": 5.0, "start": "3 s", "stop": "16 s", "dye": 1, "region": LEFT | {"high": [5 * CELL, 1]}},
+        stroke | {"amount": 0.5, "start": "6 s"},
+        stroke | {"amount": 0.9, "start": "8 s", "stop": "11 s", "layers": "warp"},
+    ]
+    cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": {"I": 0.5, "II": 0.5, "III": 0.1}}
+    blue = RED | {"name": "blue", "adsorption": 0.5, "isotherm": {"plugin": "langmuir", "K": 2.0}}
+    scene = {"cloth": cloth | {"supply": supply}, "dyes": [blue, RED], "frame_rate": 1 / 3.6, "duration": "21.6 s"}
+    return write_scene(folder, data=data, **scene | fields)
+
+
+def test_every_supply_is_accounted_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = nuno.run(rich(tmp_path), record=tmp_path / "run.mcap")
+    dye = result.report["dye"]
+    stroke = "supply[2] stroke"
+    both = f"{stroke} and supply[3] stroke"
+    assert set(dye["given"]["blue"]) == {"at the start", "supply[0] drop", stroke, "supply[3] stroke", both}
+    assert list(dye["given"]["red"]) == ["supply[1] bath"] and list(dye["baths"]) == ["supply[1] bath"]
+    for name, account in dye["given"].items():
+        assert dye["supplied"][name] == pytest.approx(sum(account.values()), rel=1e-14)
+    assert dye["balance"] < 1e-12
+    given: Float = result.recording.series()["supplied_blue"]
+    assert (np.diff(given) >= 0.0).all() and given[1] == given[0] < given[2]
+
+
+def test_supplies_are_resumed_and_replayed_to_the_last_bit(tmp_path: Path) -> None:
+    """From within the times of all of them."""
+    whole = nuno.run(rich(tmp_path), record=tmp_path / "whole.mcap")
+    assert verify(whole.recording).frame is None
+    part = nuno.run(rich(tmp_path), "duration=10.8 s", record=tmp_path / "part.mcap")
+    options = Options(record=tmp_path / "resumed.mcap", resume=part.path)
+    resumed = supervisor.supervise(scene_file.read(rich(tmp_path)), options)
+    assert resumed.state == "done" and resumed.summary["digest"] == whole.digest
+    assert resumed.summary["dye"]["given"] == whole.report["dye"]["given"]
+    assert resumed.summary["dye"]["baths"] == whole.report["dye"]["baths"]
+
+
+def test_a_bath_s_share_is_part_of_the_digest(tmp_path: Path) -> None:
+    dyeing = DyeRun(scene_file.read(rich(tmp_path)), 1)
+    before = dyeing.digest()
+    dyeing.supplies.entries[1].share = 0.25
+    assert dyeing.digest() != before
+
+
+@pytest.mark.parametrize(
+    ("supply", "field", "words"),
+    [
+        (DROP | {"place": ["20 mm", 0]}, "dye.cloth.supply[0].drop", "0.00055 m x 0.00045 m"),
+        (DROP | {"dye": 1}, "dye.cloth.supply[0].dye", "0 to 0"),
+        (WHOLE | {"start": 3, "stop": 2}, "dye.cloth.supply[0]", "stop 2 s must be after start 3 s"),
+        (DROP | {"stop": 2}, "dye.cloth.supply[0]", "maintained: true"),
+        (DROP | {"kind": "dropp"}, "dye.cloth.supply[0]", "drop"),
+        (DROP | {"start": "-1 s"}, "dye.cloth.supply[0].start", "at least 0"),
+    ],
+)
+def test_supplies_are_refused_by_name(supply: dict[str, Any], field: str, words: str, tmp_path: Path) -> None:
+    cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": SPREAD, "supply": [supply]}
+    with pytest.raises(BadInput) as refused:
+        nuno.run(write_scene(tmp_path, cloth=cloth))
+    assert field in str(refused.value) and words in str(refused.value)
