@@ -1,9 +1,9 @@
-"""The sweep itself: coarse points of all solvers before finer ones, within a budget."""
+"""The sweep itself: the cheapest point of any solver next, within a budget."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from nuno_bench.observe import Problem, Run, first_call, simulate
@@ -18,6 +18,8 @@ FIRST_STEPS = 20
 
 SHORT, MORE = 0.05, 5
 """Runs shorter than SHORT [s] are repeated up to MORE times as often, as far as they fit into it."""
+REPEATED = 4
+"""A point is repeated only while that takes less than a solver's even share of the budget over this."""
 MISJUDGED = 3.0
 """A run is cut where it takes this multiple of its estimate and more than its solver's even share of the budget."""
 
@@ -46,8 +48,8 @@ class Runner:
     frames: int
     repeats: int
 
-    def measure(self, solver: Solver, setting: Setting, left: float, most_seconds: float) -> Point:
-        """Run one setting, at most so long; repeats end early where `left` seconds do not allow another.
+    def measure(self, solver: Solver, setting: Setting, share: float, most_seconds: float) -> Point:
+        """Run one setting, at most so long; repeats end early where another would exceed its `share` of time [s].
 
         A run of milliseconds is repeated more often, since whatever else the machine does disturbs it more.
         """
@@ -60,7 +62,7 @@ class Runner:
         outcome, _ = self._judge(run)
         seconds = [run.seconds]
         wanted = self.repeats * max(1, min(MORE, int(SHORT / max(run.seconds, 1e-9))))
-        while outcome == DONE and len(seconds) < wanted and sum(seconds) + seconds[-1] <= left:
+        while outcome == DONE and len(seconds) < wanted and sum(seconds) + seconds[-1] <= share:
             seconds.append(simulate(self.problem, solver.plugin, config, setting.steps).seconds)
         return self.point_of(solver, setting, run, tuple(seconds))
 
@@ -119,35 +121,37 @@ def start_sweep(problem: Problem, solvers: list[Solver], told: Callable[[str], N
 def run_sweep(
     sweep: Sweep, runner: Runner, solvers: list[Solver], kept: Kept, budget: float, told: Callable[[str], None]
 ) -> None:
-    """Run the settings of all solvers that could be started, level by level.
+    """Run the settings of all solvers that could be started: always the one that is estimated cheapest next.
 
-    A solver ends where the estimate for its next point exceeds what is left of `budget` [s].
+    Slow solvers then take what is left when the fast ones are done, and never their place. A solver ends where the
+    estimate for its next point exceeds what is left of `budget` [s].
     """
     started, costs = time.perf_counter(), dict(sweep.costs)
-    for solver, setting in _levels([solver for solver in solvers if solver.name in costs]):
-        point = kept.points.get((solver.name, setting.label))
+    waiting = {solver.name: [(solver, one) for one in solver.settings] for solver in solvers if solver.name in costs}
+    share = budget / (REPEATED * max(1, len(costs)))
+    while any(waiting.values()):
+        name = min((name for name in waiting if waiting[name]), key=lambda name: waiting[name][0][1].work * costs[name])
+        solver, setting = waiting[name].pop(0)
+        point = kept.points.get((name, setting.label))
         if point is None or (point.done and not point.seconds):
             left = max(0.0, budget - (time.perf_counter() - started))
-            once = setting.work * costs[solver.name]
-            wanted = runner.repeats * once
-            if wanted > left:
-                reason = f"estimated at {wanted:.2g} s, and {left:.2g} s of the budget were left"
-                sweep.omitted.append(Omission(solver.name, setting.label, reason))
+            once = setting.work * costs[name]
+            if once > left:
+                reason = f"estimated at {once:.2g} s, and {left:.2g} s of the budget were left"
+                sweep.omitted.append(Omission(name, setting.label, reason))
                 sweep.unaffordable.append((solver, setting))
                 continue
-            told(f"{solver.name}, {setting.label} ({left:.0f} s left)")
+            told(f"{name}, {setting.label} ({left:.0f} s left)")
             most = max(1.0, min(1.5 * left, max(MISJUDGED * once, budget / len(costs))))
-            point = runner.measure(solver, setting, left, most)
+            point = runner.measure(solver, setting, min(share, left), most)
             kept.add(point)
         if point.done or point.outcome == "cut":
-            costs[solver.name] = point.median / setting.work
+            costs[name] = point.median / setting.work
         sweep.points.append(point)
-
-
-def _levels(solvers: list[Solver]) -> Iterator[tuple[Solver, Setting]]:
-    """The first settings of all solvers, then their second ones, and so on."""
-    for level in range(max((len(solver.settings) for solver in solvers), default=0)):
-        yield from ((solver, solver.settings[level]) for solver in solvers if level < len(solver.settings))
+    place = {
+        (solver.name, one.label): (i, k) for i, solver in enumerate(solvers) for k, one in enumerate(solver.settings)
+    }
+    sweep.points.sort(key=lambda point: place[point.key])
 
 
 def _first_call(problem: Problem, solver: Solver) -> tuple[float, float]:

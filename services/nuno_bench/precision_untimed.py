@@ -54,7 +54,7 @@ def run_untimed(
     executor: Executor,
     told: Callable[[str], None],
 ) -> None:
-    """Run what `sweep` left out for its time, coarse points first, for as long again as `budget` [s].
+    """Run what `sweep` left out for its time, cheapest first, for as long again as `budget` [s].
 
     A point joins the others without a time, and its omission says so; one that is not done in time stays left out.
     """
