@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from nuno_schemas.parts import Choice, Colour, Name, Part
 from nuno_schemas.units import quantity
 
 if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
@@ -33,45 +33,8 @@ else:
     Metres = quantity("m")
     Diffusion = quantity("m^2/s", ge=0)
 
-
-def _written(pattern: str, problem: str) -> Any:
-    """Text of a form: editors learn the pattern, people read the words."""
-
-    def check(text: str) -> str:
-        if not re.fullmatch(pattern, text):
-            raise ValueError(problem)
-        return text
-
-    return Annotated[str, AfterValidator(check), Field(json_schema_extra={"pattern": f"^{pattern}$"})]
-
-
-if TYPE_CHECKING:
-    Name = str
-    Colour = str
-else:
-    Name = _written(
-        "[A-Za-z][A-Za-z0-9_-]{0,63}", "not a name; write a letter, then at most 63 letters, digits, - or _"
-    )
-    Colour = _written("#[0-9a-fA-F]{6}", "not a colour; write red, green and blue as #rrggbb, for example #c04030")
 Vector = tuple[Metres, Metres, Metres]
 Pixels = Annotated[int, Field(ge=16, le=8192)]
-
-
-class Part(BaseModel):
-    """Base of every part of a scene: unknown fields are refused by name."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Choice(BaseModel):
-    """A plugin and its configuration; the fields beside `plugin` are the plugin's own."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-    plugin: str = Field(description="its name; nuno plugins lists what is installed")
-
-    @property
-    def config(self) -> dict[str, Any]:
-        return dict(self.__pydantic_extra__ or {})
 
 
 AUTO = "auto"

@@ -15,7 +15,8 @@ from nuno.explain import OVERRIDDEN, UNNUMBERED, explain, located
 from nuno.files import SceneFiles
 from nuno.yaml_lines import dotted
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.scene import AUTO, Choice, Dyeing, Scene
+from nuno_schemas.parts import Choice
+from nuno_schemas.scene import AUTO, Dyeing, Scene
 
 FIRST = "symplectic_euler"
 """The solver that a choice starts from: the cheapest step."""
