@@ -14,45 +14,16 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Sequence
-from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
-from nuno_dye.quantities import Positive
-from nuno_dye.texture import TextureConfig, Textures
-from nuno_dye.woven import Lay
-from nuno_schemas.colour import to_linear, to_srgb
-from nuno_schemas.dye import Cells
+from nuno_schemas.colour import to_linear
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Config
-
-MOST_PIXELS = 2**27
-ROWS = 64
-"""Of cells that are drawn at once: what lies between amounts and bytes is not kept for the whole picture."""
-
-Hex = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
+from nuno_schemas.look import DyeColour
 
 
-class ColourConfig(Config):
-    """A dye's colours on cloth; indigo on cotton unless given."""
-
-    light: Hex = Field(
-        default="#eef2f7", description="where there is none of it; of the dye's own hue, for hues between are passed"
-    )
-    mid: Hex = Field(default="#5f86b3", description="at half of the full amount")
-    dark: Hex = Field(default="#16264f", description="at the full amount, and beyond")
-    full: Positive = Field(default=1.0, description="the amount that is dark, as a share of v_max")
-
-
-def amount_seen(phi: Float, fixed: Float, view: Literal["all", "fixed", "mobile"] = "all") -> Float:
-    """What a view shows of mobile and fixed amounts: all of it, what fibre has taken, or what it has not."""
-    return {"all": phi + fixed, "fixed": fixed, "mobile": phi}[view]
-
-
-def colour_of(amount: Float, colours: ColourConfig, v_max: float = 1.0) -> Float:
+def colour_of(amount: Float, colours: DyeColour, v_max: float = 1.0) -> Float:
     """(..., 3) linear light of amounts (...), interpolated in HSV, the short way around the circle of hues.
 
     A grey has no hue: it takes its neighbour's, so that colour fades without passing through others.
@@ -70,7 +41,7 @@ def colour_of(amount: Float, colours: ColourConfig, v_max: float = 1.0) -> Float
     return to_linear(_from_hsv(h, s, v))
 
 
-def mix(amounts: Float, dyes: Sequence[ColourConfig], v_max: float = 1.0, ground: Float | None = None) -> Float:
+def mix(amounts: Float, dyes: Sequence[DyeColour], v_max: float = 1.0, ground: Float | None = None) -> Float:
     """(2, ny, nx, 3) linear light of cells with amounts (dyes, 2, ny, nx).
 
     `ground` is the undyed cloth's linear light, (3,) or for every cell; the first dye's `light` unless given.
@@ -84,36 +55,6 @@ def mix(amounts: Float, dyes: Sequence[ColourConfig], v_max: float = 1.0, ground
         # Where undyed cloth is black in a channel, dye takes nothing from it.
         light *= np.divide(colour_of(amount, dye, v_max), none, out=np.ones_like(light), where=none > 0.0)
     return np.minimum(light, 1.0)
-
-
-def draw_cloth(
-    cells: Cells,
-    light: Float,
-    scale: int = 1,
-    lays: tuple[Lay, Lay] | None = None,
-    texture: TextureConfig | None = None,
-) -> NDArray[np.uint8]:
-    """(scale ny, scale nx, 3) sRGB picture of cells with colours `light` (2, ny, nx, 3), from `mix`.
-
-    `lays` are those of weft and warp, which tell yarns without a gap apart; runs of fibre count as yarns without
-    them. Raises BadInput for a scale that is no whole number from 1 on, and for a picture of too many pixels.
-    """
-    _, ny, nx = cells.fibre.shape
-    if isinstance(scale, bool) or not isinstance(scale, int) or scale < 1 or scale * scale * ny * nx > MOST_PIXELS:
-        raise BadInput(
-            "a picture cannot have this scale", field="scale", value=scale,
-            limit=f"whole number of pixels a cell, from 1; {MOST_PIXELS} pixels in all, of {nx} x {ny} cells",
-        )  # fmt: skip
-    textures = Textures(cells, lays, scale, texture or TextureConfig())
-    picture = np.empty((scale * ny, scale * nx, 3), np.uint8)
-    column = np.arange(scale * nx) // scale
-    for low in range(0, ny, ROWS):
-        high = min(ny, low + ROWS)
-        layer, shade = textures.find(low, high)
-        row = np.arange(scale * low, scale * high) // scale
-        drawn = light[layer, row[:, None], column] * shade[..., None]
-        picture[scale * low : scale * high] = np.rint(255.0 * to_srgb(drawn))
-    return picture
 
 
 def _to_rgb(text: str) -> Float:

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from nuno_dye.quantities import Positive, Share
 from nuno_dye.woven import Lay
-from nuno_schemas.dye import Cells
+from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.plugin import Config
 
@@ -36,10 +36,14 @@ class TextureConfig(Config):
     hole: Share = Field(default=0.2, description="brightness where no yarn is")
 
 
-def find_lays(fibre: Bool) -> tuple[Lay, Lay]:
-    """Lays of weft and warp from runs of fibre (2, ny, nx) along the first column and the first row."""
+def find_lays(layers: Layers) -> tuple[Lay, Lay]:
+    """Lays of weft and warp: by their yarns, else by runs of fibre along the first column and the first row."""
+    fibre = layers.fibre[0, :, 0], layers.fibre[1, 0]
+    if layers.yarns is not None:
+        weft, warp = (Lay(yarn, there) for yarn, there in zip(layers.yarns, fibre, strict=True))
+        return weft, warp
     lays = []
-    for across in (fibre[0, :, 0], fibre[1, 0]):
+    for across in fibre:
         starts = across & ~np.concatenate([[False], across[:-1]])
         lays.append(Lay(np.maximum(np.cumsum(starts) - 1, 0).astype(np.int32), across))
     return lays[0], lays[1]
@@ -77,32 +81,33 @@ def find_floats(up: Bool, axis: int) -> tuple[Int, Int]:
 
 
 class Textures:
-    """A cloth's layers and shades, for any rows of it."""
+    """A cloth's layers and shades, for any part of it, at `scale` pixels a cell."""
 
-    def __init__(self, cells: Cells, lays: tuple[Lay, Lay] | None, scale: int, config: TextureConfig) -> None:
-        self.cells, self.scale, self.config = cells, scale, config
-        down, across = lays or find_lays(cells.fibre)
+    def __init__(self, layers: Layers, scale: int, config: TextureConfig) -> None:
+        self.layers, self.scale, self.config = layers, scale, config
+        down, across = find_lays(layers)
         self.weft, self.warp = look_across(down, scale), look_across(across, scale)
-        self.floats = find_floats(cells.up[0], 1), find_floats(cells.up[1], 0)
+        self.floats = find_floats(layers.up[0], 1), find_floats(layers.up[1], 0)
 
-    def find(self, low: int, high: int) -> tuple[NDArray[np.intp], Float]:
-        """Layer that shows, and its shade in [0, 1], for rows of cells: both (scale (high - low), scale nx).
+    def find(self, window: Window) -> tuple[NDArray[np.uint8], Float]:
+        """Layer that shows, and its shade in [0, 1], for cells of a window: both (scale height, scale width).
 
         Of two yarns the upper one shows; where its layer has a gap the lower one does, in shadow; else a hole.
         """
-        c, nx = self.config, self.cells.fibre.shape[2]
-        row = np.arange(self.scale * low, self.scale * high)
-        column = np.arange(self.scale * nx)
+        c, fibre = self.config, self.layers.fibre
+        row = np.arange(self.scale * window.top, self.scale * window.bottom)
+        column = np.arange(self.scale * window.left, self.scale * window.right)
         at = np.ix_(row // self.scale, column // self.scale)
-        upper = self.cells.up[1][at].astype(np.intp)
-        there = self.cells.fibre[0][at], self.cells.fibre[1][at]
+        upper = self.layers.up[1][at].astype(np.uint8)
+        there = fibre[0][at], fibre[1][at]
         shows = np.where(upper == 1, there[1], there[0])
         other = np.where(upper == 1, there[0], there[1])
         layer = np.where(shows | ~other, upper, 1 - upper)
         x, y = (column + 0.5)[None] / self.scale, (row + 0.5)[:, None] / self.scale
         v, width = self.weft.v[row, None], self.weft.width[row, None]
         weft = shade_yarn(v, x / width, self._near(0, x, at) / width, c)
-        warp = shade_yarn(self.warp.v[None], y / self.warp.width, self._near(1, y, at) / self.warp.width, c)
+        v, width = self.warp.v[None, column], self.warp.width[None, column]
+        warp = shade_yarn(v, y / width, self._near(1, y, at) / width, c)
         shade = np.where(layer == 1, warp, weft)
         return layer, shade * np.where(shows, 1.0, np.where(other, c.shadow, c.hole))
 

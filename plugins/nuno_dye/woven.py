@@ -110,7 +110,8 @@ def build_cells(
         values = _per_cell(yarn, lay, config, seed, layer)
         shape = (ny, 1) if layer == 0 else (1, nx)
         porosity[layer], twist[layer], resist[layer] = (value.reshape(shape) for value in values)
-    return Cells(fibre, np.stack([~over, over]), porosity, twist, resist, config.cell_size, tortuosity, v_max)
+    up, yarns = np.stack([~over, over]), (down.yarn, across.yarn)
+    return Cells(fibre, up, porosity, twist, resist, config.cell_size, tortuosity, v_max, yarns)
 
 
 def _per_cell(yarn: YarnConfig, lay: Lay, config: WovenConfig, seed: int, layer: int) -> tuple[Float, Float, Float]:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, Protocol
 
 from pydantic import BaseModel
 
-from nuno_schemas.fabric import Bool, Float, Memory
+from nuno_schemas.fabric import Bool, Float, Int, Memory
 from nuno_schemas.plugin import Files
 
 
@@ -47,6 +47,7 @@ class Cells:
     resist    (2, ny, nx)        B, share of the room for mobile dye that paste or binding takes, in [0, 1]
     size      [m]                side of a cell
     v_max                        most that a cell holds
+    yarns     (ny,) and (nx,)    the yarn in whose pitch a row of weft, or a column of warp, lies, for pictures
     """
 
     fibre: Bool
@@ -57,6 +58,7 @@ class Cells:
     size: float
     tortuosity: Tortuosity
     v_max: float = 1.0
+    yarns: tuple[Int, Int] | None = None
 
     @property
     def mobile_room(self) -> Float:

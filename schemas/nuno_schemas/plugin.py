@@ -30,6 +30,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.renderers": "draw a picture of a frame",
     "nuno.dye_cloths": "build a cloth to dye: cells",
     "nuno.dye_solvers": "spread dye in a cloth over time",
+    "nuno.dye_pictures": "draw dyed cloth: yarns",
     "nuno.isotherms": "how much dye fibre fixes: partition, freundlich, langmuir",
 }
 

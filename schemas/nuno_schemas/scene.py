@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Colour, Name, Part
 from nuno_schemas.units import quantity
 
@@ -145,6 +146,7 @@ class Dyestuff(Part):
         default=0.0, ge=0, le=1e6, description="D_ab / D0, how fast fibre fixes dye; 0: it fixes none"
     )
     isotherm: Choice | None = Field(default=None, description="how much fibre fixes at most: a plugin and its fields")
+    colour: DyeColour = Field(default=DyeColour(), description="on cloth, in pictures")
 
     @model_validator(mode="after")
     def _fixed_by_a_law(self) -> Dyestuff:
@@ -164,6 +166,9 @@ class Dyeing(Part):
         default=DyeSolver(plugin="explicit"), description="a plugin with its fields, and its step"
     )
     dyes: list[Dyestuff] = Field(min_length=1, max_length=16, description="what the cloth is dyed with")
+    picture: DyePicture = Field(
+        default=DyePicture(), description="how it is drawn: a plugin with its fields, and what is shown"
+    )
 
     @field_validator("dyes")
     @classmethod

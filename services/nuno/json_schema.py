@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nuno import registry
+from nuno_schemas.look import YARNS
 from nuno_schemas.scene import AUTO, Scene
 
 _PLACES = {
@@ -16,11 +17,15 @@ _PLACES = {
     ("Scene", "forces"): "nuno.forces",
     ("Dyeing", "cloth"): "nuno.dye_cloths",
     ("Dyeing", "solver"): "nuno.dye_solvers",
+    ("Dyeing", "picture"): "nuno.dye_pictures",
     ("Dyestuff", "isotherm"): "nuno.isotherms",
 }
 """Where a scene names a plugin of which group."""
-_BESIDE = {"nuno.integrators": "Solver", "nuno.dye_solvers": "DyeSolver"}
+_BESIDE = {"nuno.integrators": "Solver", "nuno.dye_solvers": "DyeSolver", "nuno.dye_pictures": "DyePicture"}
 """Parts of the contract whose own fields stand beside a plugin's."""
+
+_DEFAULTS = {"nuno.dye_pictures": YARNS}
+"""Plugins that need not be named."""
 
 
 def scene_schema() -> dict[str, Any]:
@@ -62,6 +67,6 @@ def _choice(group: str, name: str, definitions: dict[str, Any], beside: dict[str
         "title": name,
         "type": "object",
         "properties": properties,
-        "required": ["plugin", *own.get("required", [])],
+        "required": [*([] if name == _DEFAULTS.get(group) else ["plugin"]), *own.get("required", [])],
         "additionalProperties": False,
     }

@@ -43,11 +43,12 @@ class ChosenDye:
     cloth: Chosen
     solver: Chosen
     isotherms: list[Chosen | None]
+    picture: Chosen
 
     @property
     def plugins(self) -> list[Chosen]:
         """All of them."""
-        return [self.cloth, self.solver, *(law for law in self.isotherms if law is not None)]
+        return [self.cloth, self.solver, self.picture, *(law for law in self.isotherms if law is not None)]
 
 
 @dataclass
@@ -210,6 +211,7 @@ def _chosen_dye(dye: Dyeing, chosen: Callable[[str, Choice, yaml_lines.Path], Ch
             chosen("nuno.isotherms", one.isotherm, ("dye", "dyes", i, "isotherm")) if one.isotherm else None
             for i, one in enumerate(dye.dyes)
         ],
+        chosen("nuno.dye_pictures", dye.picture, ("dye", "picture")),
     )
 
 

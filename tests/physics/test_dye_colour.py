@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import colorsys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nuno_dye import colour as module
-from nuno_dye.colour import ColourConfig, amount_seen, colour_of, draw_cloth, mix
+from nuno.files import SceneFiles
+from nuno_dye import picture as module
+from nuno_dye.colour import colour_of, mix
+from nuno_dye.picture import YarnsConfig, YarnsPicture
 from nuno_dye.texture import TextureConfig, Textures, find_floats, find_lays, look_across, shade_yarn
 from nuno_dye.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.woven import Lay, WovenConfig, YarnConfig, build_cells, lay_evenly
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye import Cells, Tortuosity
+from nuno_schemas.dye_picture import Layers, Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.look import DyeColour
 
 INDIGO, MADDER, WELD = (
-    ColourConfig(),
-    ColourConfig(light="#f7eeee", mid="#d0605a", dark="#7a1518"),
-    ColourConfig(light="#f6f4e4", mid="#e8c94a", dark="#c08a10", full=0.5),
+    DyeColour(full=1.0),
+    DyeColour(light="#f7eeee", mid="#d0605a", dark="#7a1518", full=1.0),
+    DyeColour(light="#f6f4e4", mid="#e8c94a", dark="#c08a10", full=0.5),
 )
+INK = DyeColour(light="#ffffff", mid="#808080", dark="#000000", full=1.0)
+BYTE = 0.5 + 0.5 / 65535 * 12.92 * 255
+"""Half a byte, and half a step of the table of linear light where sRGB is steepest."""
 FLAT = TextureConfig(depth=0, relief=0, bend=0, shadow=1, hole=1)
 TAU = Tortuosity(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
@@ -33,15 +41,33 @@ def cloth(drawdown: np.ndarray, width: int = 8, gap: int = 2, nx: int = 60, ny: 
     return build_cells(drawdown, WovenConfig(cells=(nx, ny), weft=yarn, warp=yarn), TAU, 0)
 
 
+def layers_of(cells: Cells) -> Layers:
+    return Layers(cells.fibre, cells.up, cells.v_max, cells.yarns)
+
+
+def whole(cells: Cells) -> Window:
+    return Window(0, cells.fibre.shape[1], 0, cells.fibre.shape[2])
+
+
+def draw_cloth(
+    cells: Cells, amounts: Float, scale: int = 1, texture: TextureConfig | None = None, window: Window | None = None
+) -> Picture:
+    """A picture of one dye, black on white."""
+    config, plugin = YarnsConfig(texture=texture or TextureConfig()), YarnsPicture()
+    return plugin.draw(
+        plugin.prepare(config, SceneFiles(Path()), layers_of(cells), [INK], window or whole(cells), scale), amounts
+    )
+
+
 def by_layer(cells: Cells) -> Float:
-    """(2, ny, nx, 3) black weft, white warp."""
-    light = np.zeros((*cells.fibre.shape, 3))
-    light[1] = 1.0
-    return light
+    """(1, 2, ny, nx) black weft, white warp."""
+    amounts = np.zeros((1, *cells.fibre.shape))
+    amounts[0, 0] = 1.0
+    return amounts
 
 
-@pytest.mark.parametrize("dye", [INDIGO, MADDER, WELD, ColourConfig(light="#ffffff", mid="#808080", dark="#000000")])
-def test_none_half_and_full_have_the_measured_colours(dye: ColourConfig) -> None:
+@pytest.mark.parametrize("dye", [INDIGO, MADDER, WELD, DyeColour(light="#ffffff", mid="#808080", dark="#000000")])
+def test_none_half_and_full_have_the_measured_colours(dye: DyeColour) -> None:
     found = colour_of(dye.full * np.array([0.0, 0.5, 1.0, 3.0]), dye)
     exact = [parse_hex(text) for text in (dye.light, dye.mid, dye.dark, dye.dark)]
     assert np.abs(found - exact).max() < 1e-14
@@ -62,11 +88,11 @@ def test_between_them_hue_saturation_and_value_are_linear() -> None:
 
 
 def test_hues_go_the_short_way_and_grey_has_none() -> None:
-    around = ColourConfig(light="#ff0040", mid="#ff0010", dark="#ff2000")
+    around = DyeColour(light="#ff0040", mid="#ff0010", dark="#ff2000")
     found = to_srgb(colour_of(np.linspace(0.0, 1.0, 50), around))
     assert (found[:, 0] > 0.999).all() and (found[:, 1:].min(axis=1) < 1e-9).all() and found[:, 1:].max() < 0.26
     for light, mid, dark in (("#ffffff", "#4060c0", "#000000"), ("#ffffff", "#aaaaaa", "#102040")):
-        faded = to_srgb(colour_of(np.linspace(0.0, 1.0, 50), ColourConfig(light=light, mid=mid, dark=dark)))
+        faded = to_srgb(colour_of(np.linspace(0.0, 1.0, 50), DyeColour(light=light, mid=mid, dark=dark)))
         assert (faded[:, 2] >= faded[:, 1] - 1e-12).all() and (faded[:, 1] >= faded[:, 0] - 1e-12).all()
 
 
@@ -128,7 +154,7 @@ def test_the_upper_yarn_shows_the_lower_one_in_its_gaps(drawdown: np.ndarray, sc
 def test_shadow_and_holes_are_where_they_should_be() -> None:
     cells = cloth(draw_plain())
     texture = TextureConfig(depth=0, relief=0, bend=0, shadow=0.5, hole=0.25)
-    _, shade = Textures(cells, None, 2, texture).find(0, 40)
+    _, shade = Textures(layers_of(cells), 2, texture).find(whole(cells))
     up = np.where(cells.up[1], cells.fibre[1], cells.fibre[0])
     expected = np.where(up, 1.0, np.where(cells.fibre.any(axis=0), 0.5, 0.25))
     assert np.array_equal(shade, np.repeat(np.repeat(expected, 2, 0), 2, 1))
@@ -181,35 +207,76 @@ def test_yarns_without_gaps_are_told_apart_by_their_lays() -> None:
         and np.array_equal(one[0], -one[0][::-1])
         and np.abs(one[0]).max() == pytest.approx(23 / 24)
     )
-    assert (look_across(find_lays(cells.fibre)[1], 4).width == 60.0).all()
+    assert (look_across(find_lays(replace(layers_of(cells), yarns=None))[1], 4).width == 60.0).all()
     gapped = cloth(draw_plain(), 8, 2)
-    for found, exact in zip(find_lays(gapped.fibre), (lay_evenly(8, 2, 40), lay_evenly(8, 2, 60)), strict=True):
+    for found, exact in zip(
+        find_lays(replace(layers_of(gapped), yarns=None)), (lay_evenly(8, 2, 40), lay_evenly(8, 2, 60)), strict=True
+    ):
         assert np.array_equal(found.fibre, exact.fibre)
         assert np.array_equal(found.yarn[found.fibre], exact.yarn[exact.fibre])
 
 
-def test_a_picture_is_the_same_however_its_rows_are_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def spots(cells: Cells) -> Float:
+    """(1, 2, ny, nx) amounts at random."""
+    return np.random.default_rng(1).random((1, *cells.fibre.shape))
+
+
+@pytest.mark.parametrize("scale", [1, 2, 5])
+def test_a_picture_is_the_same_however_its_rows_are_cut(scale: int, monkeypatch: pytest.MonkeyPatch) -> None:
     cells = cloth(draw_twill(2, 2), ny=150)
-    light = mix(np.random.default_rng(1).random((1, *cells.fibre.shape)), [INDIGO])
-    whole = draw_cloth(cells, light, 2)
-    for rows in (1, 7, 1000):
-        monkeypatch.setattr(module, "ROWS", rows)
-        assert np.array_equal(draw_cloth(cells, light, 2), whole)
-    assert len(np.unique(whole)) > 50
+    picture = draw_cloth(cells, spots(cells), scale)
+    for block in (1, 7000, 10**9):
+        monkeypatch.setattr(module, "BLOCK", block)
+        assert np.array_equal(draw_cloth(cells, spots(cells), scale), picture)
+    assert len(np.unique(picture)) > 50
+
+
+@pytest.mark.parametrize("scale", [1, 4])
+def test_a_part_is_cut_from_the_whole_picture(scale: int) -> None:
+    cells = cloth(draw_twill(2, 1))
+    picture = draw_cloth(cells, spots(cells), scale)
+    for window in (Window(0, 40, 0, 60), Window(3, 29, 11, 12), Window(39, 40, 59, 60), Window(0, 1, 0, 60)):
+        part = draw_cloth(cells, spots(cells), scale, window=window)
+        top, bottom, left, right = (scale * side for side in window)
+        assert np.array_equal(part, picture[top:bottom, left:right])
+
+
+def test_colour_goes_over_from_cell_to_cell_within_a_yarn_and_ends_at_its_rim() -> None:
+    """Along a weft yarn light is linear between the middles of cells; across it no pixel mixes in another yarn's."""
+    cells, scale = cloth(draw_plain()), 6
+    amounts = np.zeros((1, *cells.fibre.shape))
+    amounts[0, 0, 10:20] = np.linspace(0.2, 0.9, 60)
+    picture = draw_cloth(replace(cells, up=np.stack([cells.fibre[0], ~cells.fibre[0]])), amounts, scale, FLAT)
+    row = picture[14 * scale + 2]
+    middles = mix(amounts, [INK])[0, 14, :, 0]
+    place = (np.arange(60 * scale) + 0.5) / scale - 0.5
+    exact = 255.0 * to_srgb(np.interp(place, np.arange(60), middles))
+    assert np.abs(row[:, 0] - exact).max() <= BYTE and len(np.unique(row)) > 100
+    yarn = picture[11 * scale : 19 * scale]
+    assert (yarn == yarn[0]).all(), "nothing of the yarns above and below, which hold none"
+    assert (picture[21 * scale : 29 * scale] == 255).all()
+
+
+def test_a_scale_of_one_shows_every_cell_as_it_is() -> None:
+    cells = cloth(draw_plain())
+    seen = spots(cells)
+    light = mix(seen, [INK])
+    layer, _ = Textures(layers_of(cells), 1, FLAT).find(whole(cells))
+    exact = np.where(layer[..., None] == 1, light[1], light[0])
+    found = draw_cloth(cells, seen, texture=FLAT).astype(float)
+    assert np.abs(found - 255.0 * to_srgb(exact)).max() <= BYTE
 
 
 def test_cells_without_any_fibre_are_a_hole_s_picture() -> None:
     cells = cloth(draw_plain())
     bare = replace(cells, fibre=np.zeros_like(cells.fibre))
-    picture = draw_cloth(bare, np.ones((2, 40, 60, 3)), texture=TextureConfig(depth=0, relief=0, bend=0, hole=0.0))
-    assert not picture.any()
+    assert not draw_cloth(bare, 0.0 * spots(cells), texture=TextureConfig(depth=0, relief=0, bend=0, hole=0.0)).any()
 
 
-@pytest.mark.parametrize("scale", [0, -1, 1.5, True, 10**6])
-def test_a_scale_that_is_no_scale_is_refused(scale: object) -> None:
+def test_amounts_that_are_no_numbers_are_drawn_as_none() -> None:
     cells = cloth(draw_plain())
-    with pytest.raises(BadInput, match="scale"):
-        draw_cloth(cells, by_layer(cells), scale)  # type: ignore[arg-type]
+    lost = np.full((1, *cells.fibre.shape), np.nan)
+    assert np.array_equal(draw_cloth(cells, lost), draw_cloth(cells, 0.0 * spots(cells)))
 
 
 def test_colours_that_are_none_are_refused() -> None:
@@ -217,5 +284,5 @@ def test_colours_that_are_none_are_refused() -> None:
         mix(amounts(2), [INDIGO])
     for wrong in ({"light": "white"}, {"dark": "#12345"}, {"full": 0.0}, {"hue": 3}):
         with pytest.raises(ValidationError):
-            ColourConfig.model_validate(wrong)
-    assert isinstance(find_lays(cloth(draw_plain()).fibre)[0], Lay)
+            DyeColour.model_validate(wrong)
+    assert isinstance(find_lays(layers_of(cloth(draw_plain())))[0], Lay)

@@ -202,8 +202,7 @@ def test_a_plan_names_what_runs_and_the_limit(tmp_path: Path, capsys: pytest.Cap
     assert f"limit {limit * 1e3:.4g} ms" in said
 
 
-def test_pictures_are_refused_by_name(tmp_path: Path) -> None:
+def test_amounts_are_a_table(tmp_path: Path) -> None:
     path = nuno.run(write_scene(tmp_path), record=tmp_path / "run.mcap").path
-    assert main(["export", str(path), "--png", str(tmp_path / "out.png")]) == 2
     assert main(["export", str(path), "--csv", str(tmp_path / "out.csv")]) == 0
     assert (tmp_path / "out.csv").read_text().startswith("frame,t [s],steps,step_seconds [s],balance [1],mobile_blue")

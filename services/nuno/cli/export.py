@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import ValidationError
 
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
+from nuno_schemas.look import Crop, DyeView
 
 MESHES = (".obj", ".ply", ".glb")
 
@@ -40,13 +44,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--fps", type=float, default=25.0, metavar="N", help="animations: pictures a second (default: %(default)g)"
     )
-    which.add_argument("--size", metavar="WxH", help="of pictures, e.g. 960x720")
+    which.add_argument("--size", metavar="WxH", help="of pictures of moving cloth, e.g. 960x720")
     which.add_argument(
         "--colour",
         choices=["auto", "cloth", "stretch"],
         default="auto",
         help="pictures and animations: cloth in its own texture or colour, or by its stretch "
         "(default: its own where the scene gives one)",
+    )
+    dye = parser.add_argument_group("pictures and animations of dyed cloth (default: as the scene says)")
+    dye.add_argument(
+        "--view", choices=get_args(DyeView), help="all dye, what fibre has fixed of it, or what is still mobile"
+    )
+    dye.add_argument("--scale", type=int, metavar="N", help="pixels a cell")
+    dye.add_argument(
+        "--crop", nargs=4, metavar=("LEFT", "TOP", "RIGHT", "BOTTOM"), help="a part of the cloth, e.g. 2mm 2mm 4mm 3mm"
+    )
+    dye.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="overrides",
+        help="change how dye is drawn, e.g. dye.dyes.0.colour.full=0.1 or dye.picture.ground=#f0ead8",
     )
 
 
@@ -63,24 +83,15 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
-    from nuno.export import animations, meshes, pictures, tables
+    from nuno.export import meshes, tables
 
-    size = _size(args.size)
     _check_kinds(recording, args)
     written: list[Path] = []
     if args.npz:
         written.append(tables.export_npz(recording, args.npz))
     if args.csv:
         written.append(tables.export_csv(recording, args.csv))
-    if args.png:
-        written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour))
-    for path in (args.gif, args.mp4):
-        if path:
-            written.append(
-                animations.export_animation(
-                    recording, path, size, args.fps, args.start, args.end, _progress, args.colour
-                )
-            )
+    written += _draw_dyed(recording, args) if recording.scene.get("dye") else _draw(recording, args)
     for suffix in MESHES:
         path = getattr(args, suffix[1:])
         if path and path.suffix.lower() == suffix:
@@ -96,12 +107,74 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     return written
 
 
+def _draw(recording: Recording, args: argparse.Namespace) -> list[Path]:
+    """Pictures and animations of moving cloth."""
+    from nuno.export import animations, pictures
+
+    size = _size(args.size)
+    written: list[Path] = []
+    if args.png:
+        written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour))
+    for path in (args.gif, args.mp4):
+        if path:
+            written.append(
+                animations.export_animation(
+                    recording, path, size, args.fps, args.start, args.end, _progress, args.colour
+                )
+            )
+    return written
+
+
+def _draw_dyed(recording: Recording, args: argparse.Namespace) -> list[Path]:
+    """Pictures and animations of dyed cloth."""
+    from nuno.export import animations, dyed_pictures
+
+    how: dict[str, Any] = {
+        "view": args.view,
+        "scale": args.scale,
+        "crop": _crop(args.crop),
+        "overrides": tuple(args.overrides),
+    }
+    written: list[Path] = []
+    if args.png:
+        written.append(dyed_pictures.export_dyed_picture(recording, args.png, args.frame, **how))
+    for path in (args.gif, args.mp4):
+        if path:
+            written.append(
+                animations.export_dyed_animation(recording, path, args.fps, args.start, args.end, _progress, **how)
+            )
+    return written
+
+
 def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
-    """Raises BadInput where pictures or meshes of a cloth are asked for that has no place in space."""
-    asked = [name for name in ("png", "gif", "mp4", "rrd", *(m[1:] for m in MESHES)) if getattr(args, name)]
-    if asked and recording.scene.get("dye"):
-        problem, remedy = "a recording of dye holds no cloth to draw", "use --npz and --csv"
-        raise BadInput(problem, str(recording.path), field=f"--{asked[0]}", remedy=remedy)
+    """Raises BadInput where something is asked for that a recording of its kind does not have."""
+    if recording.scene.get("dye"):
+        meshes = [name for name in (m[1:] for m in MESHES) if getattr(args, name)]
+        if meshes:
+            problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
+            raise BadInput(problem, str(recording.path), field=f"--{meshes[0]}", remedy=remedy)
+        for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown")):
+            if getattr(args, name) not in (None, "auto"):
+                problem = "for pictures of moving cloth; the recording is of dye"
+                raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)
+        return
+    for name in ("view", "scale", "crop", "overrides"):
+        if getattr(args, name) not in (None, []):
+            problem, remedy = "for pictures of dyed cloth; the recording is of cloth that moves", "leave it out"
+            flag = "set" if name == "overrides" else name
+            raise BadInput(problem, str(recording.path), field=f"--{flag}", remedy=remedy)
+
+
+def _crop(sides: list[str] | None) -> Crop | None:
+    if sides is None:
+        return None
+    left, top, right, bottom = sides
+    try:
+        return Crop.model_validate({"low": (left, top), "high": (right, bottom)})
+    except ValidationError as error:
+        problem = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
+        remedy = "left, top, right and bottom, for example --crop 2mm 2mm 4mm 3mm"
+        raise BadInput(problem, field="--crop", value=" ".join(sides), remedy=remedy) from None
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -106,7 +106,7 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
         loaded,
         options,
         Deployment(args.processes, args.listen, args.connect, run, args.config),
-        picture=_wants_picture(args, options) and loaded.dye is None,
+        picture=_wants_picture(args, options),
     )
 
 
@@ -139,6 +139,17 @@ def _keep_page(options: Options, outcome: supervisor.Outcome) -> None:
         keep_page(int(pid))
 
 
+def _draw(loaded: Loaded, recording: Path, target: Path) -> None:
+    if loaded.dye is not None:
+        from nuno.export.dyed_pictures import export_dyed_picture
+
+        export_dyed_picture(recording, target)
+        return
+    from nuno.export.pictures import export_picture
+
+    export_picture(recording, target)
+
+
 def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool) -> int:
     """Run, show progress, print the report; the exit code."""
     started = time.perf_counter()
@@ -153,10 +164,8 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
     if options.save is not None:
         print(f"rerun file {options.save}  (look: rerun {options.save})")
     if picture and outcome.state in ("done", "stopped") and options.record is not None and options.record.exists():
-        from nuno.export.pictures import export_picture
-
         target = options.record.with_suffix(".png")
-        export_picture(options.record, target)
+        _draw(loaded, options.record, target)
         print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
     print(f"total      {time.perf_counter() - started:.1f} s")
     _keep_page(options, outcome)

@@ -29,9 +29,11 @@ class Driver(Lockstep):
     def publish_start(self) -> None:
         """The cloth, and the amounts before the first step."""
         dyeing, cells = self.dyeing, self.dyeing.cells
-        arrays = {"fibre": cells.fibre, "up": cells.up} | {
+        arrays: dict[str, NDArray[Any]] = {"fibre": cells.fibre, "up": cells.up} | {
             name: np.asarray(getattr(cells, name), np.float32) for name in ("porosity", "twist", "resist")
         }
+        if cells.yarns is not None:
+            arrays |= {"weft_yarn": cells.yarns[0], "warp_yarn": cells.yarns[1]}
         text = {"scene": self.scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}
         self.context.bus.publisher(CLOTH).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t)
         self.publish(Frame(dyeing.frame, dyeing.measure(), 0.0, dyeing.digest()), "running")

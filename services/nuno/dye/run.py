@@ -15,6 +15,7 @@ import psutil
 from nuno.dye.checkpoint import DyeCheckpoint
 from nuno.dye.step import choose_dye_step
 from nuno.dye.supply import AT_THE_START, Supplies
+from nuno.export.dyed import check_picture
 from nuno.scene_file import ChosenDye, Loaded
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
 from nuno_schemas.errors import BadInput
@@ -54,6 +55,7 @@ class DyeRun:
         self.loaded, self.frame, self.names = loaded, 0, tuple(one.name for one in dye.dyes)
         self._solver = chosen.solver
         self.cells, self.state, given = _build_cloth(loaded, dye, chosen)
+        check_picture(loaded, self.cells)
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
         dyes = (Dye(one.name, one.D0, one.adsorption, law) for one, law in zip(dye.dyes, laws, strict=True))
         self.system = DyeSystem(self.cells, tuple(dyes), threads or os.cpu_count() or 1)

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from nuno.export.dyed_pictures import PAPER, choose_amounts, draw_amounts, dyed_pictures
 from nuno.export.pictures import Colour, Picture, check_colour, choose_frames, draw_frames
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.look import Crop, DyeView
 
 if TYPE_CHECKING:
     from PIL import Image
 
 GIF_RATES = (50.0, 25.0, 20.0, 12.5, 10.0, 5.0)
 """Pictures a second that a GIF's hundredths of a second give exactly."""
-SIZE = (640, 480)
+SIZE, DYED_SIDE = (640, 480), 500
+"""Of a moving cloth's pictures, and the longer side that a dyed cloth's come near to."""
 PALETTE_PICTURES, PALETTE_PIXELS, PALETTE_POWER = 8, 300_000, 0.7
+Frame = TypeVar("Frame")
 
 
 def export_animation(
@@ -41,32 +46,83 @@ def export_animation(
     that ends otherwise, a size, rate or colour out of range, nothing to show, or (MP4) where
     imageio-ffmpeg is not installed; RunFailed where the encoder fails.
     """
+    encoder = _check(path, fps)
+    width, height = size or SIZE
+    if not (16 <= width <= 8192 and 16 <= height <= 8192):
+        raise BadInput("no such size", field="--size", value=size, limit="16 to 8192 pixels a side")
+    check_colour(colour)
+    with opened(source) as recording:
+        rate = fps if encoder is not None else _gif_rate(fps)
+        numbers = choose_frames(recording, rate, start, end)
+        shown = (width, height) if encoder is None else (width // 2 * 2, height // 2 * 2)
+        some = _spread(numbers)
+        _write(
+            path, encoder, rate,
+            draw_frames(recording, numbers, shown, progress, colour),
+            lambda: draw_frames(recording, some, shown, None, colour),
+        )  # fmt: skip
+    return path
+
+
+def export_dyed_animation(
+    source: Recording | Path | str,
+    path: Path,
+    fps: float = 25.0,
+    start: float | None = None,
+    end: float | None = None,
+    progress: Progress | None = None,
+    view: DyeView | None = None,
+    scale: int | None = None,
+    crop: Crop | None = None,
+    overrides: tuple[str, ...] = (),
+) -> Path:
+    """Draw a recording of dye as .gif or .mp4, one picture a frame: dyeing takes hours.
+
+    As the scene says but for what is given. Raises as `export_animation`.
+    """
+    encoder = _check(path, fps)
+    with opened(source) as recording, dyed_pictures(recording, view, scale, crop, overrides, DYED_SIDE) as pictures:
+        rate = fps if encoder is not None else _gif_rate(fps)
+        frames = choose_amounts(recording, start, end)
+        _write(
+            path, encoder, rate,
+            draw_amounts(pictures, frames, progress), lambda: draw_amounts(pictures, _spread(frames)),
+        )  # fmt: skip
+    return path
+
+
+def _check(path: Path, fps: float) -> Any:
+    """The MP4 encoder, None for a GIF. Raises BadInput."""
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
         remedy = "change the ending"
         raise BadInput("no such kind of animation", value=str(path), limit=".gif or .mp4", remedy=remedy)
     if not 1.0 <= fps <= 240.0:
         raise BadInput("no such rate", field="--fps", value=fps, limit="1 to 240 pictures a second")
-    width, height = size or SIZE
-    if not (16 <= width <= 8192 and 16 <= height <= 8192):
-        raise BadInput("no such size", field="--size", value=size, limit="16 to 8192 pixels a side")
-    check_colour(colour)
     check_target(path, suffix)
-    encoder = _ffmpeg() if suffix == ".mp4" else None
-    with opened(source) as recording:
-        if encoder is None:
-            rate = min(GIF_RATES, key=lambda known: abs(known - fps))
-            numbers = choose_frames(recording, rate, start, end)
-            some = [numbers[k] for k in np.linspace(0, len(numbers) - 1, PALETTE_PICTURES).round().astype(int)]
-            palette = _choose_palette(draw_frames(recording, some, (width, height), None, colour))
-            with writing(path, suffix) as new:
-                _write_gif(new, draw_frames(recording, numbers, (width, height), progress, colour), rate, palette)
-        else:
-            even = width // 2 * 2, height // 2 * 2
-            numbers = choose_frames(recording, fps, start, end)
-            with writing(path, suffix) as new:
-                _write_mp4(encoder, new, draw_frames(recording, numbers, even, progress, colour), even, fps)
-    return path
+    return _ffmpeg() if suffix == ".mp4" else None
+
+
+def _gif_rate(fps: float) -> float:
+    return min(GIF_RATES, key=lambda known: abs(known - fps))
+
+
+def _spread(frames: list[Frame]) -> list[Frame]:
+    """Some of the frames, evenly."""
+    return [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
+
+
+def _write(
+    path: Path, encoder: Any, rate: float, pictures: Iterator[Picture], some: Callable[[], Iterator[Picture]]
+) -> None:
+    """An animation of pictures; those of `some` choose a GIF's palette."""
+    if encoder is None:
+        palette = _choose_palette(some())
+        with writing(path, ".gif") as new:
+            _write_gif(new, pictures, rate, palette)
+        return
+    with writing(path, ".mp4") as new:
+        _write_mp4(encoder, new, pictures, rate)
 
 
 def _choose_palette(pictures: Iterator[Picture]) -> Image.Image:
@@ -111,13 +167,22 @@ def _ffmpeg() -> Any:
     return imageio_ffmpeg
 
 
-def _write_mp4(encoder: Any, path: Path, pictures: Iterator[Picture], size: tuple[int, int], fps: float) -> None:
+def _write_mp4(encoder: Any, path: Path, pictures: Iterator[Picture], fps: float) -> None:
+    """Sides of an MP4 are even: an odd one gets a line of paper more."""
+    pictures = map(_even, pictures)
+    first = next(pictures)
+    size = first.shape[1], first.shape[0]
     sink = encoder.write_frames(str(path), size, fps=fps, macro_block_size=2, ffmpeg_log_level="error")
     try:
         sink.send(None)
-        for picture in pictures:
+        for picture in chain([first], pictures):
             sink.send(np.ascontiguousarray(picture))
     except (OSError, RuntimeError) as error:
         raise RunFailed(f"the MP4 encoder failed: {error}") from None
     finally:
         sink.close()
+
+
+def _even(picture: Picture) -> Picture:
+    height, width = picture.shape[:2]
+    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), constant_values=PAPER[0])

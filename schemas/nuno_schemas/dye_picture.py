@@ -1,0 +1,66 @@
+"""What pictures of dyed cloth are drawn from, and plugins that draw them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.look import DyeColour, DyeView
+from nuno_schemas.plugin import Files
+
+Picture = NDArray[np.uint8]
+"""(h, w, 3) sRGB."""
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What shows of a cloth's cells, layer 0 the weft and layer 1 the warp.
+
+    fibre  (2, ny, nx) bool    fibre or gap
+    up     (2, ny, nx) bool    whether the yarn is above the other layer's there
+    v_max                      most that a cell holds
+    yarns  (ny,) and (nx,)     the yarn in whose pitch a row of weft, or a column of warp, lies; None where only
+                               gaps tell yarns apart
+    """
+
+    fibre: Bool
+    up: Bool
+    v_max: float = 1.0
+    yarns: tuple[Int, Int] | None = None
+
+
+class Window(NamedTuple):
+    """Cells that a picture shows: rows top to bottom, columns left to right, the last ones not included."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+
+def amount_seen(phi: Float, fixed: Float, view: DyeView = "all") -> Float:
+    """What a view shows of mobile and fixed amounts: all of it, what fibre has taken, or what it has not."""
+    return {"all": phi + fixed, "fixed": fixed, "mobile": phi}[view]
+
+
+class DyePicture(Protocol):
+    """Draws dyed cloth."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def prepare(
+        self, config: Any, files: Files, layers: Layers, dyes: Sequence[DyeColour], window: Window, scale: int
+    ) -> Any:
+        """What pictures of the window at `scale` pixels a cell have in common. Raises BadInput."""
+        ...
+
+    def draw(self, prepared: Any, amounts: Float) -> Picture:
+        """(scale (bottom - top), scale (right - left), 3) picture of amounts (dyes, 2, ny, nx) of the whole cloth."""
+        ...

@@ -1,0 +1,181 @@
+"""Pictures and animations of a recording of dye: the cloth, and below it its name, the time and a scale."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from nuno.arrays import BadMessage
+from nuno.export.dyed import PICTURE_SIDE, DyePainter, painter_of
+from nuno.export.target import Progress, check_target, opened, writing
+from nuno.recording.reader import Recorded, Recording
+from nuno.recording.restore import restored_scene
+from nuno_schemas.dye_picture import Picture
+from nuno_schemas.errors import BadInput
+from nuno_schemas.look import Crop, DyeView
+from nuno_schemas.messages import CLOTH, CONCENTRATION
+
+CHANGEABLE = re.compile(r"dye\.(picture|dyes[.[]\d+\]?\.colour)\b")
+"""Fields of a recorded scene that only change how it is drawn."""
+INK, PAPER = (58, 58, 62), (250, 249, 246)
+FONT, BAND = 15, 30
+"""Heights of text and of the strip below a picture [pixels]."""
+UNITS = ((1e-6, "um"), (1e-3, "mm"), (1.0, "m"))
+TIMES = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"))
+
+
+class DyedPictures:
+    """Draws the frames of a recording of dye. Raises BadInput for a cloth that is damaged, or cannot be drawn."""
+
+    def __init__(self, recording: Recording, painter: DyePainter) -> None:
+        self.recording, self.painter = recording, painter
+        self.name = str(recording.scene.get("name", ""))
+        cloth = recording.last(CLOTH.name)
+        if cloth is None:
+            raise BadInput("the recording does not describe its cloth", str(recording.path))
+        with self._damage_reported():
+            painter.take_cloth(cloth.payload)
+
+    def draw(self, message: Recorded) -> Picture:
+        """(h, w, 3) sRGB picture of one frame's amounts, with a strip below where there is room for its text."""
+        with self._damage_reported():
+            picture = self.painter.draw(message.payload)
+        return caption(picture, f"{self.name}   {_view(self.painter)}t = {_time(message.t)}", self.painter.pixel)
+
+    @contextmanager
+    def _damage_reported(self) -> Iterator[None]:
+        try:
+            yield
+        except BadMessage as error:
+            raise BadInput(f"the recording is damaged: {error}", str(self.recording.path)) from None
+
+
+@contextmanager
+def dyed_pictures(
+    recording: Recording,
+    view: DyeView | None = None,
+    scale: int | None = None,
+    crop: Crop | None = None,
+    overrides: tuple[str, ...] = (),
+    side: int = PICTURE_SIDE,
+) -> Iterator[DyedPictures]:
+    """Pictures of a recording as its scene says, but for what is given; `overrides` are key=value. Raises BadInput."""
+    given = {"view": view, "scale": scale, "crop": crop}
+    for item in overrides:
+        if not CHANGEABLE.match(item):
+            problem, limit = "this field is no matter of pictures", "dye.picture and a dye's colour"
+            remedy = "for example --set dye.dyes.0.colour.full=0.1"
+            raise BadInput(problem, "--set", value=item, limit=limit, remedy=remedy)
+    with restored_scene(recording, overrides) as loaded:
+        painter = painter_of(loaded, side)
+        painter.look = painter.look.model_copy(update={name: v for name, v in given.items() if v is not None})
+        yield DyedPictures(recording, painter)
+
+
+def export_dyed_picture(
+    source: Recording | Path | str,
+    path: Path,
+    frame: int | None = None,
+    view: DyeView | None = None,
+    scale: int | None = None,
+    crop: Crop | None = None,
+    overrides: tuple[str, ...] = (),
+) -> Path:
+    """Draw a dyed cloth at one frame (default: the last) as PNG, as its scene says but for what is given.
+
+    Raises BadInput for a frame that is not there, and for a picture that cannot be drawn or written.
+    """
+    from PIL import Image
+
+    with opened(source) as recording, dyed_pictures(recording, view, scale, crop, overrides) as pictures:
+        check_target(path, ".png")
+        picture = pictures.draw(find_amounts(recording, frame))
+        with writing(path, ".png") as new:
+            Image.fromarray(picture).save(new, optimize=True)
+    return path
+
+
+def find_amounts(recording: Recording, number: int | None) -> Recorded:
+    """The amounts of a frame by its number, or the last. Raises BadInput where they are not in the recording."""
+    times = {frame: time for time, (frame, _) in recording.marks().items()}
+    message = recording.last(CONCENTRATION.name)
+    if number is not None:
+        start = times[number] * 1e-9 if number in times else np.inf
+        found = recording.messages([CONCENTRATION.name], start, start + 1e-9) if number in times else iter(())
+        message = next(found, None)
+    if message is None:
+        limit = f"frames {min(times)} to {max(times)}" if times else "it holds none"
+        problem = "no such frame in the recording"
+        raise BadInput(problem, str(recording.path), field="--frame", value=number, limit=limit)
+    return message
+
+
+def choose_amounts(recording: Recording, start: float | None, end: float | None) -> list[float]:
+    """Times of the frames from `start` to `end` [s]. Raises BadInput where there is none."""
+    times = [time * 1e-9 for time in sorted(recording.marks())]
+    first, last = (-np.inf if start is None else start), (np.inf if end is None else end)
+    chosen = [time for time in times if first <= time <= last]
+    if not chosen:
+        limit = f"{times[0]:g} to {times[-1]:g} s" if times else "it holds no frames"
+        problem = "nothing to show between start and end"
+        raise BadInput(problem, str(recording.path), value=(start, end), limit=limit)
+    return chosen
+
+
+def draw_amounts(pictures: DyedPictures, times: list[float], progress: Progress | None = None) -> Iterator[Picture]:
+    """The frames at chosen times [s], in order; a time that comes twice gives one picture."""
+    wanted = {round(time * 1e9) for time in times}
+    messages = pictures.recording.messages([CONCENTRATION.name], times[0], times[-1] + 1e-9)
+    shown = (message for message in messages if message.log_time in wanted)
+    for done, message in enumerate(shown, 1):
+        yield pictures.draw(message)
+        if progress is not None:
+            progress(done, len(wanted))
+
+
+def caption(picture: Picture, text: str, pixel: float) -> Picture:
+    """The picture on a strip with a text, and a bar as long as its label says; what has no room is left out.
+
+    `pixel` is the side of a pixel [m]. Text is Pillow's own font, so that it looks the same on every machine.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    height, width = picture.shape[:2]
+    image = Image.new("RGB", (width, height + BAND), PAPER)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(FONT)
+    length, label = _bar(pixel, width)
+    reach = draw.textlength(text, font)
+    if reach + 2 * FONT > width:
+        return picture
+    image.paste(Image.fromarray(picture), (0, 0))
+    middle = height + BAND // 2
+    draw.text((FONT // 2, middle), text, INK, font, anchor="lm")
+    if reach + length + draw.textlength(label, font) + 5 * FONT < width:
+        right = width - FONT // 2
+        draw.text((right, middle), label, INK, font, anchor="rm")
+        right -= round(draw.textlength(label, font)) + FONT // 2
+        draw.rectangle((right - length, middle - 2, right - 1, middle + 1), INK)
+    return np.asarray(image)
+
+
+def _bar(pixel: float, width: int) -> tuple[int, str]:
+    """Pixels of the longest bar of 1, 2 or 5 times a power of ten that takes a fifth of the width, and its label."""
+    most = 0.2 * width * pixel
+    power = 10.0 ** np.floor(np.log10(most))
+    length = max(step * power for step in (1, 2, 5) if step * power <= most * (1.0 + 1e-9))
+    unit, name = max((u for u in UNITS if u[0] <= length * (1.0 + 1e-9)), default=UNITS[0])
+    return round(length / pixel), f"{length / unit:.3g} {name}"
+
+
+def _time(t: float) -> str:
+    unit, name = next((u for u in TIMES if t >= u[0]), TIMES[-1])
+    return f"{t / unit:.3g} {name}"
+
+
+def _view(painter: DyePainter) -> str:
+    view = painter.look.view
+    return "" if view == "all" else f"{view} dye   "

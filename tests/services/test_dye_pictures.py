@@ -1,0 +1,170 @@
+"""Pictures of a run of dye: what is drawn is what was recorded, as the scene or the command line says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dye_scene import write_scene
+from numpy.typing import NDArray
+from PIL import Image
+from scenes import write_scene as write_cloth
+
+import nuno
+from nuno.cli import main
+from nuno.export.dyed_pictures import _bar, caption
+from nuno.files import SceneFiles
+from nuno_dye.picture import YarnsPicture
+from nuno_schemas.dye_picture import Layers, Window
+from nuno_schemas.errors import BadInput
+from nuno_schemas.look import DyeColour
+
+NY, NX = 9, 11
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dyed")
+    return nuno.run(write_scene(folder), record=folder / "run.mcap").path
+
+
+def read(path: Path) -> NDArray[np.uint8]:
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def export(recording: Path, *arguments: str) -> NDArray[np.uint8]:
+    target = recording.with_name("out.png")
+    assert main(["export", str(recording), "--png", str(target), *arguments]) == 0
+    return read(target)
+
+
+def drawn(recording: Path, frame: int, seen: str, scale: int = 16, colour: DyeColour | None = None) -> Any:
+    """The recorded amounts of a frame, drawn by the plugin itself."""
+    with nuno.open(recording) as opened:
+        cloth, _ = opened.arrays(opened.last("dye/cloth"))
+        found = [opened.arrays(message)[0] for message in opened.messages(["dye/concentration"])][frame]
+    amounts = {"all": found["phi"] + found["fixed"], "fixed": found["fixed"], "mobile": found["phi"]}[seen]
+    plugin, window = YarnsPicture(), Window(0, NY, 0, NX)
+    layers = Layers(cloth["fibre"], cloth["up"])
+    prepared = plugin.prepare(plugin.Config(), SceneFiles(Path()), layers, [colour or DyeColour()], window, scale)
+    return plugin.draw(prepared, amounts)
+
+
+@pytest.mark.parametrize("view", ["all", "fixed", "mobile"])
+@pytest.mark.parametrize("frame", [0, 4, 10])
+def test_a_picture_is_of_the_recorded_amounts(recording: Path, frame: int, view: str) -> None:
+    found = export(recording, "--frame", str(frame), "--view", view)
+    assert np.array_equal(found[: 16 * NY], drawn(recording, frame, view))
+
+
+def test_the_last_frame_and_the_scene_s_own_view_are_what_is_not_asked_for(recording: Path) -> None:
+    assert np.array_equal(export(recording)[: 16 * NY], drawn(recording, 10, "all"))
+    assert np.array_equal(export(recording, "--scale", "3"), drawn(recording, 10, "all", 3)), "no room for a text"
+
+
+def test_a_crop_is_cut_from_the_picture(recording: Path) -> None:
+    whole = drawn(recording, 10, "all", 20)
+    found = export(recording, "--scale", "20", "--crop", "0.1mm", "0.05mm", "0.4mm", "0.3mm")
+    assert np.array_equal(found, whole[20:120, 40:160])
+
+
+def test_colours_can_be_others_afterwards(recording: Path) -> None:
+    found = export(recording, "--set", "dye.dyes.0.colour.full=0.1", "--set", "dye.dyes.0.colour.dark='#400000'")
+    assert np.array_equal(found[: 16 * NY], drawn(recording, 10, "all", colour=DyeColour(full=0.1, dark="#400000")))
+
+
+def test_a_run_ends_with_the_scene_s_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path, picture={"view": "fixed", "scale": 4})
+    assert main(["run", str(scene), "--record", str(tmp_path / "run.mcap")]) == 0
+    assert str(tmp_path / "run.png") in capsys.readouterr().out
+    assert np.array_equal(read(tmp_path / "run.png"), drawn(tmp_path / "run.mcap", 10, "fixed", 4))
+
+
+def test_an_animation_has_a_picture_of_every_frame_between_its_ends(recording: Path, tmp_path: Path) -> None:
+    for arguments, number in ((), 11), (("--start", "3.6", "--end", "9"), 4), (("--end", "0"), 1):
+        target = tmp_path / "out.gif"
+        assert main(["export", str(recording), "--gif", str(target), *arguments]) == 0
+        with Image.open(target) as image:
+            assert image.n_frames == number  # type: ignore[attr-defined]
+            assert image.size[0] == 16 * NX
+
+
+def test_an_mp4_has_even_sides(recording: Path, tmp_path: Path) -> None:
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs nuno[video]")
+    assert main(["export", str(recording), "--mp4", str(tmp_path / "out.mp4"), "--scale", "5"]) == 0
+    frames = imageio_ffmpeg.read_frames(str(tmp_path / "out.mp4"))
+    assert next(frames)["size"] == (56, 46)
+    assert len(list(frames)) == 11
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--obj", "out.obj"], ["--obj", "without a shape", "--png"]),
+        (["--glb", "out.glb"], ["--glb", "without a shape"]),
+        (["--png", "out.png", "--size", "60x40"], ["--size", "recording is of dye", "--scale N"]),
+        (["--png", "out.png", "--colour", "stretch"], ["--colour", "recording is of dye", "--view"]),
+        (["--png", "out.png", "--scale", "0"], ["scale", "cannot have this scale", "11 x 9 cells"]),
+        (["--png", "out.png", "--scale", "100000"], ["scale", "cannot have this scale", "67108864"]),
+        (["--png", "out.png", "--frame", "11"], ["--frame", "no such frame", "frames 0 to 10"]),
+        (["--gif", "out.gif", "--start", "20"], ["nothing to show between", "0 to 18 s"]),
+        (["--png", "out.png", "--crop", "1cm", "0", "2cm", "1"], ["crop", "holds no cell", "0.00055 m x 0.00045 m"]),
+        (["--png", "out.png", "--crop", "2mm", "0", "1mm", "1"], ["--crop", "nothing between the corners"]),
+        (["--png", "out.png", "--crop", "2mg", "0", "1mm", "1"], ["--crop", "--crop 2mm 2mm 4mm 3mm"]),
+        (["--png", "out.png", "--set", "dye.solver.dt=1"], ["--set", "no matter of pictures"]),
+        (["--png", "out.png", "--set", "dye.picture.grund='#ffffff'"], ["dye.picture.grund", "did you mean 'ground'"]),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    arguments: list[str], words: list[str], recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", str(recording), *arguments]) == 2
+    said = capsys.readouterr().err
+    assert all(word in said for word in words), said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_moving_cloth_has_no_view_of_dye(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = nuno.run(write_cloth(tmp_path), "duration=0.05", record=tmp_path / "run.mcap").path
+    for flag in (["--view", "fixed"], ["--scale", "0"], ["--crop", "0", "0", "1", "1"], ["--set", "a=1"]):
+        assert main(["export", str(path), "--png", str(tmp_path / "out.png"), *flag]) == 2
+        assert f"{flag[0]}: for pictures of dyed cloth" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("picture", "field", "words"),
+    [
+        ({"scale": 2.5}, "dye.picture.scale", "auto"),
+        ({"view": "fixd"}, "dye.picture.view", "did you mean 'fixed'"),
+        ({"texture": {"relif": 1}}, "dye.picture.texture.relif", "did you mean 'relief'"),
+        ({"crop": {"low": [0, 0], "high": ["1 mm", 0]}}, "dye.picture.crop.high", "nothing between the corners"),
+        ({"crop": {"low": ["1 cm", 0], "high": ["2 cm", 1]}}, "dye.picture.crop", "holds no cell"),
+        ({"scale": 256, "crop": {"low": ["1 cm", 0], "high": ["2 cm", 1]}}, "dye.picture.crop", "holds no cell"),
+        ({"plugin": "yarn"}, "dye.picture.plugin", "did you mean 'yarns'"),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(
+    picture: dict[str, Any], field: str, words: str, tmp_path: Path
+) -> None:
+    scene = write_scene(tmp_path, picture=picture)
+    with pytest.raises(BadInput) as refused:
+        nuno.run(scene, record=tmp_path / "run.mcap")
+    assert "scene.yaml:" in str(refused.value) and f"{field}: " in str(refused.value)
+    assert words in str(refused.value)
+
+
+def test_the_bar_of_a_caption_is_as_long_as_it_says() -> None:
+    for pixel in np.geomspace(1e-7, 1e-2, 23):
+        length, label = _bar(float(pixel), 800)
+        number, unit = label.split()
+        assert length * pixel == pytest.approx(
+            float(number) * {"um": 1e-6, "mm": 1e-3, "m": 1.0}[unit], abs=0.51 * pixel
+        )
+        assert 800 * 0.2 * 0.39 < length <= 800 * 0.2
+    narrow = np.zeros((20, 40, 3), np.uint8)
+    assert caption(narrow, "a name and a time", 1e-5) is narrow
