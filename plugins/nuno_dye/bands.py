@@ -22,13 +22,13 @@ def make_bands(phi: Float, faces: Faces, scale: float, number: int) -> Bands:
     return Bands(amounts, along, down, across, edge, *cut.places())
 
 
-def make_dye_bands(phi: Float, fixed: Float, cells: Cells, faces: Faces, scale: float, number: int) -> DyeBands:
-    """Bands for the whole step, of mobile and fixed amounts (2, ny, nx)."""
+def make_dye_bands(phi: Float, cells: Cells, faces: Faces, scale: float, number: int) -> DyeBands:
+    """Bands for the whole step, of mobile amounts (2, ny, nx)."""
     cut = Cut(phi.shape, number, 2 * LEVELS)
     rolling = np.zeros((cut.number, 4 * SLOT * LEVELS, cut.width))
-    mobile, bound, most, room = cut.fill(phi, fixed, cells.mobile_room, cells.fixed_room)
+    mobile, most = cut.fill(phi, cells.mobile_room)
     along, down, across = cut.fill_faces(faces, scale)
-    return DyeBands(mobile, bound, along, down, across, most, room, rolling, *cut.places())
+    return DyeBands(mobile, along, down, across, most, rolling, *cut.places())
 
 
 class Cut:
@@ -43,6 +43,11 @@ class Cut:
         self.cuts = np.linspace(0, self.ny, self.number + 1).astype(np.int64)
         self.height = int(np.diff(self.cuts).max()) + 2 * self.top
         self.width = LEFT + -(-self.nx // WIDTH) * WIDTH + WIDTH
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of amounts in both layers, in bands."""
+        return self.number, 2 * self.height, self.width
 
     def fill(self, *arrays: Float) -> list[Float]:
         """Each of the arrays (layers, ny, nx) as (bands, layers * height, width)."""

@@ -21,7 +21,8 @@ from llvmlite import ir
 from numba import prange
 from numpy.typing import NDArray
 
-from nuno_dye.upkeep import keep_row
+from nuno_dye.adsorption import adsorb_both, uptake_in
+from nuno_dye.upkeep import keep_both, upkeep_in
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.simd import WIDTH, instruction, load, splat, store, vector
 from nuno_schemas.fabric import Float
@@ -101,36 +102,38 @@ def start_row(phi: Any, down: Any, edge: Any, level: int, row: int, r: int) -> N
 @kernel
 def pass_over(
     levels: int, phi: Any, along: Any, down: Any, across: Any, edge: Any, first: int, last: int, up: int, low: int,
-    floor: Any, given: Any, lost: Any, rows: Any,
+    uptake: Any, upkeep: Any,
 ) -> None:  # fmt: skip
-    """`levels` steps of one band. Level s is right where it has levels - 1 - s rows of its neighbours."""
+    """`levels` steps of one band. Level s is right where it has levels - 1 - s rows of its neighbours.
+
+    Fibre takes its dye one row ahead: the level before is done with that row and keeps what flows from it.
+    """
+    r = across.shape[0]
     for at in range(first - up * (levels - 1), last + low * (levels - 1) + levels + 1):
         for level in range(levels):
             row, beyond = at - level, levels - 1 - level
             if first - up * beyond <= row <= last + low * beyond:
                 if row == first - up * beyond:
-                    start_row(phi, down, edge, level, row, across.shape[0])
+                    if uptake is not None:
+                        adsorb_both(phi, uptake, LEFT, row - 1, r)
+                        adsorb_both(phi, uptake, LEFT, row, r)
+                    start_row(phi, down, edge, level, row, r)
+                if uptake is not None:
+                    adsorb_both(phi, uptake, LEFT, row + 1, r)
                 step_row(phi, along, down, across, edge, level, row)
-                if floor is not None and rows[row]:
-                    keep_row(phi, floor, given, lost, LEFT, row)
-                    keep_row(phi, floor, given, lost, LEFT, row + across.shape[0])
+                if upkeep is not None:
+                    keep_both(phi, upkeep, LEFT, row, r)
 
 
 @parallel_kernel
-def pass_bands(levels: int, bands: Any, upkeep: Any) -> None:
+def pass_bands(levels: int, bands: Any, uptake: Any, upkeep: Any) -> None:
     """`levels` steps of all bands."""
     for b in prange(bands.phi.shape[0]):
-        if upkeep is None:
-            pass_over(
-                levels, bands.phi[b], bands.along[b], bands.down[b], bands.across[b], bands.edge[b],
-                bands.first[b], bands.last[b], bands.shrinks[b, 0], bands.shrinks[b, 1], None, None, None, None,
-            )  # fmt: skip
-        else:
-            pass_over(
-                levels, bands.phi[b], bands.along[b], bands.down[b], bands.across[b], bands.edge[b],
-                bands.first[b], bands.last[b], bands.shrinks[b, 0], bands.shrinks[b, 1],
-                upkeep.floor[b], upkeep.given[b], upkeep.lost[b], upkeep.rows[b],
-            )  # fmt: skip
+        pass_over(
+            levels, bands.phi[b], bands.along[b], bands.down[b], bands.across[b], bands.edge[b],
+            bands.first[b], bands.last[b], bands.shrinks[b, 0], bands.shrinks[b, 1],
+            uptake_in(uptake, b), upkeep_in(upkeep, b),
+        )  # fmt: skip
 
 
 @kernel
@@ -143,19 +146,21 @@ def copy_rows(to: Any, row: int, source: Any, start: int, r: int, count: int) ->
 
 
 @parallel_kernel
-def renew_ghosts(bands: Any) -> None:
-    """Copy ghost rows from the neighbours. A loop of its own: numba would fuse it with the one before."""
-    for b in prange(bands.phi.shape[0]):
+def renew_ghosts(bands: Any, values: Any, ghost: int) -> None:
+    """Copy `ghost` rows of `values` (b, 2 r, w) from the neighbours. A loop of its own: numba would fuse it."""
+    for b in prange(values.shape[0]):
         r = bands.across.shape[1]
         if bands.shrinks[b, 0] == 1:
-            copy_rows(bands.phi[b], bands.first[b] - GHOST, bands.phi[b - 1], bands.last[b - 1] - GHOST + 1, r, GHOST)
+            copy_rows(values[b], bands.first[b] - ghost, values[b - 1], bands.last[b - 1] - ghost + 1, r, ghost)
         if bands.shrinks[b, 1] == 1:
-            copy_rows(bands.phi[b], bands.last[b] + 1, bands.phi[b + 1], bands.first[b + 1], r, GHOST)
+            copy_rows(values[b], bands.last[b] + 1, values[b + 1], bands.first[b + 1], r, ghost)
 
 
 @kernel
-def diffuse(steps: int, bands: Any, upkeep: Any) -> None:
-    """`steps` steps, GHOST of them in a pass; `upkeep` may be None."""
+def diffuse(steps: int, bands: Any, uptake: Any, upkeep: Any) -> None:
+    """`steps` steps, GHOST of them in a pass; `uptake` and `upkeep` may be None."""
     for done in range(0, steps, GHOST):
-        pass_bands(min(GHOST, steps - done), bands, upkeep)
-        renew_ghosts(bands)
+        pass_bands(min(GHOST, steps - done), bands, uptake, upkeep)
+        renew_ghosts(bands, bands.phi, GHOST)
+        if uptake is not None:
+            renew_ghosts(bands, uptake.fixed, GHOST)

@@ -1,7 +1,6 @@
 """The whole explicit step: adsorption first, then diffusion that fills no cell beyond its capacity.
 
-Fibre takes (D_ab dt / d^2) (phi - A)^+ from the mobile phi to the fixed A, never more than the isotherm and the
-fibre's room allow, nor than there is. All faces then take their flux from the same phi; a cell that would be
+Fibre takes what nuno_dye.adsorption says. All faces then take their flux from the same phi; a cell that would be
 filled beyond V_u scales its inflow by (V_u - phi) / inflow, one that would be emptied its outflow by phi / outflow,
 and a face uses the smaller of its two factors, so dye is kept. Where no factor is below 1 the result has the bits
 of `nuno_dye.diffusion`.
@@ -14,19 +13,16 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from llvmlite import ir
 from numba import prange
-from numba.core import cgutils, types
 
-from nuno_dye.diffusion import LEFT, Rows, copy_rows, slide
-from nuno_dye.upkeep import keep_row
+from nuno_dye.adsorption import adsorb_both, uptake_in
+from nuno_dye.diffusion import LEFT, Rows, renew_ghosts, slide
+from nuno_dye.upkeep import keep_both, upkeep_in
 from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.simd import LANES, WIDTH, instruction, load, splat, spread, store, vector
+from nuno_kernels.simd import WIDTH, load, splat, store
 from nuno_kernels.simd_choose import higher, lower
 from nuno_schemas.fabric import Float
 
-NOTHING, PARTITION, FREUNDLICH, LANGMUIR = 0, 1, 2, 3
-"""Isotherms that the kernel knows."""
 LEVELS = 3
 """Steps of a pass; a row of 800 x 2 cells has 110 kB."""
 SLOT = 9
@@ -39,62 +35,19 @@ below nothing nor fills it beyond."""
 class DyeBands(NamedTuple):
     """What a step needs, in bands as in nuno_dye.diffusion.Bands.
 
-    fixed      (b, 2 r, w)  fixed amounts A
     mobile     (b, 2 r, w)  capacity V_u for mobile dye
-    fibre      (b, 2 r, w)  capacity V_d for fixed dye, 0 in gaps
     rolling    (b, 36 levels, w)  scratch: fluxes and factors of four rows of both layers, by level
     """
 
     phi: Float
-    fixed: Float
     along: Float
     down: Float
     across: Float
     mobile: Float
-    fibre: Float
     rolling: Float
     first: Rows
     last: Rows
     shrinks: Rows
-
-
-@instruction
-def power(typing: Any, base: Any, exponent: Any) -> Any:
-    """Every lane to the same power."""
-    if base != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(LANES, [LANES, LANES]), "llvm.pow.v8f64"
-        )
-        return builder.call(function, [args[0], spread(builder, args[1])])
-
-    return vector(vector, types.float64), build
-
-
-@kernel
-def limit_of(isotherm: int, first: float, second: float, phi: Any, room: Any) -> Any:
-    """What may be fixed at mobile dye phi: k phi, k phi^b, or V_d K phi / (1 + K phi); (k, b) or (K, -)."""
-    if isotherm == PARTITION:
-        return first * phi
-    if isotherm == FREUNDLICH:
-        return first * power(phi, second)
-    return room * (first * phi) / (1.0 + first * phi)
-
-
-@kernel
-def adsorb_row(
-    phi: Any, fixed: Any, fibre: Any, row: int, rate: float, isotherm: int, first: float, second: float
-) -> None:
-    """Fix dye in one row of one layer; rate is D_ab dt / d^2."""
-    nothing = splat(0.0)
-    for c in range(LEFT, phi.shape[1] - WIDTH, WIDTH):
-        there, held, room = load(phi, row, c), load(fixed, row, c), load(fibre, row, c)
-        most = lower(room, limit_of(isotherm, first, second, there, room)) - held
-        taken = higher(lower(lower(rate * (there - held), most), there), nothing)
-        store(phi, row, c, there - taken)
-        store(fixed, row, c, held + taken)
 
 
 @kernel
@@ -182,9 +135,8 @@ def move_row(phi: Any, rolling: Any, base: int, row: int, r: int) -> None:
 
 @kernel
 def pass_over_dye(
-    levels: int, phi: Any, fixed: Any, along: Any, down: Any, across: Any, mobile: Any, fibre: Any, rolling: Any,
-    first: int, last: int, up: int, low: int, rate: float, isotherm: int, k: float, b: float,
-    floor: Any, given: Any, lost: Any, rows: Any,
+    levels: int, phi: Any, along: Any, down: Any, across: Any, mobile: Any, rolling: Any,
+    first: int, last: int, up: int, low: int, uptake: Any, upkeep: Any,
 ) -> None:  # fmt: skip
     """`levels` steps of one band: rows are adsorbed two ahead, their fluxes and factors known one ahead."""
     r = across.shape[0]
@@ -194,9 +146,8 @@ def pass_over_dye(
             start, stop, row = first - up * beyond, last + low * beyond, at - 2 * level
             ahead = row + 2
             if start - 2 <= ahead <= stop + 2:
-                if isotherm != NOTHING:
-                    adsorb_row(phi, fixed, fibre, ahead, rate, isotherm, k, b)
-                    adsorb_row(phi, fixed, fibre, ahead + r, rate, isotherm, k, b)
+                if uptake is not None:
+                    adsorb_both(phi, uptake, LEFT, ahead, r)
                 if ahead > start - 2:
                     flux_row(phi, along, down, across, rolling, base, ahead - 1)
                 if ahead >= start:
@@ -205,47 +156,26 @@ def pass_over_dye(
                 scale_down(rolling, base, row)
                 if row >= start:
                     move_row(phi, rolling, base, row, r)
-                    if floor is not None and rows[row]:
-                        keep_row(phi, floor, given, lost, LEFT, row)
-                        keep_row(phi, floor, given, lost, LEFT, row + r)
+                    if upkeep is not None:
+                        keep_both(phi, upkeep, LEFT, row, r)
 
 
 @parallel_kernel
-def pass_dye_bands(levels: int, bands: Any, rate: float, isotherm: int, k: float, b: float, upkeep: Any) -> None:
+def pass_dye_bands(levels: int, bands: Any, uptake: Any, upkeep: Any) -> None:
     """`levels` steps of all bands."""
     for n in prange(bands.phi.shape[0]):
-        if upkeep is None:
-            pass_over_dye(
-                levels, bands.phi[n], bands.fixed[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n],
-                bands.fibre[n], bands.rolling[n], bands.first[n], bands.last[n], bands.shrinks[n, 0],
-                bands.shrinks[n, 1], rate, isotherm, k, b, None, None, None, None,
-            )  # fmt: skip
-        else:
-            pass_over_dye(
-                levels, bands.phi[n], bands.fixed[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n],
-                bands.fibre[n], bands.rolling[n], bands.first[n], bands.last[n], bands.shrinks[n, 0],
-                bands.shrinks[n, 1], rate, isotherm, k, b,
-                upkeep.floor[n], upkeep.given[n], upkeep.lost[n], upkeep.rows[n],
-            )  # fmt: skip
-
-
-@parallel_kernel
-def renew_dye_ghosts(bands: Any) -> None:
-    """Copy ghost rows of mobile and fixed dye from the neighbours."""
-    for n in prange(bands.phi.shape[0]):
-        r = bands.across.shape[1]
-        if bands.shrinks[n, 0] == 1:
-            own, source = bands.first[n] - 2 * LEVELS, bands.last[n - 1] - 2 * LEVELS + 1
-            copy_rows(bands.phi[n], own, bands.phi[n - 1], source, r, 2 * LEVELS)
-            copy_rows(bands.fixed[n], own, bands.fixed[n - 1], source, r, 2 * LEVELS)
-        if bands.shrinks[n, 1] == 1:
-            copy_rows(bands.phi[n], bands.last[n] + 1, bands.phi[n + 1], bands.first[n + 1], r, 2 * LEVELS)
-            copy_rows(bands.fixed[n], bands.last[n] + 1, bands.fixed[n + 1], bands.first[n + 1], r, 2 * LEVELS)
+        pass_over_dye(
+            levels, bands.phi[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n], bands.rolling[n],
+            bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1],
+            uptake_in(uptake, n), upkeep_in(upkeep, n),
+        )  # fmt: skip
 
 
 @kernel
-def dye(steps: int, bands: Any, rate: float, isotherm: int, k: float, b: float, upkeep: Any) -> None:
-    """`steps` steps, LEVELS of them in a pass; `upkeep` may be None."""
+def dye(steps: int, bands: Any, uptake: Any, upkeep: Any) -> None:
+    """`steps` steps, LEVELS of them in a pass; `uptake` and `upkeep` may be None."""
     for done in range(0, steps, LEVELS):
-        pass_dye_bands(min(LEVELS, steps - done), bands, rate, isotherm, k, b, upkeep)
-        renew_dye_ghosts(bands)
+        pass_dye_bands(min(LEVELS, steps - done), bands, uptake, upkeep)
+        renew_ghosts(bands, bands.phi, 2 * LEVELS)
+        if uptake is not None:
+            renew_ghosts(bands, uptake.fixed, 2 * LEVELS)

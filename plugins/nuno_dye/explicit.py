@@ -1,7 +1,7 @@
 """The explicit solver: the dye paper's scheme, whole frames of steps in one compiled call for each dye.
 
-Where nothing is adsorbed and no limit can bind, the faster kernel of diffusion alone takes the steps. A step of
-it replaces each amount by a mean of itself and its neighbours', with weights that add to 1 and are none of them
+Where no limit can bind, the faster kernel of diffusion alone takes the steps, with adsorption as the case is. A step
+of it replaces each amount by a mean of itself and its neighbours', with weights that add to 1 and are none of them
 negative as long as D0 dt / size^2 sum P T <= 1; limits only make the neighbours' weights smaller, and adsorption the
 amounts. So no amount ever exceeds the largest of those at the start and of what supplies have kept up since, and a
 cell's inflow is at most (that - phi). Nothing can be limited, then, if every cell that a face reaches has room for
@@ -18,9 +18,10 @@ import numba
 import numpy as np
 from pydantic import BaseModel
 
+from nuno_dye.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Uptake
 from nuno_dye.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.diffusion import GHOST, Bands, diffuse
-from nuno_dye.dyeing import FREUNDLICH, LANGMUIR, LEVELS, NOTHING, PARTITION, DyeBands, dye
+from nuno_dye.dyeing import LEVELS, DyeBands, dye
 from nuno_dye.faces import Faces, face_sums, face_values
 from nuno_dye.sums import sum_compensated
 from nuno_dye.upkeep import Upkeep, begin_upkeep, make_upkeep, sum_given
@@ -47,8 +48,9 @@ class Work:
     faces   face values, and `most`, the largest sum of a cell's
     room    least capacity V_u of a cell that a face reaches
     floors  (dyes, 2, ny, nx) what is kept up as far as there is room, None where nothing is
-    plain, whole  by dye: the step [s] and the kernels' layout for it
-    upkeep  by dye and kernel: the layout of its floors
+    bands   by dye, and whether limits may bind: the step [s] and the kernel's layout for it
+    upkeep  by dye and ghost rows: the layout of its floors
+    fibre   by ghost rows: the layout of V_d
     """
 
     system: DyeSystem
@@ -56,9 +58,9 @@ class Work:
     most: float
     room: float
     floors: Float | None
-    plain: dict[int, tuple[float, Bands]] = field(default_factory=dict)
-    whole: dict[int, tuple[float, DyeBands]] = field(default_factory=dict)
+    bands: dict[tuple[int, bool], tuple[float, Bands | DyeBands]] = field(default_factory=dict)
     upkeep: dict[tuple[int, int], Upkeep] = field(default_factory=dict)
+    fibre: dict[int, Float] = field(default_factory=dict)
 
 
 class Explicit:
@@ -142,22 +144,27 @@ def _bands(system: DyeSystem) -> int:
     return max(1, min(system.threads, threads_available()[0], system.cells.fibre.size // CELLS_PER_THREAD))
 
 
-def _upkeep(work: Work, k: int, ghost: int) -> Upkeep | None:
+def _upkeep(work: Work, k: int, cut: Cut) -> Upkeep | None:
     """Floors of one dye in a kernel's layout, with nothing given yet; None where it has none."""
     if work.floors is None or not work.floors[k].any():
         return None
-    found = work.upkeep.get((k, ghost))
+    found = work.upkeep.get((k, cut.ghost))
     if found is None:
-        found = make_upkeep(Cut(work.floors[k].shape, _bands(work.system), ghost).fill(work.floors[k])[0])
-        work.upkeep[k, ghost] = found
+        found = work.upkeep[k, cut.ghost] = make_upkeep(cut.fill(work.floors[k])[0])
     return begin_upkeep(found)
 
 
-def _read_given(bands: Bands | DyeBands, upkeep: Upkeep | None, shape: tuple[int, ...]) -> float:
-    """All that a dye's supplies gave."""
-    if upkeep is None:
-        return 0.0
-    return sum_given(*(read_bands(bands, values, np.empty(shape)) for values in (upkeep.given, upkeep.lost)))
+def _uptake(work: Work, k: int, cut: Cut, dt: float) -> Uptake | None:
+    """Fibre of one dye in a kernel's layout; None where the kernel fixes nothing."""
+    one, cells = work.system.dyes[k], work.system.cells
+    law = one.isotherm
+    if law is None or not _adsorbs(one) or law.kind == "python":
+        return None
+    if cut.ghost not in work.fibre:
+        work.fibre[cut.ghost] = cut.fill(cells.fixed_room)[0]
+    kind = PARTITION if law.kind == "freundlich" and law.second == 1.0 else KINDS[law.kind]
+    rate = one.adsorption * (one.D0 * dt / cells.size**2)
+    return Uptake(np.empty(cut.shape), work.fibre[cut.ghost], rate, kind, law.first, law.second)
 
 
 def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, highest: float) -> float:
@@ -166,46 +173,43 @@ def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, hig
     Returns what its supplies gave.
     """
     system, phi, fixed = work.system, state.phi[k], state.fixed[k]
-    one, number = system.dyes[k], _bands(system)
-    scale = one.D0 * dt / system.cells.size**2
-    if _adsorbs(one) or not highest <= work.room or scale * work.most > 1.0:
-        return _step_whole(work, k, phi, fixed, steps, dt)
-    known, plain = work.plain.get(k, (0.0, None))
-    if plain is None or known != dt:
-        plain = make_bands(phi, work.faces, scale, number)
-        work.plain[k] = dt, plain
-    plain = plain._replace(phi=Cut(phi.shape, number, GHOST).fill(phi)[0])
-    upkeep = _upkeep(work, k, GHOST)
-    diffuse(steps, plain, upkeep)
-    read_bands(plain, plain.phi, phi)
-    return _read_given(plain, upkeep, phi.shape)
-
-
-def _step_whole(work: Work, k: int, phi: Float, fixed: Float, steps: int, dt: float) -> float:
-    """The same with adsorption, capacities and resist."""
-    one, cells, number = work.system.dyes[k], work.system.cells, _bands(work.system)
+    one, cells = system.dyes[k], system.cells
     scale = one.D0 * dt / cells.size**2
-    known, whole = work.whole.get(k, (0.0, None))
-    if whole is None or known != dt:
-        whole = make_dye_bands(phi, fixed, cells, work.faces, scale, number)
-        work.whole[k] = dt, whole
-    law = one.isotherm if _adsorbs(one) else None
-    kind, first, second = (KINDS[law.kind], law.first, law.second) if law else (NOTHING, 0.0, 0.0)
-    function = law.function if law else None
-    upkeep = _upkeep(work, k, 2 * LEVELS)
+    limited = not highest <= work.room or scale * work.most > 1.0
+    cut = Cut(phi.shape, _bands(system), 2 * LEVELS if limited else GHOST)
+    bands = _layout(work, k, limited, dt, scale, cut.number)
+    uptake, upkeep = _uptake(work, k, cut, dt), _upkeep(work, k, cut)
+    function = one.isotherm.function if one.isotherm is not None and _adsorbs(one) else None
     for count in [steps] if function is None or not steps else [1] * steps:
         if function is not None and count:
             _adsorb(phi, fixed, cells, one.adsorption * scale, function)
-        amounts = Cut(phi.shape, number, 2 * LEVELS).fill(phi, fixed)
-        whole = whole._replace(phi=amounts[0], fixed=amounts[1])
-        dye(count, whole, one.adsorption * scale, kind, first, second, upkeep)
-        read_bands(whole, whole.phi, phi)
-        read_bands(whole, whole.fixed, fixed)
-    return _read_given(whole, upkeep, phi.shape)
+        bands = bands._replace(phi=cut.fill(phi)[0])
+        uptake = uptake and uptake._replace(fixed=cut.fill(fixed)[0])
+        (dye if limited else diffuse)(count, bands, uptake, upkeep)
+        read_bands(bands, bands.phi, phi)
+        if uptake is not None:
+            read_bands(bands, uptake.fixed, fixed)
+    if upkeep is None:
+        return 0.0
+    return sum_given(*(read_bands(bands, values, np.empty(phi.shape)) for values in (upkeep.given, upkeep.lost)))
+
+
+def _layout(work: Work, k: int, limited: bool, dt: float, scale: float, number: int) -> Bands | DyeBands:
+    """One dye's weights in a kernel's layout."""
+    known, bands = work.bands.get((k, limited), (0.0, None))
+    if bands is None or known != dt:
+        empty, cells = np.zeros(work.system.cells.fibre.shape), work.system.cells
+        bands = (
+            make_dye_bands(empty, cells, work.faces, scale, number)
+            if limited
+            else make_bands(empty, work.faces, scale, number)
+        )
+        work.bands[k, limited] = dt, bands
+    return bands
 
 
 def _adsorb(phi: Float, fixed: Float, cells: Cells, rate: float, function: Callable[[Float, Float], Float]) -> None:
-    """What nuno_dye.dyeing.adsorb_row does, with an isotherm that no kernel knows."""
+    """What nuno_dye.adsorption.adsorb_row does, with an isotherm that no kernel knows."""
     room = cells.fixed_room
     most = np.minimum(room, function(phi, room)) - fixed
     taken = np.maximum(np.minimum(np.minimum(rate * (phi - fixed), most), phi), 0.0)

@@ -52,6 +52,22 @@ def sum_given(given: Float, lost: Float) -> float:
 
 
 @kernel
+def upkeep_in(upkeep: Any, b: int) -> Any:
+    """The part of band `b`; None where nothing is kept up."""
+    if upkeep is None:
+        return None
+    return Upkeep(upkeep.floor[b], upkeep.given[b], upkeep.lost[b], upkeep.rows[b])
+
+
+@kernel
+def keep_both(phi: Any, upkeep: Any, start: int, row: int, r: int) -> None:
+    """Raise one row of both layers, (2 r, w), to its floor, from column `start` on."""
+    if upkeep.rows[row]:
+        keep_row(phi, upkeep.floor, upkeep.given, upkeep.lost, start, row)
+        keep_row(phi, upkeep.floor, upkeep.given, upkeep.lost, start, row + r)
+
+
+@kernel
 def keep_row(phi: Any, floor: Any, given: Any, lost: Any, start: int, row: int) -> None:
     """Raise one row of one layer to its floor, from column `start` on."""
     for c in range(start, phi.shape[1] - WIDTH, WIDTH):

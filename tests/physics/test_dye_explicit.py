@@ -82,19 +82,33 @@ def test_an_isotherm_in_python_is_followed() -> None:
     assert np.abs(ours.phi - known.phi).max() < 1e-14 and np.abs(ours.fixed - known.fixed).max() < 1e-14
 
 
-def test_diffusion_alone_has_the_bits_of_the_whole_step() -> None:
-    """Where no limit can bind another kernel runs; from a full cell beside an empty one, too."""
-    cells = replace(random_cells(31, 40), v_max=1e3)
-    phi = np.random.default_rng(5).random(cells.fibre.shape) * (cells.porosity > 0.0)
-    system, solver = dyed(cells, None), Explicit()
-    plain, whole = (DyeState(phi[None].copy(), 0 * phi[None]) for _ in range(2))
-    memory = [solver.prepare(CONFIG, system, state) for state in (plain, whole)]
-    assert memory[0].arrays["highest"][0] <= memory[0].work.room  # type: ignore[attr-defined]
-    memory[1].arrays["highest"][0] = np.inf
-    dt = solver.limit(CONFIG, system)
-    solver.advance(system, plain, memory[0], 20, 0.9 * dt)
-    solver.advance(system, whole, memory[1], 20, 0.9 * dt)
-    assert np.array_equal(plain.phi, whole.phi)
+@pytest.mark.parametrize("law", [None, *LAWS])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_where_nothing_can_be_limited_the_faster_kernel_has_the_bits_of_the_whole_step(
+    law: str | None, threads: int
+) -> None:
+    """From a full cell beside an empty one, too; kept up or not."""
+    side = int(CELLS_PER_THREAD**0.5) + 1
+    cells = replace(random_cells(side, side), v_max=1e3)
+    rng = np.random.default_rng(5)
+    phi = rng.random(cells.fibre.shape) * (cells.porosity > 0.0)
+    supply = 0.5 * (phi * (rng.random(phi.shape) > 0.9))[None]
+    for system in (dyed(cells, LAWS.get(law or ""), threads), replace(dyed(cells, None, threads), supply=supply)):
+        solver, states = Explicit(), [DyeState(phi[None].copy(), 0 * phi[None]) for _ in range(2)]
+        memory = [solver.prepare(CONFIG, system, state) for state in states]
+        assert memory[0].arrays["highest"][0] <= memory[0].work.room  # type: ignore[attr-defined]
+        memory[1].arrays["highest"][0] = np.inf
+        dt = solver.limit(CONFIG, system)
+        plain, whole = (solver.advance(system, *pair, 20, 0.9 * dt) for pair in zip(states, memory, strict=True))
+        assert plain == whole and (plain.fixed[0] > 0.0) == (law is not None and system.supply is None)
+        assert np.array_equal(states[0].phi, states[1].phi) and np.array_equal(states[0].fixed, states[1].fixed)
+
+
+def test_freundlich_with_the_exponent_1_is_partition() -> None:
+    cells = resisted(9, 11)
+    laws = (Partition().prepare(PartitionConfig(k=0.7)), Freundlich().prepare(FreundlichConfig(k=0.7, b=1)))
+    ours, other = (advance(dyed(cells, law), *start(cells), 7)[0] for law in laws)
+    assert np.array_equal(ours.phi, other.phi) and np.array_equal(ours.fixed, other.fixed)
 
 
 def test_dyes_do_not_act_on_each_other() -> None:

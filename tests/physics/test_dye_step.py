@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from test_dye_diffusion import random_cells, spread, step_plainly
 
-from nuno_dye.bands import make_dye_bands, read_bands
-from nuno_dye.dyeing import FREUNDLICH, LANGMUIR, LEVELS, NOTHING, PARTITION, dye
+from nuno_dye.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Uptake
+from nuno_dye.bands import Cut, make_dye_bands, read_bands
+from nuno_dye.dyeing import LEVELS, dye
 from nuno_dye.faces import face_values, largest_sum
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
@@ -88,10 +89,11 @@ def face_flows(phi: Float, cells: Cells, scale: float) -> dict[tuple[Place, Plac
 def run(
     phi: Float, fixed: Float, cells: Cells, scale: float, rate: float, isotherm: str, steps: int, bands: int = 1
 ) -> tuple[Float, Float]:
-    packed = make_dye_bands(phi, fixed, cells, face_values(cells), scale, bands)
+    packed = make_dye_bands(phi, cells, face_values(cells), scale, bands)
     kind, k, b = ISOTHERMS[isotherm]
-    dye(steps, packed, rate, kind, k, b, None)
-    return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, packed.fixed, np.empty_like(phi))
+    bound, fibre = Cut(phi.shape, bands, 2 * LEVELS).fill(fixed, cells.fixed_room)
+    dye(steps, packed, None if kind == NOTHING else Uptake(bound, fibre, rate, kind, k, b), None)
+    return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, bound, np.empty_like(phi))
 
 
 def start(cells: Cells) -> tuple[Float, Float]:
