@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -25,11 +26,16 @@ def installed(group: str) -> dict[str, EntryPoint]:
     return found
 
 
-def load(group: str, name: str) -> Any:
-    """An instance of the plugin `name`. Raises BadInput if it is unknown or cannot be imported."""
+def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
+    """An instance of the plugin `name`. Raises BadInput if it is unknown or cannot be imported.
+
+    `beside` are words that may stand for a plugin, such as "auto": an unknown name is answered with them, too.
+    """
     points = installed(group)
     if name not in points:
-        raise BadInput(f"no plugin {name!r} in {group} ({GROUPS[group]})", value=name, remedy=nearest(name, points))
+        raise BadInput(
+            f"no plugin {name!r} in {group} ({GROUPS[group]})", value=name, remedy=nearest(name, [*points, *beside])
+        )
     try:
         return points[name].load()()
     except Exception as error:

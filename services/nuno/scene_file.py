@@ -224,7 +224,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
 
     def chosen(group: str, choice: Choice, field: yaml_lines.Path) -> Chosen:
         try:
-            plugin = registry.load(group, choice.plugin)
+            plugin = registry.load(group, choice.plugin, (AUTO,) if group == "nuno.integrators" else ())
         except BadInput as error:
             raise located(error, file, lines, dotted((*field, "plugin"))) from None
         try:

@@ -55,6 +55,7 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
         "objects[0].model.fabric.sheer", "no such field", "'shear'",
     ),
     "unknown integrator": ({"solver": {"plugin": "rk5"}}, "solver.plugin", "no plugin 'rk5'", "'rk4'"),
+    "mistyped auto": ({"solver": {"plugin": "atuo"}}, "solver.plugin", "no plugin 'atuo'", "did you mean 'auto'?"),
     "unknown model": (with_model(plugin="shet"), "objects[0].model.plugin", "no plugin 'shet'", "'sheet'"),
     "unknown force": ({"forces": [{"plugin": "wnd"}]}, "forces[0].plugin", "no plugin 'wnd'", "'wind'"),
     "pin of a mesh by name": (
