@@ -51,12 +51,12 @@ def require(paths: Iterable[Path]) -> None:
 
 
 @contextmanager
-def hint(kept: Kept) -> Iterator[None]:
+def hint(path: Path) -> Iterator[None]:
     """Say where finished points are, when what goes on in here is interrupted or fails."""
     try:
         yield
     except (KeyboardInterrupt, RunFailed):
-        print(f"what is finished is kept in {kept.path}; --resume goes on from there", file=sys.stderr)
+        print(f"what is finished is kept in {path}; --resume goes on from there", file=sys.stderr)
         raise
 
 

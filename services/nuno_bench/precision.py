@@ -21,6 +21,8 @@ from nuno.viewer.require import require
 from nuno_bench import executor, machine, markdown, plots
 from nuno_bench.executor import Executor, Here
 from nuno_bench.horizon import DISTURBANCE, find_horizon
+from nuno_bench.kept import hint
+from nuno_bench.kept import require as require_any
 from nuno_bench.observe import OBSERVABLES, Problem, make_problem
 from nuno_bench.packed import pack
 from nuno_bench.precision_errors import find_scales, measure_errors
@@ -32,7 +34,7 @@ from nuno_bench.precision_untimed import run_untimed
 from nuno_bench.reference import GROUP, Reference, make_reference
 from nuno_bench.result import text_table
 from nuno_bench.sweep import choose_solvers
-from nuno_schemas.errors import BadInput, RunFailed, nearest
+from nuno_schemas.errors import BadInput, nearest
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,6 +112,10 @@ def _base(args: argparse.Namespace, loaded: Loaded) -> Path:
     return folder / f"precision-{loaded.scene.name}"
 
 
+def _points(args: argparse.Namespace, loaded: Loaded) -> Path:
+    return _base(args, loaded).with_suffix(".jsonl")
+
+
 def _check(args: argparse.Namespace) -> list[Loaded]:
     """The scenes. Raises BadInput before anything runs."""
     plots.require_matplotlib()
@@ -136,6 +142,8 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     for one in loaded:
         if args.docs is not None:
             markdown.check_section(args.docs, _section(one))
+    if args.resume:
+        require_any([_points(args, one) for one in loaded])
     return loaded
 
 
@@ -155,16 +163,12 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Fi
     horizon = find_horizon(problem, reference)
     scales = find_scales(problem, reference.run.series)
     floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
-    path = _base(args, loaded).with_suffix(".jsonl")
-    kept = Kept(path, identity(problem, reference, args.repeats), args.resume)
+    kept = Kept(_points(args, loaded), identity(problem, reference, args.repeats), args.resume)
     runner = Runner(problem, reference, scales, horizon.frames, args.repeats)
-    try:
+    with hint(kept.path):
         run_sweep(sweep, runner, solvers, kept, args.budget, told)
         if not isinstance(where, Here):
             run_untimed(sweep, runner, pack(loaded.path, loaded.overrides), kept, args.budget, where, told)
-    except (KeyboardInterrupt, RunFailed):
-        print(f"finished points are kept in {path}; --resume goes on from there", file=sys.stderr)
-        raise
     shown = [name for name in _names(args.observable) or OBSERVABLES if name in floors]
     about = {
         "command": machine.command(),

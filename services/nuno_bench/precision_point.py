@@ -1,16 +1,15 @@
-"""One measured setting of one solver, and the file that keeps them line by line while a sweep goes on."""
+"""One measured setting of one solver, and those that a sweep has finished."""
 
 from __future__ import annotations
 
-import json
 import statistics
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from nuno_bench import kept
 from nuno_bench.precision_errors import Error
-from nuno_schemas.errors import BadInput
 
 DONE = "done"
 
@@ -62,43 +61,16 @@ class Point:
 
 
 class Kept:
-    """The file of finished points, a JSON object a line, the first of which says what they belong to."""
+    """The finished points of a sweep, on disk as they come."""
 
     def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool) -> None:
-        """Raises BadInput where there is nothing to go on from, or it is another sweep's."""
-        self.path = path
-        self.points: dict[tuple[str, str], Point] = {}
-        if resume:
-            self._read(identity)
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(dict(identity)) + "\n", encoding="utf-8")
+        """See nuno_bench.kept.Kept; a point that was measured again counts as it was last."""
+        self._lines = kept.Kept(path, identity, resume)
+        self.points = {point.key: point for point in map(Point.from_json, self._lines.lines)}
 
-    def _read(self, identity: Mapping[str, Any]) -> None:
-        if not self.path.is_file():
-            raise BadInput("there is no sweep to go on with", str(self.path), remedy="leave --resume out")
-        head, *lines = self.path.read_text(encoding="utf-8").split("\n")
-        before = _object(head) or {}
-        other = [name for name, value in identity.items() if before.get(name) != value]
-        if other:
-            remedy = "leave --resume out, or give another --out"
-            raise BadInput(
-                "these points belong to another sweep", str(self.path), value=", ".join(other), remedy=remedy
-            )
-        # The last line may be half written; its point is measured again.
-        whole = [data for line in lines if (data := _object(line)) is not None]
-        found = [Point.from_json(data) for data in whole]
-        self.points = {point.key: point for point in found}
-        self.path.write_text("\n".join([head, *map(json.dumps, whole)]) + "\n", encoding="utf-8")
+    @property
+    def path(self) -> Path:
+        return self._lines.path
 
     def add(self, point: Point) -> None:
-        with self.path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(asdict(point)) + "\n")
-
-
-def _object(line: str) -> dict[str, Any] | None:
-    try:
-        data = json.loads(line)
-    except ValueError:
-        return None
-    return data if isinstance(data, dict) else None
+        self._lines.add(asdict(point))

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nuno import registry, scene_file
+from nuno.viewer.require import require as require_viewer
 from nuno_bench import executor, machine, markdown, plots
 from nuno_bench import stability_page as shown
 from nuno_bench.kept import Kept, hint, require
 from nuno_bench.result import text_table
 from nuno_bench.stability_drift import measure_modes
 from nuno_bench.stability_plots import maps
-from nuno_bench.stability_run import Row, measure_all, settings_of
+from nuno_bench.stability_run import Mapped, Row, measure_all, settings_of
 from nuno_schemas.errors import BadInput, nearest
 
 GROUP = "nuno.integrators"
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="where page, CSV and JSON go (default: %(default)s)",
     )
+    parser.add_argument("--rrd", type=Path, metavar="FILE", help="write maps and series as a rerun file, too")
     parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into this Markdown page's section")
 
 
@@ -48,17 +50,23 @@ def main(args: argparse.Namespace) -> int:
     plots.require_matplotlib()
     solvers = _choose(args)
     paths: list[Path] = [scene_file.find(name) for name in args.scenes]
+    require_viewer(None, args.rrd, "--rrd")
     if args.docs is not None:
         markdown.check_section(args.docs, "stability")
     for path in paths:
         scene_file.read(path, args.overrides)
     if args.resume:
         require([_rows(args, path) for path in paths])
-    sections = []
+    sections, mapped = list[str](), list[Mapped]()
     with executor.opened(args) as where:
         args.out.mkdir(parents=True, exist_ok=True)
         for path in paths:
-            sections += _map(args, path, solvers, where)
+            mapped.append(_map(args, path, solvers, where))
+            sections += _document(args, mapped[-1])
+    if args.rrd is not None:
+        from nuno_bench import stability_rerun
+
+        print(f"written {stability_rerun.write(args.rrd, mapped)}")
     if args.docs is not None:
         about = {"command": machine.command(), **machine.describe()}
         markdown.replace_section(args.docs, "stability", [*sections, markdown.facts(about)])
@@ -84,8 +92,8 @@ def _rows(args: argparse.Namespace, path: Path) -> Path:
     return folder / f"stability-{path.stem}.rows.jsonl"
 
 
-def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: executor.Executor) -> list[str]:
-    """One scene; parts for the documentation."""
+def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: executor.Executor) -> Mapped:
+    """One scene."""
     others, base = machine.Others(), args.out / f"stability-{path.stem}"
 
     def told(text: str) -> None:
@@ -94,7 +102,7 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: execut
     settings, omissions = settings_of(path, args.overrides)
     identity = {"scene": settings[0].scene.digest, "solvers": solvers, "versions": executor.versions()}
     kept = Kept(_rows(args, path), identity, args.resume)
-    with hint(kept):
+    with hint(kept.path):
         modes, lost = measure_modes(solvers, kept, MODES_SHARE * args.budget, where, told)
         sweep = measure_all(settings, solvers, kept, (1.0 - MODES_SHARE) * args.budget, where, told)
     omissions += lost
@@ -108,10 +116,17 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: execut
         print(f"left out: {text}")
     for file in files:
         print(f"written {file}")
+    return Mapped(path.stem, sweep, modes)
+
+
+def _document(args: argparse.Namespace, mapped: Mapped) -> list[str]:
+    """Parts for the documentation."""
+    sweep = mapped.sweep
+    sizes, drifts = [each.amplification for each in mapped.modes], [each.drift for each in mapped.modes]
     return [
-        f"### {path.stem}",
+        f"### {mapped.scene}",
         f"{shown.summary(sweep)}.",
-        *_pictures(args, path.stem, sweep.rows),
+        *_pictures(args, mapped.scene, sweep.rows),
         markdown.table(shown.COUNTS, shown.counts(sweep.rows)),
         markdown.table(shown.BEYOND, shown.beyond(sweep.rows)),
         markdown.table(shown.MODES, shown.modes(sizes, drifts)),

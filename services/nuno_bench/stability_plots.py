@@ -39,7 +39,7 @@ def maps(rows: Sequence[Row], axis: str, name: str) -> str:
             squeeze=False, sharex=True, sharey=True,
         )  # fmt: skip
         for panel, solver in zip(axes.flat, sorted(solvers), strict=False):
-            _panel(panel, sorted((r for r in rows if r.solver == solver), key=_place), solver)
+            _panel(panel, sorted((r for r in rows if r.solver == solver), key=place_of), solver)
         for panel in list(axes.flat)[len(solvers) :]:
             panel.set_visible(False)
         axes[-1][0].set_xlabel(name, loc="left")
@@ -48,7 +48,7 @@ def maps(rows: Sequence[Row], axis: str, name: str) -> str:
         return plots.svg(figure, f"map-{axis}")
 
 
-def _place(row: Row) -> float:
+def place_of(row: Row) -> float:
     """Where a row stands: its factor, or the shortest spring [mm]."""
     return row.value if row.axis == "stiffness" else 1e3 * row.edge
 
@@ -64,7 +64,7 @@ def _edges(values: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _panel(panel: Any, rows: Sequence[Row], solver: str) -> None:
-    borders = _edges([_place(row) for row in rows])
+    borders = _edges([place_of(row) for row in rows])
     for row, left, right in zip(rows, borders, borders[1:], strict=False):
         for point in row.points:
             low, high = point.dt / math.sqrt(2.0), point.dt * math.sqrt(2.0)
@@ -85,7 +85,7 @@ def _panel(panel: Any, rows: Sequence[Row], solver: str) -> None:
     panel.set_title(solver + ("" if limited else ", no stable step" if none else ", no limit"))
     panel.set_xscale("log")
     panel.set_yscale("log")
-    places = [_place(row) for row in rows]
+    places = [place_of(row) for row in rows]
     panel.set_xticks(places, [number(place) for place in places])
     panel.minorticks_off()
     steps = [point.dt for row in rows for point in row.points]

@@ -17,6 +17,7 @@ from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
 from nuno_bench.packed import pack
 from nuno_bench.stability_case import Point, Setting, make_reference, measure_row, pose, reference_plugin
+from nuno_bench.stability_drift import Modes
 from nuno_schemas.errors import BadInput
 
 FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
@@ -48,6 +49,15 @@ class Sweep:
 
     rows: list[Row] = field(default_factory=list)
     omissions: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A scene with its maps, and what each solver does to a mode."""
+
+    scene: str
+    sweep: Sweep
+    modes: Sequence[Modes]
 
 
 def mesh_overrides(path: Path, overrides: Sequence[str], factor: float) -> list[str]:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from nuno.viewer.require import require as require_viewer
 from nuno_bench import executor, machine, markdown, plots
 from nuno_bench import validate as suite
 from nuno_bench import validate_page as shown
@@ -21,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--solvers", default="", metavar="A,B", help="solver plugins (default: all that are installed)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure as JSON")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a page")
+    parser.add_argument("--rrd", type=Path, metavar="FILE", help="write the figures as a rerun file")
     parser.add_argument("--docs", type=Path, metavar="FILE", help="put the table into this Markdown page's section")
     executor.add_arguments(parser, "all cores")
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted run of the same arguments")
@@ -50,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
     identity = {"cases": [case.name for case in cases], "solvers": names, "versions": executor.versions()}
     with executor.opened(args) as where:
         kept = Kept(path, identity, args.resume)
-        with hint(kept):
+        with hint(kept.path):
             outcomes = suite.check_all(cases, names, where, kept, lambda text: print(text, file=sys.stderr))
     kept.path.unlink()
     said = suite.summary(outcomes, len(names))
@@ -64,6 +66,7 @@ def _check_files(args: argparse.Namespace) -> None:
     """Raises BadInput, before anything runs, for what could not be written afterwards."""
     if args.html is not None:
         plots.require_matplotlib()
+    require_viewer(None, args.rrd, "--rrd")
     for flag in ("json", "html"):
         path: Path | None = getattr(args, flag)
         if path is not None and not path.resolve().parent.is_dir():
@@ -84,6 +87,10 @@ def _write(
         args.html.write_text(shown.render(cases, names, outcomes, said, about), encoding="utf-8")
     if args.docs is not None:
         markdown.replace_section(args.docs, "validate", shown.document(cases, names, outcomes, said, about))
-    for path in (args.json, args.html, args.docs):
+    if args.rrd is not None:
+        from nuno_bench import validate_rerun
+
+        validate_rerun.write(args.rrd, cases, names, outcomes)
+    for path in (args.json, args.html, args.rrd, args.docs):
         if path is not None:
             print(f"written {path}")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nuno_bench import markdown, page, plots
-from nuno_bench.laws.base import Case, Outcome
+from nuno_bench.laws.base import Case, Found, Outcome
 from nuno_bench.plots import Curve
 from nuno_bench.result import number
 
@@ -141,12 +141,17 @@ def render(
     return page.render("Laws", LEAD, [*sections, ("Made by", [page.Facts(about)])])
 
 
+def fitted(case: str, outcomes: Sequence[Outcome]) -> list[tuple[str, Found]]:
+    """Solvers and the errors that an order was fitted to, of a case that does so; none of any other."""
+    own = [o for o in outcomes if o.case == case and case.startswith("order")]
+    return [(o.solver, o.found) for o in own if o.found and o.found.series]
+
+
 def convergence(case: str, outcomes: Sequence[Outcome]) -> page.Figure | None:
     """Error over step of every solver, for a case that fits an order to them; None for any other."""
-    fitted = [o for o in outcomes if o.case == case and o.found and o.found.series]
-    if not fitted or not case.startswith("order"):
+    found = fitted(case, outcomes)
+    if not found:
         return None
-    found = [(o.solver, o.found) for o in fitted if o.found]
     lines = [
         Curve(f"{solver}: {f.measured:.2f}", np.log10(f.series["dt"]), np.array(f.series["error"]), i, i % 2 == 1)
         for i, (solver, f) in enumerate(found)

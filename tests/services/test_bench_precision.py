@@ -2,59 +2,32 @@
 
 from __future__ import annotations
 
-import argparse
-import csv
-import json
-from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from line_net import problem_of, reference_of, write_net
+from precision_sweeps import FLAGS, points_of, swept
 from scenes import BALL, write_scene
 
 from nuno import registry
 from nuno.cli import main as nuno_main
-from nuno.viewer.layout import entity
-from nuno_bench import executor, precision, precision_run
+from nuno_bench import precision, precision_run
 from nuno_bench.observe import Problem, simulate
-from nuno_bench.packed import pack
-from nuno_bench.precision_errors import POSITIONS, Error, find_scales, measure_errors
-from nuno_bench.precision_findings import choice_rows, fit_order, judge
+from nuno_bench.precision_errors import POSITIONS, find_scales
+from nuno_bench.precision_findings import fit_order, judge
 from nuno_bench.precision_page import Findings
-from nuno_bench.precision_point import Kept, Point
-from nuno_bench.precision_untimed import UNTIMED, run_untimed
 from nuno_bench.reference import GROUP, Reference
 from nuno_bench.sweep import choose_solvers
 from nuno_integrators.symplectic_euler import SymplecticEuler
-from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import Config, StepReport
-
-FLAGS = ("--repeats", "1", "--budget", "600")
-
-
-def arguments(path: Path, *flags: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    precision.add_arguments(parser)
-    return parser.parse_args([str(path), *FLAGS, "--out", str(path.parent / "out"), *flags])
-
-
-def swept(path: Path, *flags: str) -> Findings:
-    args = arguments(path, *flags)
-    with executor.opened(args, 1) as where:
-        return precision.sweep_scene(precision._check(args)[0], args, where)
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
     """The line's whole sweep."""
     return swept(write_net(tmp_path_factory.mktemp("line")))
-
-
-def points_of(found: Findings, solver: str) -> list[Point]:
-    return [point for point in found.points if point.solver == solver]
 
 
 @pytest.mark.parametrize(
@@ -174,186 +147,3 @@ def test_a_reference_that_disagrees_with_itself_fails(
     assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", "rk4,dopri5", "--out", str(tmp_path)]) == 1
     said = capsys.readouterr()
     assert "nothing is known of them" in said.out and "judges no point" in said.err
-
-
-def test_an_interrupted_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, whole, taken = write_net(tmp_path), precision_run.Runner.measure, list[str]()
-
-    def measure(self: precision_run.Runner, solver: Any, setting: Any, *times: float) -> Point:
-        if len(taken) == 5:
-            raise KeyboardInterrupt
-        taken.append(setting.label)
-        return whole(self, solver, setting, *times)
-
-    monkeypatch.setattr(precision_run.Runner, "measure", measure)
-    with pytest.raises(KeyboardInterrupt):
-        swept(path, "--solvers", "rk4,leapfrog")
-    lines = (tmp_path / "out" / "precision-line.jsonl").read_text().splitlines()
-    assert len(lines) == 6
-    # The last point was being written when the power went.
-    (tmp_path / "out" / "precision-line.jsonl").write_text("\n".join(lines)[:-10])
-    first, taken[:] = {tuple(json.loads(line)["seconds"]) for line in lines[1:5]}, []
-    monkeypatch.setattr(precision_run.Runner, "measure", whole)
-    found = swept(path, "--solvers", "rk4,leapfrog", "--resume")
-    assert len(first & {point.seconds for point in found.points}) == 4
-    assert len({point.key for point in found.points}) == len(found.points) > 8
-
-
-def test_what_does_not_belong_together_is_not_resumed(tmp_path: Path) -> None:
-    path = write_net(tmp_path)
-    with pytest.raises(BadInput, match="no sweep"):
-        swept(path, "--solvers", "rk4", "--resume")
-    swept(path, "--solvers", "rk4")
-    with pytest.raises(BadInput, match="another sweep"):
-        swept(path, "--solvers", "rk4", "--resume", "--set", "damping=0.2")
-
-
-def test_a_budget_leaves_finer_points_out_by_name(tmp_path: Path, found: Findings) -> None:
-    small = swept(write_net(tmp_path), "--budget", "0.02", "--solvers", "rk4,leapfrog,tr_bdf2")
-    dropped = {(one.solver, one.setting) for one in small.sweep.omitted}
-    kept = {point.key for point in small.points}
-    assert dropped and all("budget" in one.reason for one in small.sweep.omitted)
-    assert dropped.isdisjoint(kept)
-    assert dropped | kept == {p.key for p in found.points if p.solver in ("rk4", "leapfrog", "tr_bdf2")}
-
-
-def test_a_slow_solver_takes_no_fast_ones_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """rk4, first by its place in the list, is given 40 of 60 s a point: leapfrog is through before it begins."""
-    order = list[str]()
-
-    def measure(self: precision_run.Runner, solver: Any, setting: Any, *times: float) -> Point:
-        order.append(solver.name)
-        return self._point(solver, setting, "done", "", (setting.work * costs[solver.name],))
-
-    problem = problem_of(write_net(tmp_path))
-    reference = reference_of(problem)
-    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
-    solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
-    costs = {"rk4": 40.0, "leapfrog": 0.1}
-    sweep = precision_run.Sweep(costs=costs)
-    monkeypatch.setattr(precision_run.Runner, "measure", measure)
-    precision_run.run_sweep(sweep, runner, solvers, Kept(tmp_path / "kept", {}, False), 60.0, lambda text: None)
-    fast = len(solvers[1].settings)
-    assert order[:fast] == ["leapfrog"] * fast and "rk4" in order[fast:]
-    assert {one.solver for one in sweep.omitted} == {"rk4"}
-    assert [point.solver for point in sweep.points] == sorted(order, reverse=True)
-
-
-def test_points_too_slow_for_the_budget_are_computed_beside_each_other_without_times(
-    tmp_path: Path, found: Findings
-) -> None:
-    """With the same bits as alone, and no word on how fast they are."""
-    path = write_net(tmp_path)
-    args, told = arguments(path, "--jobs", "2"), list[str]()
-    problem = problem_of(path)
-    reference = reference_of(problem)
-    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
-    solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
-    sweep = precision_run.start_sweep(problem, solvers, told.append)
-    kept = Kept(tmp_path / "kept", {}, False)
-    precision_run.run_sweep(sweep, runner, solvers, kept, 1e-9, told.append)
-    assert sweep.points == [] and len(sweep.unaffordable) > 8
-    with executor.opened(args, 1) as where:
-        run_untimed(sweep, runner, pack(path, ["allow_unstable=true"]), kept, 60.0, where, told.append)
-    alone = {point.key: point for point in found.points}
-    assert {point.key for point in sweep.points} == {key for key in alone if key[0] in ("rk4", "leapfrog")}
-    assert all(point == replace(alone[point.key], seconds=()) for point in sweep.points)
-    assert all(UNTIMED in one.reason for one in sweep.omitted)
-    assert choice_rows(sweep.points, POSITIONS, 0.0) == []
-    page = precision.write(tmp_path / "page", replace(found, sweep=sweep))[0].read_text()
-    assert all(point.setting in page for point in sweep.points)
-
-
-def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, found: Findings) -> None:
-    horizon = replace(found.horizon, frames=1, t=0.0, whole=False)
-    floors = {name: floor for name, floor in found.floors.items() if name != POSITIONS}
-    page = precision.write(tmp_path / "line", replace(found, horizon=horizon, floors=floors))[0].read_text()
-    assert "Positions cannot be compared" in page and page.count("<svg") == 1
-    problem = problem_of(write_net(tmp_path))
-    run = reference_of(problem).run.series
-    assert set(measure_errors(run, run, find_scales(problem, run), 1)) == {"energy", "centre", "drop", "strain"}
-
-
-def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
-    html, table, data = precision.write(tmp_path / "line", found)
-    content = json.loads(data.read_text())
-    assert [Point.from_json(point) for point in content["points"]] == found.points
-    with table.open() as stream:
-        rows = list(csv.DictReader(stream))
-    assert len(rows) == sum(max(1, len(point.errors)) for point in found.points)
-    text = html.read_text()
-    assert all(point.setting in text for point in found.points)
-    assert text.count("<svg") == 2 and "http" not in text.replace("http://www.w3.org", "")
-
-
-def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="needs nuno[view]")
-    import rerun.chunk
-
-    from nuno_bench import precision_rerun
-
-    found = swept(write_net(tmp_path), "--solvers", "rk4,leapfrog")
-    path = precision_rerun.write(tmp_path / "line.rrd", [found])
-    assert not list(tmp_path.glob("*.part"))
-    curves, dots = dict[str, list[float]](), dict[str, list[list[float]]]()
-    for chunk in rerun.chunk.RrdReader(path).stream().to_chunks():
-        batch = chunk.to_record_batch()
-        if "Scalars:scalars" in batch.schema.names:
-            curves[chunk.entity_path] = [value[0] for value in batch["Scalars:scalars"].to_pylist()]
-        if "/solvers/" in chunk.entity_path and "Points2D:positions" in batch.schema.names:
-            dots[chunk.entity_path] = batch["Points2D:positions"].to_pylist()[0]
-    done = [each for each in found.points if each.done]
-    assert len(curves) == sum(len(each.history) for each in done) == 5 * len(done)
-    for each in done:
-        curve = 10.0 ** np.array(curves[entity("line", POSITIONS, "frames", each.solver, each.setting)])
-        assert np.sqrt((curve**2).mean()) == pytest.approx(each.errors[POSITIONS].l2, rel=1e-3)
-    rk4 = sorted((each for each in done if each.solver == "rk4"), key=lambda each: -each.finer)
-    drawn = np.array(dots[entity("line", POSITIONS, "wall time", "solvers", "rk4")])
-    expected = [[3.0 * np.log10(each.median), -np.log10(each.errors[POSITIONS].l2)] for each in rk4]
-    assert drawn == pytest.approx(np.array(expected), rel=1e-5)
-
-
-def point(error: float, solver: str = "rk4", seconds: float = 1.0, beyond: bool = False) -> Point:
-    setting, errors = f"{error:g}", {"drop": Error(0.0, error, 0.0)}
-    return Point(solver, setting, "fixed steps", 4, error, beyond, "done", "", (seconds,), {}, errors)
-
-
-def test_a_judgement_counts_what_the_floor_hides() -> None:
-    points = [point(error) for error in (1e-2, 1e-4, 1e-6)]
-    verdicts = [judge(points, {"drop": Error(0.0, floor, 0.0)})[0].verdict for floor in (1e-8, 1e-5, 1e-2)]
-    assert verdicts == ["judged", "in part", "failed"]
-    assert judge([], {"drop": Error(0.0, 1e-8, 0.0)})[0].verdict == "no point"
-
-
-def test_the_fastest_stable_solver_within_each_accuracy_is_named_once() -> None:
-    points = [point(2e-3, "coarse", 0.1), point(5e-5, "fine", 0.5), point(2e-3, "fine", 0.3)]
-    points += [point(1e-5, "lucky", 0.01, beyond=True)]
-    rows = choice_rows(points, "drop", 1e-6)
-    assert [row[:4] for row in rows] == [["0.01", "coarse", "0.002", "0.1"], ["0.0001", "fine", "5e-05", "0.5"]]
-    assert rows[0][4] == "fine 0.3"
-    # Of what the floor hides nothing is said.
-    assert [row[0] for row in choice_rows(points, "drop", 1e-4)] == ["0.01", "0.001"]
-
-
-@pytest.mark.parametrize(
-    ("flags", "said"),
-    [
-        (("--solvers", "leapfrgo"), "leapfrog"),
-        (("--solvers", ","), "empty"),
-        (("--budget", "0"), "more than 0"),
-        (("--budget", "nan"), "more than 0"),
-        (("--repeats", "0"), "one repeat"),
-        (("--jobs", "0"), "at least one process"),
-        (("--rrd", "series.txt"), "ends in .rrd"),
-        (("--jobs", "2", "--dask", "tcp://127.0.0.1:1"), "either --jobs or --dask"),
-        (("--observable", "dropp"), "drop"),
-        (("--docs", "nowhere.md"), "no section"),
-    ],
-)
-def test_bad_input_is_refused_before_anything_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], said: str
-) -> None:
-    path = write_net(tmp_path)
-    assert nuno_main(["bench", "precision", str(path), "--out", str(tmp_path / "out"), *flags]) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

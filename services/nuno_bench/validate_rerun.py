@@ -1,0 +1,94 @@
+"""What `nuno validate` measured as a rerun file: the error of every law and solver, and convergence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from nuno_bench.laws.base import Case, Outcome
+from nuno_bench.rerun_plots import Plane, colour, decades, logs, rgb, written
+from nuno_bench.stability_plots import COLOURS
+from nuno_bench.validate_page import fitted, short
+
+ERRORS = "error over what is allowed"
+MARGIN = 6.0
+"""Room on the left for the names of the laws, in decades."""
+SHORTEST = -12
+"""Smaller shares of what is allowed, such as 0, are drawn there (log10)."""
+
+
+def write(path: Path, cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome]) -> Path:
+    """Log everything into one file, which gets its name when it is whole, with the views that show it."""
+    import rerun.blueprint as rrb
+
+    found = [case.name for case in cases if fitted(case.name, outcomes)]
+    planes = {name: _convergence(name, outcomes) for name in found}
+    laws = _plane(cases, outcomes)
+    tabs = [rrb.Vertical(laws.view(ERRORS), name="laws")]
+    tabs += [rrb.Vertical(plane.view(f"{name}: error over the step [s]"), name=name) for name, plane in planes.items()]
+    with written(path, "nuno validate", tabs) as recording:
+        _log_laws(recording, laws, cases, solvers, outcomes)
+        for name, plane in planes.items():
+            _log_convergence(recording, plane, name, solvers, outcomes)
+    return path
+
+
+def _share(outcome: Outcome) -> float:
+    """log10 of the error as a share of what is allowed."""
+    found = outcome.found
+    if found is None or not math.isfinite(found.error):
+        return 3.0
+    return min(3.0, max(float(SHORTEST), float(logs([found.error / found.allowed])[0])))
+
+
+def _plane(cases: Sequence[Case], outcomes: Sequence[Outcome]) -> Plane:
+    names = tuple(case.name for case in reversed(cases))
+    low = min((math.floor(_share(o)) for o in outcomes if o.verdict != "unsupported"), default=-1)
+    high = max((math.ceil(_share(o)) for o in outcomes if o.verdict != "unsupported"), default=1)
+    return Plane(("laws",), (low, max(1, high)), (0, len(names) - 1), 3.0, rows=names, margin=MARGIN, room=MARGIN)
+
+
+def _log_laws(
+    recording: Any, plane: Plane, cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome]
+) -> None:
+    """A row a law; a dot a solver, in its colour, or in that of failure; right of the line a law is broken."""
+    plane.draw_grid(recording)
+    plane.draw_rule(recording, ("allowed",), [plane.at([0.0, 0.0], plane.y)], "allowed")
+    rows = {name: i for i, name in enumerate(plane.rows)}
+    # Solvers stand a little apart in a law's row, so that equal errors do not hide each other.
+    apart = {name: 0.5 * (i + 0.5) / len(solvers) - 0.25 for i, name in enumerate(solvers)}
+    for i, solver in enumerate(solvers):
+        own = [o for o in outcomes if o.solver == solver and o.verdict != "unsupported"]
+        at = plane.at([plane.x[1] + 0.6], [plane.y[1] - i])
+        plane.draw_line(recording, ("solvers", solver), at, colour(i), solver)
+        for failed in (False, True):
+            shown = [o for o in own if (o.verdict != "passed") == failed]
+            if not shown:
+                continue
+            points = plane.at([_share(o) for o in shown], [rows[o.case] - apart[solver] for o in shown])
+            shade = rgb(COLOURS["diverged"]) if failed else colour(i)
+            what = (solver, "failed") if failed else (solver,)
+            plane.draw_dots(recording, what, points, shade, [_said(o) for o in shown])
+
+
+def _said(outcome: Outcome) -> str:
+    figure = short(outcome.found.error) if outcome.found else outcome.reason
+    return f"{outcome.case}, {outcome.solver}: {outcome.verdict}, {figure}"
+
+
+def _convergence(case: str, outcomes: Sequence[Outcome]) -> Plane:
+    series = [found.series for _, found in fitted(case, outcomes)]
+    x, y = ([value for one in series for value in one[name]] for name in ("dt", "error"))
+    return Plane((case,), decades(x), decades(y), 2.0, " s")
+
+
+def _log_convergence(
+    recording: Any, plane: Plane, case: str, solvers: Sequence[str], outcomes: Sequence[Outcome]
+) -> None:
+    plane.draw_grid(recording)
+    for solver, found in fitted(case, outcomes):
+        points = plane.at(logs(found.series["dt"]), logs(found.series["error"]))
+        label = f"{solver}: {found.measured:.2f}"
+        plane.draw_line(recording, (solver,), points, colour(list(solvers).index(solver)), label)

@@ -1,0 +1,28 @@
+"""Precision sweeps for tests, as the command makes them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from nuno_bench import executor, precision
+from nuno_bench.precision_page import Findings
+from nuno_bench.precision_point import Point
+
+FLAGS = ("--repeats", "1", "--budget", "600")
+
+
+def arguments(path: Path, *flags: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    precision.add_arguments(parser)
+    return parser.parse_args([str(path), *FLAGS, "--out", str(path.parent / "out"), *flags])
+
+
+def swept(path: Path, *flags: str) -> Findings:
+    args = arguments(path, *flags)
+    with executor.opened(args, 1) as where:
+        return precision.sweep_scene(precision._check(args)[0], args, where)
+
+
+def points_of(found: Findings, solver: str) -> list[Point]:
+    return [point for point in found.points if point.solver == solver]

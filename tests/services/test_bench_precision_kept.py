@@ -1,0 +1,129 @@
+"""What a precision sweep keeps when it is interrupted, and what its budget leaves out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from line_net import problem_of, reference_of, write_net
+from precision_sweeps import FLAGS, arguments, swept
+
+from nuno.cli import main as nuno_main
+from nuno_bench import executor, precision, precision_run
+from nuno_bench.packed import pack
+from nuno_bench.precision_errors import POSITIONS, find_scales
+from nuno_bench.precision_findings import choice_rows
+from nuno_bench.precision_page import Findings
+from nuno_bench.precision_point import Kept, Point
+from nuno_bench.precision_untimed import UNTIMED, run_untimed
+from nuno_bench.sweep import choose_solvers
+from nuno_schemas.errors import BadInput
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
+    """The line's whole sweep."""
+    return swept(write_net(tmp_path_factory.mktemp("line")))
+
+
+def test_an_interrupted_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, whole, taken = write_net(tmp_path), precision_run.Runner.measure, list[str]()
+
+    def measure(self: precision_run.Runner, solver: Any, setting: Any, *times: float) -> Point:
+        if len(taken) == 5:
+            raise KeyboardInterrupt
+        taken.append(setting.label)
+        return whole(self, solver, setting, *times)
+
+    monkeypatch.setattr(precision_run.Runner, "measure", measure)
+    with pytest.raises(KeyboardInterrupt):
+        swept(path, "--solvers", "rk4,leapfrog")
+    lines = (tmp_path / "out" / "precision-line.jsonl").read_text().splitlines()
+    assert len(lines) == 6
+    # The last point was being written when the power went.
+    (tmp_path / "out" / "precision-line.jsonl").write_text("\n".join(lines)[:-10])
+    first, taken[:] = {tuple(json.loads(line)["seconds"]) for line in lines[1:5]}, []
+    monkeypatch.setattr(precision_run.Runner, "measure", whole)
+    found = swept(path, "--solvers", "rk4,leapfrog", "--resume")
+    assert len(first & {point.seconds for point in found.points}) == 4
+    assert len({point.key for point in found.points}) == len(found.points) > 8
+
+
+def test_scenes_that_never_began_are_begun_by_a_resumed_sweep(tmp_path: Path) -> None:
+    first, second = write_net(tmp_path), tmp_path / "other.yaml"
+    second.write_text(first.read_text().replace("name: line", "name: other", 1))
+    flags = [*FLAGS, "--solvers", "leapfrog", "--out", str(tmp_path / "out")]
+    assert nuno_main(["bench", "precision", str(first), *flags]) == 0
+    before = (tmp_path / "out" / "precision-line.jsonl").read_text()
+    assert nuno_main(["bench", "precision", str(first), str(second), *flags, "--resume"]) == 0
+    assert (tmp_path / "out" / "precision-line.jsonl").read_text() == before
+    content = json.loads((tmp_path / "out" / "precision-other.json").read_text())
+    assert len(content["points"]) == len(before.splitlines()) - 1
+
+
+def test_what_does_not_belong_together_is_not_resumed(tmp_path: Path) -> None:
+    path = write_net(tmp_path)
+    with pytest.raises(BadInput, match="no sweep"):
+        swept(path, "--solvers", "rk4", "--resume")
+    swept(path, "--solvers", "rk4")
+    with pytest.raises(BadInput, match="another sweep"):
+        swept(path, "--solvers", "rk4", "--resume", "--set", "damping=0.2")
+
+
+def test_a_slow_solver_takes_no_fast_ones_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """rk4, first by its place in the list, is given 40 of 60 s a point: leapfrog is through before it begins."""
+    order = list[str]()
+
+    def measure(self: precision_run.Runner, solver: Any, setting: Any, *times: float) -> Point:
+        order.append(solver.name)
+        return self._point(solver, setting, "done", "", (setting.work * costs[solver.name],))
+
+    problem = problem_of(write_net(tmp_path))
+    reference = reference_of(problem)
+    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
+    solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
+    costs = {"rk4": 40.0, "leapfrog": 0.1}
+    sweep = precision_run.Sweep(costs=costs)
+    monkeypatch.setattr(precision_run.Runner, "measure", measure)
+    precision_run.run_sweep(sweep, runner, solvers, Kept(tmp_path / "kept", {}, False), 60.0, lambda text: None)
+    fast = len(solvers[1].settings)
+    assert order[:fast] == ["leapfrog"] * fast and "rk4" in order[fast:]
+    assert {one.solver for one in sweep.omitted} == {"rk4"}
+    assert [point.solver for point in sweep.points] == sorted(order, reverse=True)
+
+
+def test_a_budget_leaves_finer_points_out_by_name(tmp_path: Path, found: Findings) -> None:
+    small = swept(write_net(tmp_path), "--budget", "0.02", "--solvers", "rk4,leapfrog,tr_bdf2")
+    dropped = {(one.solver, one.setting) for one in small.sweep.omitted}
+    kept = {point.key for point in small.points}
+    assert dropped and all("budget" in one.reason for one in small.sweep.omitted)
+    assert dropped.isdisjoint(kept)
+    assert dropped | kept == {p.key for p in found.points if p.solver in ("rk4", "leapfrog", "tr_bdf2")}
+
+
+def test_points_too_slow_for_the_budget_are_computed_beside_each_other_without_times(
+    tmp_path: Path, found: Findings
+) -> None:
+    """With the same bits as alone, and no word on how fast they are."""
+    path = write_net(tmp_path)
+    args, told = arguments(path, "--jobs", "2"), list[str]()
+    problem = problem_of(path)
+    reference = reference_of(problem)
+    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
+    solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
+    sweep = precision_run.start_sweep(problem, solvers, told.append)
+    kept = Kept(tmp_path / "kept", {}, False)
+    precision_run.run_sweep(sweep, runner, solvers, kept, 1e-9, told.append)
+    assert sweep.points == [] and len(sweep.unaffordable) > 8
+    with executor.opened(args, 1) as where:
+        run_untimed(sweep, runner, pack(path, ["allow_unstable=true"]), kept, 60.0, where, told.append)
+    alone = {point.key: point for point in found.points}
+    assert {point.key for point in sweep.points} == {key for key in alone if key[0] in ("rk4", "leapfrog")}
+    assert all(point == replace(alone[point.key], seconds=()) for point in sweep.points)
+    assert all(UNTIMED in one.reason for one in sweep.omitted)
+    assert choice_rows(sweep.points, POSITIONS, 0.0) == []
+    page = precision.write(tmp_path / "page", replace(found, sweep=sweep))[0].read_text()
+    assert all(point.setting in page for point in sweep.points)

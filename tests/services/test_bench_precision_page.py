@@ -1,0 +1,116 @@
+"""What a precision sweep says: files, judgements and choices that follow from the points."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from line_net import problem_of, reference_of, write_net
+from precision_sweeps import swept
+from rrd import columns
+
+from nuno.cli import main as nuno_main
+from nuno.viewer.layout import entity
+from nuno_bench import precision
+from nuno_bench.precision_errors import POSITIONS, Error, find_scales, measure_errors
+from nuno_bench.precision_findings import choice_rows, judge
+from nuno_bench.precision_page import Findings
+from nuno_bench.precision_point import Point
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
+    """The line's whole sweep."""
+    return swept(write_net(tmp_path_factory.mktemp("line")))
+
+
+def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, found: Findings) -> None:
+    horizon = replace(found.horizon, frames=1, t=0.0, whole=False)
+    floors = {name: floor for name, floor in found.floors.items() if name != POSITIONS}
+    page = precision.write(tmp_path / "line", replace(found, horizon=horizon, floors=floors))[0].read_text()
+    assert "Positions cannot be compared" in page and page.count("<svg") == 1
+    problem = problem_of(write_net(tmp_path))
+    run = reference_of(problem).run.series
+    assert set(measure_errors(run, run, find_scales(problem, run), 1)) == {"energy", "centre", "drop", "strain"}
+
+
+def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
+    html, table, data = precision.write(tmp_path / "line", found)
+    content = json.loads(data.read_text())
+    assert [Point.from_json(point) for point in content["points"]] == found.points
+    with table.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == sum(max(1, len(point.errors)) for point in found.points)
+    text = html.read_text()
+    assert all(point.setting in text for point in found.points)
+    assert text.count("<svg") == 2 and "http" not in text.replace("http://www.w3.org", "")
+
+
+def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="needs nuno[view]")
+    from nuno_bench import precision_rerun
+
+    found = swept(write_net(tmp_path), "--solvers", "rk4,leapfrog")
+    path = precision_rerun.write(tmp_path / "line.rrd", [found])
+    assert not list(tmp_path.glob("*.part"))
+    curves = {place: [row[0] for row in rows] for place, rows in columns(path, "Scalars:scalars").items()}
+    dots = {place: rows[0] for place, rows in columns(path, "Points2D:positions").items()}
+    done = [each for each in found.points if each.done]
+    assert len(curves) == sum(len(each.history) for each in done) == 5 * len(done)
+    for each in done:
+        curve = 10.0 ** np.array(curves[entity("line", POSITIONS, "frames", each.solver, each.setting)])
+        assert np.sqrt((curve**2).mean()) == pytest.approx(each.errors[POSITIONS].l2, rel=1e-3)
+    rk4 = sorted((each for each in done if each.solver == "rk4"), key=lambda each: -each.finer)
+    drawn = np.array(dots[entity("line", POSITIONS, "wall time", "solvers", "rk4")])
+    expected = [[3.0 * np.log10(each.median), -np.log10(each.errors[POSITIONS].l2)] for each in rk4]
+    assert drawn == pytest.approx(np.array(expected), rel=1e-5)
+
+
+def point(error: float, solver: str = "rk4", seconds: float = 1.0, beyond: bool = False) -> Point:
+    setting, errors = f"{error:g}", {"drop": Error(0.0, error, 0.0)}
+    return Point(solver, setting, "fixed steps", 4, error, beyond, "done", "", (seconds,), {}, errors)
+
+
+def test_a_judgement_counts_what_the_floor_hides() -> None:
+    points = [point(error) for error in (1e-2, 1e-4, 1e-6)]
+    verdicts = [judge(points, {"drop": Error(0.0, floor, 0.0)})[0].verdict for floor in (1e-8, 1e-5, 1e-2)]
+    assert verdicts == ["judged", "in part", "failed"]
+    assert judge([], {"drop": Error(0.0, 1e-8, 0.0)})[0].verdict == "no point"
+
+
+def test_the_fastest_stable_solver_within_each_accuracy_is_named_once() -> None:
+    points = [point(2e-3, "coarse", 0.1), point(5e-5, "fine", 0.5), point(2e-3, "fine", 0.3)]
+    points += [point(1e-5, "lucky", 0.01, beyond=True)]
+    rows = choice_rows(points, "drop", 1e-6)
+    assert [row[:4] for row in rows] == [["0.01", "coarse", "0.002", "0.1"], ["0.0001", "fine", "5e-05", "0.5"]]
+    assert rows[0][4] == "fine 0.3"
+    # Of what the floor hides nothing is said.
+    assert [row[0] for row in choice_rows(points, "drop", 1e-4)] == ["0.01", "0.001"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--solvers", "leapfrgo"), "leapfrog"),
+        (("--solvers", ","), "empty"),
+        (("--budget", "0"), "more than 0"),
+        (("--budget", "nan"), "more than 0"),
+        (("--repeats", "0"), "one repeat"),
+        (("--jobs", "0"), "at least one process"),
+        (("--rrd", "series.txt"), "ends in .rrd"),
+        (("--jobs", "2", "--dask", "tcp://127.0.0.1:1"), "either --jobs or --dask"),
+        (("--observable", "dropp"), "drop"),
+        (("--docs", "nowhere.md"), "no section"),
+    ],
+)
+def test_bad_input_is_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], said: str
+) -> None:
+    path = write_net(tmp_path)
+    assert nuno_main(["bench", "precision", str(path), "--out", str(tmp_path / "out"), *flags]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
