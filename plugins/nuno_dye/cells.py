@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_dye.cells_file import load_arrays, read_shape
+from nuno_dye.resist import Resists, find_resists, put_on
 from nuno_dye.supply import Supplies, prepare_supplies
 from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
 from nuno_schemas.errors import BadInput
@@ -48,6 +49,7 @@ class CellsConfig(Config):
     tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
     tau3: Tau3Config = Field(description="by kind of face, I to V")
     v_max: float = Field(default=1.0, gt=0, le=1e12, description="most that a cell holds")
+    resist: Resists = Field(default=(), description="what keeps dye out on both layers, beside the file's")
     supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
     @property
@@ -77,10 +79,16 @@ class CellsCloth:
             data["fibre"], data["up"], data["porosity"], data["tau1"], data["resist"], config.cell_size,
             config.tortuosity, config.v_max,
         )  # fmt: skip
+        put_on(self.resists(config, cells, files), cells)
         rooms = {"phi": (cells.mobile_room, "v_max P (1 - B)"), "fixed": (cells.fixed_room, "(1 - P) v_max in fibre")}
         for name, (room, formula) in rooms.items():
             data[name] = _amounts(path, name, data[name], room, formula)
         return cells, DyeState(data["phi"], data["fixed"])
+
+    def resists(self, config: CellsConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
+        """Raises BadInput for what touches no cell, and an image that does not fit."""
+        _, ny, nx = cells.fibre.shape
+        return find_resists(config.resist, (ny, nx), config.cell_size, files)
 
     def supplies(self, config: CellsConfig, cells: Cells, dyes: int) -> tuple[Supply, ...]:
         """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""

@@ -16,11 +16,14 @@ from pydantic import Field
 from nuno_dye.quantities import Length, Place, Share
 from nuno_dye.regions import MOST_POINTS, Region, Stroke, cover, find_distance, find_middles
 from nuno_dye.shibori import Panels, Pattern, draw_pattern
+from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config, Files
 
 Line = Annotated[tuple[Place, ...], Field(min_length=1, max_length=MOST_POINTS)]
+
+MOST_RESISTS = 256
 
 
 class _Resist(Config):
@@ -71,6 +74,7 @@ class Shibori(_Resist):
 
 
 Resist = Annotated[ImageResist | ShapeResist | Paste | Binding | Shibori, Field(discriminator="kind")]
+Resists = Annotated[tuple[Resist, ...], Field(max_length=MOST_RESISTS)]
 
 
 def find_resist(
@@ -90,6 +94,27 @@ def find_resist(
             distance = np.minimum(find_distance(resist.points, half, *find_middles(shape, size)), half)
             values = np.sqrt(1.0 - (distance / half) ** 2)
     return resist.strength * values
+
+
+def find_resists(items: Sequence[Resist], shape: tuple[int, int], size: float, files: Files) -> tuple[Float, ...]:
+    """(ny, nx) B of each item. Raises BadInput, at `resist[i]` where it does not stand in a file."""
+    found = []
+    for index, item in enumerate(items):
+        try:
+            found.append(find_resist(item, shape, size, files))
+        except BadInput as error:
+            if isinstance(item, ImageResist):
+                raise
+            inside = {"shape": "region", "paste": "points", "binding": "points", "shibori": "pattern"}[item.kind]
+            place = f"resist[{index}].{inside}"
+            raise BadInput(error.problem, None, None, place, error.value, error.limit, error.remedy) from None
+    return tuple(found)
+
+
+def put_on(parts: Sequence[Float], cells: Cells) -> None:
+    """Add resists (ny, nx) to what both layers of cells have."""
+    for part in parts:
+        np.copyto(cells.resist, combine([cells.resist, np.broadcast_to(part, cells.resist.shape)]))
 
 
 def combine(parts: Sequence[Float]) -> Float:

@@ -110,7 +110,7 @@ def _prepare(item: AnySupply, place: str, shape: tuple[int, int], size: float, d
     try:
         cells = find_cells(item, shape, size)
     except BadInput as error:
-        inside = "region" if isinstance(item, Bath) else item.kind
+        inside = {"drop": "place", "stroke": "points", "bath": "region"}[item.kind]
         raise BadInput(error.problem, None, None, f"{place}.{inside}", error.value, error.limit, error.remedy) from None
     until = math.inf if item.stop is None else item.stop
     liquor = item.liquor if isinstance(item, Bath) else None

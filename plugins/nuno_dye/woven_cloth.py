@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from nuno_dye.cells import Tau, Tau3Config
 from nuno_dye.quantities import Positive
-from nuno_dye.resist import Resist, combine, find_resist
+from nuno_dye.resist import Resists, find_resists, put_on
 from nuno_dye.supply import Supplies, prepare_supplies
 from nuno_dye.weaves import (
     MatrixConfig,
@@ -26,7 +26,7 @@ from nuno_dye.wif_yarns import Yarns
 from nuno_dye.woven import Lay, WovenConfig, build_cells, lay_measured
 from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool
+from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config, Files
 
 
@@ -50,7 +50,7 @@ class WovenClothConfig(WovenConfig):
     tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
     tau3: Tau3Config = Field(description="by kind of face, I to V")
     v_max: Positive = Field(default=1.0, description="most that a cell holds")
-    resist: tuple[Resist, ...] = Field(default=(), description="what keeps dye out, on both layers")
+    resist: Resists = Field(default=(), description="what keeps dye out, on both layers")
     supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
     @property
@@ -72,12 +72,13 @@ class WovenCloth:
         """Raises BadInput for a weave or resist that is none, or does not fit the cloth."""
         drawdown, lays = draw_weave(config, files)
         cells = build_cells(drawdown, config, config.tortuosity, seed, lays, config.v_max)
-        shape = (config.cells[1], config.cells[0])
-        for item in config.resist:
-            part = find_resist(item, shape, config.cell_size, files)
-            np.copyto(cells.resist, combine([cells.resist, np.broadcast_to(part, cells.resist.shape)]))
+        put_on(self.resists(config, cells, files), cells)
         empty = np.zeros((dyes, *cells.fibre.shape))
         return cells, DyeState(empty, empty.copy())
+
+    def resists(self, config: WovenClothConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
+        """Raises BadInput for what touches no cell, and an image that does not fit."""
+        return find_resists(config.resist, (config.cells[1], config.cells[0]), config.cell_size, files)
 
     def supplies(self, config: WovenClothConfig, cells: Cells, dyes: int) -> tuple[Supply, ...]:
         """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""

@@ -188,6 +188,10 @@ class DyeCloth(Protocol):
         """Cells, and the amounts (dyes, 2, ny, nx) of each dye before any is supplied. Raises BadInput."""
         ...
 
+    def resists(self, config: Any, cells: Cells, files: Files) -> tuple[Float, ...]:
+        """B (ny, nx) of each of `config.resist`, all of them in the cells that were built. Raises BadInput."""
+        ...
+
     def supplies(self, config: Any, cells: Cells, dyes: int) -> tuple[Supply, ...]:
         """What gives dye to the cells that were built, in the order of `config.supply`. Raises BadInput."""
         ...

@@ -20,6 +20,7 @@ WINDOW = 4
 ACK_TIMEOUT = 60.0
 """Silence [s] after which such a service counts as hung."""
 CONTROL = "control"
+ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
 
 
 class Work(Protocol):
@@ -40,6 +41,10 @@ class Work(Protocol):
 
     def set(self, item: str) -> None:
         """Change a field of the running scene. Raises BadInput."""
+        ...
+
+    def add(self, item: str) -> str:
+        """Add an item, `list: {...}`, to the running scene; its field. Raises BadInput."""
         ...
 
 
@@ -134,13 +139,13 @@ class Lockstep(ABC):
             self.state, self.single = "running", frames
         elif action == "stop":
             self.state = "stopped"
-        elif action == "set":
+        elif action in ("set", "add"):
             try:
-                change = self.change(str(request.get("item")))
+                change = (self.change if action == "set" else self.add)(str(request.get("item")))
             except BadInput as error:
                 return {"ok": False, "error": str(error)}
         elif action != "status":
-            return {"ok": False, "error": f"unknown action {action!r}; known: pause, resume, step, stop, set, status"}
+            return {"ok": False, "error": f"unknown action {action!r}; known: {', '.join(ACTIONS)}"}
         if action not in ("start", "status"):
             args = {name: request[name] for name in ("item", "frames") if name in request}
             self.context.event("control", action, work.frame, work.t, **args)
@@ -160,6 +165,11 @@ class Lockstep(ABC):
         before = self.work.loaded.value(field)
         self.work.set(item)
         return {"field": field, "old": before, "new": self.work.loaded.value(field)}
+
+    def add(self, item: str) -> dict[str, Any]:
+        """Add to the running scene; the field, and what it holds."""
+        field = self.work.add(item)
+        return {"field": field, "old": None, "new": self.work.loaded.value(field)}
 
     def serve(self) -> None:
         """Be alive, wait for the start, step through the frames, answer the end."""

@@ -140,7 +140,7 @@ def test_it_is_dyed_and_the_dye_is_kept(tmp_path: Path) -> None:
     ("scene", "said"),
     [
         ({"supply": [DROP | {"dye": 1}]}, r"(?s)supply\[0\].dye.*0 to 0"),
-        ({"supply": [DROP, DROP | {"place": ["9 mm", 0]}]}, r"(?s)supply\[1\].drop: the part holds no cell.*0.002 m"),
+        ({"supply": [DROP, DROP | {"place": ["9 mm", 0]}]}, r"(?s)supply\[1\].place: the part holds no cell.*0.002 m"),
         (
             {"supply": [{"kind": "bath", "region": {"shape": "disc", "centre": [1, 1], "diameter": 1e-3}}]},
             r"(?s)supply\[0\].region: the part holds no cell",

@@ -18,7 +18,7 @@ COMMANDS = {
     "replay": ("nuno.cli.replay", "publish a recording again, show it, or re-simulate and compare"),
     "info": ("nuno.cli.info", "what a recording holds"),
     "export": ("nuno.cli.export", "meshes, arrays, tables, pictures and animations of a recording"),
-    "control": ("nuno.cli.control", "pause, resume, step, stop or change a run that goes on"),
+    "control": ("nuno.cli.control", "pause, resume, step, stop, change or add to a run that goes on"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
     "bench": (
         "nuno_bench.cli",

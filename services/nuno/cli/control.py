@@ -1,4 +1,4 @@
-"""`nuno control`: pause, resume, step, stop or change a run that goes on."""
+"""`nuno control`: pause, resume, step, stop, change or add to a run that goes on."""
 
 from __future__ import annotations
 
@@ -9,14 +9,20 @@ from typing import Any
 
 from nuno import runs
 from nuno.cli.common import add_config
+from nuno.lockstep import ACTIONS
 from nuno.supervisor import control
 from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", help="a run's id or its beginning, or last")
-    parser.add_argument("action", choices=["status", "pause", "resume", "step", "stop", "set"])
-    parser.add_argument("item", nargs="?", help="set: KEY=VALUE, e.g. gravity='[0, -1.6, 0]'; step: how many frames")
+    parser.add_argument("action", choices=ACTIONS)
+    parser.add_argument(
+        "item",
+        nargs="?",
+        help="set: KEY=VALUE, e.g. gravity='[0, -1.6, 0]'; step: how many frames; "
+        "add: dye or resist, e.g. 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'",
+    )
     parser.add_argument("--connect", metavar="ENDPOINT", help="the run's hub, if it is on another host")
     add_config(parser)
 
@@ -27,6 +33,11 @@ def main(args: argparse.Namespace) -> int:
     if args.action == "set":
         if not args.item:
             raise BadInput("set needs KEY=VALUE", remedy="for example: nuno control last set damping=0.5")
+        request["item"] = args.item
+    if args.action == "add":
+        if not args.item:
+            example = "nuno control last add 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'"
+            raise BadInput("add needs a supply or a resist", remedy=f"for example: {example}")
         request["item"] = args.item
     if args.action == "step":
         if args.item is not None and not args.item.isdigit():

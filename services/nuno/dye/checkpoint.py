@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nuno.recording.reader import Arrays, Recorded, Recording
+from nuno.recording.restore import control_events
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import DYE_CHECKPOINT
@@ -25,7 +26,9 @@ class DyeCheckpoint:
     fixed: Float
     memory: Arrays
     text: dict[str, Any]
-    """What the service wrote beside the arrays: dt, steps, the dyes' names."""
+    """What the service wrote beside the arrays: dt, steps, the dyes' names, what was supplied."""
+    resist: Float | None = None
+    """B (2, ny, nx), where a resist was added during the run."""
 
 
 def read_checkpoints(recording: Recording) -> Iterator[DyeCheckpoint]:
@@ -37,6 +40,11 @@ def read_checkpoints(recording: Recording) -> Iterator[DyeCheckpoint]:
 def last_checkpoint(recording: Recording, before: float | None = None) -> DyeCheckpoint:
     """The last one with t <= before [s]. Raises BadInput where there is none."""
     return _checkpoint(recording, recording.last_checkpoint_message(before, (DYE_CHECKPOINT.name,)))
+
+
+def additions(recording: Recording) -> list[tuple[int, str]]:
+    """What was added while the run went on, as (frame, item), in order. Raises BadInput for a damaged event."""
+    return [(event.frame, str(event.args["item"])) for event in control_events(recording) if event.text == "add"]
 
 
 def per_dye(amounts: Float) -> Float:
@@ -51,8 +59,9 @@ def _checkpoint(recording: Recording, message: Recorded) -> DyeCheckpoint:
         if phi.ndim != 4 or phi.shape != fixed.shape:
             raise ValueError(f"phi has shape {phi.shape} and fixed {fixed.shape}")
         memory = {name.removeprefix("memory/"): a for name, a in arrays.items() if name.startswith("memory/")}
+        resist = np.asarray(arrays["resist"], np.float64) if "resist" in arrays else None
         return DyeCheckpoint(
-            int(text["frame"]), float(text["t"]), str(text.get("digest", "")), phi, fixed, memory, text
+            int(text["frame"]), float(text["t"]), str(text.get("digest", "")), phi, fixed, memory, text, resist
         )
     except (KeyError, ValueError, TypeError) as error:
         raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(recording.path)) from None

@@ -28,6 +28,12 @@ class Driver(Lockstep):
 
     def publish_start(self) -> None:
         """The cloth, and the amounts before the first step."""
+        self.publish_cloth()
+        dyeing = self.dyeing
+        self.publish(Frame(dyeing.frame, dyeing.measure(), 0.0, dyeing.digest()), "running")
+
+    def publish_cloth(self) -> None:
+        """What viewers and recordings need to know about the cloth: at the start, and when it has changed."""
         dyeing, cells = self.dyeing, self.dyeing.cells
         arrays: dict[str, NDArray[Any]] = {"fibre": cells.fibre, "up": cells.up} | {
             name: np.asarray(getattr(cells, name), np.float32) for name in ("porosity", "twist", "resist")
@@ -36,7 +42,14 @@ class Driver(Lockstep):
             arrays |= {"weft_yarn": cells.yarns[0], "warp_yarn": cells.yarns[1]}
         text = {"scene": self.scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}
         self.context.bus.publisher(CLOTH).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t)
-        self.publish(Frame(dyeing.frame, dyeing.measure(), 0.0, dyeing.digest()), "running")
+
+    def add(self, item: str) -> dict[str, Any]:
+        """See `Lockstep`; a cloth with more resist is published again."""
+        resist = self.dyeing.cells.resist
+        change = super().add(item)
+        if self.dyeing.cells.resist is not resist:
+            self.publish_cloth()
+        return change
 
     def step_frame(self) -> DyeReport:
         """Spread, publish."""
@@ -80,6 +93,8 @@ class Driver(Lockstep):
         dyeing = self.dyeing
         arrays: dict[str, NDArray[Any]] = {"phi": dyeing.state.phi, "fixed": dyeing.state.fixed}
         arrays |= {f"memory/{name}": values for name, values in dyeing.memory.arrays.items()}
+        if dyeing.resisted:
+            arrays["resist"] = dyeing.cells.resist
         digest = dyeing.digest()
         text = {
             "t": dyeing.t,
@@ -88,7 +103,7 @@ class Driver(Lockstep):
             "dt": dyeing.dt,
             "steps": dyeing.steps,
             "dyes": dyeing.names,
-            "supply": dyeing.supplies.save(),
+            "supply": dyeing.supplies.save(dyeing.frame * dyeing.steps),
         }
         self.context.bus.publisher(DYE_CHECKPOINT).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t, digest)
 

@@ -6,12 +6,14 @@ import hashlib
 import os
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import fsum
 
 import numpy as np
 import psutil
 
+from nuno.dye.add import NAME, as_run, extend, resist_around
 from nuno.dye.checkpoint import DyeCheckpoint
 from nuno.dye.step import choose_dye_step
 from nuno.dye.supply import AT_THE_START, Supplies
@@ -19,7 +21,7 @@ from nuno.export.dyed import check_picture
 from nuno.scene_file import ChosenDye, Loaded
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Memory
+from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.scene import Dyeing
 
 BYTES_PER_CELL, BYTES_PER_AMOUNT = 150, 150
@@ -54,17 +56,21 @@ class DyeRun:
             raise BadInput("the scene has no dye", loaded.file, remedy="add dye: {cloth: ..., dyes: [...]}")
         self.loaded, self.frame, self.names = loaded, 0, tuple(one.name for one in dye.dyes)
         self._solver = chosen.solver
+        self.threads = threads or os.cpu_count() or 1
         self.cells, self.state, given = _build_cloth(loaded, dye, chosen)
         check_picture(loaded, self.cells)
+        self._resist = self.cells.resist
+        """B as the scene has it; of what was added over dye, the cells have less."""
+        self.resisted = False
+        """Whether B has changed since the start."""
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
         dyes = (Dye(one.name, one.D0, one.adsorption, law) for one, law in zip(dye.dyes, laws, strict=True))
-        self.system = DyeSystem(self.cells, tuple(dyes), threads or os.cpu_count() or 1)
+        self.system = DyeSystem(self.cells, tuple(dyes), self.threads)
         try:
             self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
             self.steps, self.dt = choose_dye_step(loaded, dye, self.limit)
             supplies = Supplies(given, self.cells.mobile_room, self.dt, len(dye.dyes))
-            most = supplies.most(self.state)
-            self.memory: Memory = self._solver.plugin.prepare(self._solver.config, self.system, most)
+            self.memory = self._prepare(supplies)
         except BadInput as error:
             raise loaded.at("dye.solver", error) from None
         start = self.measure()
@@ -72,6 +78,10 @@ class DyeRun:
             supplies.note(k, AT_THE_START, fsum(pair))
         self.supplies = supplies
         self.supplies.begin(self.state.phi, 0)
+
+    def _prepare(self, supplies: Supplies) -> Memory:
+        memory: Memory = self._solver.plugin.prepare(self._solver.config, self.system, supplies.most(self.state))
+        return memory
 
     @property
     def t(self) -> float:
@@ -134,13 +144,29 @@ class DyeRun:
         hasher.update(np.int64(self.frame).tobytes())
         hasher.update(np.ascontiguousarray(self.state.phi).data)
         hasher.update(np.ascontiguousarray(self.state.fixed).data)
-        hasher.update(np.array(self.supplies.shares).data)
+        hasher.update(np.array(list(self.supplies.begun(self.frame * self.steps).values())).data)
         return hasher.hexdigest()
 
-    def resume(self, point: DyeCheckpoint) -> None:
-        """Go on from a checkpoint. Raises BadInput if it does not fit."""
+    def resume(self, point: DyeCheckpoint, added: Sequence[tuple[int, str]] = ()) -> None:
+        """Go on from a checkpoint, with what was added until then as (frame, item), in order.
+
+        Raises BadInput if it does not fit.
+        """
+        for frame, item in added:
+            if frame < point.frame:
+                self.frame = frame
+                self.add(item)
+        self._restore(point)
+        # Added at the checkpoint's frame: whether before the checkpoint or after it, once more changes nothing.
+        for frame, item in added:
+            if frame == point.frame:
+                self.add(item)
+
+    def _restore(self, point: DyeCheckpoint) -> None:
         held = {"phi": self.state.phi, "fixed": self.state.fixed, **self.memory.arrays}
         given = {"phi": point.phi, "fixed": point.fixed, **point.memory}
+        if point.resist is not None:
+            held["resist"], given["resist"] = np.empty_like(self.cells.resist), point.resist
         for name, target in held.items():
             shape = given[name].shape if name in given else "nothing"
             if shape != target.shape:
@@ -151,17 +177,57 @@ class DyeRun:
                     remedy="resume with the recording's own scene",
                 )
             np.copyto(target, given[name])
+        if point.resist is not None:
+            self.change_resist(point.resist)
+        self.frame = point.frame
         try:
-            self.supplies.restore(point.text["supply"])
+            self.supplies.restore(point.text["supply"], self.frame * self.steps)
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise BadInput(f"the checkpoint's supplies are not those of this scene: {error}") from None
-        self.frame = point.frame
         self.state.t = self.t
 
+    def add(self, item: str) -> str:
+        """Give the cloth another supply or resist, `supply: {kind: drop, ...}`; its field in the scene.
+
+        Raises BadInput, and has then changed nothing.
+        """
+        before = self.loaded
+        changed, field = extend(before, item)
+        dye, chosen = changed.scene.dye, changed.dye
+        if dye is None or chosen is None:
+            raise ValueError("a scene of dye stays one")
+        plugin, config = chosen.cloth.plugin, chosen.cloth.config
+        try:
+            given = plugin.supplies(config, self.cells, len(dye.dyes))
+            parts = plugin.resists(config, self.cells, changed.files)
+        except BadInput as error:
+            raise changed.at("dye.cloth", error) from None
+        loaded = as_run(changed, before)
+        if len(given) > len(self.supplies.entries):
+            stop = given[-1].stop
+            if stop is not None and stop <= self.t:
+                limit = f"after {self.t:g} s"
+                raise BadInput("its time has passed", NAME, field=f"{field}.stop", value=stop, limit=limit)
+            self.supplies.add(given[-1], self.frame * self.steps)
+        else:
+            after = 1.0 - (1.0 - self._resist) * (1.0 - parts[-1])
+            self.change_resist(resist_around(self.state.phi, self.cells, self._resist, after))
+            self._resist = after
+        self.memory = self._prepare(self.supplies)
+        self.loaded = loaded
+        return field
+
+    def change_resist(self, resist: Float) -> None:
+        """Give the cells another B (2, ny, nx) with room for what they hold; the memory is then to be prepared."""
+        self.resisted = True
+        self.cells = replace(self.cells, resist=resist)
+        self.system = replace(self.system, cells=self.cells)
+        self.supplies.change_room(self.cells.mobile_room)
+
     def set(self, item: str) -> None:
-        """Raises BadInput: dye that spreads cannot be changed."""
+        """Raises BadInput: what dye spreads in and by does not change."""
         field = item.partition("=")[0]
-        remedy = "stop, and run again with --set"
+        remedy = "stop, and run again with --set; supplies and resists can be added"
         raise BadInput("this field cannot change while a run goes on", field=field, value=item, remedy=remedy)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nuno.dye.checkpoint import last_checkpoint
+from nuno.dye.checkpoint import additions, last_checkpoint
 from nuno.dye.driver import Driver
 from nuno.dye.run import DyeRun
 from nuno.recording.reader import open_recording
@@ -13,7 +13,7 @@ from nuno_schemas.errors import BadInput
 
 
 def resume(dyeing: DyeRun, path: Path) -> None:
-    """Go on from a recording's last checkpoint."""
+    """Go on from a recording's last checkpoint, with what was added before it."""
     with open_recording(path) as recording:
         point, frames = last_checkpoint(recording), dyeing.loaded.scene.frames
         if point.frame > frames:
@@ -24,7 +24,7 @@ def resume(dyeing: DyeRun, path: Path) -> None:
                 limit=f"{frames} frames",
                 remedy="lengthen the scene, for example --set duration=10s",
             )
-        dyeing.resume(point)
+        dyeing.resume(point, [one for one in additions(recording) if one[0] <= point.frame])
 
 
 def main(context: Context) -> None:

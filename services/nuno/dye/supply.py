@@ -187,20 +187,23 @@ class Supplies:
         """What was supplied in all, by dye."""
         return tuple(math.fsum(account.values()) for account in self.given)
 
-    @property
-    def shares(self) -> list[float]:
-        """What finite baths hold, in their order: part of the state."""
-        return [entry.share for entry in self.entries if entry.finite]
+    def change_room(self, room: Float) -> None:
+        """Go on with cells of another room (2, ny, nx); baths keep their volume."""
+        self.room, self._kept = room, ((), None)
 
-    def save(self) -> dict[str, Any]:
-        """State and account as JSON can hold them, exactly."""
-        return {"baths": self.shares, "given": self.given}
+    def begun(self, step: int) -> dict[str, float]:
+        """What the finite baths hold that began before a step, by name: part of the state there."""
+        return {entry.name: entry.share for entry in self.entries if entry.finite and entry.first < step}
 
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Raises ValueError, KeyError or TypeError where it is not of these supplies."""
-        baths, given = [entry for entry in self.entries if entry.finite], list(saved["given"])
-        if len(saved["baths"]) != len(baths) or len(given) != len(self.given):
-            raise ValueError(f"{len(saved['baths'])} baths and {len(given)} dyes")
-        for entry, share in zip(baths, saved["baths"], strict=True):
-            entry.share = float(share)
+    def save(self, step: int) -> dict[str, Any]:
+        """State and account at the start of a step as JSON can hold them, exactly."""
+        return {"baths": self.begun(step), "given": self.given}
+
+    def restore(self, saved: dict[str, Any], step: int) -> None:
+        """Raises ValueError, KeyError, TypeError or AttributeError where it is not of these supplies."""
+        baths, given = dict(saved["baths"]), list(saved["given"])
+        if baths.keys() != self.begun(step).keys() or len(given) != len(self.given):
+            raise ValueError(f"baths {', '.join(baths) or 'none'}, and {len(given)} dyes")
+        for entry in self.entries:
+            entry.share = float(baths.get(entry.name, entry.share))
         self.given = [{str(name): float(amount) for name, amount in account.items()} for account in given]

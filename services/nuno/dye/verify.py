@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from nuno.dye.checkpoint import DyeCheckpoint, read_checkpoints
+from nuno.dye.checkpoint import DyeCheckpoint, additions, read_checkpoints
 from nuno.dye.run import DyeRun
 from nuno.recording.reader import Recording
 from nuno.scene_file import Loaded
@@ -22,10 +22,14 @@ def verify_dye(
 ) -> Verification:
     """Compare every digest in `wanted`, by frame. Raises BadInput."""
     checkpoints = {point.frame: point for point in read_checkpoints(recording)}
+    added = additions(recording)
     dyeing = DyeRun(loaded, threads)
     compared = 0
     for frame in range(max(wanted) + 1):
         if frame:
+            for at, item in added:
+                if at == frame - 1:
+                    dyeing.add(item)
             dyeing.advance()
         if frame in wanted:
             if dyeing.digest() != wanted[frame]:

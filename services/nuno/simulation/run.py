@@ -220,6 +220,11 @@ class Simulation:
             # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
             self.steps, self.dt = step
 
+    def add(self, item: str) -> str:
+        """Raises BadInput: all that a simulation has is there from the start."""
+        problem, remedy = "nothing can be added to cloth that moves", f"set changes {', '.join(SETTABLE)}"
+        raise BadInput(problem, value=item, remedy=remedy)
+
 
 def _same(start: Poses, end: Poses) -> bool:
     """Whether bodies stand still."""
