@@ -33,7 +33,7 @@ class TextureConfig(Config):
     relief: Share = Field(default=0.5, description="how dark a yarn's rims are")
     bend: Share = Field(default=0.45, description="how dark a yarn is where it dives under another")
     shadow: Share = Field(default=0.45, description="brightness of yarns that show between those above")
-    hole: Share = Field(default=0.2, description="brightness where no yarn is")
+    hole: Share = Field(default=0.08, description="brightness where no yarn is")
 
 
 def find_lays(layers: Layers) -> tuple[Lay, Lay]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from nuno.scene_file import Loaded
 from nuno.service import Options
-from nuno_schemas.errors import BadInput
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,7 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
     if not any(scene.gravity):
         left_out.append("gravity: 0")
     left_out.append("dye, knit and wrinkles: the scene has none")
-    # A window may skip frames; a file that is being written may not.
-    must_see = tuple(n for n in ("collision", "recorder") if n in services) + (("viewer",) if options.save else ())
-    return Plan(tuple(services), must_see, tuple(left_out))
+    return Plan(tuple(services), _must_see(services, options), tuple(left_out))
 
 
 def _plan_dye(options: Options) -> Plan:
@@ -62,8 +59,13 @@ def _plan_dye(options: Options) -> Plan:
         services.append("recorder")
     else:
         left_out.append("recorder: not asked for")
-    if options.save is not None:
-        remedy = "leave --save out; nuno export --npz writes the amounts"
-        raise BadInput("a run of dye has no file for rerun", field="--save", value=str(options.save), remedy=remedy)
-    left_out.append("viewer: it shows no dye" if options.view is not None else "viewer: no screen, or not asked for")
-    return Plan(tuple(services), tuple(name for name in ("recorder",) if name in services), tuple(left_out))
+    if options.view is not None or options.save is not None:
+        services.append("viewer")
+    else:
+        left_out.append("viewer: no screen, or not asked for")
+    return Plan(tuple(services), _must_see(services, options), tuple(left_out))
+
+
+def _must_see(services: list[str], options: Options) -> tuple[str, ...]:
+    """A window may skip frames; a file that is being written may not."""
+    return tuple(n for n in ("collision", "recorder") if n in services) + (("viewer",) if options.save else ())

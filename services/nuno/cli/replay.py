@@ -79,9 +79,6 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         viewer = None
         if shown:
             loaded = stack.enter_context(restored_scene(recording))
-            if loaded.dye is not None:
-                remedy = "use --no-view; nuno export --npz writes the amounts"
-                raise BadInput("the viewer shows no dye", str(recording.path), remedy=remedy)
             viewer = _Viewer(loaded, bus, options)
         print(f"replaying {recording.path} as {run} at {endpoint}", file=sys.stderr)
         with contextlib.suppress(KeyboardInterrupt):

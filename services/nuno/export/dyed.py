@@ -30,6 +30,7 @@ class DyePainter:
     look, colours  the scene's picture and its dyes' colours
     side           pixels of the longer side that `scale: auto` aims at
     most           pixels of a picture at most, for which a given scale is made smaller; None: as given
+    duration       of the scene [s]
     """
 
     def __init__(
@@ -40,11 +41,15 @@ class DyePainter:
         files: Files,
         side: int = PICTURE_SIDE,
         most: int | None = None,
+        duration: float = 0.0,
     ) -> None:
+        self.duration = duration
         self.chosen, self.look, self.colours, self.files = chosen, look, tuple(colours), files
         self.side, self.most = side, most
         self.size = self.pixel = 0.0
         """Of a cell, and of a pixel [m]."""
+        self.shape = (0, 0)
+        """Of the picture [pixels], high and wide."""
         self.prepared: Any = None
         self._shape: tuple[int, ...] = ()
 
@@ -73,6 +78,7 @@ class DyePainter:
         _, ny, nx = layers.fibre.shape
         window, scale = self.frame((ny, nx), size)
         self.size, self.pixel, self._shape = size, size / scale, layers.fibre.shape
+        self.shape = scale * (window.bottom - window.top), scale * (window.right - window.left)
         plugin, config = self.chosen.plugin, self.chosen.config
         self.prepared = plugin.prepare(config, self.files, layers, self.colours, window, scale)
 
@@ -112,7 +118,8 @@ def painter_of(loaded: Loaded, side: int = PICTURE_SIDE, most: int | None = None
     dye, chosen = loaded.scene.dye, loaded.dye
     if dye is None or chosen is None:
         raise BadInput("the scene has no dye", loaded.file)
-    return DyePainter(chosen.picture, dye.picture, [one.colour for one in dye.dyes], loaded.files, side, most)
+    colours = [one.colour for one in dye.dyes]
+    return DyePainter(chosen.picture, dye.picture, colours, loaded.files, side, most, loaded.scene.duration)
 
 
 def check_picture(loaded: Loaded, cells: Cells) -> None:

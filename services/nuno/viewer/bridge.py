@@ -13,12 +13,18 @@ from pydantic import ValidationError
 
 from nuno.arrays import BadMessage, decode_arrays, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.export.dyed import DyePainter
 from nuno.viewer import layout
 from nuno.viewer.bodies import INSET, Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
+from nuno.viewer.dyed import DyedCloth
+from nuno.viewer.dyed import about as dyed_about
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
     BODIES,
+    CLOTH,
+    CONCENTRATION,
+    DYE_STATUS,
     EVENT,
     FABRIC,
     GEOMETRY,
@@ -44,13 +50,19 @@ class Bridge:
     view       the scene's view, from which the eye is fitted to the first frame
     live       the viewer follows the newest frame instead of playing from the start
     images     reads a texture by its path; None where it cannot
+    painter    draws the scene's dyed cloth; None where it has none
 
     Poses are logged in batches: `flush` hands over the last ones. `feed` raises BadMessage for a
     payload that is not what its topic promises; what is shown stays as it was.
     """
 
     def __init__(
-        self, recording: Any, view: View | None = None, live: bool = False, images: ReadImage = read_image
+        self,
+        recording: Any,
+        view: View | None = None,
+        live: bool = False,
+        images: ReadImage = read_image,
+        painter: DyePainter | None = None,
     ) -> None:
         self.recording, self.view, self.live, self.images = recording, view or View(), live, images
         self.frames = 0
@@ -58,6 +70,7 @@ class Bridge:
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
         self._bodies: Bodies | None = None
+        self._dyed = DyedCloth(recording, painter, live) if painter is not None else None
         self._energy: list[str] = []
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
@@ -71,6 +84,12 @@ class Bridge:
             EVENT.name: self._event,
             REPORT.name: self._report,
         }
+        if self._dyed is not None:
+            self._handlers |= {
+                CLOTH.name: self._dyed_cloth,
+                CONCENTRATION.name: self._amounts,
+                DYE_STATUS.name: self._dye_status,
+            }
         # Wall-clock timelines would make two conversions of one recording differ.
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
@@ -96,9 +115,11 @@ class Bridge:
             raise BadMessage(f"{topic}: {error}") from None
 
     def flush(self) -> None:
-        """Log what waits to be logged in a batch; to be called at the end."""
+        """Log what waits to be logged in a batch, and the last picture; to be called at the end."""
         if self._bodies is not None:
             self._bodies.flush()
+        if self._dyed is not None:
+            self._dyed.flush()
 
     def _log(self, path: str, *what: Any, static: bool = False) -> None:
         self.recording.log(path, *what, static=static, strict=True)
@@ -190,8 +211,35 @@ class Bridge:
         report = Penetration.model_validate_json(payload)
         self._log("/plots/penetration", rr.Scalars([1000.0 * report.depth, 1000.0 * report.mean]))
 
+    def _dyed_cloth(self, payload: bytes) -> None:
+        assert self._dyed is not None
+        self._dyed.take_cloth(payload)
+        arrays, text = decode_arrays(payload)
+        page = dyed_about(str(text.get("scene", "")), self._dyed.painter, arrays["fibre"].shape)
+        self._log("/about", rr.TextDocument(page, media_type="text/markdown"), static=True)
+
+    def _amounts(self, payload: bytes) -> None:
+        assert self._dyed is not None
+        self._dyed.take_amounts(*self._latest, payload)
+        self.frames += 1
+
+    def _dye_status(self, payload: bytes) -> None:
+        assert self._dyed is not None
+        known = self._dyed.names
+        status = self._dyed.take_status(payload)
+        if self._dyed.names is not known:
+            blueprint = layout.arrange_dyed(
+                self._dyed.names, self._dyed.painter.shape, self._dyed.painter.duration, self.live
+            )
+            self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
+        if status.message:
+            self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
+
     def _event(self, payload: bytes) -> None:
         event = Event.model_validate_json(payload)
+        if self._dyed is not None:
+            # A run that pauses sends nothing more: what waits is what it stands at.
+            self._dyed.flush()
         level = {"error": "ERROR", "warning": "WARN"}.get(event.kind, "INFO")
         self._log("/log", rr.TextLog(f"{event.service}: {event.text}", level=level))
 

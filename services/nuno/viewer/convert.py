@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from nuno.arrays import BadMessage
 from nuno.export.cloth import read_texture
+from nuno.export.dyed import DyePainter, painter_of
 from nuno.recording.reader import Recording
+from nuno.recording.restore import restored_scene
+from nuno.viewer.dyed import MOST_PIXELS
 from nuno.viewer.file import RerunFile
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import View
@@ -16,13 +21,28 @@ from nuno_schemas.scene import View
 
 def convert(recording: Recording, path: Path) -> Path:
     """Write every message of a recording to a rerun file. Raises BadInput for a damaged one."""
-    marks = recording.marks()
     run = recording.metadata.get("run", {}).get("id", recording.path.stem)
     try:
         view = View.model_validate(recording.scene.get("view", {}))
     except ValidationError:
         view = View()
-    file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture))
+    with _painter(recording) as painter:
+        file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter)
+        return _write(recording, file)
+
+
+@contextmanager
+def _painter(recording: Recording) -> Iterator[DyePainter | None]:
+    """What draws the recording's dyed cloth, while its scene's files are there."""
+    if not recording.scene.get("dye"):
+        yield None
+        return
+    with restored_scene(recording) as loaded:
+        yield painter_of(loaded, most=MOST_PIXELS)
+
+
+def _write(recording: Recording, file: RerunFile) -> Path:
+    marks = recording.marks()
     try:
         for message in recording.messages():
             frame, _ = marks.get(message.log_time, (-1, ""))

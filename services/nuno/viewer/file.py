@@ -9,6 +9,7 @@ from typing import BinaryIO
 
 import rerun as rr
 
+from nuno.export.dyed import DyePainter
 from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.cloth import ReadImage, read_image
 from nuno.viewer.require import part_of
@@ -29,7 +30,14 @@ class RerunFile:
     full).
     """
 
-    def __init__(self, path: Path, run: str, view: View | None = None, images: ReadImage = read_image) -> None:
+    def __init__(
+        self,
+        path: Path,
+        run: str,
+        view: View | None = None,
+        images: ReadImage = read_image,
+        painter: DyePainter | None = None,
+    ) -> None:
         self.path = path
         self._recording = rr.RecordingStream(APPLICATION, recording_id=run, send_properties=False)
         try:
@@ -38,7 +46,7 @@ class RerunFile:
             remedy = "choose a folder that exists and can be written"
             raise BadInput(f"cannot write there: {error.strerror}", value=str(path), remedy=remedy) from None
         self._copy = _save(self._recording, self._file)
-        self.bridge = Bridge(self._recording, view, images=images)
+        self.bridge = Bridge(self._recording, view, images=images, painter=painter)
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Write one message. Raises BadMessage, RunFailed."""

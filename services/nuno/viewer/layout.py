@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nuno_schemas.fabric import Float
 from nuno_schemas.scene import View
 
-TIMELINE = "sim_time"
+TIMELINE, PICTURE = "sim_time", "/dye/picture"
 HALF_VIEW = 0.5 * np.radians(58.0)
 """About half of rerun's vertical field of view."""
 
@@ -21,6 +21,9 @@ CURVES = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 2
 """Colours told apart with the common colour-vision deficiencies (Okabe and Ito, 2008)."""
 TOTAL = [128, 128, 128]
 """To be seen on the dark and the light theme."""
+PLAY_SECONDS = 10.0
+MOST_ROWS = 4
+"""Plots of dyes below each other; more of them are behind tabs."""
 BACKGROUND = [226, 230, 234]
 
 
@@ -65,12 +68,6 @@ def fit_eye(points: Float, view: View) -> Eye:
 
 def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
     """The blueprint: the scene large on the left; curves, log and report beside it."""
-
-    def curves(name: str, what: str, legend: bool = False) -> Any:
-        return rrb.TimeSeriesView(
-            name=name, origin=f"/plots/{what}", plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
-        )
-
     plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
         plots.append(curves("Penetration [mm]", "penetration", legend=True))
@@ -84,18 +81,59 @@ def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
             kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=[0, 1, 0]
         ),
     )
+    return _blueprint(scene, rrb.Vertical(*plots, name="Curves"), live)
+
+
+def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live: bool) -> Any:
+    """The blueprint of a dyed cloth: its picture large on the left; curves of each dye beside it.
+
+    `shape` is that of the picture [pixels]. Curves show all of the scene's `duration` [s], which is played within
+    PLAY_SECONDS: by themselves they would show a minute, and play hours.
+    """
+    amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True, duration=duration) for name in dyes]
+    time = curves("Wall time to compute a frame [ms]", "time", duration=duration)
+    plots = [*amounts, time] if len(dyes) < MOST_ROWS else [rrb.Tabs(*amounts, name="Amounts"), time]
+    picture = rrb.Spatial2DView(
+        name="Cloth",
+        origin=PICTURE,
+        background=rrb.Background(color=BACKGROUND),
+        visual_bounds=rrb.VisualBounds2D(x_range=(0, shape[1]), y_range=(0, shape[0])),
+    )
+    return _blueprint(picture, rrb.Vertical(*plots, name="Curves"), live, max(1.0, duration / PLAY_SECONDS))
+
+
+def curves(name: str, what: str, legend: bool = False, duration: float | None = None) -> Any:
+    """A plot of what is logged below /plots, from the start to `duration` [s] where it is given."""
+    all_of_it = None
+    if duration is not None:
+        start, end = (rrb.TimeRangeBoundary.absolute(seconds=t) for t in (0.0, duration))
+        all_of_it = rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
+    return rrb.TimeSeriesView(
+        name=name,
+        origin=entity("plots", *what.split("/", 1)),
+        axis_x=all_of_it,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
+    )
+
+
+def _blueprint(main: Any, plots: Any, live: bool, speed: float = 1.0) -> Any:
     side = rrb.Tabs(
-        rrb.Vertical(*plots, name="Curves"),
+        plots,
         rrb.TextDocumentView(name="About", origin="/about"),
         rrb.TextLogView(name="Log", origin="/log"),
         rrb.TextDocumentView(name="Report", origin="/report"),
         active_tab=0,
     )
     return rrb.Blueprint(
-        rrb.Horizontal(scene, side, column_shares=[2.4, 1.0]),
+        rrb.Horizontal(main, side, column_shares=[2.4, 1.0]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else "playing"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=TIMELINE,
+            playback_speed=speed,
+            play_state="following" if live else "playing",
+        ),
         auto_views=False,
         auto_layout=False,
     )
@@ -106,7 +144,7 @@ def entity(*parts: str) -> str:
     return "/" + str(rr.new_entity_path(list(parts))).lstrip("/")
 
 
-def names(labels: list[str]) -> Any:
+def names(labels: list[str], widths: list[float] | None = None) -> Any:
     """Names and colours of a plot's curves; a curve named "total" is grey."""
     colours = [TOTAL if label == "total" else CURVES[i % len(CURVES)] for i, label in enumerate(labels)]
-    return rr.SeriesLines(names=labels, colors=colours, widths=[2.0] * len(labels))
+    return rr.SeriesLines(names=labels, colors=colours, widths=widths or [2.0] * len(labels))

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import psutil
 
-from nuno_schemas.messages import STATE
+from nuno_schemas.messages import FRAMES
 from nuno_schemas.scene import View
 
 RING_BYTES = 64 * 2**20
@@ -68,13 +68,14 @@ class Ring:
 
 def _weight(item: Item) -> int:
     """Bytes that count against the ring's limit: those of frames."""
-    return len(item[3]) if item[0] == STATE.name else 0
+    return len(item[3]) if item[0] in FRAMES else 0
 
 
 class LiveView:
     """Hands messages to a process that shows them; see `nuno.viewer.stream`.
 
     view      "window", "web" or the address of an open viewer
+    scene     of a dyed cloth, as `stream.scene_of` writes it
     announce  called with what there is to tell the user ("warning" or "start", text)
 
     `feed` returns at once, whatever the viewer does. `finish` waits while frames are shown, at
@@ -82,7 +83,9 @@ class LiveView:
     or cannot start ends the view, not the run.
     """
 
-    def __init__(self, view: str, run: str, scene_view: View, announce: Callable[[str, str], None]) -> None:
+    def __init__(
+        self, view: str, run: str, scene_view: View, announce: Callable[[str, str], None], scene: str = ""
+    ) -> None:
         self.frames = self.shown = 0
         self.pid: int | None = None
         self.page = ""
@@ -90,7 +93,7 @@ class LiveView:
         self._announce = announce
         self._ring = Ring()
         # -P: a module of the user's folder must not stand in for one of ours.
-        command = [sys.executable, "-P", "-m", "nuno.viewer.stream", view, run, scene_view.model_dump_json()]
+        command = [sys.executable, "-P", "-m", "nuno.viewer.stream", view, run, scene_view.model_dump_json(), scene]
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, start_new_session=True
@@ -106,7 +109,7 @@ class LiveView:
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Pass one message on, without waiting."""
-        self.frames += topic == STATE.name
+        self.frames += topic in FRAMES
         self._ring.put((topic, frame, t, payload))
 
     def finish(self) -> None:

@@ -3,20 +3,40 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nuno.arrays import BadMessage
 from nuno.bus import Inbox, Message
 from nuno.recording.provenance import assets
+from nuno.scene_file import Loaded
 from nuno.service import Context, ack_topic, each_message
 from nuno.viewer.live import LiveView
 from nuno.viewer.require import require
+from nuno.viewer.stream import scene_of
 from nuno.viewer.textures import with_own_textures
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.messages import BODIES, EVENT, FABRIC, GEOMETRY, PENETRATION, REPORT, STATE, STATUS, Ack, Topic
+from nuno_schemas.messages import (
+    BODIES,
+    CLOTH,
+    CONCENTRATION,
+    DYE_STATUS,
+    EVENT,
+    FABRIC,
+    FRAMES,
+    GEOMETRY,
+    PENETRATION,
+    REPORT,
+    STATE,
+    STATUS,
+    Ack,
+    Topic,
+)
+
+if TYPE_CHECKING:
+    from nuno.export.dyed import DyePainter
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
-TOPICS = [FABRIC, GEOMETRY, BODIES, STATE, STATUS, PENETRATION, EVENTS, REPORT]
+TOPICS = [FABRIC, GEOMETRY, BODIES, STATE, STATUS, PENETRATION, CLOTH, CONCENTRATION, DYE_STATUS, EVENTS, REPORT]
 MOST_EARLY = 64
 """Messages that a live view keeps until the cloth is known. A file keeps all: the simulation waits for it."""
 DRAIN_SECONDS = 0.1
@@ -32,13 +52,15 @@ class Viewer:
         self.frames = 0
         self.early: list[Message] | None = []
         """What came before the cloth did."""
+        self.cloth = FABRIC.name if context.loaded.dye is None else CLOTH.name
         options, view = context.options, context.loaded.scene.view
         self.file: Any = None
         if options.save is not None:
             from nuno.viewer.file import RerunFile
 
-            self.file = RerunFile(options.save, context.bus.run, view)
-        self.live = LiveView(options.view, context.bus.run, view, self.announce) if options.view else None
+            self.file = RerunFile(options.save, context.bus.run, view, painter=_painter(context.loaded))
+        scene = scene_of(context.loaded)
+        self.live = LiveView(options.view, context.bus.run, view, self.announce, scene) if options.view else None
         self.acknowledges = context.bus.service in options.must_see
         # Without a file a viewer may come late, and then sees what is new.
         self.inbox = Inbox(context.bus, TOPICS, newest_only=self.file is None)
@@ -53,12 +75,12 @@ class Viewer:
         viewer that comes late never hears of the cloth, and waits for nothing.
         """
         if self.early is not None:
-            if message.topic != FABRIC.name and (self.file is not None or len(self.early) < MOST_EARLY):
+            if message.topic != self.cloth and (self.file is not None or len(self.early) < MOST_EARLY):
                 self.early.append(message)
                 return
             waiting, self.early = self.early, None
             # Without the cloth after all, what waited still goes first.
-            order = [message, *waiting] if message.topic == FABRIC.name else [*waiting, message]
+            order = [message, *waiting] if message.topic == self.cloth else [*waiting, message]
             for each in order:
                 self.show(each)
             return
@@ -78,7 +100,7 @@ class Viewer:
                 self.file.feed(message.topic, header.frame, header.t, payload)
             except BadMessage:
                 self.inbox.counts.refused[message.topic] += 1
-        if message.topic == STATE.name:
+        if message.topic in FRAMES:
             self.frames += 1
             if self.acknowledges:
                 ack = Ack(service=self.context.bus.service, frame=header.frame)
@@ -105,6 +127,15 @@ class Viewer:
             summary |= {"shown": self.live.shown, "skipped": self.live.skipped, "error": self.live.error}
             summary |= {"pid": self.live.pid, "page": self.live.page}
         return summary
+
+
+def _painter(loaded: Loaded) -> DyePainter | None:
+    if loaded.dye is None:
+        return None
+    from nuno.export.dyed import painter_of
+    from nuno.viewer.dyed import MOST_PIXELS
+
+    return painter_of(loaded, most=MOST_PIXELS)
 
 
 def main(context: Context) -> None:

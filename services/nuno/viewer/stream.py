@@ -14,9 +14,14 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any, BinaryIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from nuno_schemas.scene import View
+
+if TYPE_CHECKING:
+    from nuno.export.dyed import DyePainter
+    from nuno.scene_file import Loaded
 
 START_SECONDS = 20.0
 """How long a viewer may take until it listens."""
@@ -99,7 +104,7 @@ def connect(address: str, run: str) -> Any:
     return recording
 
 
-def pump(source: BinaryIO, recording: Any, view: View) -> int:
+def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | None = None) -> int:
     """Log what comes until the input ends; frames shown.
 
     Each frame is flushed with a limit: that hands a slow viewer's pace on to the run's ring,
@@ -107,9 +112,9 @@ def pump(source: BinaryIO, recording: Any, view: View) -> int:
     """
     from nuno.arrays import BadMessage
     from nuno.viewer.bridge import Bridge
-    from nuno_schemas.messages import STATE
+    from nuno_schemas.messages import FRAMES
 
-    bridge = Bridge(recording, view, live=True)
+    bridge = Bridge(recording, view, live=True, painter=painter)
     while line := source.readline():
         head = json.loads(line)
         payload = source.read(head["size"])
@@ -117,14 +122,36 @@ def pump(source: BinaryIO, recording: Any, view: View) -> int:
             bridge.feed(head["topic"], head["frame"], head["t"], payload)
         except BadMessage:
             continue
-        if head["topic"] == STATE.name:
+        if head["topic"] in FRAMES:
             recording.flush(timeout_sec=FLUSH_SECONDS)
             say(shown=bridge.frames)
+    bridge.flush()
     recording.flush(timeout_sec=FLUSH_SECONDS)
     return bridge.frames
 
 
-def main(mode: str, run: str, view: str) -> None:
+def read_painter(scene: str) -> DyePainter | None:
+    """What draws the dyed cloth of a scene, given as `scene_of` writes it; None for "". Raises BadInput."""
+    if not scene:
+        return None
+    from nuno import scene_file
+    from nuno.export.dyed import painter_of
+    from nuno.viewer.dyed import MOST_PIXELS
+
+    said = json.loads(scene)
+    roots = [Path(root) for root in said["roots"]]
+    return painter_of(scene_file.read(Path(said["path"]), said["overrides"], roots), most=MOST_PIXELS)
+
+
+def scene_of(loaded: Loaded) -> str:
+    """Where a scene of dye can be read again; "" for any other."""
+    if loaded.dye is None:
+        return ""
+    roots = [str(root) for root in loaded.files.roots]
+    return json.dumps({"path": str(loaded.path), "overrides": list(loaded.overrides), "roots": roots})
+
+
+def main(mode: str, run: str, view: str, scene: str = "") -> None:
     """Show what comes on standard input in a new viewer ("window", "web") or the one at an address."""
     if hasattr(os, "nice"):
         # The viewer inherits it: on a machine with few cores the solver goes first.
@@ -135,7 +162,7 @@ def main(mode: str, run: str, view: str) -> None:
             viewer, address, page = start_viewer(mode)
             say(pid=viewer.pid, address=address, page=page)
         recording = connect(address, run)
-        pump(sys.stdin.buffer, recording, View.model_validate_json(view))
+        pump(sys.stdin.buffer, recording, View.model_validate_json(view), read_painter(scene))
         # A viewer that is left without a word shows an error; one that hangs is not waited for.
         goodbye = threading.Thread(target=recording.disconnect, daemon=True)
         goodbye.start()
@@ -148,4 +175,4 @@ def main(mode: str, run: str, view: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:4])
+    main(*sys.argv[1:5])

@@ -1,0 +1,126 @@
+"""A dyed cloth in rerun: its picture, and the curves of its amounts."""
+
+from __future__ import annotations
+
+import io
+import math
+import time
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from nuno.export.dyed import DyePainter
+from nuno.viewer import layout
+from nuno_schemas.dye_picture import Picture
+from nuno_schemas.messages import DyeStatus
+
+MOST_PIXELS = 2**21
+"""Of a picture in the viewer, for which its scale is made smaller."""
+LIVE_SECONDS = 0.1
+"""Between two pictures of a live view, at least: drawing may not fall behind a fast run."""
+QUALITY = 92
+"""Of JPEG. A picture of yarns has detail everywhere: as PNG it takes four times as much."""
+AMOUNTS, WIDTHS = ["supplied", "total", "mobile", "fixed"], [5.0, 2.0, 2.0, 2.0]
+"""Curves of each dye. Supplied is the widest, and first: total lies on it."""
+
+
+class DyedCloth:
+    """Logs pictures of a cloth's amounts, each once, and curves of their totals.
+
+    recording  the rerun stream
+    painter    draws; `every` of its scene's picture [s] is the time between two pictures
+    live       pictures may be skipped; `flush` shows the last of them
+    """
+
+    def __init__(self, recording: Any, painter: DyePainter, live: bool) -> None:
+        self.recording, self.painter, self.live = recording, painter, live
+        self.names: list[str] = []
+        self._shown: Picture | None = None
+        self._waiting: tuple[int, float, bytes] | None = None
+        self._drawn = -math.inf
+        """When the last picture was drawn, in wall time [s]."""
+        self._last = -math.inf
+        """Of which time [s] it was."""
+
+    def take_cloth(self, payload: bytes) -> None:
+        """Raises BadMessage, and BadInput for a cloth that cannot be drawn."""
+        self.painter.take_cloth(payload)
+        self._shown = None
+
+    def take_amounts(self, frame: int, t: float, payload: bytes) -> None:
+        """Show a frame, now or later. Raises BadMessage."""
+        every = self.painter.look.every or 0.0
+        early = t < self._last + every * (1.0 - 1e-9)
+        if early or (self.live and time.monotonic() < self._drawn + LIVE_SECONDS):
+            self._waiting = frame, t, payload
+            return
+        self._draw(frame, t, payload)
+
+    def flush(self) -> None:
+        """Show the frame that waits, if one does."""
+        if self._waiting is not None:
+            self._draw(*self._waiting)
+
+    def take_status(self, payload: bytes) -> DyeStatus:
+        """Log the amounts of a frame."""
+        status = DyeStatus.model_validate_json(payload)
+        if list(status.mobile) != self.names:
+            self.names = list(status.mobile)
+            for name in self.names:
+                self._log(_curves(name), layout.names(AMOUNTS, WIDTHS), static=True)
+            self._log("/plots/time", layout.names(["computing the frame"]), static=True)
+        for name in self.names:
+            mobile, fixed = (_number(amount.get(name)) for amount in (status.mobile, status.fixed))
+            values = [_number(status.supplied.get(name)), mobile + fixed, mobile, fixed]
+            self._log(_curves(name), rr.Scalars(values))
+        self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
+        return status
+
+    def _draw(self, frame: int, t: float, payload: bytes) -> None:
+        self._waiting = None
+        picture = self.painter.draw(payload)
+        self._drawn, self._last = time.monotonic(), t
+        if self._shown is not None and np.array_equal(picture, self._shown):
+            return
+        self.recording.set_time("frame", sequence=frame)
+        self.recording.set_time(layout.TIMELINE, duration=t)
+        self._log(layout.PICTURE, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
+        self._shown = picture
+
+    def _log(self, path: str, *what: Any, static: bool = False) -> None:
+        self.recording.log(path, *what, static=static, strict=True)
+
+
+def about(scene: str, painter: DyePainter, shape: tuple[int, ...]) -> str:
+    """What a user should know about the picture, as Markdown."""
+    _, ny, nx = shape
+    shown = {
+        "all": "all dye, mobile and fixed",
+        "fixed": "the dye that fibre has fixed, and no other",
+        "mobile": "the dye that is mobile, and not what fibre has fixed",
+    }[painter.look.view]
+    return f"""# {scene}
+{nx} x {ny} cells of {1e3 * painter.size:.3g} mm in two layers; a pixel is {1e6 * painter.pixel:.3g} um wide.
+
+**Picture**: {shown}.
+
+**Curves**: amounts in full cells. Mobile and fixed are what the cloth holds, total is both, and
+supplied is what it was given so far: total and supplied lie on each other.
+"""
+
+
+def _curves(name: str) -> str:
+    return layout.entity("plots", "dye", name)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _jpeg(picture: Picture) -> bytes:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, "JPEG", quality=QUALITY, subsampling=0)
+    return stream.getvalue()

@@ -1,0 +1,179 @@
+"""Dyed cloth in rerun: its pictures, each once, and the curves of its amounts; live, saved and from a recording."""
+
+from __future__ import annotations
+
+import functools
+import io
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dye_scene import arrays, write_scene
+from numpy.typing import NDArray
+from PIL import Image
+from test_viewer_file import read
+
+import nuno
+from nuno import scene_file
+from nuno.arrays import decode_arrays
+from nuno.cli import main
+from nuno.export.dyed import painter_of
+from nuno_schemas.messages import CONCENTRATION, FRAMES, STATE
+
+pytest.importorskip("rerun", reason="needs nuno[view]")
+
+from nuno.viewer import dyed
+from nuno.viewer.bridge import Bridge
+from nuno.viewer.file import RerunFile
+from nuno.viewer.live import Ring
+from nuno.viewer.stream import read_painter, scene_of
+
+PICTURE, COLUMN = "/dye/picture", "EncodedImage:blob"
+CURVES = "/plots/dye/blue"
+NEAR = 6.0
+"""How far JPEG may be off, on average [of 255]."""
+
+
+def pictures(path: Path) -> dict[int, NDArray[np.uint8]]:
+    found = read(path, PICTURE, COLUMN)
+    return {n: np.asarray(Image.open(io.BytesIO(bytes(blob[0])))) for n, blob in found.items()}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with run.mcap and run.rrd, written by one run."""
+    folder = tmp_path_factory.mktemp("dyed")
+    scene = write_scene(folder)
+    where = ["--record", str(folder / "run.mcap"), "--save", str(folder / "run.rrd")]
+    assert main(["run", str(scene), *where, "--no-view"]) == 0
+    return folder
+
+
+def feed(folder: Path, target: Path, **picture: Any) -> Path:
+    """A recording's messages, shown as a scene that differs in its picture would be."""
+    scene = scene_file.read(write_scene(folder, picture=picture))
+    file = RerunFile(target, "run", painter=painter_of(scene, most=dyed.MOST_PIXELS))
+    with nuno.open(folder / "run.mcap") as recording:
+        marks = recording.marks()
+        for message in recording.messages():
+            frame, _ = marks.get(message.log_time, (-1, ""))
+            file.feed(message.topic, frame, message.t, message.payload)
+    return file.finish()
+
+
+def test_a_run_s_file_has_every_frame_s_picture(run: Path) -> None:
+    import rerun_cli
+
+    binary = os.path.join(rerun_cli.__path__[0], "rerun")
+    subprocess.run([binary, "rrd", "verify", str(run / "run.rrd")], check=True, timeout=60)
+    found = pictures(run / "run.rrd")
+    assert sorted(found) == list(range(11))
+    painter = painter_of(scene_file.read(run / "scene.yaml"))
+    with nuno.open(run / "run.mcap") as recording:
+        cloth = recording.last("dye/cloth")
+        assert cloth is not None
+        painter.take_cloth(cloth.payload)
+        for frame, message in enumerate(recording.messages([CONCENTRATION.name])):
+            exact = painter.draw(message.payload).astype(float)
+            assert found[frame].shape == exact.shape
+            assert np.abs(found[frame] - exact).mean() < NEAR
+
+
+def test_a_recording_becomes_the_same_file(run: Path) -> None:
+    assert main(["export", str(run / "run.mcap"), "--rrd", str(run / "again.rrd")]) == 0
+    for entity, column in ((PICTURE, COLUMN), (CURVES, "Scalars:scalars")):
+        assert read(run / "again.rrd", entity, column) == read(run / "run.rrd", entity, column)
+
+
+def test_a_replay_is_saved_as_the_run_was(run: Path, tmp_path: Path) -> None:
+    target = tmp_path / "replay.rrd"
+    assert main(["replay", str(run / "run.mcap"), "--fast", "--save", str(target)]) == 0
+    assert read(target, PICTURE, COLUMN) == read(run / "run.rrd", PICTURE, COLUMN)
+
+
+def test_curves_are_the_amounts_that_were_reported(run: Path) -> None:
+    curves = read(run / "run.rrd", CURVES, "Scalars:scalars")
+    names = read(run / "run.rrd", CURVES, "SeriesLines:names", static=True)[0]
+    assert names == ["supplied", "total", "mobile", "fixed"]
+    with nuno.open(run / "run.mcap") as recording:
+        series = recording.series()
+    for frame in range(11):
+        supplied, total, mobile, fixed = curves[frame]
+        assert [supplied, mobile, fixed] == [series[f"{name}_blue"][frame] for name in ("supplied", "mobile", "fixed")]
+        assert total == mobile + fixed
+    assert curves[10][3] > curves[1][3] > 0.0
+
+
+def test_what_looks_as_before_is_not_logged_again(run: Path, tmp_path: Path) -> None:
+    """Before the first step no dye is fixed; of dye that nothing holds there is never another picture."""
+    data = arrays()
+    data["phi"] *= 0.0
+    write_scene(tmp_path, data=data)
+    path = nuno.run(tmp_path / "scene.yaml", record=tmp_path / "run.mcap").path
+    assert main(["export", str(path), "--rrd", str(tmp_path / "run.rrd")]) == 0
+    assert list(pictures(tmp_path / "run.rrd")) == [0]
+    assert len(read(tmp_path / "run.rrd", CURVES, "Scalars:scalars")) == 11
+
+
+def test_pictures_are_as_rare_as_the_scene_asks_and_the_last_is_there(run: Path, tmp_path: Path) -> None:
+    assert sorted(pictures(feed(run, tmp_path / "a.rrd", every="5.4 s"))) == [0, 3, 6, 9, 10]
+    assert sorted(pictures(feed(run, tmp_path / "b.rrd", every="1 h"))) == [0, 10]
+
+
+def test_a_live_view_skips_pictures_but_not_the_last(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dyed, "LIVE_SECONDS", 1e9)
+    monkeypatch.setattr("nuno.viewer.file.Bridge", functools.partial(Bridge, live=True))
+    assert sorted(pictures(feed(run, tmp_path / "a.rrd"))) == [0, 10]
+
+
+def test_a_large_cloth_is_drawn_smaller(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dyed, "MOST_PIXELS", 99 * 5**2 + 1)
+    assert next(iter(pictures(feed(run, tmp_path / "a.rrd", scale=40)).values())).shape == (45, 55, 3)
+    monkeypatch.setattr(dyed, "MOST_PIXELS", 1)
+    assert next(iter(pictures(feed(run, tmp_path / "b.rrd", scale=40)).values())).shape == (9, 11, 3)
+
+
+def test_a_scene_s_painter_is_made_again_in_another_process(run: Path) -> None:
+    loaded = scene_file.read(run / "scene.yaml", ("dye.picture.view=fixed", "dye.dyes.0.colour.full=0.5"))
+    painter = read_painter(scene_of(loaded))
+    assert painter is not None and painter.look.view == "fixed" and painter.colours[0].full == 0.5
+    assert read_painter("") is None
+
+
+def test_the_ring_gives_up_frames_of_dye_too() -> None:
+    assert CONCENTRATION.name in FRAMES and STATE.name in FRAMES
+    ring = Ring(limit=300)
+    for frame in range(5):
+        ring.put((CONCENTRATION.name, frame, 0.0, bytes(100)))
+    ring.close()
+    kept = []
+    while (item := ring.get()) is not None:
+        kept.append(item[1])
+    assert kept == [2, 3, 4]
+
+
+def test_damaged_amounts_are_refused_and_leave_the_picture(run: Path, tmp_path: Path) -> None:
+    from nuno.arrays import BadMessage, encode_arrays
+
+    file = RerunFile(tmp_path / "a.rrd", "run", painter=painter_of(scene_file.read(run / "scene.yaml")))
+    with nuno.open(run / "run.mcap") as recording:
+        cloth, amounts = recording.last("dye/cloth"), recording.last(CONCENTRATION.name)
+    assert cloth is not None and amounts is not None
+    with pytest.raises(BadMessage):
+        file.feed(CONCENTRATION.name, 0, 0.0, amounts.payload)
+    file.feed("dye/cloth", 0, 0.0, cloth.payload)
+    found, text = decode_arrays(amounts.payload)
+    for wrong in ({"phi": found["phi"]}, {"phi": found["phi"][:, :1], "fixed": found["fixed"][:, :1]}):
+        with pytest.raises(BadMessage):
+            file.feed(CONCENTRATION.name, 1, 1.0, encode_arrays(wrong, text))
+    for broken in ({"fibre": found["phi"][0]}, {"fibre": found["phi"][0], "up": found["phi"][0, :, :3]}):
+        with pytest.raises(BadMessage):
+            file.feed("dye/cloth", 1, 1.0, encode_arrays(broken, {"v_max": 1, "cell_size": 1e-4}))
+    file.feed(CONCENTRATION.name, 2, 2.0, amounts.payload)
+    file.finish()
+    assert list(pictures(tmp_path / "a.rrd")) == [2]
