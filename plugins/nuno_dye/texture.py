@@ -6,7 +6,8 @@ goes theta / 2 pi of a turn's length along it. Seen from above, at v in [-1, 1] 
     theta = arcsin v = arctan(v / sqrt(1 - v^2)),
 
 the arctangent twist profile (Adabala et al. 2003, whom the dye paper follows): steep lines in the middle, which lie
-down towards the rims. Where a yarn dives under the next one it turns away from the light.
+down towards the rims. Single fibres are noise across such lines, another one for each yarn. Where a yarn dives under
+the next one it turns away from the light, at its rims first.
 """
 
 from __future__ import annotations
@@ -23,15 +24,21 @@ from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.plugin import Config
 
+FIBRES = (5, 13)
+"""Fibres of a ply, coarse and fine."""
+ROUND = 0.25
+"""How much nearer to its turn a yarn's rim is than its middle, in widths: ends of floats look round."""
+
 
 class TextureConfig(Config):
     """How yarns look."""
 
     turn: Positive = Field(default=2.0, description="length of a turn of the twist, in widths of the yarn")
     plies: Annotated[int, Field(ge=1, le=64)] = Field(default=3, description="lines around a yarn")
-    depth: Share = Field(default=0.3, description="how dark the grooves between plies are")
+    depth: Share = Field(default=0.25, description="how dark the grooves between plies are")
+    fibres: Share = Field(default=0.25, description="how dark the lines between single fibres are")
     relief: Share = Field(default=0.5, description="how dark a yarn's rims are")
-    bend: Share = Field(default=0.45, description="how dark a yarn is where it dives under another")
+    bend: Share = Field(default=0.4, description="how dark a yarn is where it dives under another")
     shadow: Share = Field(default=0.45, description="brightness of yarns that show between those above")
     hole: Share = Field(default=0.08, description="brightness where no yarn is")
 
@@ -50,10 +57,11 @@ def find_lays(layers: Layers) -> tuple[Lay, Lay]:
 
 
 class Across(NamedTuple):
-    """Pixels across a layer's yarns: v in [-1, 1], and the yarn's width [cells]."""
+    """Pixels across a layer's yarns: v in [-1, 1], the yarn's width [cells], and which yarn it is."""
 
     v: Float
     width: Float
+    yarn: Int
 
 
 def look_across(lay: Lay, scale: int) -> Across:
@@ -65,7 +73,7 @@ def look_across(lay: Lay, scale: int) -> Across:
     width = np.maximum(last + 1.0 - first, 1.0)
     yarn = np.repeat(lay.yarn, scale)
     x = (np.arange(len(yarn)) + 0.5) / scale
-    return Across(np.clip((2.0 * x - first[yarn] - last[yarn] - 1.0) / width[yarn], -1.0, 1.0), width[yarn])
+    return Across(np.clip((2.0 * x - first[yarn] - last[yarn] - 1.0) / width[yarn], -1.0, 1.0), width[yarn], yarn)
 
 
 def find_floats(up: Bool, axis: int) -> tuple[Int, Int]:
@@ -105,9 +113,9 @@ class Textures:
         layer = np.where(shows | ~other, upper, 1 - upper)
         x, y = (column + 0.5)[None] / self.scale, (row + 0.5)[:, None] / self.scale
         v, width = self.weft.v[row, None], self.weft.width[row, None]
-        weft = shade_yarn(v, x / width, self._near(0, x, at) / width, c)
+        weft = shade_yarn(v, x / width, self._near(0, x, at) / width, c, 2 * self.weft.yarn[row, None])
         v, width = self.warp.v[None, column], self.warp.width[None, column]
-        warp = shade_yarn(v, y / width, self._near(1, y, at) / width, c)
+        warp = shade_yarn(v, y / width, self._near(1, y, at) / width, c, 2 * self.warp.yarn[None, column] + 1)
         shade = np.where(layer == 1, warp, weft)
         return layer, shade * np.where(shows, 1.0, np.where(other, c.shadow, c.hole))
 
@@ -117,11 +125,40 @@ class Textures:
         return np.asarray(np.minimum(along - first[at], after[at] - along))
 
 
-def shade_yarn(v: Float, along: Float, near: Float, config: TextureConfig) -> Float:
-    """Brightness at v across a yarn and `along` it, `near` to where it turns, both in widths of the yarn."""
+def shade_yarn(v: Float, along: Float, near: Float, config: TextureConfig, yarn: Int | int = 0) -> Float:
+    """Brightness at v across a yarn and `along` it, `near` to where it turns, both in widths of the yarn.
+
+    `yarn` is a number that tells yarns apart, each of which has fibres of its own.
+    """
     up = np.sqrt(1.0 - v * v)
     turns = along / config.turn - np.arctan2(v, up) / (2.0 * np.pi)
-    groove = 0.5 - 0.5 * np.cos(2.0 * np.pi * config.plies * turns)
-    dive = np.square(1.0 - np.minimum(2.0 * near, 1.0))
-    shade: Float = (1.0 - config.depth * groove) * (1.0 - config.relief * (1.0 - up)) * (1.0 - config.bend * dive)
+    line = config.plies * turns
+    groove = 0.5 - 0.5 * np.cos(2.0 * np.pi * line)
+    strands = 1.0 - config.depth * groove
+    if config.fibres:
+        strands = strands * (1.0 - config.fibres * sum(draw_noise(k * line, yarn) for k in FIBRES) / len(FIBRES))
+    dive = np.square(1.0 - np.clip(2.0 * (near - ROUND * v * v), 0.0, 1.0))
+    shade: Float = strands * (1.0 - config.relief * (1.0 - up)) * (1.0 - config.bend * dive)
     return shade
+
+
+def draw_noise(x: Float, stream: Int | int) -> Float:
+    """Noise in [0, 1] over x: a random number at every whole x (of each stream), joined by cubics without slope there.
+
+    Of 16 bits mixed from the two whole numbers (multiplication by odd constants, folded), not from a generator's
+    state, so that any part of a picture has the numbers that the whole has.
+    """
+    low = np.floor(x)
+    u = x - low
+    first = low.astype(np.int64)
+    share = u * u * (3.0 - 2.0 * u)
+    found: Float = (1.0 - share) * _hash(first, stream) + share * _hash(first + 1, stream)
+    return found
+
+
+def _hash(number: NDArray[np.int64], stream: Int | int) -> Float:
+    mixed: NDArray[np.int64] = (number * 0x9E3779B1 + np.asarray(stream, np.int64) * 0x85EBCA77) & 0xFFFFFFFF
+    mixed = ((mixed ^ (mixed >> 15)) * 0x2C1B3C6D) & 0xFFFFFFFF
+    mixed = ((mixed ^ (mixed >> 12)) * 0x297A2D39) & 0xFFFFFFFF
+    value: Float = ((mixed ^ (mixed >> 15)) & 0xFFFF) / 65535.0
+    return value

@@ -14,7 +14,7 @@ from nuno.files import SceneFiles
 from nuno_dye import picture as module
 from nuno_dye.colour import colour_of, mix
 from nuno_dye.picture import YarnsConfig, YarnsPicture
-from nuno_dye.texture import TextureConfig, Textures, find_floats, find_lays, look_across, shade_yarn
+from nuno_dye.texture import TextureConfig, Textures, draw_noise, find_floats, find_lays, look_across, shade_yarn
 from nuno_dye.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.woven import Lay, WovenConfig, YarnConfig, build_cells, lay_evenly
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
@@ -32,7 +32,7 @@ INDIGO, MADDER, WELD = (
 INK = DyeColour(light="#ffffff", mid="#808080", dark="#000000", full=1.0)
 BYTE = 0.5 + 0.5 / 65535 * 12.92 * 255
 """Half a byte, and half a step of the table of linear light where sRGB is steepest."""
-FLAT = TextureConfig(depth=0, relief=0, bend=0, shadow=1, hole=1)
+FLAT = TextureConfig(depth=0, fibres=0, relief=0, bend=0, shadow=1, hole=1)
 TAU = Tortuosity(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
@@ -153,7 +153,7 @@ def test_the_upper_yarn_shows_the_lower_one_in_its_gaps(drawdown: np.ndarray, sc
 
 def test_shadow_and_holes_are_where_they_should_be() -> None:
     cells = cloth(draw_plain())
-    texture = TextureConfig(depth=0, relief=0, bend=0, shadow=0.5, hole=0.25)
+    texture = TextureConfig(depth=0, fibres=0, relief=0, bend=0, shadow=0.5, hole=0.25)
     _, shade = Textures(layers_of(cells), 2, texture).find(whole(cells))
     up = np.where(cells.up[1], cells.fibre[1], cells.fibre[0])
     expected = np.where(up, 1.0, np.where(cells.fibre.any(axis=0), 0.5, 0.25))
@@ -163,7 +163,7 @@ def test_shadow_and_holes_are_where_they_should_be() -> None:
 
 def test_twist_is_a_helix_seen_from_above() -> None:
     """At v the line of a fibre lies arctan(v / sqrt(1 - v^2)) / 2 pi of a turn further on than in the middle."""
-    texture = TextureConfig(turn=1.7, plies=3, relief=0.0, bend=0.0)
+    texture = TextureConfig(turn=1.7, plies=3, depth=0.3, fibres=0.0, relief=0.0, bend=0.0)
     v, along = np.linspace(-0.999, 0.999, 41), np.linspace(0.0, 5.0, 300)[:, None]
     shade = shade_yarn(v, along, np.array(9.0), texture)
     angle = np.arctan(v / np.sqrt(1.0 - v * v))
@@ -174,13 +174,34 @@ def test_twist_is_a_helix_seen_from_above() -> None:
     assert shade.max() == pytest.approx(1.0, abs=1e-3) and shade.min() == pytest.approx(0.7, abs=1e-3)
 
 
+def test_fibres_lie_along_the_helix_and_differ_from_yarn_to_yarn() -> None:
+    texture = TextureConfig(turn=1.7, plies=3, depth=0.0, fibres=0.4, relief=0.0, bend=0.0)
+    v, along = np.linspace(-0.999, 0.999, 41), np.linspace(0.0, 40.0, 2000)[:, None]
+    shade = shade_yarn(v, along, np.array(9.0), texture, 7)
+    angle = np.arctan(v / np.sqrt(1.0 - v * v))
+    middle = shade_yarn(np.zeros(1), along - 1.7 * angle / (2 * np.pi), np.array(9.0), texture, 7)
+    assert np.abs(shade - middle).max() < 1e-9
+    assert shade.max() <= 1.0 and shade.min() >= 0.6 and shade.std() > 0.03
+    others = [shade_yarn(np.zeros(1), along, np.array(9.0), texture, yarn)[:, 0] for yarn in range(20)]
+    correlations = np.corrcoef(others)[~np.eye(20, dtype=bool)]
+    assert np.abs(correlations).max() < 0.3, "1700 numbers: 0.05 is by chance"
+
+
+def test_noise_is_even_and_smooth() -> None:
+    numbers = draw_noise(np.arange(100_000.0), 3)
+    assert numbers.mean() == pytest.approx(0.5, abs=0.005) and numbers.var() == pytest.approx(1 / 12, abs=0.002)
+    assert abs(np.corrcoef(numbers[1:], numbers[:-1])[0, 1]) < 0.02
+    x = np.linspace(-5.0, 5.0, 10_001)
+    assert np.abs(np.diff(draw_noise(x, 3))).max() <= 1.5 * 1.001e-3, "the steepest cubic"
+
+
 def test_rims_and_ends_of_floats_are_darker() -> None:
-    texture = TextureConfig(depth=0.0)
+    texture = TextureConfig(depth=0.0, fibres=0.0, relief=0.5, bend=0.4)
     v = np.linspace(0.0, 1.0, 30)
     assert (np.diff(shade_yarn(v, np.array(0.0), np.array(9.0), texture)) < 0.0).all()
     near = np.linspace(0.0, 0.5, 30)
     assert (np.diff(shade_yarn(np.array(0.0), np.array(0.0), near, texture)) > 0.0).all()
-    assert shade_yarn(np.array(1.0), np.array(0.0), np.array(0.0), texture) == pytest.approx(0.5 * 0.55)
+    assert shade_yarn(np.array(1.0), np.array(0.0), np.array(0.0), texture) == pytest.approx(0.5 * 0.6)
 
 
 def test_floats_are_the_runs_of_a_yarn() -> None:
@@ -270,7 +291,9 @@ def test_a_scale_of_one_shows_every_cell_as_it_is() -> None:
 def test_cells_without_any_fibre_are_a_hole_s_picture() -> None:
     cells = cloth(draw_plain())
     bare = replace(cells, fibre=np.zeros_like(cells.fibre))
-    assert not draw_cloth(bare, 0.0 * spots(cells), texture=TextureConfig(depth=0, relief=0, bend=0, hole=0.0)).any()
+    assert not draw_cloth(
+        bare, 0.0 * spots(cells), texture=TextureConfig(depth=0, fibres=0, relief=0, bend=0, hole=0.0)
+    ).any()
 
 
 def test_amounts_that_are_no_numbers_are_drawn_as_none() -> None:
