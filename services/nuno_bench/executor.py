@@ -74,10 +74,11 @@ def attempt(call: Callable[[Task], Found], task: Task) -> Found | BadInput:
 
 def versions() -> dict[str, str]:
     """Versions of everything that a result may depend on, by name; of solvers those of their packages."""
-    group = "nuno.integrators"
     found = {"Python": ".".join(platform.python_version_tuple()[:2])}
     found |= {name: version(name) for name in PACKAGES}
-    found |= {f"solver {name}": registry.package_version(group, name) for name in sorted(registry.installed(group))}
+    for group, kind in (("nuno.integrators", "solver"), ("nuno.dye_solvers", "dye solver")):
+        names = sorted(registry.installed(group))
+        found |= {f"{kind} {name}": registry.package_version(group, name) for name in names}
     return found
 
 

@@ -5,22 +5,61 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from nuno import registry
 from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
-from nuno_bench.laws import contacts, nets, oscillator, statics
+from nuno_bench.laws import contacts, dye_amounts, dye_spread, nets, oscillator, statics
 from nuno_bench.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
-CASES: tuple[Case, ...] = (*oscillator.CASES, *nets.CASES, *statics.CASES, *contacts.CASES)
-GROUP = "nuno.integrators"
+CASES: tuple[Case, ...] = (
+    *oscillator.CASES, *nets.CASES, *statics.CASES, *contacts.CASES, *dye_spread.CASES, *dye_amounts.CASES,
+)  # fmt: skip
+GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
+"""What the solvers of each group solve."""
 SLIPS = {"rk4_printed": "kept with the paper's slips: gravity counted twice, damping frozen at the step's start"}
 """Solvers that are there to show what a mistake does: what they fail is told, but is no failure of the suite."""
 FEWEST = 3
 """Each case is supported by at least so many solvers, or the suite says that it is not."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Cases, and the solvers that they are held against, by name; `of` says what those solve."""
+
+    of: str
+    cases: tuple[Case, ...]
+    solvers: tuple[str, ...]
+
+    def own(self, outcomes: Sequence[Outcome]) -> list[Outcome]:
+        """What came out of this part's cases."""
+        names = {case.name for case in self.cases}
+        return [outcome for outcome in outcomes if outcome.case in names]
+
+
+def choose_parts(cases: Sequence[str], solvers: Sequence[str]) -> list[Part]:
+    """Cases and solvers by name, or all, in a part for each kind of solver.
+
+    Raises BadInput for a name that is unknown, and where no solver that is named can be held to a case that is.
+    """
+    known = {group: sorted(registry.installed(group)) for group in GROUPS}
+    every = [name for names in known.values() for name in names]
+    for name in solvers:
+        if name not in every:
+            raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, every))
+    chosen, parts = choose_cases(cases), []
+    for group, of in GROUPS.items():
+        own = tuple(case for case in chosen if case.group == group)
+        names = tuple(name for name in dict.fromkeys(solvers or known[group]) if name in known[group])
+        if own and names:
+            parts.append(Part(of, own, names))
+    if not parts:
+        kinds = " and ".join(sorted({GROUPS[case.group] for case in chosen}))
+        raise BadInput(f"the cases are of {kinds}, the solvers are not", field="--solvers", value=", ".join(solvers))
+    return parts
 
 
 def choose_cases(names: Sequence[str]) -> list[Case]:
@@ -33,15 +72,6 @@ def choose_cases(names: Sequence[str]) -> list[Case]:
             raise BadInput("no such case", field="CASE", value=name, remedy=nearest(name, known))
         chosen += [case for case in found if case not in chosen]
     return chosen or list(CASES)
-
-
-def choose_solvers(names: Sequence[str]) -> list[Any]:
-    """Solver plugins by name, or all that are installed. Raises BadInput for an unknown one."""
-    known = sorted(registry.installed(GROUP))
-    for name in names:
-        if name not in known:
-            raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, known))
-    return [registry.load(GROUP, name) for name in (dict.fromkeys(names) or known)]
 
 
 def check(case: Case, plugin: Any) -> Outcome:
@@ -68,16 +98,14 @@ def check(case: Case, plugin: Any) -> Outcome:
 def check_named(task: tuple[str, str]) -> Outcome:
     """What the case of a name says of the solver of a name."""
     case, solver = task
-    (plugin,) = choose_solvers([solver])
-    return check(next(one for one in CASES if one.name == case), plugin)
+    found = next(one for one in CASES if one.name == case)
+    return check(found, registry.load(found.group, solver))
 
 
-def check_all(
-    cases: Sequence[Case], solvers: Sequence[str], executor: Executor, kept: Kept, told: Callable[[str], None]
-) -> list[Outcome]:
-    """Every case with every solver, in this order; what comes is kept."""
+def check_all(parts: Sequence[Part], executor: Executor, kept: Kept, told: Callable[[str], None]) -> list[Outcome]:
+    """Every case with every solver of its part, in this order; what comes is kept."""
     found = {(outcome.case, outcome.solver): outcome for outcome in map(Outcome.from_json, kept.lines)}
-    every = [(case.name, name) for case in cases for name in solvers]
+    every = [(case.name, name) for part in parts for case in part.cases for name in part.solvers]
     wanted = [key for key in every if key not in found]
     left = Counter(case for case, _ in wanted)
     for key, outcome in executor.run(check_named, wanted):
@@ -88,7 +116,7 @@ def check_all(
         kept.add(outcome.json())
         left[key[0]] -= 1
         if not left[key[0]]:
-            told(f"{sum(not left[case.name] for case in cases)} of {len(cases)}: {key[0]}")
+            told(f"{len(left) - len(+left)} of {len(left)}: {key[0]}")
     return [found[key] for key in every]
 
 
@@ -98,19 +126,21 @@ def count(outcomes: Sequence[Outcome]) -> dict[str, int]:
     return {verdict: sum(outcome.verdict == verdict for outcome in outcomes) for verdict in verdicts}
 
 
-def summary(outcomes: Sequence[Outcome], solvers: int) -> str:
+def summary(parts: Sequence[Part], outcomes: Sequence[Outcome]) -> str:
     """The counts in a sentence, and the cases that too few solvers can pose."""
     found = count(outcomes)
     text = f"{found['passed']} passed, {found['failed']} failed, {found['unsupported']} unsupported"
     if found["slip"]:
         text += f", {found['slip']} slips of {', '.join(sorted({o.solver for o in outcomes if o.verdict == 'slip'}))}"
-    if solvers >= FEWEST and (rare := rarely_posed(outcomes)):
+    if rare := [name for part in parts for name in rarely_posed(part, outcomes)]:
         text += f"; posed by fewer than {FEWEST} solvers: {', '.join(rare)}"
     return text
 
 
-def rarely_posed(outcomes: Sequence[Outcome]) -> list[str]:
-    """Cases that fewer than FEWEST solvers support."""
-    names = dict.fromkeys(outcome.case for outcome in outcomes)
+def rarely_posed(part: Part, outcomes: Sequence[Outcome]) -> list[str]:
+    """Cases that fewer than FEWEST solvers support, where that many were asked."""
+    if len(part.solvers) < FEWEST:
+        return []
+    names = dict.fromkeys(outcome.case for outcome in part.own(outcomes))
     posed = {name: sum(o.case == name and o.verdict != "unsupported" for o in outcomes) for name in names}
     return [name for name, number in posed.items() if number < FEWEST]

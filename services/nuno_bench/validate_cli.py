@@ -13,7 +13,8 @@ from nuno_bench import executor, machine, markdown, plots
 from nuno_bench import validate as suite
 from nuno_bench import validate_page as shown
 from nuno_bench.kept import Kept, hint, require
-from nuno_bench.laws.base import Case, Outcome
+from nuno_bench.laws.base import Outcome
+from nuno_bench.validate import Part
 from nuno_schemas.errors import BadInput
 
 
@@ -38,27 +39,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the cases, print the table; the exit code is 1 where a solver failed one."""
-    cases, plugins = suite.choose_cases(args.cases), suite.choose_solvers([n for n in args.solvers.split(",") if n])
+    parts = suite.choose_parts(args.cases, [name for name in args.solvers.split(",") if name])
     if args.list:
+        cases = [case for part in parts for case in part.cases]
         width = max(len(case.name) for case in cases)
         print("\n".join(f"{case.name:{width}}  {case.law} ({case.source})" for case in cases))
         return 0
     _check_files(args)
     executor.check(args)
-    names = [str(plugin.name) for plugin in plugins]
     path = args.out / "validate.rows.jsonl"
     if args.resume:
         require([path])
-    identity = {"cases": [case.name for case in cases], "solvers": names, "versions": executor.versions()}
+    asked = [[[case.name for case in part.cases], part.solvers] for part in parts]
+    identity = {"parts": json.loads(json.dumps(asked)), "versions": executor.versions()}
     with executor.opened(args) as where:
         kept = Kept(path, identity, args.resume)
         with hint(kept.path):
-            outcomes = suite.check_all(cases, names, where, kept, lambda text: print(text, file=sys.stderr))
+            outcomes = suite.check_all(parts, where, kept, lambda text: print(text, file=sys.stderr))
     kept.path.unlink()
-    said = suite.summary(outcomes, len(names))
-    print(shown.screen(cases, names, outcomes))
+    said = suite.summary(parts, outcomes)
+    print("\n\n".join(shown.screen(part, outcomes) for part in parts))
     print("\n".join(["", *shown.details(outcomes), said]))
-    _write(args, cases, names, outcomes, said)
+    _write(args, parts, outcomes, said)
     return 1 if suite.count(outcomes)["failed"] else 0
 
 
@@ -75,22 +77,20 @@ def _check_files(args: argparse.Namespace) -> None:
         markdown.check_section(args.docs, "validate")
 
 
-def _write(
-    args: argparse.Namespace, cases: Sequence[Case], names: Sequence[str], outcomes: Sequence[Outcome], said: str
-) -> None:
+def _write(args: argparse.Namespace, parts: Sequence[Part], outcomes: Sequence[Outcome], said: str) -> None:
     about = {"command": machine.command(), **machine.describe()}
     if args.json is not None:
         found = [outcome.json() for outcome in outcomes]
         content = {"about": about, "counts": suite.count(outcomes), "outcomes": found}
         args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     if args.html is not None:
-        args.html.write_text(shown.render(cases, names, outcomes, said, about), encoding="utf-8")
+        args.html.write_text(shown.render(parts, outcomes, said, about), encoding="utf-8")
     if args.docs is not None:
-        markdown.replace_section(args.docs, "validate", shown.document(cases, names, outcomes, said, about))
+        markdown.replace_section(args.docs, "validate", shown.document(parts, outcomes, said, about))
     if args.rrd is not None:
         from nuno_bench import validate_rerun
 
-        validate_rerun.write(args.rrd, cases, names, outcomes)
+        validate_rerun.write(args.rrd, parts, outcomes)
     for path in (args.json, args.html, args.rrd, args.docs):
         if path is not None:
             print(f"written {path}")

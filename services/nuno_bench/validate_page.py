@@ -11,6 +11,7 @@ from nuno_bench import markdown, page, plots
 from nuno_bench.laws.base import Case, Found, Outcome
 from nuno_bench.plots import Curve
 from nuno_bench.result import number
+from nuno_bench.validate import Part
 
 WIDTH = 120
 """Columns of a screen."""
@@ -20,8 +21,9 @@ LEAD = (
 )
 
 
-def screen(cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome]) -> str:
+def screen(part: Part, outcomes: Sequence[Outcome]) -> str:
     """Cases as rows, solvers as columns, in as many tables as a screen's width asks for."""
+    cases, solvers = part.cases, part.solvers
     table = {(o.case, o.solver): o for o in outcomes}
     first = max(len(case.name) for case in cases)
     widths = {name: max(7, *map(len, name.split("_"))) for name in solvers}
@@ -95,12 +97,12 @@ def reasons(outcomes: Sequence[Outcome]) -> list[list[str]]:
     return [[solver, reason, ", ".join(cases)] for (solver, reason), cases in found.items()]
 
 
-def matrix(cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome]) -> list[list[str]]:
+def matrix(part: Part, outcomes: Sequence[Outcome]) -> list[list[str]]:
     """Rows of the page's table: case, allowed, a cell a solver."""
     table = {(o.case, o.solver): o for o in outcomes}
     rows = []
-    for case in cases:
-        found = [table[case.name, name] for name in solvers]
+    for case in part.cases:
+        found = [table[case.name, name] for name in part.solvers]
         allowed = [o.found.allowed for o in found if o.found]
         low, high = (short(min(allowed)), short(max(allowed))) if allowed else ("", "")
         cells = [_cell(o).replace("FAILED", "failed") for o in found]
@@ -108,19 +110,19 @@ def matrix(cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Out
     return rows
 
 
-def render(
-    cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome], said: str, about: dict[str, str]
-) -> str:
+def render(parts: Sequence[Part], outcomes: Sequence[Outcome], said: str, about: dict[str, str]) -> str:
     """The page: counts, the table, what failed or was not posed, the laws, every figure."""
-    main = page.Table(
-        ["case", "allowed", *(name.replace("_", " ") for name in solvers)],
-        matrix(cases, solvers, outcomes),
-        "Errors; a dash is unsupported.",
-    )
-    parts: list[page.Part] = [f"{said[0].upper()}{said[1:]}.", main]
+    tables = [
+        page.Table(
+            ["case", "allowed", *(name.replace("_", " ") for name in part.solvers)],
+            matrix(part, outcomes),
+            f"Errors of solvers of {part.of}; a dash is unsupported.",
+        )
+        for part in parts
+    ]
     bad = [[o.case, o.solver, "failed", _figures(o) + o.reason] for o in outcomes if o.verdict == "failed"]
     bad += [["; ".join(names), solver, "slip", reason] for solver, reason, names in _slips(outcomes)]
-    sections: list[tuple[str, list[page.Part]]] = [("What came out", parts)]
+    sections: list[tuple[str, list[page.Part]]] = [("What came out", [f"{said[0].upper()}{said[1:]}.", *tables])]
     if bad:
         table = page.Table(("case", "solver", "", "why"), bad, "A slip is announced by the solver itself.", prose=True)
         sections.append(("What failed", [table]))
@@ -128,6 +130,7 @@ def render(
     if rows:
         table = page.Table(("solver", "reason", "cases"), rows, "Cases that a solver cannot pose.", prose=True)
         sections.append(("Unsupported", [table]))
+    cases = [case for part in parts for case in part.cases]
     sections += [(case.name.capitalize(), [part]) for case in cases if (part := convergence(case.name, outcomes))]
     laws = [[case.name, case.law, case.source] for case in cases]
     sections.append(("Laws", [page.Table(("case", "law", "from"), laws, "What is measured.", prose=True)]))
@@ -160,14 +163,11 @@ def convergence(case: str, outcomes: Sequence[Outcome]) -> page.Figure | None:
     return page.Figure(plots.curves({"error [m, m/s]": lines}, "log10 of the step [s]", ("error [m, m/s]",)), text)
 
 
-def document(
-    cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome], said: str, about: dict[str, str]
-) -> list[str]:
+def document(parts: Sequence[Part], outcomes: Sequence[Outcome], said: str, about: dict[str, str]) -> list[str]:
     """Parts of the documentation's section."""
-    heads = ["case", "allowed", *solvers]
     return [
         f"{said[0].upper()}{said[1:]}.",
-        markdown.table(heads, matrix(cases, solvers, outcomes)),
+        *(markdown.table(["case", "allowed", *part.solvers], matrix(part, outcomes)) for part in parts),
         markdown.table(("solver", "unsupported because", "cases"), reasons(outcomes)),
         markdown.facts(about),
     ]

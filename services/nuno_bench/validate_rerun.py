@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from nuno_bench.laws.base import Case, Outcome
+from nuno_bench.laws.base import Outcome
 from nuno_bench.rerun_plots import Plane, colour, decades, logs, rgb, written
 from nuno_bench.stability_plots import COLOURS
+from nuno_bench.validate import Part
 from nuno_bench.validate_page import fitted, short
 
 ERRORS = "error over what is allowed"
@@ -19,19 +20,21 @@ SHORTEST = -12
 """Smaller shares of what is allowed, such as 0, are drawn there (log10)."""
 
 
-def write(path: Path, cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome]) -> Path:
+def write(path: Path, parts: Sequence[Part], outcomes: Sequence[Outcome]) -> Path:
     """Log everything into one file, which gets its name when it is whole, with the views that show it."""
     import rerun.blueprint as rrb
 
-    found = [case.name for case in cases if fitted(case.name, outcomes)]
-    planes = {name: _convergence(name, outcomes) for name in found}
-    laws = _plane(cases, outcomes)
-    tabs = [rrb.Vertical(laws.view(ERRORS), name="laws")]
-    tabs += [rrb.Vertical(plane.view(f"{name}: error over the step [s]"), name=name) for name, plane in planes.items()]
+    laws = [_plane(part, part.own(outcomes)) for part in parts]
+    orders = [(part, case.name) for part in parts for case in part.cases if fitted(case.name, outcomes)]
+    planes = [_convergence(name, outcomes) for _, name in orders]
+    tabs = [rrb.Vertical(plane.view(ERRORS), name=" of ".join(plane.place)) for plane in laws]
+    tabs += [rrb.Vertical(plane.view(f"{plane.place[0]}: error over the step [s]"), name=plane.place[0])
+             for plane in planes]  # fmt: skip
     with written(path, "nuno validate", tabs) as recording:
-        _log_laws(recording, laws, cases, solvers, outcomes)
-        for name, plane in planes.items():
-            _log_convergence(recording, plane, name, solvers, outcomes)
+        for part, plane in zip(parts, laws, strict=True):
+            _log_laws(recording, plane, part, part.own(outcomes))
+        for (part, name), plane in zip(orders, planes, strict=True):
+            _log_convergence(recording, plane, name, part.solvers, outcomes)
     return path
 
 
@@ -43,23 +46,23 @@ def _share(outcome: Outcome) -> float:
     return min(3.0, max(float(SHORTEST), float(logs([found.error / found.allowed])[0])))
 
 
-def _plane(cases: Sequence[Case], outcomes: Sequence[Outcome]) -> Plane:
-    names = tuple(case.name for case in reversed(cases))
+def _plane(part: Part, outcomes: Sequence[Outcome]) -> Plane:
+    names = tuple(case.name for case in reversed(part.cases))
     low = min((math.floor(_share(o)) for o in outcomes if o.verdict != "unsupported"), default=-1)
     high = max((math.ceil(_share(o)) for o in outcomes if o.verdict != "unsupported"), default=1)
-    return Plane(("laws",), (low, max(1, high)), (0, len(names) - 1), 3.0, rows=names, margin=MARGIN, room=MARGIN)
+    return Plane(
+        ("laws", part.of), (low, max(1, high)), (0, len(names) - 1), 3.0, rows=names, margin=MARGIN, room=MARGIN
+    )
 
 
-def _log_laws(
-    recording: Any, plane: Plane, cases: Sequence[Case], solvers: Sequence[str], outcomes: Sequence[Outcome]
-) -> None:
+def _log_laws(recording: Any, plane: Plane, part: Part, outcomes: Sequence[Outcome]) -> None:
     """A row a law; a dot a solver, in its colour, or in that of failure; right of the line a law is broken."""
     plane.draw_grid(recording)
     plane.draw_rule(recording, ("allowed",), [plane.at([0.0, 0.0], plane.y)], "allowed")
     rows = {name: i for i, name in enumerate(plane.rows)}
     # Solvers stand a little apart in a law's row, so that equal errors do not hide each other.
-    apart = {name: 0.5 * (i + 0.5) / len(solvers) - 0.25 for i, name in enumerate(solvers)}
-    for i, solver in enumerate(solvers):
+    apart = {name: 0.5 * (i + 0.5) / len(part.solvers) - 0.25 for i, name in enumerate(part.solvers)}
+    for i, solver in enumerate(part.solvers):
         own = [o for o in outcomes if o.solver == solver and o.verdict != "unsupported"]
         at = plane.at([plane.x[1] + 0.6], [plane.y[1] - i])
         plane.draw_line(recording, ("solvers", solver), at, colour(i), solver)

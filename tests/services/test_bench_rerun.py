@@ -14,6 +14,7 @@ from nuno_bench.laws.base import Case, Found, Outcome
 from nuno_bench.stability_case import Point
 from nuno_bench.stability_drift import Amplification, Drift, Modes
 from nuno_bench.stability_run import Mapped, Row, Sweep
+from nuno_bench.validate import Part
 
 pytest.importorskip("rerun", reason="needs nuno[view]")
 
@@ -66,9 +67,9 @@ def test_laws_stand_in_rows_and_failures_right_of_what_is_allowed(tmp_path: Path
         Outcome("momentum", "rk4", "passed", "", Found(0.0, 0.0, 0.0, 1e-10)),
         Outcome("momentum", "euler", "unsupported", "no"),
     ]
-    path = validate_rerun.write(tmp_path / "laws.rrd", cases, ["rk4", "euler"], found)
+    path = validate_rerun.write(tmp_path / "laws.rrd", [Part("cloth", tuple(cases), ("rk4", "euler"))], found)
     dots = columns(path, "Points2D:positions")
-    wide, (rk4,), (euler,) = 3.0, dots[entity("laws", "rk4")], dots[entity("laws", "euler", "failed")]
+    wide, (rk4,), (euler,) = 3.0, dots[entity("laws", "cloth", "rk4")], dots[entity("laws", "cloth", "euler", "failed")]
     assert [x / wide for x, _ in rk4] == pytest.approx([-2.0, validate_rerun.SHORTEST], abs=1e-5)
     assert [round(-y) for _, y in rk4] == [1, 0]
     assert [x / wide for x, _ in euler] == pytest.approx([1.0], abs=1e-5)

@@ -153,10 +153,10 @@ def test_maps_are_the_same_bits_though_a_worker_is_lost_in_mid_sweep(
 
 
 def test_laws_are_the_same_bits(executor: Executor, tmp_path: Path) -> None:
-    cases, solvers = validate.choose_cases(["one step", "momentum"]), ["rk4", "leapfrog"]
+    parts = validate.choose_parts(["one step", "momentum"], ["rk4", "leapfrog"])
 
     def outcomes(where: Executor) -> list[Any]:
-        found = validate.check_all(cases, solvers, where, Kept(tmp_path / "kept", {}, False), lambda text: None)
+        found = validate.check_all(parts, where, Kept(tmp_path / "kept", {}, False), lambda text: None)
         return [o.json() | {"seconds": 0.0} for o in found]
 
     assert outcomes(executor) == outcomes(Here())

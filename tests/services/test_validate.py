@@ -6,6 +6,7 @@ import json
 import math
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,9 @@ from nuno_kernels.acceleration import evaluate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
+GROUP = "nuno.integrators"
 SOUND = ["leapfrog", "rk4", "symplectic_euler"]
+CLOTH = [case.name for case in validate.CASES if case.group == GROUP]
 
 
 def weighted(last: float) -> Callable[..., None]:
@@ -62,17 +65,17 @@ class Right(RK4):
 def foreign(monkeypatch: pytest.MonkeyPatch) -> None:
     """Both are installed."""
     known = registry.entry_points
-    ours = [EntryPoint(f"rk4_{n.lower()}", f"{__name__}:{n}", validate.GROUP) for n in ("Wrong", "Right")]
+    ours = [EntryPoint(f"rk4_{n.lower()}", f"{__name__}:{n}", GROUP) for n in ("Wrong", "Right")]
     monkeypatch.setattr(
-        registry, "entry_points", lambda group: [*known(group=group), *(ours if group == validate.GROUP else [])]
+        registry, "entry_points", lambda group: [*known(group=group), *(ours if group == GROUP else [])]
     )
 
 
 def outcomes(cases: list[str], solvers: list[str]) -> dict[tuple[str, str], Outcome]:
-    names = [str(plugin.name) for plugin in validate.choose_solvers(solvers)]
+    parts = validate.choose_parts(cases or CLOTH, solvers)
     with tempfile.TemporaryDirectory() as folder:
         kept = Kept(Path(folder) / "kept", {}, False)
-        found = validate.check_all(validate.choose_cases(cases), names, Here(), kept, lambda text: None)
+        found = validate.check_all(parts, Here(), kept, lambda text: None)
         again = Kept(kept.path, {}, True)
     assert [Outcome.from_json(line).json() for line in again.lines] == [o.json() for o in found]
     return {(o.case, o.solver): o for o in found}
@@ -81,8 +84,9 @@ def outcomes(cases: list[str], solvers: list[str]) -> dict[tuple[str, str], Outc
 def test_three_sound_solvers_pass_every_case() -> None:
     found = outcomes([], SOUND)
     assert {key: o.reason for key, o in found.items() if o.verdict != "passed"} == {}
-    assert len(found) == len(SOUND) * len(validate.CASES)
-    assert validate.rarely_posed(list(found.values())) == []
+    assert len(found) == len(SOUND) * len(CLOTH)
+    (part,) = validate.choose_parts(CLOTH, SOUND)
+    assert validate.rarely_posed(part, list(found.values())) == []
 
 
 QUICK = ["one step", "oscillator energy", "projectile", "momentum", "rotation", "chain frequency 1", "penalty depth"]
@@ -91,7 +95,7 @@ QUICK = ["one step", "oscillator energy", "projectile", "momentum", "rotation", 
 def test_every_installed_solver_passes_the_quick_cases() -> None:
     found = outcomes(QUICK, [])
     assert {key: o.reason for key, o in found.items() if o.verdict == "failed"} == {}
-    assert {s for _, s in found} == set(registry.installed(validate.GROUP))
+    assert {s for _, s in found} == set(registry.installed(GROUP))
 
 
 @pytest.mark.usefixtures("foreign")
@@ -152,7 +156,7 @@ def raising(error: Exception) -> Callable[[Any], Found]:
 
 
 def test_verdicts_follow_from_the_error() -> None:
-    (rk4,) = validate.choose_solvers(["rk4"])
+    rk4 = registry.load(GROUP, "rk4")
 
     def verdict(measure: Callable[[Any], Found]) -> str:
         return validate.check(case_of(measure), rk4).verdict
@@ -165,17 +169,19 @@ def test_verdicts_follow_from_the_error() -> None:
 
 
 def test_the_table_fits_a_screen_however_many_solvers_there_are() -> None:
-    cases = validate.choose_cases([])
-    names = [*registry.installed(validate.GROUP), *(f"someones_solver_{i}" for i in range(12))]
-    found = [Outcome(c.name, n, "passed", "", Found(1.0, 1.0, 1e-9, 1.0)) for c in cases for n in names]
-    text = validate_page.screen(cases, names, found)
+    names = [*registry.installed(GROUP), *(f"someones_solver_{i}" for i in range(12))]
+    part = validate.Part("cloth", validate.CASES, tuple(names))
+    found = [Outcome(c.name, n, "passed", "", Found(1.0, 1.0, 1e-9, 1.0)) for c in part.cases for n in names]
+    text = validate_page.screen(part, found)
     assert max(map(len, text.splitlines())) <= validate_page.WIDTH
     assert text.count("1e-9") == len(found)
 
 
 def test_cases_that_few_can_pose_are_named() -> None:
     found = [Outcome("one step", f"s{i}", "unsupported" if i else "passed") for i in range(4)]
-    assert "posed by fewer than 3 solvers: one step" in validate.summary(found, 4)
+    part = validate.Part("cloth", tuple(validate.choose_cases(["one step"])), ("s0", "s1", "s2", "s3"))
+    assert "posed by fewer than 3 solvers: one step" in validate.summary([part], found)
+    assert "fewer" not in validate.summary([replace(part, solvers=("s0", "s1"))], found)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +226,9 @@ def test_unknown_names_are_answered_with_the_nearest() -> None:
         validate.choose_cases(["projectil3"])
     assert "projectile" in str(wrong.value)
     with pytest.raises(BadInput, match="no such solver"):
-        validate.choose_solvers(["rk5"])
+        validate.choose_parts([], ["rk5"])
+    with pytest.raises(BadInput, match="the cases are of dye, the solvers are not"):
+        validate.choose_parts(["two layers"], ["rk4"])
 
 
 def elastica(gamma: float, steps: int = 400) -> float:

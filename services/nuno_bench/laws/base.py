@@ -50,12 +50,16 @@ class Found:
 
 @dataclass(frozen=True)
 class Case:
-    """A law with a name: `measure(solver)` gives a Found, or raises Unsupported or Broken."""
+    """A law with a name: `measure(solver)` gives a Found, or raises Unsupported or Broken.
+
+    `group` is the entry-point group of the solvers that it is of.
+    """
 
     name: str
     law: str
     source: str
     measure: Callable[[Any], Found]
+    group: str = "nuno.integrators"
 
 
 @dataclass(frozen=True)
