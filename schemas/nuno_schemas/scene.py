@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
     Distance = float
     Metres = float
     Diffusion = float
+    Speed = float
 else:
     Interval = quantity("s", gt=0)
     Duration = quantity("s", gt=0, le=1e9)
@@ -33,6 +34,7 @@ else:
     Distance = quantity("m", gt=0)
     Metres = quantity("m")
     Diffusion = quantity("m^2/s", ge=0)
+    Speed = quantity("", gt=0, le=1e9)
 
 Vector = tuple[Metres, Metres, Metres]
 Pixels = Annotated[int, Field(ge=16, le=8192)]
@@ -166,6 +168,9 @@ class Dyeing(Part):
         default=DyeSolver(plugin="explicit"), description="a plugin with its fields, and its step"
     )
     dyes: list[Dyestuff] = Field(min_length=1, max_length=16, description="what the cloth is dyed with")
+    speed: Speed = Field(
+        default=1.0, description='seconds of dyeing in a second of the scene, 1800 or "30 min/s"; supplies count these'
+    )
     picture: DyePicture = Field(
         default=DyePicture(), description="how it is drawn: a plugin with its fields, and what is shown"
     )

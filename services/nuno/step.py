@@ -36,7 +36,7 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf) -> tup
         require_few(loaded, "solver.dt", frame, longest, "softer or heavier cloth, or a higher frame_rate")
         steps = max(1, int(np.ceil(frame / longest)))
         return steps, frame / steps
-    steps, dt = whole_steps(loaded, "solver.dt", dt)
+    steps, dt = whole_steps(loaded, "solver.dt", frame, dt)
     if dt > limit and not loaded.scene.allow_unstable:
         raise loaded.at(
             "solver.dt",
@@ -50,12 +50,11 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf) -> tup
     return steps, dt
 
 
-def whole_steps(loaded: Loaded, field: str, dt: float) -> tuple[int, float]:
-    """Steps a frame for the scene's `field`, a step of dt [s], and the step that divides a frame exactly.
+def whole_steps(loaded: Loaded, field: str, frame: float, dt: float) -> tuple[int, float]:
+    """Steps in a frame [s] for the scene's `field`, a step of dt [s], and the step that divides a frame exactly.
 
     Raises BadInput where no whole number of steps comes close.
     """
-    frame = 1.0 / loaded.scene.frame_rate
     require_few(loaded, field, frame, dt, "a larger dt, or a higher frame_rate")
     steps = max(1, round(frame / dt))
     if abs(frame / steps - dt) > SECONDS_TOLERANCE * dt + 1e-15:

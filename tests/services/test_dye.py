@@ -112,6 +112,25 @@ def test_where_it_runs_changes_no_bit(how: dict[str, Any], tmp_path: Path) -> No
         assert verify(recording, threads=1).frame is None
 
 
+def test_a_scene_that_is_faster_takes_the_same_steps(tmp_path: Path) -> None:
+    """Ten frames of 1.8 s of dyeing, in 18 s and in 1024 times less, which is exact."""
+    drop = {"kind": "drop", "place": ["0.2 mm", "0.2 mm"], "diameter": "0.2 mm", "start": "9 s"}
+    cloth = yaml.safe_load(write_scene(tmp_path).read_text())["dye"]["cloth"] | {"supply": [drop]}
+    slow = nuno.run(write_scene(tmp_path, cloth=cloth), record=tmp_path / "slow.mcap")
+    short = {"speed": 1024, "duration": 18.0 / 1024.0, "frame_rate": 1024.0 * (1 / 1.8)}
+    fast = nuno.run(write_scene(tmp_path, cloth=cloth, **short), record=tmp_path / "fast.mcap")
+    assert fast.digest == slow.digest and fast.t == pytest.approx(18.0 / 1024.0)
+    series = [result.recording.series() for result in (slow, fast)]
+    assert np.array_equal(series[0]["time"], series[1]["time"])
+    assert np.array_equal(series[1]["time"], 1024.0 * series[1]["t"])
+    assert verify(fast.recording).frame is None
+
+
+def test_a_speed_has_units(tmp_path: Path) -> None:
+    dye = scene_file.read(write_scene(tmp_path, speed="30 min/s")).scene.dye
+    assert dye is not None and dye.speed == 1800.0
+
+
 def test_a_checkpoint_is_kept_where_the_scene_asks(tmp_path: Path) -> None:
     result = nuno.run(write_scene(tmp_path, record={"checkpoint_every": "3.6 s"}), record=tmp_path / "run.mcap")
     assert result.recording.counts["dye/checkpoint"] == 5
@@ -137,6 +156,9 @@ def test_an_automatic_step_is_stable(tmp_path: Path) -> None:
     ("fields", "field", "words"),
     [
         ({"frame_rate": 1.0}, "dye.solver.dt", "a frame is shorter than a step"),
+        ({"frame_rate": 60, "speed": 60}, "dye.solver.dt", "a dye.speed of at least 108"),
+        ({"speed": "3 m/s"}, "dye.speed", "cannot be converted"),
+        ({"speed": 0}, "dye.speed", "more than 0"),
         ({"frame_rate": 0.4}, "dye.solver.dt", "not a whole number of steps"),
         ({"dyes": [BLUE | {"isotherm": {"plugin": "langmuire", "K": 2}}]}, "dye.dyes[0].isotherm.plugin", "langmuir"),
         ({"dyes": [BLUE | {"isotherm": {"plugin": "freundlich", "k": 1, "b": 0.05}}]}, "dye.dyes[0].isotherm.b", "0.1"),
@@ -205,4 +227,8 @@ def test_a_plan_names_what_runs_and_the_limit(tmp_path: Path, capsys: pytest.Cap
 def test_amounts_are_a_table(tmp_path: Path) -> None:
     path = nuno.run(write_scene(tmp_path), record=tmp_path / "run.mcap").path
     assert main(["export", str(path), "--csv", str(tmp_path / "out.csv")]) == 0
-    assert (tmp_path / "out.csv").read_text().startswith("frame,t [s],steps,step_seconds [s],balance [1],mobile_blue")
+    assert (
+        (tmp_path / "out.csv")
+        .read_text()
+        .startswith("frame,t [s],steps,step_seconds [s],time [s],balance [1],mobile_blue")
+    )

@@ -26,6 +26,11 @@ def _dye(one: Dye) -> str:
     return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h, {law})"
 
 
+def _speed(dyeing: DyeRun) -> str:
+    scene = dyeing.loaded.scene
+    return f", {scene.frames / scene.frame_rate * dyeing.speed:g} s of dyeing" if dyeing.speed != 1.0 else ""
+
+
 def _solver(dyeing: DyeRun, loaded: Loaded) -> str:
     most = f"limit {dyeing.limit * 1e3:.4g} ms" if math.isfinite(dyeing.limit) else "nothing limits it"
     name = loaded.dye.solver.name if loaded.dye is not None else ""
@@ -42,7 +47,7 @@ def _cost(dyeing: DyeRun, loaded: Loaded) -> list[tuple[str, str]]:
     dyeing.advance()
     seconds = max(time.perf_counter() - start, 1e-9)
     return [
-        ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s"),
+        ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{_speed(dyeing)}"),
         ("time", f"about {seconds * scene.frames:.2g} s, {1 / scene.frame_rate / seconds:.1f}x real time (by a frame)"),
         ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
     ]

@@ -70,11 +70,12 @@ class Driver(Lockstep):
             for name, values in totals.items()
         }
         arrays = {name: getattr(dyeing.state, name).astype(np.float32) for name in ("phi", "fixed")}
-        amounts = encode_arrays(arrays, {"t": dyeing.t, "frame": frame.number, "dyes": dyeing.names})
+        amounts = encode_arrays(arrays, self._text(frame.number))
         status = DyeStatus.model_validate(
             {
                 "frame": frame.number,
                 "t": dyeing.t,
+                "time": dyeing.time,
                 "digest": frame.digest,
                 "state": state,
                 "steps": report.steps,
@@ -88,6 +89,9 @@ class Driver(Lockstep):
         bus.publisher(CONCENTRATION).put(amounts, frame.number, dyeing.t, frame.digest)
         bus.publisher(DYE_STATUS).put(status.model_dump_json().encode(), frame.number, dyeing.t, frame.digest)
 
+    def _text(self, frame: int) -> dict[str, Any]:
+        return {"t": self.dyeing.t, "time": self.dyeing.time, "frame": frame, "dyes": self.dyeing.names}
+
     def publish_checkpoint(self) -> None:
         """The float64 amounts and the solver's memory, enough to go on from in the same bits."""
         dyeing = self.dyeing
@@ -96,13 +100,10 @@ class Driver(Lockstep):
         if dyeing.resisted:
             arrays["resist"] = dyeing.cells.resist
         digest = dyeing.digest()
-        text = {
-            "t": dyeing.t,
-            "frame": dyeing.frame,
+        text = self._text(dyeing.frame) | {
             "digest": digest,
             "dt": dyeing.dt,
             "steps": dyeing.steps,
-            "dyes": dyeing.names,
             "supply": dyeing.supplies.save(dyeing.frame * dyeing.steps),
         }
         self.context.bus.publisher(DYE_CHECKPOINT).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t, digest)
@@ -117,7 +118,13 @@ class Driver(Lockstep):
             "threads": dyeing.about(),
             "cells": dyeing.cells.fibre.size,
             "dyes": len(dyeing.names),
-            "dye": {**self.amounts, "balance": _finite(self.balance), "given": self.given(), "baths": self.baths()},
+            "dye": {
+                **self.amounts,
+                "balance": _finite(self.balance),
+                "given": self.given(),
+                "baths": self.baths(),
+                "seconds": dyeing.time,
+            },
         }
 
     def given(self) -> dict[str, dict[str, float | None]]:

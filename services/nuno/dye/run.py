@@ -55,6 +55,7 @@ class DyeRun:
         if dye is None or chosen is None:
             raise BadInput("the scene has no dye", loaded.file, remedy="add dye: {cloth: ..., dyes: [...]}")
         self.loaded, self.frame, self.names = loaded, 0, tuple(one.name for one in dye.dyes)
+        self.speed = dye.speed
         self._solver = chosen.solver
         self.threads = threads or os.cpu_count() or 1
         self.cells, self.state, given = _build_cloth(loaded, dye, chosen)
@@ -85,8 +86,13 @@ class DyeRun:
 
     @property
     def t(self) -> float:
-        """Time [s], from the frame number so that it never drifts."""
+        """Time of the scene [s], from the frame number so that it never drifts."""
         return float(self.frame / self.loaded.scene.frame_rate)
+
+    @property
+    def time(self) -> float:
+        """Time of the dyeing [s], which supplies and steps count."""
+        return self.t * self.speed
 
     @property
     def finished(self) -> bool:
@@ -101,7 +107,7 @@ class DyeRun:
     def advance(self) -> Frame:
         """Spread dye for one frame, in pieces between which supplies begin, end or exchange."""
         begin = time.perf_counter()
-        self.state.t = self.t
+        self.state.t = self.time
         step, end = self.frame * self.steps, (self.frame + 1) * self.steps
         totals: Counter[str] = Counter()
         exchanged = False
@@ -119,7 +125,7 @@ class DyeRun:
             measured = self.measure()
             report = replace(report, mobile=measured.mobile, fixed=measured.fixed)
         self.frame += 1
-        self.state.t = self.t
+        self.state.t = self.time
         report = replace(report, totals=dict(totals))
         return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
 
@@ -184,7 +190,7 @@ class DyeRun:
             self.supplies.restore(point.text["supply"], self.frame * self.steps)
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise BadInput(f"the checkpoint's supplies are not those of this scene: {error}") from None
-        self.state.t = self.t
+        self.state.t = self.time
 
     def add(self, item: str) -> str:
         """Give the cloth another supply or resist, `supply: {kind: drop, ...}`; its field in the scene.
@@ -205,8 +211,8 @@ class DyeRun:
         loaded = as_run(changed, before)
         if len(given) > len(self.supplies.entries):
             stop = given[-1].stop
-            if stop is not None and stop <= self.t:
-                limit = f"after {self.t:g} s"
+            if stop is not None and stop <= self.time:
+                limit = f"after {self.time:g} s"
                 raise BadInput("its time has passed", NAME, field=f"{field}.stop", value=stop, limit=limit)
             self.supplies.add(given[-1], self.frame * self.steps)
         else:

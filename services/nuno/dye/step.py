@@ -18,12 +18,13 @@ ROUNDING = 1e-12
 
 
 def choose_dye_step(loaded: Loaded, dye: Dyeing, limit: float) -> tuple[int, float]:
-    """Steps a frame and the step [s], for a solver that is stable up to `limit` [s].
+    """Steps a frame and the step [s] of dyeing, for a solver that is stable up to `limit` [s].
 
     Raises BadInput for a step longer than a frame, one that does not divide it, and one above the limit
     where the scene does not allow substeps.
     """
-    frame, dt = 1.0 / loaded.scene.frame_rate, dye.solver.dt
+    rate, dt = loaded.scene.frame_rate, dye.solver.dt
+    frame = dye.speed / rate
     if dt == "auto":
         longest = SAFE * limit
         require_few(loaded, FIELD, frame, longest, "larger cells, or a higher frame_rate")
@@ -31,9 +32,10 @@ def choose_dye_step(loaded: Loaded, dye: Dyeing, limit: float) -> tuple[int, flo
         return steps, frame / steps
     if dt > frame * (1.0 + ROUNDING):
         value = f"steps of {dt:g} s in frames of {frame:g} s"
-        remedy = f"a frame_rate of at most {1.0 / dt:.9g} Hz, or a smaller dt"
+        remedy = f"a frame_rate of at most {dye.speed / dt:.9g} Hz, a dye.speed of at least {dt * rate:.9g}"
+        remedy += ", or a smaller dt"
         raise loaded.at(FIELD, BadInput("a frame is shorter than a step", value=value, remedy=remedy))
-    steps, dt = whole_steps(loaded, FIELD, dt)
+    steps, dt = whole_steps(loaded, FIELD, frame, dt)
     if dt <= limit * (1.0 + ROUNDING):
         return steps, dt
     if dye.solver.substeps == "refused":

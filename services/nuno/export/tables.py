@@ -14,7 +14,7 @@ from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 
-UNITS = {"balance": "1", "t": "s", "step_seconds": "s", "depth": "m", "mean": "m", "stretch": "1"}
+UNITS = {"balance": "1", "t": "s", "time": "s", "step_seconds": "s", "depth": "m", "mean": "m", "stretch": "1"}
 
 
 def export_npz(source: Recording | Path | str, path: Path, t: float | None = None) -> Path:

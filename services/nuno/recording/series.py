@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from nuno.recording.reader import Recording
 from nuno_schemas.messages import PENETRATION, STATUSES
 
-FIELDS = ("frame", "t", "steps", "step_seconds", "stretch", "balance")
+FIELDS = ("frame", "t", "steps", "step_seconds", "stretch", "time", "balance")
 """Of a status; only those that it has."""
 TABLES = ("energy", "mobile", "fixed", "supplied")
 """Mappings in a status: each entry is a column, `energy_kinetic`."""
 
 
 def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
-    """frame, t [s], steps, step_seconds [s], energy_* [J], stretch, and from the collision service depth [m],
-    inside, mean [m]; of a cloth that is dyed mobile_*, fixed_* and supplied_* by dye, and balance; NaN where one
-    is missing.
+    """frame, t [s], steps, step_seconds, energy_* [J], stretch, and from the collision service depth [m],
+    inside, mean [m]; of a cloth that is dyed mobile_*, fixed_* and supplied_* by dye, balance, and time, that of
+    the dyeing [s]; NaN where one is missing.
     """
     rows: dict[int, dict[str, Any]] = {}
     for message in recording.messages(STATUSES):
