@@ -42,7 +42,8 @@ class YarnsConfig(Config):
 class Drawing(NamedTuple):
     """What pictures of one window have in common.
 
-    layer, shade  (h, w) uint8, float32   the layer that shows at a pixel, and how bright it is
+    layer         (h, w) uint8            the layer that shows at a pixel
+    shade         (h, w, 1 or 3) float32  how bright it is, all in all or by channel
     inside        (4,)                    the window's rows and columns within `window`, which is a cell wider
     """
 
@@ -76,7 +77,9 @@ class YarnsPicture:
         layer, shade = shade_window(layers, window, scale, config.texture)
         ground = None if config.ground is None else parse_hex(config.ground)
         yarns = find_lays(layers)
-        return begin_drawing(layers, dyes, ground, window, scale, layer, shade, (yarns[0].yarn, yarns[1].yarn))
+        return begin_drawing(
+            layers, dyes, ground, window, scale, layer, shade[..., None], (yarns[0].yarn, yarns[1].yarn)
+        )
 
     def draw(self, prepared: Drawing, amounts: Float) -> Picture:
         return draw(prepared, amounts)
@@ -152,6 +155,8 @@ def paint(
     A pixel lies between four middles of its layer; those of its own yarn (or gap) count by how near they are.
     """
     _, ny, nx, _ = light.shape
+    last = shade.shape[2] - 1
+    middle = min(1, last)
     for j in range(out.shape[0]):
         y = top + j // scale
         down = (j % scale + 0.5) / scale - 0.5
@@ -172,7 +177,7 @@ def paint(
                         red += w * light[which, v, u, 0]
                         green += w * light[which, v, u, 1]
                         blue += w * light[which, v, u, 2]
-            bright = 65535.0 * shade[j, i] / weight
-            out[j, i, 0] = table[int(bright * red + 0.5)]
-            out[j, i, 1] = table[int(bright * green + 0.5)]
-            out[j, i, 2] = table[int(bright * blue + 0.5)]
+            full = 65535.0 / weight
+            out[j, i, 0] = table[int(full * shade[j, i, 0] * red + 0.5)]
+            out[j, i, 1] = table[int(full * shade[j, i, middle] * green + 0.5)]
+            out[j, i, 2] = table[int(full * shade[j, i, last] * blue + 0.5)]

@@ -125,8 +125,12 @@ def combine(parts: Sequence[Float]) -> Float:
     return 1.0 - room
 
 
-def read_image(path: Path, shape: tuple[int, int], invert: bool = False) -> Float:
+def read_image(
+    path: Path, shape: tuple[int, int], invert: bool = False, of: tuple[str, str] = ("cloth's", "cells")
+) -> Float:
     """(ny, nx) a grey PNG of any bit depth, as shares of its white; what is transparent counts less.
+
+    `of` says whose size `shape` is, and in what.
 
     Raises BadInput for a file that is no PNG, for one in colour, and for a size that is not the cloth's.
     """
@@ -141,8 +145,8 @@ def read_image(path: Path, shape: tuple[int, int], invert: bool = False) -> Floa
         raise BadInput(f"cannot be read as PNG: {error}", file=str(path)) from None
     if found != shape:
         raise BadInput(
-            "the image has not the cloth's size", file=str(path), value=f"{found[1]} x {found[0]} pixels",
-            limit=f"{shape[1]} x {shape[0]} cells", remedy="scale the image, or change the cloth's cells",
+            f"the image has not the {of[0]} size", file=str(path), value=f"{found[1]} x {found[0]} pixels",
+            limit=f"{shape[1]} x {shape[0]} {of[1]}", remedy=f"scale the image, or change the {of[0]} {of[1]}",
         )  # fmt: skip
     if values.ndim == 3:
         if (values != values[..., :1]).any():

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal, Protocol
 
 from pydantic import BaseModel
 
+from nuno_schemas.dye_picture import Photograph
 from nuno_schemas.fabric import Bool, Float, Int, Memory
 from nuno_schemas.plugin import Files
 
@@ -48,6 +49,7 @@ class Cells:
     size      [m]                side of a cell
     v_max                        most that a cell holds
     yarns     (ny,) and (nx,)    the yarn in whose pitch a row of weft, or a column of warp, lies, for pictures
+    photograph                   of the cloth, for pictures, where there is one
     """
 
     fibre: Bool
@@ -59,6 +61,7 @@ class Cells:
     tortuosity: Tortuosity
     v_max: float = 1.0
     yarns: tuple[Int, Int] | None = None
+    photograph: Photograph | None = None
 
     @property
     def mobile_room(self) -> Float:

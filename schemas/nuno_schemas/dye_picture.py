@@ -19,6 +19,18 @@ Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
+class Photograph:
+    """What a cloth looks like: a whole number of pixels across each cell.
+
+    light  (k ny, k nx, 3) uint8  sRGB
+    warp   (k ny, k nx) bool      whether a pixel shows the warp, or the weft
+    """
+
+    light: NDArray[np.uint8]
+    warp: Bool
+
+
+@dataclass(frozen=True)
 class Layers:
     """What shows of a cloth's cells, layer 0 the weft and layer 1 the warp.
 
@@ -27,12 +39,14 @@ class Layers:
     v_max                      most that a cell holds
     yarns  (ny,) and (nx,)     the yarn in whose pitch a row of weft, or a column of warp, lies; None where only
                                gaps tell yarns apart
+    photograph                 of the cloth, where there is one
     """
 
     fibre: Bool
     up: Bool
     v_max: float = 1.0
     yarns: tuple[Int, Int] | None = None
+    photograph: Photograph | None = None
 
 
 class Window(NamedTuple):

@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from nuno.files import SceneFiles
-from nuno_schemas.dye_picture import Layers, Window
+from nuno_schemas.dye_picture import Layers, Photograph, Window
 from nuno_schemas.look import DyeColour
 
 PLUGINS = sorted(entry_points(group="nuno.dye_pictures"), key=lambda entry: entry.name)
@@ -26,10 +26,13 @@ def plugin(request: pytest.FixtureRequest) -> Any:
 
 
 def cloth() -> Layers:
-    """Fibre and gaps, above and below, at random: any arrays are a cloth."""
+    """Fibre and gaps, above and below, at random, and a photograph: any arrays are a cloth."""
     rng = np.random.default_rng(5)
     up = rng.random((NY, NX)) > 0.5
-    return Layers(rng.random((2, NY, NX)) > 0.2, np.stack([~up, up]))
+    photograph = Photograph(
+        rng.integers(90, 255, (2 * NY, 2 * NX, 3), np.uint8), np.repeat(np.repeat(up, 2, axis=0), 2, axis=1)
+    )
+    return Layers(rng.random((2, NY, NX)) > 0.2, np.stack([~up, up]), photograph=photograph)
 
 
 def amounts(dyes: int) -> np.ndarray:

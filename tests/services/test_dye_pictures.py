@@ -168,3 +168,33 @@ def test_the_bar_of_a_caption_is_as_long_as_it_says() -> None:
         assert 800 * 0.2 * 0.39 < length <= 800 * 0.2
     narrow = np.zeros((20, 40, 3), np.uint8)
     assert caption(narrow, "a name and a time", 1e-5) is narrow
+
+
+def test_the_recording_of_a_photograph_needs_no_file_beside_it(tmp_path: Path) -> None:
+    """The scene's photograph, and the masks that it names, travel in the recording."""
+    rng, warp = np.random.default_rng(2), np.indices((24, 32)).sum(axis=0) // 4 % 2 == 0
+    for name, values in (
+        ("cloth.png", rng.integers(80, 250, (24, 32, 3), np.uint8)),
+        ("warp.png", warp.astype(np.uint8) * 255),
+        ("weft.png", (~warp).astype(np.uint8) * 255),
+    ):
+        Image.fromarray(values).save(tmp_path / name)
+    cloth = {
+        "plugin": "photograph",
+        "file": "cloth.png",
+        "masks": {"warp": "warp.png", "weft": "weft.png"},
+        "pixels": 2,
+        "tau3": {"I": 0.1, "II": 0.1},
+        "supply": [{"kind": "drop", "place": ["0.4 mm", "0.3 mm"], "diameter": "0.2 mm"}],
+    }
+    scene = write_scene(tmp_path, cloth=cloth, picture={"plugin": "photograph", "scale": 2})
+    path = nuno.run(scene, record=tmp_path / "run.mcap").path
+    before = export(path, "--frame", "0")
+    photograph = read(tmp_path / "cloth.png")
+    for file in tmp_path.glob("*.png"):
+        file.unlink()
+    assert np.array_equal(export(path, "--frame", "0"), before)
+    dyed = (before != photograph).any(axis=2)
+    assert dyed.any() and not dyed[:, :6].any() and not dyed[:, 28:].any()
+    assert main(["replay", str(path), "--verify"]) == 0
+    assert main(["export", str(path), "--rrd", str(tmp_path / "run.rrd")]) == 0

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno.arrays import BadMessage, decode_arrays
 from nuno.scene_file import Chosen, Loaded
 from nuno_schemas.dye import Cells
-from nuno_schemas.dye_picture import Layers, Picture, Window, amount_seen
+from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeColour
 from nuno_schemas.look import DyePicture as Look
@@ -68,7 +69,8 @@ class DyePainter:
             yarns = (arrays["weft_yarn"], arrays["warp_yarn"]) if "weft_yarn" in arrays else None
             if yarns is not None and (yarns[0].shape, yarns[1].shape) != (fibre.shape[1:2], fibre.shape[2:]):
                 raise BadMessage(f"yarns of shapes {yarns[0].shape} and {yarns[1].shape} for {fibre.shape}")
-            layers, size = Layers(fibre, up, float(text["v_max"]), yarns), float(text["cell_size"])
+            size, photograph = float(text["cell_size"]), _photograph(arrays, fibre.shape)
+            layers = Layers(fibre, up, float(text["v_max"]), yarns, photograph)
         except (KeyError, TypeError, ValueError) as error:
             raise BadMessage(f"not a cloth: {error}") from None
         self.prepare(layers, size)
@@ -125,7 +127,7 @@ def painter_of(loaded: Loaded, side: int = PICTURE_SIDE, most: int | None = None
 def check_picture(loaded: Loaded, cells: Cells) -> None:
     """Raises BadInput, before a run, for a picture that could not be drawn after it."""
     painter, (ny, nx) = painter_of(loaded), cells.fibre.shape[1:]
-    layers = Layers(cells.fibre, cells.up, cells.v_max, cells.yarns)
+    layers = Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph)
     try:
         painter.frame((ny, nx), cells.size)
         # The files that a plugin may need are read for one cell as for all.
@@ -133,6 +135,19 @@ def check_picture(loaded: Loaded, cells: Cells) -> None:
         plugin.prepare(config, loaded.files, layers, painter.colours, Window(0, 1, 0, 1), 1)
     except BadInput as error:
         raise loaded.at("dye.picture", error) from None
+
+
+def _photograph(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> Photograph | None:
+    """The cloth's photograph in a message. Raises BadMessage for one that is not a whole number of pixels a cell."""
+    if "photograph" not in arrays:
+        return None
+    light, warp = arrays["photograph"], arrays["photograph_warp"].astype(bool)
+    _, ny, nx = shape
+    pixels = light.shape[0] // ny
+    whole = (pixels * ny, pixels * nx)
+    if light.dtype != np.uint8 or not pixels or light.shape != (*whole, 3) or warp.shape != whole:
+        raise BadMessage(f"a photograph of shape {light.shape}, warp of {warp.shape}, for cells of {shape}")
+    return Photograph(light, warp)
 
 
 def find_window(crop: Crop | None, shape: tuple[int, int], size: float) -> Window:
