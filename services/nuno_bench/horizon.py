@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_bench.observe import Problem, Run
-from nuno_bench.reference import Reference
+from nuno_bench.reference import Compared, Reference
 from nuno_schemas.fabric import Float
 
 DISTURBANCE = 1e-10
@@ -31,6 +31,7 @@ class Horizon:
     whole    whether that is the whole run
     growth   how far the disturbance has grown by then, as a multiple of itself
     distance (f,) of the twin at every frame, as a share of the size
+    fades    whether nothing that disturbs the scene can grow
     """
 
     frames: int
@@ -38,8 +39,11 @@ class Horizon:
     whole: bool
     growth: float
     distance: Float
+    fades: bool = False
 
     def describe(self) -> str:
+        if self.fades:
+            return "the whole run: what disturbs diffusion fades"
         grown = f"a disturbance of {DISTURBANCE:g} of the cloth's size grows {self.growth:.3g} times"
         if self.whole:
             return f"the whole run: {grown} in {self.t:.3g} s"
@@ -55,10 +59,16 @@ def disturb(problem: Problem) -> Float:
     return result
 
 
+def whole_run(reference: Compared) -> Horizon:
+    """All of a scene in which every disturbance fades."""
+    t = reference.run.series.t
+    return Horizon(len(t), float(t[-1]), True, 0.0, np.zeros(len(t)), fades=True)
+
+
 def find_horizon(problem: Problem, reference: Reference) -> Horizon:
     """Run the twin. Against an exact motion the twin's own solver is its error, which only shortens the horizon."""
-    twin: Run = reference.twin(disturb(problem))
     t, x = reference.run.series.t, reference.run.series.x
+    twin: Run = reference.twin(disturb(problem))
     reached = len(twin.series.t)
     apart = np.sqrt(((twin.series.x - x[:reached]) ** 2).sum(axis=2).mean(axis=1)) / problem.size
     lost = np.flatnonzero(~(apart <= LOST))

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import psutil
@@ -23,7 +23,7 @@ from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import StepReport, System
+from nuno_schemas.plugin import StepLimit, StepReport, System
 
 KEPT_TRAJECTORIES = 4
 """Reference, its check, its twin and the run being judged lie in memory together."""
@@ -36,6 +36,7 @@ class Problem:
     loaded: Loaded
     system: System
     poses: tuple[Poses | None, ...]
+    group: ClassVar[str] = "nuno.integrators"
 
     @property
     def fabric(self) -> Fabric:
@@ -62,6 +63,37 @@ class Problem:
             return 1.0
         return float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) or 1.0
 
+    @property
+    def preset(self) -> tuple[str, Mapping[str, Any]]:
+        """The scene's own solver, and its configuration."""
+        solver = self.loaded.scene.solver
+        return solver.plugin, solver.config
+
+    def describe(self) -> str:
+        """How large it is, in words."""
+        return f"{self.fabric.number:,} vertices"
+
+    def limit(self, plugin: Any, config: BaseModel) -> StepLimit:
+        """A solver's limit at the start. Raises BadInput where it refuses the scene."""
+        found: StepLimit = plugin.limit(config, self.system, build.start_state(self.fabric))
+        return found
+
+    def run(self, plugin: Any, config: BaseModel, steps: int, most_seconds: float = math.inf) -> Run:
+        """See simulate."""
+        return simulate(self, plugin, config, steps, most_seconds=most_seconds)
+
+    def first_call(self, plugin: Any, config: BaseModel, steps: int, taken: int) -> tuple[float, float]:
+        """See first_call."""
+        return first_call(self, plugin, config, steps, taken)
+
+    def scales(self, reference: Series) -> dict[str, float]:
+        """What errors are divided by: the cloth's size [m]; the largest change of any kind of energy in the
+        reference [J]; 1 for strains.
+        """
+        change = float(np.abs(reference.parts - reference.parts[0]).max(initial=0.0)) or 1.0
+        sizes = dict.fromkeys((reference.leading, "centre", "drop"), self.size)
+        return {**sizes, "energy": change, "strain": 1.0}
+
     def pair(self, frame: int) -> tuple[Poses, Poses] | None:
         """Poses at the start and the end of a frame."""
         start, end = self.poses[frame], self.poses[frame + 1]
@@ -81,7 +113,7 @@ def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
     fabric, pieces = build.build_fabric(loaded)
     if fabric.number == 0 or bool(fabric.pinned.all()):
         raise BadInput("nothing in the scene can move, so there is no error to measure", loaded.file)
-    _check_memory(loaded, fabric)
+    check_memory(loaded, 3 * fabric.number)
     bodies = build.build_bodies(loaded) if loaded.colliders else None
     times = [i / float(loaded.scene.frame_rate) for i in range(loaded.scene.frames + 1)]
     poses = tuple(bodies.poses(t) if bodies else None for t in times)
@@ -90,12 +122,13 @@ def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
     return Problem(loaded, system, poses)
 
 
-def _check_memory(loaded: Loaded, fabric: Fabric) -> None:
-    wanted = KEPT_TRAJECTORIES * (loaded.scene.frames + 1) * fabric.number * 3 * 8
+def check_memory(loaded: Loaded, numbers: int) -> None:
+    """Raises BadInput where so many numbers of every frame do not fit into memory, for all runs that are kept."""
+    wanted = KEPT_TRAJECTORIES * (loaded.scene.frames + 1) * numbers * 8
     available = psutil.virtual_memory().available
     if wanted > available // 2:
         raise BadInput(
-            "the positions of all frames do not fit in memory",
+            f"{KEPT_TRAJECTORIES} runs, every frame of them, do not fit in memory",
             loaded.file,
             value=f"{wanted / 2**30:.1f} GiB",
             limit=f"{available / 2**31:.1f} GiB",
@@ -107,8 +140,9 @@ def _check_memory(loaded: Loaded, fabric: Fabric) -> None:
 class Series:
     """What is compared, at the frames that were reached.
 
+    leading            what x holds, by name
     t       (f,)       [s]
-    x       (f, n, 3)  positions of the free vertices [m]
+    x       (f, n, 3)  positions of the free vertices [m]; for dye see nuno_bench.dye_problem
     values  per observable: "centre" (f, 3) centre of mass of the free vertices [m], "drop" (f, 1)
             its way along gravity since the start [m], "energy" (f, 1) kinetic, gravitational and
             elastic together [J], "strain" (f, 1) mean of | |d| / rest - 1 | over all springs
@@ -119,6 +153,7 @@ class Series:
     x: Float
     values: Mapping[str, Float]
     parts: Float
+    leading: str = "positions"
 
 
 OBSERVABLES = {

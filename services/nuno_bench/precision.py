@@ -19,19 +19,22 @@ from nuno import registry, scene_file
 from nuno.scene_file import Loaded
 from nuno.viewer.require import require
 from nuno_bench import executor, machine, markdown, plots
+from nuno_bench.dye_problem import DYE_OBSERVABLES, DyeProblem
+from nuno_bench.dye_reference import make_dye_reference
 from nuno_bench.executor import Executor, Here
-from nuno_bench.horizon import DISTURBANCE, find_horizon
+from nuno_bench.horizon import DISTURBANCE, Horizon, find_horizon, whole_run
 from nuno_bench.kept import hint
 from nuno_bench.kept import require as require_any
-from nuno_bench.observe import OBSERVABLES, Problem, make_problem
+from nuno_bench.observe import OBSERVABLES, Problem
 from nuno_bench.packed import pack
+from nuno_bench.posing import AnyProblem, pose
 from nuno_bench.precision_errors import find_scales, measure_errors
 from nuno_bench.precision_findings import judge
-from nuno_bench.precision_page import Findings, choices, docs_parts, docs_picture, render
+from nuno_bench.precision_page import CLOTH, DYE, Findings, choices, docs_parts, docs_picture, render
 from nuno_bench.precision_point import Kept, Point
 from nuno_bench.precision_run import Runner, run_sweep, start_sweep
 from nuno_bench.precision_untimed import run_untimed
-from nuno_bench.reference import GROUP, Reference, make_reference
+from nuno_bench.reference import Compared, make_reference
 from nuno_bench.result import text_table
 from nuno_bench.sweep import choose_solvers
 from nuno_schemas.errors import BadInput, nearest
@@ -50,7 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for a scene's sweep; finer points that would exceed it are left out (default: %(default)g)",
     )
     parser.add_argument(
-        "--observable", metavar="A,B", help=f"what is plotted beside positions (default: all): {', '.join(OBSERVABLES)}"
+        "--observable",
+        metavar="A,B",
+        help=f"what is plotted beside positions (default: all): {', '.join(OBSERVABLES)}; of dye "
+        f"{', '.join(DYE_OBSERVABLES)}",
     )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
                         help="change a field of the scene")  # fmt: skip
@@ -125,17 +131,20 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
         raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
     if not (args.budget > 0.0 and math.isfinite(args.budget)):
         raise BadInput("a sweep needs time", field="--budget", value=args.budget, limit="more than 0 s")
+    overrides = [*args.overrides, *([f"duration={args.duration}"] if args.duration else [])]
+    loaded = [scene_file.read(scene_file.find(name), [*overrides, "allow_unstable=true"]) for name in args.scenes]
+    dyed = {one.solver is None for one in loaded}
+    solvers = [name for dye in dyed for name in registry.installed(DyeProblem.group if dye else Problem.group)]
+    observables = [name for dye in dyed for name in (DYE_OBSERVABLES if dye else OBSERVABLES)]
     for option, given, known in (
-        ("--solvers", args.solvers, list(registry.installed(GROUP))),
-        ("--observable", args.observable, list(OBSERVABLES)),
+        ("--solvers", args.solvers, solvers),
+        ("--observable", args.observable, observables),
     ):
         for name in _names(given):
             if name not in known:
                 raise BadInput("no such name", field=option, value=name, remedy=nearest(name, known))
         if given is not None and not _names(given):
             raise BadInput("none is named: the sweep would be empty", field=option, value=given)
-    overrides = [*args.overrides, *([f"duration={args.duration}"] if args.duration else [])]
-    loaded = [scene_file.read(scene_file.find(name), [*overrides, "allow_unstable=true"]) for name in args.scenes]
     names = [one.scene.name for one in loaded]
     if len(set(names)) < len(names):
         raise BadInput("two scenes have one name, and would write the same files", field="SCENE", value=names)
@@ -154,13 +163,11 @@ def _names(given: str | None) -> list[str]:
 def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
     others, told = machine.Others(), _teller(loaded.scene.name)
-    problem = make_problem(loaded)
+    problem = pose(loaded)
     solvers, omitted = choose_solvers(problem, _names(args.solvers))
     sweep = start_sweep(problem, solvers, told)
     sweep.omitted[:0] = omitted
-    reference = make_reference(problem, args.budget, told)
-    told("predictable time: the disturbed twin")
-    horizon = find_horizon(problem, reference)
+    reference, horizon = _refer(problem, args.budget, told)
     scales = find_scales(problem, reference.run.series)
     floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
     kept = Kept(_points(args, loaded), identity(problem, reference, args.repeats), args.resume)
@@ -169,26 +176,37 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Fi
         run_sweep(sweep, runner, solvers, kept, args.budget, told)
         if not isinstance(where, Here):
             run_untimed(sweep, runner, pack(loaded.path, loaded.overrides), kept, args.budget, where, told)
-    shown = [name for name in _names(args.observable) or OBSERVABLES if name in floors]
+    kind = DYE if isinstance(problem, DyeProblem) else CLOTH
+    shown = [name for name in _names(args.observable) or kind.titles if name in floors and name != kind.leading]
     about = {
         "command": machine.command(),
-        "scene": f"{problem.fabric.number:,} vertices, {problem.frames} frames, {problem.frames * problem.frame:.3g} s",
+        "scene": f"{problem.describe()}, {problem.frames} frames, {problem.frames * problem.frame:.3g} s",
         "reference": f"{reference.how}; {reference.seconds:.2g} s for both; disturbance {DISTURBANCE:g} of the size",
         **machine.describe(),
         "load": others.describe(),
     }
-    return Findings(loaded.scene.name, sweep, floors, horizon, reference.how, shown, about, problem.frame)
+    return Findings(loaded.scene.name, sweep, floors, horizon, reference.how, shown, about, problem.frame, kind)
+
+
+def _refer(problem: AnyProblem, budget: float, told: Callable[[str], None]) -> tuple[Compared, Horizon]:
+    """The reference, each run of which may take `budget` [s], and how long it can be predicted. Raises BadInput."""
+    if isinstance(problem, DyeProblem):
+        of_dye = make_dye_reference(problem, budget, told)
+        return of_dye, whole_run(of_dye)
+    reference = make_reference(problem, budget, told)
+    told("predictable time: the disturbed twin")
+    return reference, find_horizon(problem, reference)
 
 
 def _teller(scene: str) -> Callable[[str], None]:
     return lambda text: print(f"{scene}: {text}", file=sys.stderr)
 
 
-def identity(problem: Problem, reference: Reference, repeats: int) -> dict[str, Any]:
+def identity(problem: AnyProblem, reference: Compared, repeats: int) -> dict[str, Any]:
     """What a sweep's points belong to: the scene's own text, what its reference ends in, and the installed code."""
     text = json.dumps(problem.loaded.data, sort_keys=True, default=str)
     end = hashlib.blake2b(np.ascontiguousarray(reference.run.series.x[-1]).data, digest_size=16)
-    packages = {registry.package_version(GROUP, name) for name in registry.installed(GROUP)}
+    packages = {registry.package_version(problem.group, name) for name in registry.installed(problem.group)}
     return {
         "scene": hashlib.blake2b(text.encode(), digest_size=16).hexdigest(),
         "reference": end.hexdigest(),

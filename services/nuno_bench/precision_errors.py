@@ -7,19 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nuno_bench.observe import Problem, Series
+from nuno_bench.observe import Series
+from nuno_bench.posing import AnyProblem
 from nuno_schemas.fabric import Float
 
 POSITIONS = "positions"
 RAN_AWAY = 2.0
-"""A run that comes this many sizes away from the reference has left it, whatever chaos does."""
+"""A run that comes this many times its scale away from the reference has left it, whatever chaos does."""
 
 
 @dataclass(frozen=True)
 class Error:
     """Shares of the scale: at the last compared frame, root mean square and largest over the frames.
 
-    Positions: final and l2 are root mean squares over the vertices too, and linf is the farthest vertex.
+    Of the leading quantity final and l2 are root mean squares over the vertices or cells too, and linf is that of
+    the farthest one.
     """
 
     final: float
@@ -29,9 +31,7 @@ class Error:
 
 @dataclass(frozen=True)
 class Scales:
-    """What errors are divided by, per quantity: the cloth's size [m]; the largest change of any kind of
-    energy in the reference [J]; 1 for strains.
-    """
+    """What errors are divided by, per quantity."""
 
     values: Mapping[str, float]
 
@@ -39,16 +39,14 @@ class Scales:
         return self.values[name]
 
 
-def find_scales(problem: Problem, reference: Series) -> Scales:
+def find_scales(problem: AnyProblem, reference: Series) -> Scales:
     """The reference's own measures, so that all solvers are divided by the same numbers."""
-    change = float(np.abs(reference.parts - reference.parts[0]).max(initial=0.0)) or 1.0
-    return Scales(
-        {POSITIONS: problem.size, "centre": problem.size, "drop": problem.size, "energy": change, "strain": 1.0}
-    )
+    return Scales(problem.scales(reference))
 
 
 def measure_errors(run: Series, reference: Series, scales: Scales, frames: int) -> dict[str, Error]:
-    """Errors by quantity; positions over the first `frames` frames, and only where there are some beside the start.
+    """Errors by quantity; of the leading one over the first `frames` frames, and only where there are some beside
+    the start.
 
     Nothing where a run did not reach the end: its errors would be those of another stretch of time.
     """
@@ -56,25 +54,26 @@ def measure_errors(run: Series, reference: Series, scales: Scales, frames: int) 
         return {}
     over = errors_over_frames(run, reference, scales, frames)
     found = {name: Error(float(e[-1]), float(np.sqrt((e**2).mean())), float(e.max())) for name, e in over.items()}
-    if POSITIONS in found:
-        far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[POSITIONS]
-        found[POSITIONS] = replace(found[POSITIONS], linf=float(far.max()))
+    leading = reference.leading
+    if leading in found:
+        far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[leading]
+        found[leading] = replace(found[leading], linf=float(far.max()))
     return found
 
 
 def errors_over_frames(run: Series, reference: Series, scales: Scales, frames: int) -> dict[str, Float]:
-    """The error at every compared frame but the first, by quantity; of positions their root mean square."""
+    """The error at every compared frame but the first, by quantity; of the leading one its root mean square."""
     found: dict[str, Float] = {}
     if frames > 1:
-        far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[POSITIONS]
-        found[POSITIONS] = np.sqrt((far**2).mean(axis=1))
+        far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[reference.leading]
+        found[reference.leading] = np.sqrt((far**2).mean(axis=1))
     for name, values in reference.values.items():
         found[name] = np.linalg.norm(run.values[name][1:] - values[1:], axis=1) / scales[name]
     return found
 
 
 def ran_away(run: Series, reference: Series, size: float) -> float | None:
-    """When a run was first RAN_AWAY sizes from the reference [s], or None."""
+    """When a run was first RAN_AWAY times `size` from the reference [s], or None."""
     apart: Float = np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1)) / size
     frames = np.flatnonzero(~(apart <= RAN_AWAY))
     return float(run.t[frames[0]]) if frames.size else None

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from nuno_bench import markdown, page
+from nuno_bench.dye_problem import AMOUNTS, DYE_OBSERVABLES
 from nuno_bench.horizon import LOST, Horizon
 from nuno_bench.observe import OBSERVABLES
 from nuno_bench.precision_errors import POSITIONS, Error
@@ -24,13 +25,42 @@ from nuno_bench.precision_point import Point
 from nuno_bench.precision_run import Sweep
 from nuno_bench.result import number
 
-LEAD = (
-    "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "
+LEAD = "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is compared of a scene.
+
+    leading   the quantity of every vertex or cell
+    farthest  what its largest error is called
+    titles    of the figures, by quantity
+    scales    what errors are shares of, in a sentence
+    """
+
+    leading: str
+    farthest: str
+    titles: Mapping[str, str]
+    scales: str
+
+
+CLOTH = Kind(
+    POSITIONS,
+    "farthest",
+    {POSITIONS: "positions: error / size"} | {name: f"{name}: {text}" for name, text in OBSERVABLES.items()},
     "Errors are shares of the cloth's size (positions, centre of mass, drop), of the largest change of any kind of "
-    "energy (energy), or strains; each is the root mean square over the frames."
+    "energy (energy), or strains; each is the root mean square over the frames.",
+)
+DYE = Kind(
+    AMOUNTS,
+    "largest",
+    {AMOUNTS: "amounts: error / their root mean square"} | {n: f"{n}: {text}" for n, text in DYE_OBSERVABLES.items()},
+    "Errors are shares of the largest root mean square of the cells' amounts (amounts, mobile and fixed dye of every "
+    "cell), of all dye (mobile, fixed), or of the largest spread (spread); each is the root mean square over the "
+    "frames.",
 )
 FAILURES = "Crosses above the figures stand for these, at the time they took."
-COUNTED = ("steps", "rejected_steps", "newton_steps", "linear_iterations", "evaluations")
+COUNTED = ("steps", "stages", "rejected_steps", "newton_steps", "linear_iterations", "evaluations")
 
 
 @dataclass(frozen=True)
@@ -50,6 +80,7 @@ class Findings:
     shown: Sequence[str]
     about: Mapping[str, str]
     frame: float
+    kind: Kind = CLOTH
 
     @property
     def points(self) -> list[Point]:
@@ -57,8 +88,8 @@ class Findings:
 
     @property
     def quantities(self) -> list[str]:
-        """Positions where they can be compared, then the observables shown."""
-        return [name for name in (POSITIONS, *self.shown) if name in self.floors]
+        """That of every vertex or cell where it can be compared, then the observables shown."""
+        return [name for name in (self.kind.leading, *self.shown) if name in self.floors]
 
     @property
     def leading(self) -> str:
@@ -71,7 +102,7 @@ def render(found: Findings) -> str:
     order = solvers_of(found.points)
     sections: list[tuple[str, Sequence[page.Part]]] = [
         ("Which solver for which accuracy", [_choices(found), _verdicts(found)]),
-        ("Positions, inside the predictable time", _positions(found, order)),
+        (f"{found.kind.leading.capitalize()}, inside the predictable time", _leading(found, order)),
     ]
     panels = [_panel(found, name) for name in found.shown if name in found.floors]
     if panels:
@@ -88,13 +119,13 @@ def render(found: Findings) -> str:
         sections.append(("Left out", [table]))
     sections.append(("All points", [page.Table(point_headings(found), point_rows(found), _CAPTION)]))
     sections.append(("Made by", [page.Facts(found.about)]))
-    return page.render(f"Error over wall time: {found.scene}", LEAD, sections)
+    return page.render(f"Error over wall time: {found.scene}", LEAD + found.kind.scales, sections)
 
 
 _CAPTION = (
-    "Time is the median over repeats, in the solver's own calls, without compiling. Positions: at the last frame of "
-    "the predictable time, root mean square over its frames, and the farthest vertex of any; observables: root mean "
-    "square over all frames."
+    "Time is the median over repeats, in the solver's own calls, without compiling. Final: at the last frame of the "
+    "predictable time; l2: root mean square over its frames; beside it the farthest vertex or cell of any of them. "
+    "Observables: root mean square over all frames."
 )
 
 
@@ -127,14 +158,17 @@ def choices(found: Findings) -> tuple[Sequence[str], list[list[str]]]:
     return ("in", *CHOICE_HEADINGS), rows
 
 
-def _positions(found: Findings, order: Sequence[str]) -> list[page.Part]:
+def _leading(found: Findings, order: Sequence[str]) -> list[page.Part]:
     orders = page.Table(ORDER_HEADINGS, orders_of(found), f"Order seen: slope of the error in {found.leading}.")
-    if POSITIONS not in found.floors:
+    name = found.kind.leading
+    if name not in found.floors:
         gone = f"Positions cannot be compared: a disturbance passes {LOST:g} of the size in the first frame."
         return [gone, orders]
-    caption = f"Positions are compared over {found.horizon.describe()}. Bars: all repeats. Hollow: beyond the "
+    caption = (
+        f"{name.capitalize()} are compared over {found.horizon.describe()}. Bars: all repeats. Hollow: beyond the "
+    )
     caption += "stability limit, and finished all the same. Crosses: not finished, see below."
-    return [page.Figure(error_over_time(found.points, [_panel(found, POSITIONS)], order), caption), orders]
+    return [page.Figure(error_over_time(found.points, [_panel(found, name)], order), caption), orders]
 
 
 def orders_of(found: Findings) -> list[list[str]]:
@@ -144,15 +178,14 @@ def orders_of(found: Findings) -> list[list[str]]:
 
 
 def _panel(found: Findings, name: str) -> Panel:
-    titles = {POSITIONS: "positions: error / size"} | {key: f"{key}: {text}" for key, text in OBSERVABLES.items()}
-    return Panel(name, titles[name], found.floors[name].l2)
+    return Panel(name, found.kind.titles[name], found.floors[name].l2)
 
 
 def point_headings(found: Findings) -> list[str]:
     """Headings of the table of all points."""
-    positions = ["final", "l2", "farthest"] if POSITIONS in found.floors else []
-    observed = [name for name in found.floors if name != POSITIONS]
-    return ["solver", "setting", "outcome", "time [s]", "min - max", *_counted(found), *positions, *observed]
+    leading = ["final", "l2", found.kind.farthest] if found.kind.leading in found.floors else []
+    observed = [name for name in found.floors if name != found.kind.leading]
+    return ["solver", "setting", "outcome", "time [s]", "min - max", *_counted(found), *leading, *observed]
 
 
 def _counted(found: Findings) -> list[str]:
@@ -171,10 +204,10 @@ def _row(found: Findings, point: Point) -> list[str]:
     counts = [f"{point.totals[name.replace(' ', '_')]:,}" if name.replace(" ", "_") in point.totals else ""
               for name in _counted(found)]  # fmt: skip
     errors: list[float | None] = []
-    if POSITIONS in found.floors:
-        own = point.errors.get(POSITIONS)
+    if found.kind.leading in found.floors:
+        own = point.errors.get(found.kind.leading)
         errors += [own.final, own.l2, own.linf] if own else [None] * 3
-    errors += [point.error(name) for name in found.floors if name != POSITIONS]
+    errors += [point.error(name) for name in found.floors if name != found.kind.leading]
     shown = [f"{error:.2e}" if error is not None else "" for error in errors]
     return [point.solver, point.setting, point.outcome, _time(point), spread, *counts, *shown]
 

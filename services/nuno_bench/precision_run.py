@@ -6,10 +6,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-from nuno_bench.observe import Problem, Run, first_call, simulate
+from nuno_bench.observe import Run
+from nuno_bench.posing import AnyProblem
 from nuno_bench.precision_errors import RAN_AWAY, Scales, errors_over_frames, measure_errors, ran_away
 from nuno_bench.precision_point import DONE, Kept, Point
-from nuno_bench.reference import Reference
+from nuno_bench.reference import Compared
 from nuno_bench.sweep import Omission, Setting, Solver
 from nuno_schemas.errors import BadInput
 
@@ -42,8 +43,8 @@ class Sweep:
 class Runner:
     """Everything that one point needs."""
 
-    problem: Problem
-    reference: Reference
+    problem: AnyProblem
+    reference: Compared
     scales: Scales
     frames: int
     repeats: int
@@ -55,7 +56,7 @@ class Runner:
         """
         try:
             config = solver.config(setting)
-            run = simulate(self.problem, solver.plugin, config, setting.steps, most_seconds=most_seconds)
+            run = self.problem.run(solver.plugin, config, setting.steps, most_seconds)
         except (BadInput, ValueError) as error:
             message = error.problem if isinstance(error, BadInput) else str(error)
             return self.failed(solver, setting, "refused", message)
@@ -63,7 +64,7 @@ class Runner:
         seconds = [run.seconds]
         wanted = self.repeats * max(1, min(MORE, int(SHORT / max(run.seconds, 1e-9))))
         while outcome == DONE and len(seconds) < wanted and sum(seconds) + seconds[-1] <= share:
-            seconds.append(simulate(self.problem, solver.plugin, config, setting.steps).seconds)
+            seconds.append(self.problem.run(solver.plugin, config, setting.steps).seconds)
         return self.point_of(solver, setting, run, tuple(seconds))
 
     def point_of(self, solver: Solver, setting: Setting, run: Run, seconds: tuple[float, ...]) -> Point:
@@ -84,10 +85,11 @@ class Runner:
     def _judge(self, run: Run) -> tuple[str, str]:
         if run.status != "ok":
             return run.status, run.message
-        lost = ran_away(run.series, self.reference.run.series, self.problem.size)
+        leading = self.reference.run.series.leading
+        lost = ran_away(run.series, self.reference.run.series, self.scales[leading])
         if lost is None:
             return DONE, ""
-        return "ran away", f"at {lost:.3g} s it is {RAN_AWAY:g} sizes of the cloth from the reference"
+        return "ran away", f"at {lost:.3g} s its {leading} are {RAN_AWAY:g} times their scale from the reference"
 
     def _point(
         self,
@@ -98,12 +100,12 @@ class Runner:
         seconds: tuple[float, ...] = (),
         totals: Mapping[str, int] | None = None,
     ) -> Point:
-        order, finer = int(solver.plugin.order), setting.finer
+        order, finer = solver.order, setting.finer
         what = (solver.name, setting.label, solver.kind, order, finer, setting.beyond, outcome, message, seconds)
         return Point(*what, dict(totals or {}), {})
 
 
-def start_sweep(problem: Problem, solvers: list[Solver], told: Callable[[str], None]) -> Sweep:
+def start_sweep(problem: AnyProblem, solvers: list[Solver], told: Callable[[str], None]) -> Sweep:
     """Call every solver once, which compiles it or loads it; one that refuses the scene is left out.
 
     To be done before anything else runs, the reference too, or its solvers would seem to need no compiling.
@@ -154,9 +156,9 @@ def run_sweep(
     sweep.points.sort(key=lambda point: place[point.key])
 
 
-def _first_call(problem: Problem, solver: Solver) -> tuple[float, float]:
+def _first_call(problem: AnyProblem, solver: Solver) -> tuple[float, float]:
     """Seconds of a solver's first call, and an estimate of what a run of work 1 takes [s]."""
     setting = min(solver.settings, key=lambda one: abs(one.work - 1.0))
     taken = min(setting.steps, FIRST_STEPS)
-    first, seconds = first_call(problem, solver.plugin, solver.config(setting), setting.steps, taken)
+    first, seconds = problem.first_call(solver.plugin, solver.config(setting), setting.steps, taken)
     return first, seconds * setting.steps / taken * problem.frames / setting.work

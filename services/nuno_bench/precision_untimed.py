@@ -13,11 +13,11 @@ from typing import Any
 
 from nuno import registry
 from nuno_bench.executor import Executor, Lost
-from nuno_bench.observe import Run, make_problem, simulate
+from nuno_bench.observe import Run
 from nuno_bench.packed import Packed, unpacked
+from nuno_bench.posing import pose
 from nuno_bench.precision_point import Kept, Point
 from nuno_bench.precision_run import Runner, Sweep
-from nuno_bench.reference import GROUP
 from nuno_bench.sweep import Setting, Solver
 from nuno_schemas.errors import BadInput
 
@@ -39,10 +39,10 @@ class Task:
 def run_task(task: Task) -> Run:
     """The run. Raises BadInput where the solver refuses the scene or its configuration."""
     with unpacked(task.scene) as loaded:
-        problem = make_problem(loaded, threads=1)
-    plugin = registry.load(GROUP, task.solver)
-    config = plugin.Config.model_validate(dict(task.fields))
-    return simulate(problem, plugin, config, task.steps, most_seconds=task.most)
+        problem = pose(loaded, threads=1)
+        plugin = registry.load(problem.group, task.solver)
+        config = plugin.Config.model_validate(dict(task.fields))
+        return problem.run(plugin, config, task.steps, task.most)
 
 
 def run_untimed(

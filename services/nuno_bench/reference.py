@@ -25,16 +25,19 @@ more than that) and that ends within the time allowed."""
 
 
 @dataclass(frozen=True)
-class Reference:
-    """The run that errors are measured against, an independent one, and how both were made.
-
-    twin(disturbance) runs the reference again from disturbed positions (n, 3) [m].
-    """
+class Compared:
+    """The run that errors are measured against, an independent one, and how both were made."""
 
     run: Run
     check: Run
     how: str
     seconds: float
+
+
+@dataclass(frozen=True)
+class Reference(Compared):
+    """That of a moving cloth: twin(disturbance) runs it again from disturbed positions (n, 3) [m]."""
+
     twin: Callable[[Float], Run]
 
 

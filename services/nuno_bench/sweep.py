@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from nuno import build, registry
-from nuno_bench.observe import Problem
-from nuno_bench.reference import GROUP
+from nuno import registry
+from nuno_bench.posing import AnyProblem
 from nuno_bench.result import number
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import StepLimit
@@ -50,7 +49,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Solver:
-    """An installed integrator, its limit on the scene and its settings."""
+    """An installed solver, its limit on the scene and its settings."""
 
     name: str
     plugin: Any
@@ -60,9 +59,15 @@ class Solver:
 
     @property
     def kind(self) -> str:
-        if self.plugin.adaptive:
+        if getattr(self.plugin, "adaptive", False):
             return "adaptive"
-        return "fixed steps" if self.plugin.explicit else "implicit"
+        explicit = getattr(self.plugin, "explicit", math.isfinite(self.limit.dt))
+        return "fixed steps" if explicit else "implicit"
+
+    @property
+    def order(self) -> int:
+        """Nominal order; 0 where it states none."""
+        return int(getattr(self.plugin, "order", 0))
 
     def config(self, setting: Setting) -> BaseModel:
         chosen: BaseModel = self.plugin.Config.model_validate({**self.base, **setting.fields})
@@ -78,12 +83,12 @@ class Omission:
     reason: str
 
 
-def choose_solvers(problem: Problem, wanted: Sequence[str]) -> tuple[list[Solver], list[Omission]]:
+def choose_solvers(problem: AnyProblem, wanted: Sequence[str]) -> tuple[list[Solver], list[Omission]]:
     """The solvers named, or all that are installed, each with its sweep; and those left out.
 
     Raises BadInput for an unknown name, and where nothing is left to run.
     """
-    known = registry.installed(GROUP)
+    known = registry.installed(problem.group)
     for name in wanted:
         if name not in known:
             raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, known))
@@ -102,23 +107,23 @@ def choose_solvers(problem: Problem, wanted: Sequence[str]) -> tuple[list[Solver
     return solvers, omitted
 
 
-def _choose(problem: Problem, name: str) -> Solver:
+def _choose(problem: AnyProblem, name: str) -> Solver:
     """A solver and its settings. Raises BadInput where it cannot be configured or run on this scene."""
-    plugin, solver = registry.load(GROUP, name), problem.loaded.scene.solver
-    base = dict(solver.config) if solver.plugin == name else {}
+    plugin, (preset, given) = registry.load(problem.group, name), problem.preset
+    base = dict(given) if preset == name else {}
     try:
         config = plugin.Config.model_validate(base)
     except ValidationError as error:
         missing = ", ".join(str(one["loc"][0]) for one in error.errors() if one["loc"])
         raise BadInput(f"its configuration has no defaults ({missing}): name it in the scene") from None
-    limit: StepLimit = plugin.limit(config, problem.system, build.start_state(problem.fabric))
-    if plugin.adaptive:
+    found = Solver(name, plugin, problem.limit(plugin, config), (), base)
+    if found.kind == "adaptive":
         settings = _tolerances(plugin)
-    elif plugin.explicit:
-        settings = _steps(problem, limit)
+    elif found.kind == "fixed steps":
+        settings = _steps(problem, found.limit)
     else:
-        settings = _implicit(problem, plugin, limit)
-    return Solver(name, plugin, limit, tuple(settings), base)
+        settings = _implicit(problem, found)
+    return replace(found, settings=tuple(settings))
 
 
 def _tolerances(plugin: Any) -> list[Setting]:
@@ -132,25 +137,25 @@ def _tolerances(plugin: Any) -> list[Setting]:
     ]
 
 
-def _implicit(problem: Problem, plugin: Any, limit: StepLimit) -> list[Setting]:
+def _implicit(problem: AnyProblem, solver: Solver) -> list[Setting]:
     """Halved steps; the residual falls with the step's own error, or it would end the convergence.
 
     A force that is missing by a share r moves the solution by a share of order r however small the
     step, while the step's error falls as its power `order`: so r falls by that power too. Where the step
     alone decides what a method resolves, there is no residual to choose.
     """
-    settings = []
+    settings, known = [], solver.plugin.Config.model_fields
     for steps in FEW:
         fields, label = {}, _length(problem.frame / steps)
-        if "residual" in plugin.Config.model_fields and math.isinf(limit.resolved):
-            start = float(plugin.Config.model_fields["residual"].default)
-            fields = {"residual": max(TIGHTEST_RESIDUAL, start / steps**plugin.order)}
+        if "residual" in known and math.isinf(solver.limit.resolved):
+            start = float(known["residual"].default)
+            fields = {"residual": max(TIGHTEST_RESIDUAL, start / steps**solver.order)}
             label += f", residual {fields['residual']:.1e}"
         settings.append(Setting(label, steps, fields, problem.frame / steps, float(steps)))
     return settings
 
 
-def _steps(problem: Problem, limit: StepLimit) -> list[Setting]:
+def _steps(problem: AnyProblem, limit: StepLimit) -> list[Setting]:
     """Shares of the limit, coarse to fine, after one step beyond it where a frame is long enough for that."""
     frame = problem.frame
     found = [] if limit.dt == 0.0 else sorted({_count(frame / (share * limit.dt)) for share in SHARES})
@@ -183,4 +188,4 @@ def _fixed(frame: float, steps: int, limit: float, work: float, beyond: bool) ->
 
 def _length(dt: float) -> str:
     """A step in words; four digits tell apart what any sweep holds."""
-    return f"dt {dt * 1e3:.4g} ms"
+    return f"dt {dt * 1e3:.4g} ms" if dt < 1.0 else f"dt {dt:.4g} s"

@@ -50,7 +50,8 @@ def estimate_memory(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[int
 class DyeRun:
     """A scene's cloth, its dyes, their solver and their amounts."""
 
-    def __init__(self, loaded: Loaded, threads: int) -> None:
+    def __init__(self, loaded: Loaded, threads: int, steps: int = 0) -> None:
+        """`steps` a frame, stable or not; 0: as the scene says. Raises BadInput."""
         dye, chosen = loaded.scene.dye, loaded.dye
         if dye is None or chosen is None:
             raise BadInput("the scene has no dye", loaded.file, remedy="add dye: {cloth: ..., dyes: [...]}")
@@ -69,7 +70,8 @@ class DyeRun:
         self.system = DyeSystem(self.cells, tuple(dyes), self.threads)
         try:
             self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
-            self.steps, self.dt = choose_dye_step(loaded, dye, self.limit)
+            whole = dye.speed / loaded.scene.frame_rate
+            self.steps, self.dt = (steps, whole / steps) if steps else choose_dye_step(loaded, dye, self.limit)
             supplies = Supplies(given, self.cells.mobile_room, self.dt, len(dye.dyes))
             self.memory = self._prepare(supplies)
         except BadInput as error:
