@@ -14,7 +14,7 @@ from scenes import write_scene as write_cloth
 
 import nuno
 from nuno.cli import main
-from nuno.export.dyed_pictures import _bar, caption
+from nuno.export.dyed_pictures import _bar, _time, caption, dyed_pictures, find_amounts
 from nuno.files import SceneFiles
 from nuno_dye.picture import YarnsPicture
 from nuno_schemas.dye_picture import Layers, Window
@@ -198,3 +198,12 @@ def test_the_recording_of_a_photograph_needs_no_file_beside_it(tmp_path: Path) -
     assert dyed.any() and not dyed[:, :6].any() and not dyed[:, 28:].any()
     assert main(["replay", str(path), "--verify"]) == 0
     assert main(["export", str(path), "--rrd", str(tmp_path / "run.rrd")]) == 0
+
+
+def test_a_caption_tells_the_time_of_the_dyeing(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, speed="1 min/s", solver="explicit", picture={"scale": 40})
+    path = nuno.run(scene, record=tmp_path / "run.mcap").path
+    with nuno.open(path) as recording, dyed_pictures(recording) as pictures:
+        pictures.draw(find_amounts(recording, None))
+        assert pictures.painter.time == pytest.approx(18 * 60.0)
+    assert [_time(t) for t in (0.0, 59.0, 1080.0, 5400.0, 172_800.0)] == ["0 s", "59 s", "18 min", "1.5 h", "2 d"]

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from pydantic import ValidationError
 
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView
+
+if TYPE_CHECKING:
+    from nuno.export.dyed_pictures import Changes
 
 MESHES = (".obj", ".ply", ".glb")
 
@@ -111,15 +114,15 @@ def _draw(recording: Recording, args: argparse.Namespace) -> list[Path]:
     """Pictures and animations of moving cloth."""
     from nuno.export import animations, pictures
 
-    size = _size(args.size)
+    size, changes = _size(args.size), _changes(args)
     written: list[Path] = []
     if args.png:
-        written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour))
+        written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour, changes))
     for path in (args.gif, args.mp4):
         if path:
             written.append(
                 animations.export_animation(
-                    recording, path, size, args.fps, args.start, args.end, _progress, args.colour
+                    recording, path, size, args.fps, args.start, args.end, _progress, args.colour, changes
                 )
             )
     return written
@@ -129,19 +132,14 @@ def _draw_dyed(recording: Recording, args: argparse.Namespace) -> list[Path]:
     """Pictures and animations of dyed cloth."""
     from nuno.export import animations, dyed_pictures
 
-    how: dict[str, Any] = {
-        "view": args.view,
-        "scale": args.scale,
-        "crop": _crop(args.crop),
-        "overrides": tuple(args.overrides),
-    }
+    changes = _changes(args)
     written: list[Path] = []
     if args.png:
-        written.append(dyed_pictures.export_dyed_picture(recording, args.png, args.frame, **how))
+        written.append(dyed_pictures.export_dyed_picture(recording, args.png, args.frame, changes))
     for path in (args.gif, args.mp4):
         if path:
             written.append(
-                animations.export_dyed_animation(recording, path, args.fps, args.start, args.end, _progress, **how)
+                animations.export_dyed_animation(recording, path, args.fps, args.start, args.end, _progress, changes)
             )
     return written
 
@@ -158,11 +156,18 @@ def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
                 problem = "for pictures of moving cloth; the recording is of dye"
                 raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)
         return
-    for name in ("view", "scale", "crop", "overrides"):
+    dyed = recording.scene.get("dye") is not None
+    for name in ("crop",) if dyed else ("view", "scale", "crop", "overrides"):
         if getattr(args, name) not in (None, []):
-            problem, remedy = "for pictures of dyed cloth; the recording is of cloth that moves", "leave it out"
             flag = "set" if name == "overrides" else name
-            raise BadInput(problem, str(recording.path), field=f"--{flag}", remedy=remedy)
+            problem = "for pictures of dyed cloth; the recording is of cloth that moves"
+            raise BadInput(problem, str(recording.path), field=f"--{flag}", remedy="leave it out")
+
+
+def _changes(args: argparse.Namespace) -> Changes:
+    from nuno.export.dyed_pictures import Changes
+
+    return Changes(args.view, args.scale, _crop(args.crop), tuple(args.overrides))
 
 
 def _crop(sides: list[str] | None) -> Crop | None:

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from nuno.export.dyed_pictures import PAPER, choose_amounts, draw_amounts, dyed_pictures
+from nuno.export.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
 from nuno.export.pictures import Colour, Picture, check_colour, choose_frames, draw_frames
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.look import Crop, DyeView
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -38,6 +37,7 @@ def export_animation(
     end: float | None = None,
     progress: Progress | None = None,
     colour: Colour = "auto",
+    changes: Changes | None = None,
 ) -> Path:
     """Draw a recording as .gif or .mp4, in real time, from `start` to `end` [s].
 
@@ -58,8 +58,8 @@ def export_animation(
         some = _spread(numbers)
         _write(
             path, encoder, rate,
-            draw_frames(recording, numbers, shown, progress, colour),
-            lambda: draw_frames(recording, some, shown, None, colour),
+            draw_frames(recording, numbers, shown, progress, colour, changes),
+            lambda: draw_frames(recording, some, shown, None, colour, changes),
         )  # fmt: skip
     return path
 
@@ -71,17 +71,14 @@ def export_dyed_animation(
     start: float | None = None,
     end: float | None = None,
     progress: Progress | None = None,
-    view: DyeView | None = None,
-    scale: int | None = None,
-    crop: Crop | None = None,
-    overrides: tuple[str, ...] = (),
+    changes: Changes | None = None,
 ) -> Path:
     """Draw a recording of dye as .gif or .mp4, one picture a frame: dyeing takes hours.
 
     As the scene says but for what is given. Raises as `export_animation`.
     """
     encoder = _check(path, fps)
-    with opened(source) as recording, dyed_pictures(recording, view, scale, crop, overrides, DYED_SIDE) as pictures:
+    with opened(source) as recording, dyed_pictures(recording, changes, DYED_SIDE) as pictures:
         rate = fps if encoder is not None else _gif_rate(fps)
         frames = choose_amounts(recording, start, end)
         _write(

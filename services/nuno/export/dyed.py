@@ -51,6 +51,8 @@ class DyePainter:
         """Of a cell, and of a pixel [m]."""
         self.shape = (0, 0)
         """Of the picture [pixels], high and wide."""
+        self.time = math.nan
+        """Of the dyeing that was drawn last [s]."""
         self.prepared: Any = None
         self._shape: tuple[int, ...] = ()
 
@@ -91,11 +93,12 @@ class DyePainter:
 
     def draw(self, payload: bytes) -> Picture:
         """A frame's amounts, from a message. Raises BadMessage for such as are not the cloth's."""
-        arrays, _ = decode_arrays(payload)
+        arrays, text = decode_arrays(payload)
         shape = (len(self.colours), *self._shape)
         if not self.ready or not all(name in arrays and arrays[name].shape == shape for name in ("phi", "fixed")):
             found = {name: array.shape for name, array in arrays.items()}
             raise BadMessage(f"amounts of shapes {found} for a cloth of {shape}")
+        self.time = float(text.get("time", text.get("t", math.nan)))
         amounts = amount_seen(arrays["phi"], arrays["fixed"], self.look.view)
         picture: Picture = self.chosen.plugin.draw(self.prepared, amounts)
         return picture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,16 @@ UNITS = ((1e-6, "um"), (1e-3, "mm"), (1.0, "m"))
 TIMES = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"))
 
 
+@dataclass(frozen=True)
+class Changes:
+    """What is to be drawn otherwise than the scene says: None for as it says; `overrides` are key=value."""
+
+    view: DyeView | None = None
+    scale: int | None = None
+    crop: Crop | None = None
+    overrides: tuple[str, ...] = ()
+
+
 class DyedPictures:
     """Draws the frames of a recording of dye. Raises BadInput for a cloth that is damaged, or cannot be drawn."""
 
@@ -44,7 +55,9 @@ class DyedPictures:
         """(h, w, 3) sRGB picture of one frame's amounts, with a strip below where there is room for its text."""
         with self._damage_reported():
             picture = self.painter.draw(message.payload)
-        return caption(picture, f"{self.name}   {_view(self.painter)}t = {_time(message.t)}", self.painter.pixel)
+        return caption(
+            picture, f"{self.name}   {_view(self.painter)}t = {_time(self.painter.time)}", self.painter.pixel
+        )
 
     @contextmanager
     def _damage_reported(self) -> Iterator[None]:
@@ -55,24 +68,26 @@ class DyedPictures:
 
 
 @contextmanager
-def dyed_pictures(
-    recording: Recording,
-    view: DyeView | None = None,
-    scale: int | None = None,
-    crop: Crop | None = None,
-    overrides: tuple[str, ...] = (),
-    side: int = PICTURE_SIDE,
-) -> Iterator[DyedPictures]:
-    """Pictures of a recording as its scene says, but for what is given; `overrides` are key=value. Raises BadInput."""
-    given = {"view": view, "scale": scale, "crop": crop}
-    for item in overrides:
+def changed_painter(recording: Recording, changes: Changes, side: int = PICTURE_SIDE) -> Iterator[DyePainter]:
+    """The painter of a recording's scene with some changes, while the scene's files are there. Raises BadInput."""
+    given = {"view": changes.view, "scale": changes.scale, "crop": changes.crop}
+    for item in changes.overrides:
         if not CHANGEABLE.match(item):
             problem, limit = "this field is no matter of pictures", "dye.picture and a dye's colour"
             remedy = "for example --set dye.dyes.0.colour.full=0.1"
             raise BadInput(problem, "--set", value=item, limit=limit, remedy=remedy)
-    with restored_scene(recording, overrides) as loaded:
+    with restored_scene(recording, changes.overrides) as loaded:
         painter = painter_of(loaded, side)
         painter.look = painter.look.model_copy(update={name: v for name, v in given.items() if v is not None})
+        yield painter
+
+
+@contextmanager
+def dyed_pictures(
+    recording: Recording, changes: Changes | None = None, side: int = PICTURE_SIDE
+) -> Iterator[DyedPictures]:
+    """Pictures of a recording as its scene says, but for some changes. Raises BadInput."""
+    with changed_painter(recording, changes or Changes(), side) as painter:
         yield DyedPictures(recording, painter)
 
 
@@ -80,10 +95,7 @@ def export_dyed_picture(
     source: Recording | Path | str,
     path: Path,
     frame: int | None = None,
-    view: DyeView | None = None,
-    scale: int | None = None,
-    crop: Crop | None = None,
-    overrides: tuple[str, ...] = (),
+    changes: Changes | None = None,
 ) -> Path:
     """Draw a dyed cloth at one frame (default: the last) as PNG, as its scene says but for what is given.
 
@@ -91,7 +103,7 @@ def export_dyed_picture(
     """
     from PIL import Image
 
-    with opened(source) as recording, dyed_pictures(recording, view, scale, crop, overrides) as pictures:
+    with opened(source) as recording, dyed_pictures(recording, changes) as pictures:
         check_target(path, ".png")
         picture = pictures.draw(find_amounts(recording, frame))
         with writing(path, ".png") as new:

@@ -8,6 +8,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nuno.export.cloth import Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.dyed_object import read_dyed_object
 from nuno.export.paint import BODY, PLAIN, paint_stretch
 from nuno.export.target import Progress, opened, writing
 from nuno.recording.reader import Frame, Recording
@@ -27,6 +28,8 @@ def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = 
     with opened(source) as recording:
         pieces = read_pieces(recording)
         shown = _finite(recording, pieces, read_frame(recording, frame))
+        dyed = read_dyed_object(recording) if suffix == ".glb" else None
+        pieces = pieces if dyed is None else dyed.dress(pieces, shown.t)
         with writing(path, _known(suffix, path)) as new, new.open("wb") as stream:
             _write(suffix, stream, recording, pieces, shown)
     return path
@@ -48,10 +51,12 @@ def export_meshes(
     written = []
     with opened(source) as recording:
         pieces, number = read_pieces(recording), recording.counts.get("sim/state", 0)
+        dyed = read_dyed_object(recording) if suffix == ".glb" else None
         for frame in recording.frames():
+            dressed = pieces if dyed is None else dyed.dress(pieces, frame.t)
             path = folder / f"frame_{frame.number:05d}{suffix}"
             with writing(path, suffix) as new, new.open("wb") as stream:
-                _write(suffix, stream, recording, pieces, _finite(recording, pieces, frame))
+                _write(suffix, stream, recording, dressed, _finite(recording, pieces, frame))
             written.append(path)
             if progress is not None:
                 progress(len(written), number)

@@ -15,6 +15,8 @@ from pydantic import BaseModel, ValidationError
 
 from nuno import registry
 from nuno.export.cloth import Bodies, Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.dyed_object import read_dyed_object
+from nuno.export.dyed_pictures import Changes
 from nuno.export.paint import BODY, PLAIN, STRETCH, paint_stretch
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.export.tubes import tubes
@@ -50,17 +52,22 @@ class Painter:
     options: dict[str, Any] = field(default_factory=dict)
     """Settings of the renderer, e.g. samples."""
     colour: Colour = "auto"
+    changes: Changes | None = None
+    """How dye on an object is drawn otherwise than the scene says."""
 
     def __post_init__(self) -> None:
         check_colour(self.colour)
         self.pieces: list[Piece] = [_coloured(piece, self.colour) for piece in read_pieces(self.recording)]
         self.bodies: Bodies | None = read_bodies(self.recording)
+        self.dyed = read_dyed_object(self.recording, self.changes) if self.colour != "stretch" else None
         self.renderer = registry.load("nuno.renderers", RENDERER)
         view = _view(self.recording)
         meshes = [mesh for frame in self.shown for mesh in self.meshes(frame)]
         self.camera = _camera(view, meshes, self.size or view.size)
         self.ground = self._ground(meshes)
-        by_stretch = any(p.image is None and p.colour is None and len(p.edges) for p in self.pieces)
+        dyed = "" if self.dyed is None else self.dyed.name
+        plain = [p for p in self.pieces if p.image is None and p.colour is None and p.name != dyed]
+        by_stretch = any(len(piece.edges) for piece in plain)
         legend = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1], "format": "percent"}
         self.legend = legend if by_stretch else None
 
@@ -77,7 +84,8 @@ class Painter:
     def meshes(self, frame: Frame) -> list[Mesh]:
         """Everything at one frame, turned so that z is up, as renderer and camera have it."""
         check_size(self.recording, self.pieces, frame)
-        meshes = [_cloth_mesh(piece, frame.x[piece.start : piece.stop]) for piece in self.pieces]
+        pieces = self.pieces if self.dyed is None else self.dyed.dress(self.pieces, frame.t)
+        meshes = [_cloth_mesh(piece, frame.x[piece.start : piece.stop]) for piece in pieces]
         points = body_vertices(self.recording, self.bodies, frame.t)
         if self.bodies is not None and len(points):
             grey = np.tile(parse_hex(BODY), (len(points), 1))
@@ -113,6 +121,7 @@ def export_picture(
     frame: int | None = None,
     size: tuple[int, int] | None = None,
     colour: Colour = "auto",
+    changes: Changes | None = None,
 ) -> Path:
     """Draw one frame (default: the last) as PNG. Raises BadInput."""
     from PIL import Image
@@ -120,7 +129,7 @@ def export_picture(
     with opened(source) as recording:
         check_target(path, ".png")
         shown = read_frame(recording, frame)
-        picture = Painter(recording, [shown], size, colour=colour).draw(shown)
+        picture = Painter(recording, [shown], size, colour=colour, changes=changes).draw(shown)
         with writing(path, ".png") as new:
             Image.fromarray(picture).save(new, optimize=True)
     return path
@@ -132,13 +141,14 @@ def draw_frames(
     size: tuple[int, int] | None,
     progress: Progress | None = None,
     colour: Colour = "auto",
+    changes: Changes | None = None,
 ) -> Iterator[Picture]:
     """Draw chosen frames, in order, with one camera that holds them all; a number that comes
     twice gives its picture twice. Raises BadInput.
     """
     looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
     shown = [frame for frame in recording.frames() if frame.number in looks]
-    painter = Painter(recording, shown, size, {"samples": 4}, colour)
+    painter = Painter(recording, shown, size, {"samples": 4}, colour, changes)
     times, done = Counter(numbers), 0
     for frame in recording.frames():
         if frame.number in times:
