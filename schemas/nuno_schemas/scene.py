@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Colour, Name, Part
 from nuno_schemas.units import quantity
@@ -161,8 +162,13 @@ class Dyestuff(Part):
 
 
 class Dyeing(Part):
-    """A cloth that is dyed."""
+    """A cloth that is dyed: a piece of cloth by itself, or one of the scene's objects."""
 
+    on: Name | None = Field(
+        default=None,
+        description="the object that is dyed, whose texture the cloth's cells cover; left out: a cloth that does not "
+        "move, and no objects",
+    )
     cloth: Choice = Field(description="what builds it: a plugin and its fields")
     solver: DyeSolver = Field(
         default=DyeSolver(plugin="explicit"), description="a plugin with its fields, and its step"
@@ -182,7 +188,7 @@ class Dyeing(Part):
 
 
 MOVING = ("objects", "bodies", "forces", "solver", "accuracy", "until")
-"""Fields of a scene of moving cloth, which a scene of dye is not."""
+"""Fields of a scene of moving cloth, which a scene of dye alone has not."""
 
 
 class Scene(Part):
@@ -219,7 +225,7 @@ class Scene(Part):
         default_factory=list, max_length=1000, description="beyond springs, gravity and damping, in their order"
     )
     contact: Choice = Field(default=Choice(plugin="penalty"), description="the force between cloth and bodies")
-    dye: Dyeing | None = Field(default=None, description="a cloth that is dyed; it does not move")
+    dye: Dyeing | None = Field(default=None, description="a cloth that is dyed; alone, or on an object")
     record: Record = Field(default=Record(), description="what goes into the recording beside every frame")
     view: View = Field(default=View(), description="how pictures are taken")
 
@@ -230,9 +236,18 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _dye_alone(self) -> Scene:
-        for name in MOVING if self.dye is not None else ():
+        if self.dye is not None and self.dye.on is not None:
+            names = [part.name for part in self.objects]
+            if self.dye.on not in names:
+                known = nearest(self.dye.on, names)
+                problem = "no object has this name, so there is nothing to dye; {known}"
+                raise PydanticCustomError("no_object", problem, {"known": known, "inside": ("dye", "on")})
+        for name in () if self.moves else MOVING:
             if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True):
-                problem = "cloth that moves is not dyed in the same scene; leave `{part}` or `dye` out"
+                problem = (
+                    "a cloth that is dyed by itself does not move; leave `{part}` or `dye` out, or name the "
+                    "object that is dyed as dye.on"
+                )
                 raise PydanticCustomError("dye_alone", problem, {"part": name, "inside": (name,)})
         return self
 
@@ -247,9 +262,14 @@ class Scene(Part):
         return self
 
     @property
+    def moves(self) -> bool:
+        """Whether there is cloth to simulate: in every scene but one of dye alone."""
+        return self.dye is None or self.dye.on is not None
+
+    @property
     def undecided(self) -> bool:
         """Whether the solver's step, or the solver, is still to be chosen."""
-        return self.dye is None and (self.solver.plugin == AUTO or self.accuracy is not None)
+        return self.moves and (self.solver.plugin == AUTO or self.accuracy is not None)
 
     @property
     def frames(self) -> int:

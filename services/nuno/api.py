@@ -42,8 +42,9 @@ class Result:
     """A finished run.
 
     x (n, 3) [m] and v (n, 3) [m/s] are the last state, float64; of a cloth that is dyed phi and fixed
-    (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, and no vertices. report is what the command
-    line prints; recording is the file with every frame.
+    (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, and no vertices where it is dyed alone. digest is
+    that of the state, of a dyed garment of its vertices. report is what the command line prints;
+    recording is the file with every frame.
     """
 
     state: str
@@ -112,23 +113,18 @@ def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool,
     if outcome.problem:
         raise RunFailed(f"{outcome.problem}; recording kept in {path}")
     digest, report = outcome.summary["digest"], make_report(loaded, outcome)
-    if loaded.dye is not None:
-        from nuno.dye.checkpoint import last_checkpoint, per_dye
+    x = v = np.zeros((0, 3))
+    t, amounts = 0.0, dict[str, Float]()
+    with open_recording(path) as recording:
+        if loaded.scene.moves:
+            last = recording.last_checkpoint()
+            t, x, v = last.t, np.array(last.x), np.array(last.v)
+        if loaded.dye is not None:
+            from nuno.dye.checkpoint import last_checkpoint, per_dye
 
-        end = last_checkpoint(open_recording(path))
-        x, v = np.zeros((2, 0, 3))
-        phi, fixed = (np.array(per_dye(amounts)) for amounts in (end.phi, end.fixed))
-        return Result(outcome.state, end.t, x, v, digest, report, path, phi, fixed)
-    last = open_recording(path).last_checkpoint()
-    return Result(
-        outcome.state,
-        last.t,
-        np.array(last.x),
-        np.array(last.v),
-        digest,
-        report,
-        path,
-    )
+            end = last_checkpoint(recording)
+            t, amounts = end.t, {name: np.array(per_dye(getattr(end, name))) for name in ("phi", "fixed")}
+    return Result(outcome.state, t, x, v, digest, report, path, **amounts)
 
 
 def _in_python(error: BadInput) -> BadInput:

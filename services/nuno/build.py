@@ -19,6 +19,9 @@ BYTES_PER_VERTEX = 400
 """What a run of cloth takes at most per vertex whose springs and hinges are runs along rows, as on
 grids; `nuno bench speed` measures it. Models that keep every element apart know what they take."""
 
+UV_ROUNDING = 1e-6
+"""Texture coordinates are float32, and files round them."""
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -70,12 +73,26 @@ def build_fabric(loaded: Loaded) -> tuple[Fabric, list[Piece]]:
     for i, (model, spec) in enumerate(zip(loaded.models, loaded.scene.objects, strict=True)):
         try:
             fabric = model.plugin.build(model.config, loaded.files, loaded.scene.seed + i)
+            if loaded.scene.dye is not None and loaded.scene.dye.on == spec.name:
+                check_texture(fabric, spec.name)
         except BadInput as error:
             raise loaded.at(f"objects[{i}].model", error) from None
         fabrics.append(fabric)
         pieces.append(Piece(spec.name, start, start + fabric.number, fabric.texture, spec.colour))
         start += fabric.number
     return _join(fabrics, loaded.scene.name), pieces
+
+
+def check_texture(fabric: Fabric, name: str) -> None:
+    """Raises BadInput for a fabric that does not say where on it a cloth's cells lie, in [0, 1] x [0, 1]."""
+    if fabric.uv is None:
+        remedy = "dye a sheet or a skirt, or give the mesh texture coordinates"
+        raise BadInput("what is dyed needs texture coordinates, and this has none", value=name, remedy=remedy)
+    low, high = float(fabric.uv.min(initial=0.0)), float(fabric.uv.max(initial=1.0))
+    if not (low >= -UV_ROUNDING and high <= 1.0 + UV_ROUNDING):
+        problem = "texture coordinates leave the cloth that is dyed"
+        remedy = "lay the mesh's texture out without repeating it"
+        raise BadInput(problem, value=f"{low:g} to {high:g}", limit="0 to 1", remedy=remedy)
 
 
 def _join(fabrics: list[Fabric], name: str) -> Fabric:

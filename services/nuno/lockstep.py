@@ -1,83 +1,55 @@
-"""Frames in lockstep with the services that must see them, under control: what every service that steps shares."""
+"""Frames in lockstep with the services that must see them, under control: what every service that steps shares.
+
+Where two step, one leads: it is controlled, and sets the pace. The other follows: it takes each frame that the
+leader has finished, and acknowledges it as whatever must see every frame does, so that both stand still together.
+"""
 
 from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, Literal, Protocol
+from typing import Any
 
 from pydantic import ValidationError
 
 from nuno.bus import Inbox, Message, Question
-from nuno.scene_file import Loaded
 from nuno.service import Context, ack_topic, asks_to_finish
+from nuno.work import Report, Work
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import Ack
+from nuno_schemas.messages import Ack, FrameStatus, Topic
 
 WINDOW = 4
 """Frames that the steps may run ahead of a service that must see every one."""
 ACK_TIMEOUT = 60.0
 """Silence [s] after which such a service counts as hung."""
 CONTROL = "control"
+OF_FOLLOWERS = ("status", "add")
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
-
-
-class Work(Protocol):
-    """What is stepped, independent of how it is sent."""
-
-    loaded: Loaded
-    frame: int
-
-    @property
-    def t(self) -> float: ...
-
-    @property
-    def finished(self) -> bool: ...
-
-    def digest(self) -> str:
-        """Hash of the float64 state: equal digests mean equal bits."""
-        ...
-
-    def set(self, item: str) -> None:
-        """Change a field of the running scene. Raises BadInput."""
-        ...
-
-    def add(self, item: str) -> str:
-        """Add an item, `list: {...}`, to the running scene; its field. Raises BadInput."""
-        ...
-
-
-class Report(Protocol):
-    """What a solver says of a frame."""
-
-    @property
-    def status(self) -> Literal["ok", "diverged", "unconverged"]: ...
-
-    @property
-    def message(self) -> str: ...
-
-    @property
-    def totals(self) -> Mapping[str, int]: ...
 
 
 class Lockstep(ABC):
     """Runs its work frame by frame and answers control."""
 
-    def __init__(self, context: Context, work: Work) -> None:
-        self.context, self.work = context, work
+    def __init__(self, context: Context, work: Work, follows: Topic | None = None) -> None:
+        """`follows` is the topic of the leader's statuses, None for the leader."""
+        self.context, self.work, self.follows = context, work, follows
+        self.due: list[int] = []
+        """Frames that the leader has finished, which are still to be followed."""
+        self.kept = -1
+        """Frame of the last checkpoint."""
         self.scene = context.loaded.scene
         self.state = "paused"
-        self.single = 0
+        self.until: int | None = None
+        """Frame at which a run that was told to step pauses again."""
         self.finish: Question | None = None
-        self.acked = dict.fromkeys(context.options.must_see, -1)
+        self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
         self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
         self.totals: dict[str, int] = {}
         self.message = ""
         self.begin = work.t
         self.paused_seconds = 0.0
-        self.inbox = Inbox(context.bus, [ack_topic("*")])
-        self.inbox.answer(CONTROL)
+        self.inbox = Inbox(context.bus, [follows or ack_topic("*")])
+        self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
         self.inbox.answer(f"finish/{context.bus.service}")
 
     @abstractmethod
@@ -100,7 +72,9 @@ class Lockstep(ABC):
     def listen(self, timeout: float) -> None:
         """Handle one thing from the inbox, if one comes in time."""
         item = self.inbox.get(timeout)
-        if isinstance(item, Message):
+        if isinstance(item, Message) and self.follows:
+            self.take_lead(item)
+        elif isinstance(item, Message):
             try:
                 ack = Ack.model_validate_json(item.payload)
             except ValidationError:
@@ -110,7 +84,7 @@ class Lockstep(ABC):
                 self.inbox.refuse(item)
             elif ack.service in self.acked:
                 self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
-        elif isinstance(item, Question) and item.name == CONTROL:
+        elif isinstance(item, Question) and item.name.startswith(CONTROL):
             item.answer_json(self.control(item.json()))
         elif isinstance(item, Question):
             if asks_to_finish(self.inbox, item):
@@ -125,8 +99,10 @@ class Lockstep(ABC):
         """
         action, work = str(request.get("action")), self.work
         before, change = self.state, {}
+        if self.follows and action not in OF_FOLLOWERS:
+            return {"ok": False, "error": f"{self.context.bus.service} follows; known: {', '.join(OF_FOLLOWERS)}"}
         if action in ("pause", "resume", "stop"):
-            self.single = 0
+            self.until = None
         if action in ("start", "resume"):
             self.state = "running"
         elif action == "pause":
@@ -136,7 +112,7 @@ class Lockstep(ABC):
             if type(frames) is not int or not 1 <= frames <= self.scene.frames:
                 problem = f"step takes a number of frames, 1 to {self.scene.frames}: {frames!r:.60}"
                 return {"ok": False, "error": problem}
-            self.state, self.single = "running", frames
+            self.state, self.until = "running", work.frame + frames
         elif action == "stop":
             self.state = "stopped"
         elif action in ("set", "add"):
@@ -153,11 +129,16 @@ class Lockstep(ABC):
             "ok": True,
             "state": self.state,
             "before": before,
-            "left": self.single,
+            "left": self.left,
             "frame": work.frame,
             "frames": self.scene.frames,
             "t": work.t,
         } | change
+
+    @property
+    def left(self) -> int:
+        """Frames after which a run that was told to step pauses again, 0 for none."""
+        return self.until - self.work.frame if self.until is not None else 0
 
     def change(self, item: str) -> dict[str, Any]:
         """Set a field of the running scene; its name, and what it held before and holds now."""
@@ -174,12 +155,14 @@ class Lockstep(ABC):
     def serve(self) -> None:
         """Be alive, wait for the start, step through the frames, answer the end."""
         with self.context.bus.alive():
-            while self.state == "paused" and self.finish is None:
+            while self.state == "paused" and self.finish is None and not self.due:
                 self.listen(0.5)
             begin = time.perf_counter()
-            ended = self.run() if self.finish is None else "failed"
+            run = self.follow if self.follows else self.run
+            ended = run() if self.finish is None else "failed"
             summary = self.summary(ended, time.perf_counter() - begin)
-            self.context.event("end", ended, self.work.frame, self.work.t, summary=summary)
+            if not self.follows:
+                self.context.event("end", ended, self.work.frame, self.work.t, summary=summary)
             while self.finish is None:
                 self.listen(0.5)
             self.finish.answer_json(self.context.counts(self.inbox) | {"summary": summary})
@@ -197,12 +180,46 @@ class Lockstep(ABC):
             status = self.one_frame().status
             if status != "ok":
                 return status
-            if self.single:
-                self.single -= 1
-                self.state = "running" if self.single else "paused"
-        self.publish_checkpoint()
+            if self.until is not None and self.work.frame >= self.until:
+                self.state, self.until = "paused", None
+        self.keep()
         self.wait_for(self.work.frame)
         return "stopped" if self.state == "stopped" else "done"
+
+    def take_lead(self, message: Message) -> None:
+        """Note a frame that the leader has finished."""
+        try:
+            self.due.append(FrameStatus.model_validate_json(message.payload).frame)
+        except ValidationError:
+            self.inbox.refuse(message)
+
+    def follow(self) -> str:
+        """Every frame of the leader's until the end; how it ended. Raises RunFailed where a frame is amiss."""
+        self.state = "running"
+        self.publish_start()
+        while self.finish is None:
+            while self.due and self.finish is None:
+                frame = self.due.pop(0)
+                if frame not in (self.work.frame, self.work.frame + 1):
+                    raise RunFailed(f"frame {frame} came after frame {self.work.frame}")
+                if frame > self.work.frame and self.one_frame().status != "ok":
+                    raise RunFailed(self.message or "amounts are no longer finite")
+                ack = Ack(service=self.context.bus.service, frame=frame)
+                topic = ack_topic(self.context.bus.service)
+                self.context.bus.publisher(topic).put(ack.model_dump_json().encode(), frame, self.work.t)
+                self.listen(0)
+            if self.finish is None:
+                self.listen(0.5)
+        if self.finish.json().get("error"):
+            return "failed"
+        if self.kept != self.work.frame:
+            self.keep()
+        return "done"
+
+    def keep(self) -> None:
+        """Publish a checkpoint of the present frame."""
+        self.publish_checkpoint()
+        self.kept = self.work.frame
 
     def stand_still(self) -> None:
         """Wait while the run is paused; that time is counted apart."""
@@ -224,7 +241,7 @@ class Lockstep(ABC):
             and frame % max(1, round(every * self.scene.frame_rate)) == 0
             and frame < self.scene.frames
         ):
-            self.publish_checkpoint()
+            self.keep()
         self.wait_for(frame - WINDOW)
         return report
 

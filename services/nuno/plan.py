@@ -24,12 +24,14 @@ class Plan:
 
 def make_plan(loaded: Loaded, options: Options) -> Plan:
     """Choose the services for a scene and the user's options."""
-    if loaded.dye is not None:
+    if not loaded.scene.moves:
         return _plan_dye(options)
     services, left_out = ["simulation"], []
     scene = loaded.scene
     if not scene.objects:
         left_out.append("cloth, and all that acts on it: the scene has no objects")
+    if scene.dye is not None:
+        services.append("dye")
     if scene.bodies:
         services.append("collision")
     else:
@@ -48,12 +50,12 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         left_out.append("viscous damping: 0")
     if not any(scene.gravity):
         left_out.append("gravity: 0")
-    left_out.append("dye, knit and wrinkles: the scene has none")
+    left_out.append(f"{'knit' if scene.dye is not None else 'dye, knit'} and wrinkles: the scene has none")
     return Plan(tuple(services), _must_see(services, options), tuple(left_out))
 
 
 def _plan_dye(options: Options) -> Plan:
-    """The services of a cloth that is dyed and does not move."""
+    """The services of a cloth that is dyed by itself."""
     services, left_out = ["dye"], ["simulation and collision services: nothing in the scene moves"]
     if options.record is not None:
         services.append("recorder")
@@ -63,9 +65,9 @@ def _plan_dye(options: Options) -> Plan:
         services.append("viewer")
     else:
         left_out.append("viewer: no screen, or not asked for")
-    return Plan(tuple(services), _must_see(services, options), tuple(left_out))
+    return Plan(tuple(services), _must_see(services[1:], options), tuple(left_out))
 
 
 def _must_see(services: list[str], options: Options) -> tuple[str, ...]:
     """A window may skip frames; a file that is being written may not."""
-    return tuple(n for n in ("collision", "recorder") if n in services) + (("viewer",) if options.save else ())
+    return tuple(n for n in ("dye", "collision", "recorder") if n in services) + (("viewer",) if options.save else ())

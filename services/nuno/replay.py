@@ -12,7 +12,7 @@ from nuno.recording.reader import Recorded, Recording
 from nuno.recording.writer import topic_of
 from nuno.service import ack_topic
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import BODIES, CHECKPOINTS, CLOTH, FABRIC, FRAMES, GEOMETRY, STATUSES, Topic
+from nuno_schemas.messages import BODIES, CHECKPOINTS, CLOTH, DYE_STATUS, FABRIC, FRAMES, GEOMETRY, STATUSES, Topic
 
 WINDOW = 4
 """Frames that may be out before they are acknowledged."""
@@ -52,7 +52,7 @@ class Replay:
         dies or hangs.
         """
         span = self._check(recording)
-        marks = recording.marks()
+        marks = {"dye": recording.marks(DYE_STATUS.name), "": recording.marks()}
         acks = _Acks(bus, self.must_see)
         try:
             while not self.stop.is_set():
@@ -94,9 +94,10 @@ class Replay:
             if due > 0:
                 self.stop.wait(due)
 
-    def _publish(self, bus: Bus, message: Recorded, marks: dict[int, tuple[int, str]]) -> None:
+    def _publish(self, bus: Bus, message: Recorded, marks: dict[str, dict[int, tuple[int, str]]]) -> None:
         topic = topic_of(message.topic) or Topic(message.topic, "json", "")
-        frame, digest = marks.get(message.log_time, (-1, ""))
+        service = message.topic.partition("/")[0]
+        frame, digest = marks.get(service, marks[""]).get(message.log_time, (-1, ""))
         bus.publisher(topic).put(message.payload, frame, message.t, digest if message.topic in DIGESTED else "")
         self.sent[message.topic] = self.sent.get(message.topic, 0) + 1
 

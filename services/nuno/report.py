@@ -25,7 +25,10 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
     simulated = float(summary.get("simulated_seconds", 0.0))
     wall = float(summary.get("wall_seconds", 0.0))
     parts = dict(summary.get("seconds", {}))
-    solver = loaded.dye.solver if loaded.dye is not None else loaded.integrator
+    solver = loaded.dye.solver if loaded.dye is not None and not loaded.scene.moves else loaded.integrator
+    dyer = services.get("dye", {}).get("summary", {}) if loaded.scene.moves else summary
+    if dyer and loaded.scene.moves:
+        parts["dye"] = float(dyer.get("seconds", {}).get("steps", 0.0))
     recorder, collision, viewer = (services.get(name, {}) for name in ("recorder", "collision", "viewer"))
     return {
         "run": outcome.run,
@@ -44,7 +47,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         | {name: float(s["seconds"]) for name, s in services.items() if "seconds" in s},
         "step_seconds": summary.get("step_seconds", {}),
         "solver": solver.name,
-        "adaptive": loaded.dye is None and solver.plugin.adaptive,
+        "adaptive": loaded.scene.moves and solver.plugin.adaptive,
         "chosen": loaded.why,
         "totals": summary.get("totals", {}),
         "dt": summary.get("dt"),
@@ -53,7 +56,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "steps_per_frame": summary.get("steps_per_frame"),
         "idle": summary.get("idle", 0),
         "rested": summary.get("rested", False),
-        "size": {name: summary.get(name, 0) for name in (DYE_SIZES if loaded.dye is not None else SIZES)},
+        "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
         "threads": summary.get("threads", ""),
         "energy": summary.get("energy", []),
         "stretch": summary.get("stretch", 0.0),
@@ -61,9 +64,10 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "last_penetration": collision.get("last_depth"),
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
         "counts": summary.get("counts", {}),
-        "dye": summary.get("dye"),
+        "dye": dyer.get("dye"),
+        "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,
         "frames": {
-            "sent": _frames(services.get(outcome.plan.leader, {}).get("sent") or {}),
+            "sent": sum(_frames(services.get(name, {}).get("sent") or {}) for name in {outcome.plan.leader, "dye"}),
             "recorded": _frames(recorder["counts"]) if "counts" in recorder else None,
             "shown": viewer.get("shown", 0),
         },
@@ -73,6 +77,18 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "services": list(outcome.plan.services),
         "left_out": list(outcome.plan.left_out),
     }
+
+
+def _sizes(loaded: Loaded) -> tuple[str, ...]:
+    return (SIZES if loaded.scene.moves else ()) + (DYE_SIZES if loaded.dye is not None else ())
+
+
+def _dye_steps(loaded: Loaded, dyer: Report) -> Report:
+    """How the dye of a garment was stepped, beside the cloth."""
+    names = ("dt", "steps_per_frame", "totals", "threads", "digest", "frame")
+    solver = loaded.dye.solver.name if loaded.dye is not None else ""
+    limit = (dyer.get("limit") or {}).get("dt")
+    return {"solver": solver, "adaptive": False, "dt_limit": limit, "dye": True} | {n: dyer.get(n) for n in names}
 
 
 def _frames(counts: dict[str, int]) -> int:
@@ -136,7 +152,7 @@ def _step(report: Report) -> str:
         return "none was taken"
     text = f"{report['solver']}, dt {dt * 1e3:.4g} ms, {report['steps_per_frame']} a frame"
     taken = report["totals"].get("steps", 0)
-    if report.get("dye"):
+    if report.get("dye") and not report.get("dye_steps"):
         text += f", {taken:,} in all"
     if report["adaptive"] and taken:
         mean, own = report["simulated_seconds"] / taken, f"{report['solver']}, {taken:,} of its own choice"
@@ -153,6 +169,8 @@ def _dye(report: Report) -> list[tuple[str, str]]:
     """Amounts of each dye in full cells, and how well they are kept."""
     dye = report["dye"]
     rows: list[tuple[str, str]] = []
+    if report["dye_steps"]:
+        rows += [("dye step", _step(report["dye_steps"])), ("dye digest", report["dye_steps"]["digest"])]
     seconds, simulated = dye["seconds"], report["began"] + report["simulated_seconds"]
     if seconds != simulated:
         rows.append(("dyeing", f"{_time(seconds)}, {seconds / simulated:g} times as fast as the scene"))
@@ -189,7 +207,7 @@ def _cells(amount: float | None) -> str:
 
 def _physics(report: Report) -> list[tuple[str, str]]:
     rows = []
-    if report.get("dye"):
+    if report.get("dye") and not report["dye_steps"]:
         return _dye(report)
     if report["energy"]:
         first, last = report["energy"][0], report["energy"][-1]
@@ -213,6 +231,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     warnings = {name: n for name, n in report["counts"].items() if n and name != "contacts"}
     if warnings:
         rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))
+    rows += _dye(report) if report.get("dye") else []
     return rows + [("warning", text) for text in _warnings(report)]
 
 

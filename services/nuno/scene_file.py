@@ -64,7 +64,7 @@ class Loaded:
     files: SceneFiles
     models: list[Chosen]
     solver: Chosen | None
-    """The integrator; None for a scene of dye."""
+    """The integrator; None for a scene of dye alone."""
     colliders: list[Chosen]
     motions: list[Chosen | None]
     forces: list[Chosen]
@@ -78,9 +78,9 @@ class Loaded:
 
     @property
     def integrator(self) -> Chosen:
-        """What steps the cloth of a scene that has no dye."""
+        """What steps the cloth of a scene in which it moves."""
         if self.solver is None:
-            raise ValueError("a scene of dye has no integrator")
+            raise ValueError("a scene of dye alone has no integrator")
         return self.solver
 
     def value(self, field: str) -> Any:
@@ -240,7 +240,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         lines,
         files,
         models=[chosen("nuno.models", o.model, ("objects", i, "model")) for i, o in enumerate(scene.objects)],
-        solver=chosen("nuno.integrators", _solver(scene), ("solver",)) if scene.dye is None else None,
+        solver=chosen("nuno.integrators", _solver(scene), ("solver",)) if scene.moves else None,
         colliders=[chosen("nuno.colliders", b.collider, ("bodies", i, "collider")) for i, b in enumerate(scene.bodies)],
         motions=[
             chosen("nuno.motions", b.motion, ("bodies", i, "motion")) if b.motion else None

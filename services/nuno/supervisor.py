@@ -26,6 +26,8 @@ from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, Fr
 START_TIMEOUT = 120.0
 """Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
 CONNECT_PATIENCE = 20.0
+FOLLOWERS = ("dye", "collision", "viewer", "recorder")
+"""Services in the order in which they finish, after the one that leads."""
 LAST_WORDS = 2.0
 """How long the reason is waited for when a service has gone [s]."""
 
@@ -80,7 +82,9 @@ class Supervisor:
         self.bus = Bus(session, run, SUPERVISOR)
         self.alive = self.bus.alive()
         self.watch = Watch(self.bus)
-        self.inbox = Inbox(self.bus, [STATUS, DYE_STATUS, Topic("run/event/*", "json", "nuno.Event")])
+        self.inbox = Inbox(
+            self.bus, [STATUS if loaded.scene.moves else DYE_STATUS, Topic("run/event/*", "json", "nuno.Event")]
+        )
         self.errors: dict[str, str] = {}
         self.bad_input: BadInput | None = None
         self.blamed = ""
@@ -181,7 +185,7 @@ class Supervisor:
         answers: dict[str, dict[str, Any]] = {}
         if "recorder" in self.plan.services:
             self._await_recorder()
-        order = [self.plan.leader, *(n for n in ("collision", "viewer", "recorder") if n in self.plan.services)]
+        order = [self.plan.leader, *(n for n in FOLLOWERS if n in self.plan.services[1:])]
         for name in order:
             if name not in self.watch.alive():
                 continue

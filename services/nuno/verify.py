@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nuno import build
 from nuno.recording.reader import Recording
 from nuno.recording.restore import control_events, restored_scene
+from nuno.scene_file import Loaded
 from nuno.simulation.run import Simulation
 from nuno_schemas.errors import BadInput
+from nuno_schemas.messages import DYE_STATUS, STATUS
 
 
 @dataclass(frozen=True)
 class Verification:
     """What a comparison found.
 
-    compared is the number of frames whose digests were compared; frame the first one that
+    compared is the number of frames whose digests were compared, of a dyed garment the cloth's, and dyed that of
+    its dye; frame the first one that
     differs (None: all are equal), and difference says where, if a checkpoint of that frame or a
     later one allows to tell.
     """
@@ -27,6 +30,7 @@ class Verification:
     frame: int | None = None
     t: float = 0.0
     difference: str = ""
+    dyed: int = 0
 
 
 def verify(recording: Recording, threads: int = 0, progress: Callable[[float], None] | None = None) -> Verification:
@@ -34,33 +38,53 @@ def verify(recording: Recording, threads: int = 0, progress: Callable[[float], N
 
     Raises BadInput for a recording without scene or digests.
     """
-    wanted = {number: digest for number, digest in recording.marks().values() if digest}
+    with restored_scene(recording) as loaded:
+        found = Verification(0)
+        if loaded.scene.moves:
+            found = verify_cloth(recording, loaded, _digests(recording, STATUS.name), threads, progress)
+        if found.frame is not None or loaded.dye is None:
+            return found
+        from nuno.dye.verify import verify_dye
+
+        dyed = verify_dye(recording, loaded, _digests(recording, DYE_STATUS.name), threads, progress)
+        return replace(dyed, compared=found.compared, dyed=dyed.compared) if loaded.scene.moves else dyed
+
+
+def _digests(recording: Recording, status: str) -> dict[int, str]:
+    """Digests by frame. Raises BadInput where there are none."""
+    wanted = {number: digest for number, digest in recording.marks(status).values() if digest}
     if not wanted:
         raise BadInput("the recording holds no digests to compare", str(recording.path))
+    return wanted
+
+
+def verify_cloth(
+    recording: Recording,
+    loaded: Loaded,
+    wanted: Mapping[int, str],
+    threads: int,
+    progress: Callable[[float], None] | None,
+) -> Verification:
+    """Simulate again, and compare every digest in `wanted`, by frame. Raises BadInput."""
     checkpoints = {point.frame: point.x for point in recording.checkpoints()}
     changes = [event for event in control_events(recording) if event.text == "set"]
-    with restored_scene(recording) as loaded:
-        if loaded.dye is not None:
-            from nuno.dye.verify import verify_dye
-
-            return verify_dye(recording, loaded, wanted, threads, progress)
-        bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
-        rate = loaded.scene.frame_rate
-        start = bodies.poses(0.0) if bodies else None
-        simulation = Simulation(loaded, bodies.geometry if bodies else None, start, threads)
-        simulation.measure(start)
-        for compared, frame in enumerate(range(max(wanted) + 1)):
-            if frame:
-                for event in changes:
-                    if event.frame == frame - 1:
-                        simulation.set(str(event.args["item"]))
-                end = bodies.poses(frame / rate) if bodies else None
-                simulation.advance(start, end)
-                start = end
-            if frame in wanted and simulation.digest() != wanted[frame]:
-                return Verification(compared, frame, simulation.t, _explain(simulation, checkpoints.get(frame)))
-            if progress is not None:
-                progress(simulation.t)
+    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+    rate = loaded.scene.frame_rate
+    start = bodies.poses(0.0) if bodies else None
+    simulation = Simulation(loaded, bodies.geometry if bodies else None, start, threads)
+    simulation.measure(start)
+    for compared, frame in enumerate(range(max(wanted) + 1)):
+        if frame:
+            for event in changes:
+                if event.frame == frame - 1:
+                    simulation.set(str(event.args["item"]))
+            end = bodies.poses(frame / rate) if bodies else None
+            simulation.advance(start, end)
+            start = end
+        if frame in wanted and simulation.digest() != wanted[frame]:
+            return Verification(compared, frame, simulation.t, _explain(simulation, checkpoints.get(frame)))
+        if progress is not None:
+            progress(simulation.t)
     return Verification(len(wanted))
 
 

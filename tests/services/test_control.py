@@ -13,6 +13,7 @@ from scenes import write_scene
 import nuno
 from nuno import scene_file
 from nuno.cli import main
+from nuno.lockstep import Lockstep
 from nuno.recording.restore import control_events
 
 
@@ -50,6 +51,21 @@ def test_a_step_says_that_the_run_pauses_again(run: Run, capsys: pytest.CaptureF
     assert run.control("status")["left"] == 0
     assert main(["control", run.run, "step"]) == 0
     assert f"{run.run}: running for 1 frame, then paused; at frame" in capsys.readouterr().out
+
+
+def test_a_step_counts_the_frames_after_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also while a frame that is done waits to be acknowledged."""
+    before, asked = Lockstep.wait_for, list[int]()
+
+    def wait_for(self: Lockstep, frame: int) -> None:
+        if self.work.frame == 3 and not asked:
+            asked.append(self.control({"action": "step", "frames": 2})["left"])
+        before(self, frame)
+
+    monkeypatch.setattr(Lockstep, "wait_for", wait_for)
+    run = start_long(tmp_path)
+    assert run.wait_until_paused() == 5 and asked == [2]
+    run.stop()
 
 
 def test_set_answers_with_the_old_and_the_new_value(run: Run, capsys: pytest.CaptureFixture[str]) -> None:

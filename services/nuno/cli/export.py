@@ -94,7 +94,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
         written.append(tables.export_npz(recording, args.npz))
     if args.csv:
         written.append(tables.export_csv(recording, args.csv))
-    written += _draw_dyed(recording, args) if recording.scene.get("dye") else _draw(recording, args)
+    written += _draw_dyed(recording, args) if recording.dyed_alone else _draw(recording, args)
     for suffix in MESHES:
         path = getattr(args, suffix[1:])
         if path and path.suffix.lower() == suffix:
@@ -146,7 +146,7 @@ def _draw_dyed(recording: Recording, args: argparse.Namespace) -> list[Path]:
 
 def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
     """Raises BadInput where something is asked for that a recording of its kind does not have."""
-    if recording.scene.get("dye"):
+    if recording.dyed_alone:
         meshes = [name for name in (m[1:] for m in MESHES) if getattr(args, name)]
         if meshes:
             problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"

@@ -24,12 +24,12 @@ def main(args: argparse.Namespace) -> int:
     loaded = decide(load_scene(args))
     plan = make_plan(loaded, Options(record=Path("recordings")))
     rows = [("scene", f"{loaded.scene.name}: {loaded.scene.description}"), ("services", ", ".join(plan.services))]
+    if loaded.scene.moves:
+        rows += _cloth(loaded)
     if loaded.dye is not None:
         from nuno.dye.describe import describe_dye
 
         rows += describe_dye(loaded)
-    else:
-        rows += _cloth(loaded)
     rows += [("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)]
     for name, text in rows:
         print(f"{name:9} {text}")

@@ -51,7 +51,8 @@ def _verify(recording: Recording) -> int:
 
     found = verify(recording)
     if found.frame is None:
-        print(f"equal to the last bit: {found.compared} frames")
+        dyed = f" of cloth, {found.dyed} of dye" if found.dyed else ""
+        print(f"equal to the last bit: {found.compared} frames{dyed}")
         return 0
     print(f"differs first at frame {found.frame} (t = {found.t:g} s): {found.difference}", file=sys.stderr)
     return 1

@@ -140,7 +140,7 @@ def _keep_page(options: Options, outcome: supervisor.Outcome) -> None:
 
 
 def _draw(loaded: Loaded, recording: Path, target: Path) -> None:
-    if loaded.dye is not None:
+    if not loaded.scene.moves:
         from nuno.export.dyed_pictures import export_dyed_picture
 
         export_dyed_picture(recording, target)

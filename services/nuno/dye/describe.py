@@ -14,7 +14,10 @@ def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
     """Rows of (heading, text). Raises BadInput for a scene that would not start."""
     dyeing = DyeRun(loaded, 0)
     return [
-        ("cloth", f"{dyeing.cells.fibre.size:,} cells of {dyeing.cells.size * 1e3:.4g} mm, in two layers"),
+        (
+            "dye cloth" if loaded.scene.moves else "cloth",
+            f"{_on(loaded)}{dyeing.cells.fibre.size:,} cells of {dyeing.cells.size * 1e3:.4g} mm, in two layers",
+        ),
         ("dyes", ", ".join(map(_dye, dyeing.system.dyes))),
         ("solver", _solver(dyeing, loaded)),
         *_cost(dyeing, loaded),
@@ -24,6 +27,11 @@ def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
 def _dye(one: Dye) -> str:
     law = one.isotherm.kind if one.isotherm is not None and one.adsorption else "nothing is fixed"
     return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h, {law})"
+
+
+def _on(loaded: Loaded) -> str:
+    dye = loaded.scene.dye
+    return f"on {dye.on}, " if dye is not None and dye.on is not None else ""
 
 
 def _speed(dyeing: DyeRun) -> str:

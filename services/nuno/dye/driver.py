@@ -14,14 +14,14 @@ from nuno.dye.run import DyeRun, Frame
 from nuno.lockstep import Lockstep
 from nuno.service import Context
 from nuno_schemas.dye import DyeReport
-from nuno_schemas.messages import CLOTH, CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, DyeStatus
+from nuno_schemas.messages import CLOTH, CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, STATUS, DyeStatus
 
 
 class Driver(Lockstep):
-    """Runs a dyeing frame by frame and answers control."""
+    """Runs a dyeing frame by frame: leads and answers control, or follows the simulation of what is dyed."""
 
     def __init__(self, context: Context, dyeing: DyeRun) -> None:
-        super().__init__(context, dyeing)
+        super().__init__(context, dyeing, STATUS if context.loaded.scene.moves else None)
         self.dyeing = dyeing
         self.balance = 0.0
         self.amounts: dict[str, dict[str, float | None]] = {}
@@ -43,6 +43,7 @@ class Driver(Lockstep):
         if cells.photograph is not None:
             arrays |= {"photograph": cells.photograph.light, "photograph_warp": cells.photograph.warp}
         text = {"scene": self.scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}
+        text["on"] = self.scene.dye.on if self.scene.dye is not None else None
         self.context.bus.publisher(CLOTH).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t)
 
     def add(self, item: str) -> dict[str, Any]:

@@ -15,7 +15,8 @@ from nuno_schemas.errors import BadInput
 def resume(dyeing: DyeRun, path: Path) -> None:
     """Go on from a recording's last checkpoint, with what was added before it."""
     with open_recording(path) as recording:
-        point, frames = last_checkpoint(recording), dyeing.loaded.scene.frames
+        before = recording.common_checkpoint().t
+        point, frames = last_checkpoint(recording, before), dyeing.loaded.scene.frames
         if point.frame > frames:
             raise BadInput(
                 "the recording goes on after the end of the scene",
@@ -28,7 +29,7 @@ def resume(dyeing: DyeRun, path: Path) -> None:
 
 
 def main(context: Context) -> None:
-    """Spread the dye of one run: prepare, wait for the start, step through the frames, answer the end."""
+    """Spread the dye of one run: prepare, step through the frames from the start on, answer the end."""
     dyeing = DyeRun(context.loaded, context.options.threads)
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)

@@ -21,13 +21,14 @@ def export_npz(source: Recording | Path | str, path: Path, t: float | None = Non
     """Write the last checkpoint (not after t [s]): x, v (n, 3) and t, all float64, and no more.
 
     Of a cloth that is dyed: phi, fixed and t; the amounts are (2, ny, nx), or (dyes, 2, ny, nx) for
-    several dyes, as in the file of the cloth `cells`.
+    several dyes, as in the file of the cloth `cells`. Of a garment that is dyed all of these.
 
     Solver memory stays in the recording, from which a run is resumed. Raises BadInput where
     there is no checkpoint or the file cannot be written.
     """
     with opened(source) as recording:
-        arrays = _dye(recording, t) if DYE_CHECKPOINT.name in recording.counts else _cloth(recording, t)
+        arrays = {} if recording.dyed_alone else _cloth(recording, t)
+        arrays |= _dye(recording, t) if DYE_CHECKPOINT.name in recording.counts else {}
         with writing(path, ".npz") as new, new.open("wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
     return path

@@ -71,5 +71,6 @@ def _strings(value: object) -> Iterator[str]:
 
 def _chosen(loaded: Loaded) -> list[Chosen]:
     optional = [c for c in (*loaded.motions, loaded.contact) if c is not None]
-    own = loaded.dye.plugins if loaded.dye is not None else [loaded.integrator]
-    return [*loaded.models, *own, *loaded.colliders, *loaded.forces, *optional]
+    dye = loaded.dye.plugins if loaded.dye is not None else []
+    own = [loaded.integrator] if loaded.scene.moves else []
+    return [*loaded.models, *own, *dye, *loaded.colliders, *loaded.forces, *optional]

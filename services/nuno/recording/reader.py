@@ -17,7 +17,18 @@ from nuno.recording.layout import ChunkPlace, Damaged, Layout, attachment, chunk
 from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.messages import BODIES, CHECKPOINT, CHECKPOINTS, FABRIC, GEOMETRY, REPORT, STATE, STATUSES
+from nuno_schemas.messages import (
+    BODIES,
+    CHECKPOINT,
+    CHECKPOINTS,
+    DYE_CHECKPOINT,
+    DYE_STATUS,
+    FABRIC,
+    GEOMETRY,
+    REPORT,
+    STATE,
+    STATUS,
+)  # fmt: skip
 
 Arrays = dict[str, NDArray[Any]]
 END = "end"
@@ -91,7 +102,7 @@ class Recording:
         except BadInput:
             self._stream.close()
             raise
-        self._marks: dict[int, tuple[int, str]] | None = None
+        self._marks: dict[str, dict[int, tuple[int, str]]] = {}
         self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
 
     def __enter__(self) -> Recording:
@@ -183,12 +194,22 @@ class Recording:
             with self._damage_reported(message):
                 yield Frame(number, message.t, digest, decode_points(message.payload))
 
-    def marks(self) -> dict[int, tuple[int, str]]:
-        """Frame number and digest by log time [ns], from the status of each frame."""
-        if self._marks is None:
-            statuses = ((m.log_time, self.json(m.payload)) for m in self.messages(STATUSES))
-            self._marks = {time: (int(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses}
-        return self._marks
+    @property
+    def dyed_alone(self) -> bool:
+        """Whether it is of a cloth that is dyed and does not move."""
+        dye = self.scene.get("dye")
+        return isinstance(dye, dict) and dye.get("on") is None
+
+    def marks(self, status: str | None = None) -> dict[int, tuple[int, str]]:
+        """Frame number and digest by log time [ns], from the status of each frame.
+
+        Of a dyed garment those of the cloth, or of the dye with `status` its topic.
+        """
+        name = status or (DYE_STATUS.name if self.dyed_alone else STATUS.name)
+        if name not in self._marks:
+            statuses = ((m.log_time, self.json(m.payload)) for m in self.messages([name]))
+            self._marks[name] = {time: (int(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses}
+        return self._marks[name]
 
     def fabric(self) -> tuple[Arrays, dict[str, Any]]:
         """Arrays of the cloth that do not change (faces, uv, edges, ...) and their text."""
@@ -207,12 +228,33 @@ class Recording:
             yield self._checkpoint(message)
 
     def last_checkpoint_message(self, before: float | None = None, topics: tuple[str, ...] = CHECKPOINTS) -> Recorded:
-        """The last checkpoint with t <= before [s], of cloth or of dye. Raises BadInput where there is none."""
+        """The last checkpoint with t <= before [s] of one of the topics. Raises BadInput where there is none."""
         found = [m for m in (self.last(topic, before) for topic in topics) if m is not None]
         if not found:
-            remedy = "record with record: {checkpoint_every: 1 s}"
-            raise BadInput("the recording holds no checkpoint", str(self.path), remedy=remedy)
+            raise self._no_checkpoint()
         return found[0]
+
+    def common_checkpoint(self) -> Recorded:
+        """The last checkpoint at whose time all that the scene steps has one. Raises BadInput where there is none.
+
+        Both services keep theirs at the same frames; of a run that was killed one may lack its last.
+        """
+        kept = {CHECKPOINT.name: not self.dyed_alone, DYE_CHECKPOINT.name: bool(self.scene.get("dye"))}
+        topics = [topic for topic in CHECKPOINTS if kept[topic]]
+        before: float | None = None
+        for _ in topics:
+            found = [self.last(topic, before) for topic in topics]
+            if any(message is None for message in found):
+                break
+            first = min((m for m in found if m is not None), key=lambda m: m.log_time)
+            if all(m is not None and m.log_time == first.log_time for m in found):
+                return first
+            before = first.t
+        raise self._no_checkpoint()
+
+    def _no_checkpoint(self) -> BadInput:
+        remedy = "record with record: {checkpoint_every: 1 s}"
+        return BadInput("the recording holds no checkpoint", str(self.path), remedy=remedy)
 
     def last_checkpoint(self, before: float | None = None) -> Checkpoint:
         """The last checkpoint of cloth with t <= before [s]. Raises BadInput where there is none."""

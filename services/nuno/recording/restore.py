@@ -60,7 +60,7 @@ def copy_until(recording: Recording, writer: RecordingWriter) -> None:
     """Write everything from before the last checkpoint, and the checkpoint itself: what a resumed run
     has in common with the one it goes on from.
     """
-    checkpoint = recording.last_checkpoint_message()
+    checkpoint = recording.common_checkpoint()
     for message in recording.messages():
         earlier = message.t < checkpoint.t - 1e-9
         # A change made at the checkpoint's frame comes after it.

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.recording.reader import Recording
-from nuno_schemas.messages import PENETRATION, STATUSES
+from nuno_schemas.messages import DYE_STATUS, PENETRATION, STATUSES
 
 FIELDS = ("frame", "t", "steps", "step_seconds", "stretch", "time", "balance")
 """Of a status; only those that it has."""
+OWN = ("steps", "step_seconds")
+"""Of each service; of the dye of a garment as dye_steps, dye_step_seconds."""
 TABLES = ("energy", "mobile", "fixed", "supplied")
 """Mappings in a status: each entry is a column, `energy_kinetic`."""
 
@@ -24,11 +26,12 @@ def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
     rows: dict[int, dict[str, Any]] = {}
     for message in recording.messages(STATUSES):
         value = recording.json(message.payload)
-        row = {name: value[name] for name in FIELDS if name in value}
+        own = "dye_" if message.topic == DYE_STATUS.name and not recording.dyed_alone else ""
+        row = {own + name if name in OWN else name: value[name] for name in FIELDS if name in value}
         for name in TABLES:
             table = value.get(name)
             row |= {f"{name}_{key}": number for key, number in table.items()} if isinstance(table, dict) else {}
-        rows[int(value.get("frame", -1))] = row
+        rows.setdefault(int(value.get("frame", -1)), {}).update(row)
     for message in recording.messages([PENETRATION.name]):
         value = recording.json(message.payload)
         rows.setdefault(int(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}).update(

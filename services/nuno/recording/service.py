@@ -62,7 +62,8 @@ class Recorder:
     def __init__(self, context: Context, inbox: Inbox, writer: RecordingWriter) -> None:
         self._context, self._inbox, self._writer = context, inbox, writer
         self._acks = context.bus.publisher(ack_topic(context.bus.service))
-        self._digest = ""
+        self._digests: dict[str, str] = {}
+        """Of the last frame, by topic."""
         self._before = dict(writer.counts)
         """Messages copied from the run that this one goes on from."""
 
@@ -79,7 +80,7 @@ class Recorder:
             self._inbox.refuse(message)
             return
         if message.topic in FRAMES:
-            self._digest = header.digest or self._digest
+            self._digests[message.topic] = header.digest
             ack = Ack(service=self._context.bus.service, frame=header.frame)
             self._acks.put(ack.model_dump_json().encode(), header.frame, header.t)
 
@@ -104,7 +105,7 @@ class Recorder:
         counts, missing = self._writer.counts, self._missing(expected)
         end = {
             "state": state,
-            "digest": self._digest,
+            "digest": next((self._digests[topic] for topic in FRAMES if self._digests.get(topic)), ""),
             "counts": json.dumps(counts),
             "missing": json.dumps(missing),
             "refused": json.dumps(self._refused()),

@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from nuno.arrays import encode_arrays, encode_points
 from nuno.build import structural_edges
 from nuno.collision.ask import ask_poses
-from nuno.lockstep import Lockstep
+from nuno.lockstep import CONTROL, Lockstep
 from nuno.service import Context
 from nuno.simulation.run import Frame, Simulation
 from nuno_schemas.bodies import Poses
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status
 from nuno_schemas.plugin import StepReport
+
+DYE_TIMEOUT = 60.0
+"""How long a frame of dye may take that is finished before a question is answered [s]."""
 
 
 class Driver(Lockstep):
@@ -31,6 +34,13 @@ class Driver(Lockstep):
         self.counts: dict[str, int] = {}
         self.energy: list[dict[str, float]] = []
         self.stretch = 0.0
+
+    def control(self, request: dict[str, Any]) -> dict[str, Any]:
+        """See `Lockstep`; what is added, is added to the dye where the scene has any."""
+        if request.get("action") != "add" or self.scene.dye is None:
+            return super().control(request)
+        answer = self.context.bus.ask_json(f"{CONTROL}/dye", request, DYE_TIMEOUT)
+        return answer | ({"state": self.state, "before": self.state, "left": self.left} if answer["ok"] else {})
 
     def publish_start(self) -> None:
         """The cloth, and its state before the first step."""

@@ -18,7 +18,7 @@ def resume(context: Context, simulation: Simulation, path: Path, poses: Poses | 
     from nuno.recording.restore import control_events
 
     with open_recording(path) as recording:
-        point = recording.last_checkpoint()
+        point = recording.last_checkpoint(recording.common_checkpoint().t)
         frames = context.loaded.scene.frames
         if point.frame > frames:
             raise BadInput(

@@ -34,7 +34,7 @@ def convert(recording: Recording, path: Path) -> Path:
 @contextmanager
 def _painter(recording: Recording) -> Iterator[DyePainter | None]:
     """What draws the recording's dyed cloth, while its scene's files are there."""
-    if not recording.scene.get("dye"):
+    if not recording.dyed_alone:
         yield None
         return
     with restored_scene(recording) as loaded:

@@ -52,7 +52,7 @@ class Viewer:
         self.frames = 0
         self.early: list[Message] | None = []
         """What came before the cloth did."""
-        self.cloth = FABRIC.name if context.loaded.dye is None else CLOTH.name
+        self.cloth = FABRIC.name if context.loaded.scene.moves else CLOTH.name
         options, view = context.options, context.loaded.scene.view
         self.file: Any = None
         if options.save is not None:
@@ -130,7 +130,7 @@ class Viewer:
 
 
 def _painter(loaded: Loaded) -> DyePainter | None:
-    if loaded.dye is None:
+    if loaded.scene.moves:
         return None
     from nuno.export.dyed import painter_of
     from nuno.viewer.dyed import MOST_PIXELS

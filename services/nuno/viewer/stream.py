@@ -144,8 +144,8 @@ def read_painter(scene: str) -> DyePainter | None:
 
 
 def scene_of(loaded: Loaded) -> str:
-    """Where a scene of dye can be read again; "" for any other."""
-    if loaded.dye is None:
+    """Where a scene of dye alone can be read again; "" for any other."""
+    if loaded.scene.moves:
         return ""
     roots = [str(root) for root in loaded.files.roots]
     return json.dumps({"path": str(loaded.path), "overrides": list(loaded.overrides), "roots": roots})
