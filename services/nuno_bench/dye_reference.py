@@ -51,11 +51,11 @@ def make_dye_reference(problem: DyeProblem, most_seconds: float, told: Callable[
     finer = fitting[0]
     told(f"reference: {SCHEME}, {finer} and {2 * finer} steps for one that is stable")
     half, coarse, fine = (_run(problem, plugin, n * stable) for n in (finer // 2, finer, 2 * finer))
-    run = _extrapolate(coarse, fine)
+    run = extrapolate(coarse, fine)
     how = f"{SCHEME} at 1/{finer} and 1/{2 * finer} of its stable step, extrapolated"
     others = [name for name in sorted(registry.installed(problem.group)) if name != SCHEME]
     checks = [(one, said) for name in others for one, said in _check(problem, name, stable * finer, most_seconds, told)]
-    checks = checks or [(_extrapolate(half, coarse), "the same at twice the step")]
+    checks = checks or [(extrapolate(half, coarse), "the same at twice the step")]
     check, said = min(checks, key=lambda pair: float(np.abs(pair[0].series.x - run.series.x).max()))
     return Compared(run, check, f"{how}, checked by {said}", coarse.seconds + fine.seconds + check.seconds)
 
@@ -87,7 +87,7 @@ def _run(problem: DyeProblem, plugin: Any, steps: int) -> Run:
     return run
 
 
-def _extrapolate(coarse: Run, fine: Run) -> Run:
+def extrapolate(coarse: Run, fine: Run) -> Run:
     """Without the error of first order; `fine` took twice the steps of `coarse`."""
     a, b = coarse.series, fine.series
     values = {name: 2.0 * b.values[name] - a.values[name] for name in b.values}

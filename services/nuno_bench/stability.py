@@ -8,17 +8,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nuno import registry, scene_file
+from nuno.scene_file import Loaded
 from nuno.viewer.require import require as require_viewer
 from nuno_bench import executor, machine, markdown, plots
 from nuno_bench import stability_page as shown
 from nuno_bench.kept import Kept, hint, require
 from nuno_bench.result import text_table
+from nuno_bench.stability_case import Posed
 from nuno_bench.stability_drift import measure_modes
+from nuno_bench.stability_dye import AXIS, DyePosed
 from nuno_bench.stability_plots import maps
 from nuno_bench.stability_run import Mapped, Row, measure_all, settings_of
 from nuno_schemas.errors import BadInput, nearest
 
-GROUP = "nuno.integrators"
 MODES_SHARE = 0.25
 """Of the budget that goes to the long runs of a small net."""
 
@@ -48,20 +50,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Map each scene, print the counts, write page, CSV and JSON. A run that diverges is a result."""
     plots.require_matplotlib()
-    solvers = _choose(args)
     paths: list[Path] = [scene_file.find(name) for name in args.scenes]
+    solvers = _choose(args, paths)
     require_viewer(None, args.rrd, "--rrd")
     if args.docs is not None:
         markdown.check_section(args.docs, "stability")
-    for path in paths:
-        scene_file.read(path, args.overrides)
     if args.resume:
         require([_rows(args, path) for path in paths])
     sections, mapped = list[str](), list[Mapped]()
     with executor.opened(args) as where:
         args.out.mkdir(parents=True, exist_ok=True)
         for path in paths:
-            mapped.append(_map(args, path, solvers, where))
+            mapped.append(_map(args, path, solvers[path], where))
             sections += _document(args, mapped[-1])
     if args.rrd is not None:
         from nuno_bench import stability_rerun
@@ -74,17 +74,28 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _choose(args: argparse.Namespace) -> list[str]:
-    """Names of the solvers. Raises BadInput before anything runs."""
-    known = sorted(registry.installed(GROUP))
-    names = [name for name in args.solvers.split(",") if name] or known
+def _choose(args: argparse.Namespace, paths: Sequence[Path]) -> dict[Path, list[str]]:
+    """Names of the solvers of each scene. Raises BadInput before anything runs."""
+    groups = {path: _group(scene_file.read(path, args.overrides)) for path in paths}
+    installed = {group: sorted(registry.installed(group)) for group in groups.values()}
+    known = [name for names in installed.values() for name in names]
+    names = [name for name in args.solvers.split(",") if name]
     for name in names:
         if name not in known:
             raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, known))
+    chosen = {path: [n for n in names or installed[group] if n in installed[group]] for path, group in groups.items()}
+    for path, own in chosen.items():
+        if not own:
+            remedy, problem = f"known: {', '.join(installed[groups[path]])}", "none of these solvers can run the scene"
+            raise BadInput(problem, str(path), field="--solvers", value=", ".join(names), remedy=remedy)
     if args.budget <= 0.0:
         raise BadInput("a sweep needs time", field="--budget", value=args.budget, limit="> 0 s")
     executor.check(args)
-    return names
+    return chosen
+
+
+def _group(loaded: Loaded) -> str:
+    return DyePosed.group if loaded.solver is None else Posed.group
 
 
 def _rows(args: argparse.Namespace, path: Path) -> Path:
@@ -103,8 +114,9 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: execut
     identity = {"scene": settings[0].scene.digest, "solvers": solvers, "versions": executor.versions()}
     kept = Kept(_rows(args, path), identity, args.resume)
     with hint(kept.path):
-        modes, lost = measure_modes(solvers, kept, MODES_SHARE * args.budget, where, told)
-        sweep = measure_all(settings, solvers, kept, (1.0 - MODES_SHARE) * args.budget, where, told)
+        share = 0.0 if settings[0].axis == AXIS else MODES_SHARE
+        modes, lost = measure_modes(solvers, kept, share * args.budget, where, told) if share else ([], [])
+        sweep = measure_all(settings, solvers, kept, (1.0 - share) * args.budget, where, told)
     omissions += lost
     sweep.omissions[:0] = omissions
     about = {"command": machine.command(), **machine.describe(), "points": where.where, "load": others.describe()}
@@ -129,7 +141,7 @@ def _document(args: argparse.Namespace, mapped: Mapped) -> list[str]:
         *_pictures(args, mapped.scene, sweep.rows),
         markdown.table(shown.COUNTS, shown.counts(sweep.rows)),
         markdown.table(shown.BEYOND, shown.beyond(sweep.rows)),
-        markdown.table(shown.MODES, shown.modes(sizes, drifts)),
+        *([markdown.table(shown.MODES, shown.modes(sizes, drifts))] if sizes else []),
         *(f"Left out: {text}." for text in sweep.omissions),
     ]
 
@@ -141,7 +153,10 @@ def _pictures(args: argparse.Namespace, name: str, rows: Sequence[Row]) -> list[
     folder, parts = args.docs.parent / "pictures", []
     folder.mkdir(exist_ok=True)
     for axis, words in shown.AXES.items():
+        own = [row for row in rows if row.axis == axis]
+        if not own:
+            continue
         picture = folder / f"stability-{name}-{axis}.svg"
-        picture.write_text(maps([row for row in rows if row.axis == axis], axis, words), encoding="utf-8")
+        picture.write_text(maps(own, axis, words), encoding="utf-8")
         parts.append(f"![Maps of {name} over {words}, and the step](pictures/{picture.name})")
     return parts

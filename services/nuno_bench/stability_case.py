@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -56,6 +56,20 @@ class Posed:
     poses: list[Poses | None]
     frame: float
     edge: float
+    group: ClassVar[str] = "nuno.integrators"
+
+    def limit(self, plugin: Any, config: Any) -> float:
+        """The solver's own limit [s], once it is compiled. Raises BadInput where it refuses the scene."""
+        with np.errstate(all="ignore"):
+            limit = float(plugin.limit(config, self.system, self.start).dt)
+            state = self.start.copy()
+            memory = plugin.prepare(config, self.system, state)
+            plugin.advance(self.system, state, memory, self.pair(0), 0, self.frame)
+        return limit
+
+    def run(self, plugin: Any, config: Any, steps: int, most: float = math.inf) -> tuple[Motion | None, str, str]:
+        """See run."""
+        return run(self, plugin, config, steps, most)
 
     def pair(self, frame: int) -> tuple[Poses, Poses] | None:
         before, after = self.poses[frame], self.poses[frame + 1]
@@ -64,7 +78,10 @@ class Posed:
 
 @dataclass(frozen=True)
 class Motion:
-    """What a run did: x (frames + 1, n, 3), energies of the motion and in all (frames + 1,) [J]."""
+    """What a run did: x (frames + 1, n, 3), energies of the motion and in all (frames + 1,) [J].
+
+    Of dye x are amounts (frames + 1, dyes * cells, 2), and both energies are all dye.
+    """
 
     x: Float
     kinetic: Float
@@ -176,8 +193,24 @@ def classify(path: Motion, reference: Motion) -> tuple[str, float, float]:
     return "damped away" if gained < -LOST else "drifting", error, gained
 
 
+class Runnable(Protocol):
+    """A setting that a solver can be run on: cloth (Posed) or dye."""
+
+    group: ClassVar[str]
+
+    @property
+    def frame(self) -> float: ...
+
+    @property
+    def edge(self) -> float: ...
+
+    def limit(self, plugin: Any, config: Any) -> float: ...
+
+    def run(self, plugin: Any, config: Any, steps: int, most: float = ...) -> tuple[Motion | None, str, str]: ...
+
+
 def measure_row(
-    posed: Posed,
+    posed: Runnable,
     setting: Setting,
     solver: str,
     counts: Sequence[int],
@@ -189,15 +222,11 @@ def measure_row(
 
     A point that would take more than `most` seconds, or start after `deadline` (time.monotonic), is left out.
     """
-    plugin = registry.load("nuno.integrators", solver)
+    plugin = registry.load(posed.group, solver)
     config = plugin.Config()
     points: list[Point] = []
     try:
-        with np.errstate(all="ignore"):
-            limit = float(plugin.limit(config, posed.system, posed.start).dt)
-            state = posed.start.copy()
-            memory = plugin.prepare(config, posed.system, state)
-            plugin.advance(posed.system, state, memory, posed.pair(0), 0, posed.frame)
+        limit = posed.limit(plugin, config)
     except BadInput:
         limit = math.nan
     each = 0.0
@@ -208,7 +237,7 @@ def measure_row(
             continue
         begin = time.perf_counter()
         try:
-            path, outcome, why = run(posed, plugin, config, count, 2.0 * most)
+            path, outcome, why = posed.run(plugin, config, count, 2.0 * most)
         except BadInput as refused:
             path, outcome, why = None, "refused", refused.problem
         seconds = time.perf_counter() - begin

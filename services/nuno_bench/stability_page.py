@@ -25,8 +25,20 @@ HOW = (
     f"where it is not finite or has gained {RUNAWAY:g} times as much, and drifting otherwise. Refused: the solver "
     "itself declined, or did not converge. A scene's own run refuses steps above the line."
 )
+HOW_DYE = (
+    "A point is a few frames of the scene, held against the explicit scheme at fine steps, extrapolated. It is exact "
+    f"up to a distance of {EXACT:g} of how far amounts change at most in any cell, and accurate up to {ACCURATE:g}, "
+    f"unless more than that of all dye has come or gone. Beyond, it is damped away where {LOST:.0%} of the dye is "
+    "missing, diverged where it is not finite, and drifting otherwise: limits on what a cell may hold keep even "
+    "unstable steps bounded. Refused: the solver itself declined, or did not converge. A scene's own run refuses steps "
+    "above the line."
+)
 FIELDS = ("axis", "value", "edge", "solver", "limit", "dt", "outcome", "error", "gained", "seconds", "why")
-AXES = {"stiffness": "stiffness, as a multiple of the scene's", "mesh": "shortest spring [mm]"}
+AXES = {
+    "stiffness": "stiffness, as a multiple of the scene's",
+    "mesh": "shortest spring [mm]",
+    "diffusion": "coefficient of diffusion, as a multiple of the scene's",
+}
 
 
 def counts(rows: Sequence[Row]) -> list[list[str]]:
@@ -84,7 +96,7 @@ def render(
             parts: list[page.Part] = [page.Figure(stability_plots.maps(rows, axis, name), caption)]
             sections.append((f"{axis.capitalize()} and step", parts))
     if sections:
-        sections[0][1].insert(0, HOW)
+        sections[0][1].insert(0, HOW_DYE if sweep.rows[0].axis == "diffusion" else HOW)
         sections.append(("Limits", [page.Table(BEYOND, beyond(sweep.rows), "Points, of both maps together.")]))
         sections.append(("Points", [page.Table(COUNTS, counts(sweep.rows), "Points of each class.")]))
     if sizes:

@@ -50,7 +50,7 @@ def maps(rows: Sequence[Row], axis: str, name: str) -> str:
 
 def place_of(row: Row) -> float:
     """Where a row stands: its factor, or the shortest spring [mm]."""
-    return row.value if row.axis == "stiffness" else 1e3 * row.edge
+    return 1e3 * row.edge if row.axis == "mesh" else row.value
 
 
 def _edges(values: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:

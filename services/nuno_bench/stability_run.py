@@ -5,19 +5,27 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from nuno import registry, scene_file
 from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
 from nuno_bench.packed import pack
-from nuno_bench.stability_case import Point, Setting, make_reference, measure_row, pose, reference_plugin
+from nuno_bench.stability_case import (
+    Motion,
+    Point,
+    Posed,
+    Setting,
+    make_reference,
+    measure_row,
+    pose,
+    reference_plugin,
+)
 from nuno_bench.stability_drift import Modes
+from nuno_bench.stability_dye import AXIS, DyePosed, dye_settings, pose_dye, prepare_dye
 from nuno_schemas.errors import BadInput
 
 FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
@@ -30,7 +38,7 @@ MOST_HALVINGS = 11
 
 @dataclass
 class Row:
-    """Points of one solver at one setting; limit [s] by the solver itself; edge [m] of the shortest spring."""
+    """Points of one solver at one setting; limit [s] by the solver itself; edge [m] of its shortest spring or cell."""
 
     axis: str
     value: float
@@ -81,6 +89,8 @@ def mesh_overrides(path: Path, overrides: Sequence[str], factor: float) -> list[
 
 def settings_of(path: Path, overrides: Sequence[str]) -> tuple[list[Setting], list[str]]:
     """All settings of a scene, the middle ones first, and the names of what cannot be varied."""
+    if scene_file.read(path, overrides).solver is None:
+        return dye_settings(path, overrides), []
     scene = pack(path, overrides)
     found = [Setting(scene, (), "stiffness", value) for value in FACTORS]
     omissions = []
@@ -157,25 +167,38 @@ def measure_all(
 
 def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
     """One frame without steps by every solver: processes of this machine then load what this one compiled."""
-    posed = pose(setting)
-    for plugin in (reference_plugin(), *(registry.load("nuno.integrators", name) for name in solvers)):
-        with contextlib.suppress(BadInput), np.errstate(all="ignore"):
-            state = posed.start.copy()
-            memory = plugin.prepare(plugin.Config(), posed.system, state)
-            plugin.advance(posed.system, state, memory, posed.pair(0), 0, posed.frame)
+    with _posed(setting) as posed:
+        own = [] if isinstance(posed, DyePosed) else [reference_plugin()]
+        for plugin in (*own, *(registry.load(posed.group, name) for name in solvers)):
+            with contextlib.suppress(BadInput):
+                posed.limit(plugin, plugin.Config())
 
 
 def measure_setting(task: Task) -> list[Row]:
     """The rows of a task. Raises BadInput where its setting cannot be posed, or no time is left."""
     if task.left <= 0.0:
         raise BadInput("the budget of time")
-    deadline, setting = time.monotonic() + task.left, task.setting
-    posed, plugin = pose(setting), reference_plugin()
-    unscaled = pose(replace(setting, axis="mesh"))
-    omega = float(plugin.limit(plugin.Config(), unscaled.system, unscaled.start).omega)
-    counts, reference = step_counts(posed.frame, omega), make_reference(posed)
-    rows = []
-    for name in task.solvers:
-        limit, points = measure_row(posed, setting, name, counts, reference, task.most, deadline)
-        rows.append(Row(setting.axis, setting.value, name, posed.edge, limit, points))
+    deadline, setting, rows = time.monotonic() + task.left, task.setting, []
+    with _posed(setting) as posed:
+        counts, reference = prepare_dye(posed, setting) if isinstance(posed, DyePosed) else _prepare(posed, setting)
+        for name in task.solvers:
+            limit, points = measure_row(posed, setting, name, counts, reference, task.most, deadline)
+            rows.append(Row(setting.axis, setting.value, name, posed.edge, limit, points))
     return rows
+
+
+@contextlib.contextmanager
+def _posed(setting: Setting) -> Iterator[Posed | DyePosed]:
+    """Raises BadInput."""
+    if setting.axis != AXIS:
+        yield pose(setting)
+        return
+    with pose_dye(setting) as posed:
+        yield posed
+
+
+def _prepare(posed: Posed, setting: Setting) -> tuple[list[int], Motion]:
+    """Numbers of steps a frame, the same for every stiffness, and the setting's reference."""
+    plugin, unscaled = reference_plugin(), pose(replace(setting, axis="mesh"))
+    omega = float(plugin.limit(plugin.Config(), unscaled.system, unscaled.start).omega)
+    return step_counts(posed.frame, omega), make_reference(posed)
