@@ -46,6 +46,9 @@ tr:last-child td { border-bottom: 0; }
 .good { color: var(--good); }
 figure { margin: 1.4rem 0; }
 figure svg { width: 100%; height: auto; display: block; }
+.pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1.2rem; }
+.pictures figure { margin: 0; }
+.pictures img { width: 100%; height: auto; display: block; border-radius: 3px; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .15rem 1.2rem; font-size: .85rem; }
 dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
 code { font: .88em ui-monospace, "DejaVu Sans Mono", Menlo, monospace; }
@@ -77,13 +80,28 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class Image:
+    """A picture as a data URL, and the sentence below it."""
+
+    source: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures side by side, as many in a row as fit."""
+
+    images: Sequence[Image]
+
+
+@dataclass(frozen=True)
 class Facts:
     """Names and values, e.g. the machine and the command."""
 
     values: Mapping[str, str]
 
 
-Part = str | Table | Figure | Facts
+Part = str | Table | Figure | Pictures | Facts
 """A paragraph of plain text, or one of the above."""
 
 
@@ -106,9 +124,16 @@ def _part(part: Part) -> str:
         label, caption = escape(part.caption, quote=True), escape(part.caption)
         picture = f'<div class="wide" role="img" aria-label="{label}">{part.svg}</div>'
         return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
+    if isinstance(part, Pictures):
+        return '<div class="pictures">' + "".join(map(_image, part.images)) + "</div>"
     if isinstance(part, Facts):
         return "<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in part.values.items()) + "</dl>"
     return f"<p>{escape(part)}</p>"
+
+
+def _image(image: Image) -> str:
+    caption = escape(image.caption, quote=True)
+    return f'<figure><img src="{image.source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
 
 
 def _table(table: Table) -> str:

@@ -1,0 +1,177 @@
+"""Scenes of the dye paper's figures: run, drawn, and measured against what the paper says of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from nuno import scene_file
+from nuno.dye.run import DyeRun
+from nuno.export.dyed import DyePainter, painter_of
+from nuno.scene_file import Loaded
+from nuno_bench.dye_measures import Dyed, fixed_radius, follows, mottle, spread_radius, streaks
+from nuno_bench.machine import cores
+from nuno_bench.result import number
+from nuno_schemas.dye_picture import Layers, Picture, amount_seen
+from nuno_schemas.errors import BadInput
+from nuno_schemas.look import DyeView
+
+SIDE = 480
+"""Pixels of a picture, about."""
+SEEN_FIXED = ("fig9a", "fig9b", "fig9c")
+"""Scenes that the paper shows by what fibre has taken, too."""
+MOMENTS = {"fig12": (0, 1, 2, 4, 8, 16, 24, 32)}
+"""Frames that are shown of a scene; of others the last one is."""
+EFFECT = 1.2
+"""Least ratio by which a difference counts as shown."""
+
+PARAMETER_HEADINGS = ("scene", "I", "II", "III", "V", "tau 1", "P", "varied", "D_ab / D0", "isotherm", "weave",
+                      "cells", "yarn, gap")  # fmt: skip
+NUMBER_HEADINGS = ("scene", "solver", "steps", "time [s]", "M cell updates/s", "supplied", "mobile", "fixed", "balance")
+DIFFERENCE_HEADINGS = ("the paper says", "measure", "of", "against", "ratio", "verdict")
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A scene that has been run: its pictures, each with what it shows beside the scene's own, and its numbers."""
+
+    name: str
+    description: str
+    pictures: list[tuple[str, Picture]]
+    parameters: list[str]
+    numbers: list[str]
+    dyed: Dyed
+    failed: str
+
+    @property
+    def said(self) -> str:
+        """In a line."""
+        told = ", ".join(f"{h} {v}" for h, v in zip(NUMBER_HEADINGS[1:], self.numbers[1:], strict=True))
+        return f"failed: {self.failed}" if self.failed else told
+
+
+class Difference(NamedTuple):
+    """Something that the paper says: a measure of one scene is above that of another."""
+
+    says: str
+    measure: Callable[[Dyed], float]
+    high: str
+    low: str
+
+
+DIFFERENCES = (
+    Difference("fixed dye stays near the drop", spread_radius, "fig8a", "fig8b"),
+    Difference("cloth is mottled", mottle, "fig8d", "fig8a"),
+    Difference("yarns differ more by their room than by porosity and twist", mottle, "fig8f-text", "fig8e-text"),
+    Difference("so do narrow ones", mottle, "fig8g-text", "fig8e-text"),
+    Difference("narrow yarns show as streaks", streaks, "fig8g-text", "fig8f-text"),
+    Difference("by Freundlich it spreads wider", fixed_radius, "fig9b", "fig9a"),
+    Difference("by Langmuir it stays nearer", fixed_radius, "fig9a", "fig9c"),
+)
+WEAVES = ("fig10a", "fig10b", "fig10c")
+"""Each of them must follow its own weave more than the others do."""
+
+
+def scenes() -> dict[str, Path]:
+    """Files of the paper's figures by name, in their order."""
+    folder = scene_file.shipped()["hanging-sheet"].parent / "dye"
+    return {path.stem: path for path in sorted(folder.glob("fig*.yaml"), key=_order)}
+
+
+def _order(path: Path) -> tuple[int, str]:
+    digits = "".join(c for c in path.stem.removeprefix("fig").partition("-")[0] if c.isdigit())
+    return int(digits), path.stem
+
+
+def run_scene(path: Path) -> Shown:
+    """Run one to its end, or to where it fails. Raises BadInput."""
+    loaded = scene_file.read(path)
+    name, frames = loaded.scene.name, loaded.scene.frames
+    run = DyeRun(loaded, cores())
+    painter = painter_of(loaded, SIDE)
+    cells = run.cells
+    painter.prepare(Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph), cells.size)
+    moments = MOMENTS.get(name, (frames,))
+    pictures = [("at the start", _draw(painter, run))] if 0 in moments else []
+    report, seconds, balance, failed = run.measure(), 0.0, 0.0, ""
+    while not run.finished and not failed:
+        begin = time.perf_counter()
+        frame = run.advance()
+        seconds += time.perf_counter() - begin
+        report, balance = frame.report, max(balance, run.balance(frame.report))
+        failed = "" if report.status == "ok" else report.message
+        if frame.number in moments:
+            pictures.append(("" if moments == (frames,) else f"after {run.time / 3600:g} h", _draw(painter, run)))
+    if name in SEEN_FIXED:
+        pictures.append(("fixed dye alone", _draw(painter, run, "fixed")))
+    steps = run.frame * run.steps
+    numbers = [
+        name, _solver(loaded, run), f"{steps:,}", f"{seconds:.3g}",
+        f"{steps * cells.fibre.size / max(seconds, 1e-9) * 1e-6:.3g}",
+        *(number(sum(values)) for values in (run.supplied, report.mobile, report.fixed)), f"{balance:.1e}",
+    ]  # fmt: skip
+    dyed = Dyed(cells, run.state.phi[0], run.state.fixed[0], _pitch(loaded))
+    return Shown(name, loaded.scene.description, pictures, _parameters(loaded), numbers, dyed, failed)
+
+
+def _draw(painter: DyePainter, run: DyeRun, view: DyeView = "all") -> Picture:
+    amounts = amount_seen(run.state.phi, run.state.fixed, view)
+    picture: Picture = painter.chosen.plugin.draw(painter.prepared, amounts)
+    return picture
+
+
+def _solver(loaded: Loaded, run: DyeRun) -> str:
+    return f"{loaded.dye.solver.name if loaded.dye else ''}, {run.dt:.4g} s"
+
+
+def _pitch(loaded: Loaded) -> int:
+    """Of the warp [cells], 1 where a cloth has no such number."""
+    yarn = _config(loaded).get("warp", {})
+    return int(yarn.get("width", 1)) + int(yarn.get("gap", 0))
+
+
+def _config(loaded: Loaded) -> dict[str, Any]:
+    return loaded.dye.cloth.config.model_dump() if loaded.dye is not None else {}
+
+
+def _parameters(loaded: Loaded) -> list[str]:
+    config, dye = _config(loaded), loaded.scene.dye
+    tau, yarn, vary = config["tau3"], config["warp"], config.get("vary")
+    weave, cells = config.get("weave"), config.get("cells")
+    dyes = dye.dyes if dye is not None else []
+    return [
+        loaded.scene.name, *(f"{tau[kind]:g}" if kind in tau else "" for kind in ("I", "II", "III", "V")),
+        f"{yarn['twist']:g}", f"{yarn['porosity']:g}", f"{', '.join(vary['of'])} r" if vary else "",
+        "; ".join(f"{one.adsorption:g}" for one in dyes),
+        "; ".join(one.isotherm.plugin for one in dyes if one.isotherm is not None),
+        str(weave["plugin"]) if weave else "of the photograph",
+        f"{cells[0]} x {cells[1]} x 2" if cells else "",
+        f"{yarn['width']}, {yarn['gap']}" if "width" in yarn else "",
+    ]  # fmt: skip
+
+
+def compare(shown: Mapping[str, Shown]) -> list[list[str]]:
+    """Rows under DIFFERENCE_HEADINGS, of those differences whose scenes have all been run."""
+    rows = []
+    for one in DIFFERENCES:
+        if one.high in shown and one.low in shown:
+            values = one.measure(shown[one.high].dyed), one.measure(shown[one.low].dyed)
+            rows.append(_row(one.says, one.measure.__name__.replace("_", " "), one.high, one.low, *values))
+    if all(name in shown for name in WEAVES):
+        for name in WEAVES:
+            weave = shown[name].dyed.cells
+            own = follows(shown[name].dyed, weave)
+            found, other = max((follows(shown[rest].dyed, weave), rest) for rest in WEAVES if rest != name)
+            rows.append(_row("each weave has its own pattern", f"follows that of {name}", name, other, own, found))
+    return rows
+
+
+def _row(says: str, measure: str, high: str, low: str, more: float, less: float) -> list[str]:
+    if not more > 0.0:
+        raise BadInput("a measure is not above 0", field=measure, value=more)
+    ratio = more / less if less > 0.0 else float("inf")
+    verdict = "bar met" if ratio >= EFFECT else "missed"
+    return [says, measure, f"{high}: {number(more)}", f"{low}: {number(less)}", number(ratio), verdict]
