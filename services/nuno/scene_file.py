@@ -113,11 +113,16 @@ def _item(data: Any, path: yaml_lines.Path) -> Any:
     return data
 
 
-def shipped() -> dict[str, Path]:
-    """The scenes that come with the project, by name."""
+def shipped(folder: str = "") -> dict[str, Path]:
+    """The scenes that come with the project by name, those of a folder as `folder/name`."""
     beside = Path(__file__).resolve().parents[2] / "scenes"
-    folder = beside if beside.is_dir() else Path(str(package_files("nuno"))) / "scenes"
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    root = beside if beside.is_dir() else Path(str(package_files("nuno"))) / "scenes"
+    paths = sorted((root / folder).glob("*.yaml"))
+    return {path.relative_to(root).with_suffix("").as_posix(): path for path in paths}
+
+
+FOLDERS = ("dye", "extreme")
+"""Of shipped scenes."""
 
 
 def find(name: str) -> Path:
@@ -125,10 +130,10 @@ def find(name: str) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    scenes = shipped()
+    scenes = {name: path for folder in ("", *FOLDERS) for name, path in shipped(folder).items()}
     if path.suffix == "" and name in scenes:
         return scenes[name]
-    raise BadInput("no such scene", value=name, remedy=f"{nearest(path.stem, scenes)}; or give the path of a YAML file")
+    raise BadInput("no such scene", value=name, remedy=f"{nearest(name, scenes)}; or give the path of a YAML file")
 
 
 def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), named: str | None = None) -> Loaded:

@@ -77,8 +77,8 @@ WEAVES = ("fig10a", "fig10b", "fig10c")
 
 def scenes() -> dict[str, Path]:
     """Files of the paper's figures by name, in their order."""
-    folder = scene_file.shipped()["hanging-sheet"].parent / "dye"
-    return {path.stem: path for path in sorted(folder.glob("fig*.yaml"), key=_order)}
+    figures = [path for path in scene_file.shipped("dye").values() if path.stem.startswith("fig")]
+    return {path.stem: path for path in sorted(figures, key=_order)}
 
 
 def _order(path: Path) -> tuple[int, str]:

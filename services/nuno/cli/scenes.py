@@ -12,7 +12,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    for name, path in scene_file.shipped().items():
-        data, _ = yaml_lines.parse(path.read_text(), str(path))
-        print(path if args.paths else f"{name:20} {data.get('description', '')}")
+    for folder in ("", *scene_file.FOLDERS):
+        for name, path in scene_file.shipped(folder).items():
+            data, _ = yaml_lines.parse(path.read_text(), str(path))
+            print(path if args.paths else f"{name:28} {data.get('description', '')}")
     return 0
