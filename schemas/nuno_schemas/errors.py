@@ -50,9 +50,15 @@ class RunFailed(Exception):
         self.peer = peer
 
 
+MANY = 24
+"""Names that a person reads through."""
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A remedy that names the nearest known name, then all of them."""
+    """A remedy that names the nearest known name, then all of them; of more than MANY, the nearest few."""
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     hint = f"did you mean {close[0]!r}? " if close else ""
+    if len(names) > MANY and close:
+        return f"{hint}near it: {', '.join(close)}, of {len(names)}"
     return f"{hint}known: {', '.join(names) if names else 'none'}"
