@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where page, CSV and JSON go (default: %(default)s)",
     )
     parser.add_argument("--rrd", type=Path, metavar="FILE", help="write maps and series as a rerun file, too")
-    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into this Markdown page's section")
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="put them into this Markdown page's sections")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -53,24 +53,22 @@ def main(args: argparse.Namespace) -> int:
     paths: list[Path] = [scene_file.find(name) for name in args.scenes]
     solvers = _choose(args, paths)
     require_viewer(None, args.rrd, "--rrd")
-    if args.docs is not None:
-        markdown.check_section(args.docs, "stability")
+    for path in paths if args.docs is not None else ():
+        markdown.check_section(args.docs, f"stability {path.stem}")
     if args.resume:
         require([_rows(args, path) for path in paths])
-    sections, mapped = list[str](), list[Mapped]()
+    mapped = list[Mapped]()
     with executor.opened(args) as where:
         args.out.mkdir(parents=True, exist_ok=True)
         for path in paths:
             mapped.append(_map(args, path, solvers[path], where))
-            sections += _document(args, mapped[-1])
+            if args.docs is not None:
+                markdown.replace_section(args.docs, f"stability {path.stem}", _document(args, mapped[-1]))
+                print(f"written {args.docs}")
     if args.rrd is not None:
         from nuno_bench import stability_rerun
 
         print(f"written {stability_rerun.write(args.rrd, mapped)}")
-    if args.docs is not None:
-        about = {"command": machine.command(), **machine.describe()}
-        markdown.replace_section(args.docs, "stability", [*sections, markdown.facts(about)])
-        print(f"written {args.docs}")
     return 0
 
 
@@ -136,20 +134,18 @@ def _document(args: argparse.Namespace, mapped: Mapped) -> list[str]:
     sweep = mapped.sweep
     sizes, drifts = [each.amplification for each in mapped.modes], [each.drift for each in mapped.modes]
     return [
-        f"### {mapped.scene}",
         f"{shown.summary(sweep)}.",
         *_pictures(args, mapped.scene, sweep.rows),
         markdown.table(shown.COUNTS, shown.counts(sweep.rows)),
         markdown.table(shown.BEYOND, shown.beyond(sweep.rows)),
         *([markdown.table(shown.MODES, shown.modes(sizes, drifts))] if sizes else []),
         *(f"Left out: {text}." for text in sweep.omissions),
+        markdown.facts({"command": machine.command(), **machine.describe()}),
     ]
 
 
 def _pictures(args: argparse.Namespace, name: str, rows: Sequence[Row]) -> list[str]:
     """The maps beside the page of the documentation, as the page of the run shows them."""
-    if args.docs is None:
-        return []
     folder, parts = args.docs.parent / "pictures", []
     folder.mkdir(exist_ok=True)
     for axis, words in shown.AXES.items():
