@@ -181,6 +181,8 @@ def _dye(report: Report) -> list[tuple[str, str]]:
             ("" if name != first else "dye", f"{name}: {supplied:.6g} supplied, {mobile} mobile, {fixed} fixed")
         )
         rows += [("", f"  {text}") for text in _given(dye, name)]
+    late = [f"{name} begins at {_time(start)} of the dyeing, after the end" for name, start in dye["ahead"].items()]
+    rows += [("not given" if i == 0 else "", text) for i, text in enumerate(late)]
     text = "not finite" if dye["balance"] is None else f"off by at most {dye['balance']:.2g} of what was supplied"
     return [*rows, ("balance", f"mobile + fixed - supplied: {text}")]
 

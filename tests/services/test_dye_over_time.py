@@ -12,8 +12,10 @@ from dye_scene import CELL, D0, arrays, write_scene
 
 import nuno
 from nuno import scene_file, supervisor
+from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import exchange, first_step, give
+from nuno.report import lines
 from nuno.service import Options
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput
@@ -225,6 +227,17 @@ def test_every_supply_is_accounted_for(tmp_path: Path, capsys: pytest.CaptureFix
     assert dye["balance"] < 1e-12
     given: Float = result.recording.series()["supplied_blue"]
     assert (np.diff(given) >= 0.0).all() and given[1] == given[0] < given[2]
+
+
+def test_what_would_come_after_the_end_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At 6 s no step begins before 7.2 s."""
+    scene = rich(tmp_path, duration="7.2 s")
+    result = nuno.run(scene, record=tmp_path / "run.mcap")
+    assert result.report["dye"]["ahead"] == {"supply[2] stroke": 6.0, "supply[3] stroke": 8.0}
+    assert ("", "supply[3] stroke begins at 8 s of the dyeing, after the end") in lines(result.report)
+    assert main(["plan", str(scene)]) == 0
+    said = "drop at 5 s; bath 3 s to 16 s, exhausted; stroke 6 s to the end; stroke 8 s to 11 s"
+    assert said in capsys.readouterr().out
 
 
 def test_supplies_are_resumed_and_replayed_to_the_last_bit(tmp_path: Path) -> None:

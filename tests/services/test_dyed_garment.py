@@ -6,6 +6,8 @@ import json
 import os
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +200,29 @@ def test_while_paused_both_stand_at_the_same_frame(tmp_path: Path) -> None:
     run.stop()
     with nuno.open(run.record) as recording:
         assert answers <= {frame} and len(recording.marks(DYE_STATUS.name)) == frame + 1
+
+
+def test_a_dye_that_does_not_answer_does_not_end_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The addition waits for the frame that is being dyed, whoever asked for it does not."""
+    before, slow = DyeRun.advance, threading.Event()
+
+    def advance(self: DyeRun) -> Any:
+        if slow.is_set():
+            time.sleep(0.3)
+        return before(self)
+
+    monkeypatch.setattr(DyeRun, "advance", advance)
+    monkeypatch.setattr("nuno.simulation.driver.DYE_TIMEOUT", 0.05)
+    run = Run(write(tmp_path, duration=400.0), tmp_path / "long.mcap")
+    assert run.moved.wait(60)
+    slow.set()
+    answers = [run.control("add", item=json.dumps({"supply": DROP})) for _ in range(3)]
+    slow.clear()
+    refused = [answer for answer in answers if not answer["ok"]]
+    assert refused and all("may still do" in answer["error"] for answer in refused)
+    assert run.stop().state == "stopped"
+    with nuno.open(run.record) as recording:
+        assert recording.complete and verify(recording).frame is None
 
 
 def test_a_replay_sends_the_digests_of_both(tmp_path: Path) -> None:

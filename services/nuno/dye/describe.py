@@ -6,6 +6,7 @@ import math
 import time
 
 from nuno.dye.run import DyeRun, estimate_memory
+from nuno.dye.supply import Entry
 from nuno.scene_file import Loaded
 from nuno_schemas.dye import Dye
 
@@ -19,6 +20,7 @@ def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
             f"{_on(loaded)}{dyeing.cells.fibre.size:,} cells of {dyeing.cells.size * 1e3:.4g} mm, in two layers",
         ),
         ("dyes", ", ".join(map(_dye, dyeing.system.dyes))),
+        *([("supply", "; ".join(map(_supply, dyeing.supplies.entries)))] if dyeing.supplies.entries else []),
         ("solver", _solver(dyeing, loaded)),
         *_cost(dyeing, loaded),
     ]
@@ -37,6 +39,14 @@ def _on(loaded: Loaded) -> str:
 def _speed(dyeing: DyeRun) -> str:
     scene = dyeing.loaded.scene
     return f", {scene.frames / scene.frame_rate * dyeing.speed:g} s of dyeing" if dyeing.speed != 1.0 else ""
+
+
+def _supply(entry: Entry) -> str:
+    one = entry.supply
+    times = f"at {one.start:g} s"
+    if one.stop is not None:
+        times = f"{one.start:g} s to {'the end' if math.isinf(one.stop) else f'{one.stop:g} s'}"
+    return f"{one.kind} {times}{', exhausted' if entry.finite else ''}"
 
 
 def _solver(dyeing: DyeRun, loaded: Loaded) -> str:

@@ -126,6 +126,7 @@ class Driver(Lockstep):
                 "balance": _finite(self.balance),
                 "given": self.given(),
                 "baths": self.baths(),
+                "ahead": dyeing.supplies.ahead(dyeing.frame * dyeing.steps),
                 "seconds": dyeing.time,
             },
         }

@@ -25,7 +25,8 @@ from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.scene import Dyeing
 
 BYTES_PER_CELL, BYTES_PER_AMOUNT = 150, 150
-"""What a run takes at most per cell: the cloth and its faces, and for each dye amounts, bands and messages."""
+"""What a run takes at most per cell: the cloth and its faces, and for each dye amounts, bands and messages; and a
+byte for each supply."""
 
 
 @dataclass
@@ -44,7 +45,8 @@ def estimate_memory(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[int
         cells = int(chosen.cloth.plugin.count(chosen.cloth.config, loaded.files))
     except BadInput as error:
         raise loaded.at("dye.cloth", error) from None
-    return cells, cells * (BYTES_PER_CELL + len(dye.dyes) * BYTES_PER_AMOUNT)
+    supplies = len(getattr(chosen.cloth.config, "supply", ()))
+    return cells, cells * (BYTES_PER_CELL + supplies + len(dye.dyes) * BYTES_PER_AMOUNT)
 
 
 class DyeRun:

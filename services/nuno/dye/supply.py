@@ -195,6 +195,10 @@ class Supplies:
         """What the finite baths hold that began before a step, by name: part of the state there."""
         return {entry.name: entry.share for entry in self.entries if entry.finite and entry.first < step}
 
+    def ahead(self, step: int) -> dict[str, float]:
+        """When supplies are to begin [s] that a run which ends at a step has not come to, by name."""
+        return {entry.name: entry.supply.start for entry in self.entries if entry.first >= max(step, 1)}
+
     def save(self, step: int) -> dict[str, Any]:
         """State and account at the start of a step as JSON can hold them, exactly."""
         return {"baths": self.begun(step), "given": self.given}

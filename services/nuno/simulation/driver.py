@@ -16,11 +16,12 @@ from nuno.lockstep import CONTROL, Lockstep
 from nuno.service import Context
 from nuno.simulation.run import Frame, Simulation
 from nuno_schemas.bodies import Poses
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status
 from nuno_schemas.plugin import StepReport
 
-DYE_TIMEOUT = 60.0
-"""How long a frame of dye may take that is finished before a question is answered [s]."""
+DYE_TIMEOUT = 8.0
+"""How long the dye may take to answer [s], which finishes its frame first: shorter than whoever asks here waits."""
 
 
 class Driver(Lockstep):
@@ -39,7 +40,10 @@ class Driver(Lockstep):
         """See `Lockstep`; what is added, is added to the dye where the scene has any."""
         if request.get("action") != "add" or self.scene.dye is None:
             return super().control(request)
-        answer = self.context.bus.ask_json(f"{CONTROL}/dye", request, DYE_TIMEOUT)
+        try:
+            answer = self.context.bus.ask_json(f"{CONTROL}/dye", request, DYE_TIMEOUT)
+        except RunFailed as error:  # of the dye; if it is dead, the supervisor ends the run
+            return {"ok": False, "error": f"{error}; it may still do what it was asked for"}
         return answer | ({"state": self.state, "before": self.state, "left": self.left} if answer["ok"] else {})
 
     def publish_start(self) -> None:
