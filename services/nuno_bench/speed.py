@@ -22,6 +22,7 @@ CASES = {
     "stiff": ("nuno_bench.stiff", "stiff_sheet"),
     "scipy": ("nuno_bench.scipy_peer", "scipy_peer"),
     "stiffness": ("nuno_bench.stiffness", "stiffness"),
+    "dye": ("nuno_bench.dye_speed", "dye"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),
     "start": ("nuno_bench.processes", "start"),
     "memory": ("nuno_bench.processes", "memory"),

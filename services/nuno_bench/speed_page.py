@@ -14,6 +14,10 @@ LEAD = (
     "The first call, which compiles or loads, is in none of them."
 )
 
+OF_LIMIT = (
+    "Of limit: the share of what this machine's reciprocal square roots allow; of dye, its memory at a step a pass."
+)
+
 
 def write_page(path: Path, results: Sequence[Result], about: dict[str, str], summary: str) -> None:
     """Write the table of all results and a figure of the rates."""
@@ -31,11 +35,7 @@ def write_page(path: Path, results: Sequence[Result], about: dict[str, str], sum
     sections.append(
         (
             "All figures",
-            [
-                page.Table(
-                    HEADINGS, rows(results), "Of limit: the share of what this machine's reciprocal square roots allow."
-                )
-            ],
+            [page.Table(HEADINGS, rows(results), OF_LIMIT)],
         )
     )
     notes = [[r.case, r.what, r.failure or r.note] for r in results if r.failure or r.note]
