@@ -16,10 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_schemas.dye import DyeState, Supply
-from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.fabric import Bool, Float, Int
 
 ROUNDING = 1e-9
 """Relative: a time that is a whole number of steps but for rounding counts as one."""
+ROW = 1024
+"""Numbers that are added at once."""
 AT_THE_START = "at the start"
 """What a cloth's own arrays hold."""
 
@@ -38,32 +40,33 @@ def give(phi: Float, room: Float, cells: Bool, amount: float) -> Given:
 
 
 class Exchange(NamedTuple):
-    """Amounts afterwards (2, ny, nx), what is left in the bath as a share of what it can hold, and what it gave."""
+    """Amounts afterwards (n,), what is left in the bath as a share of what it can hold, and what it gave."""
 
     phi: Float
     share: float
     given: float
 
 
-def exchange(phi: Float, room: Float, cells: Bool, share: float, volume: float) -> Exchange:
-    """Well stirred exchange of immersed cells with a bath of finite volume, down to equal shares.
+def exchange(phi: Float, room: Float, share: float, volume: float) -> Exchange:
+    """Well stirred exchange of immersed cells (n,) with a bath of finite volume, down to equal shares.
 
     With sum V the room of the cells, and the bath's volume W in the same unit, everything together settles at
 
         s = (W share + sum phi) / (W + sum V).
     """
-    held, total = add_up(phi, cells), add_up(room, cells)
+    total = add_up(room)
     if total == 0.0:
-        return Exchange(phi.copy(), share, 0.0)
-    settled = min(1.0, (volume * share + held) / (volume + total))
-    return Exchange(np.where(cells, settled * room, phi), settled, volume * (share - settled))
+        return Exchange(phi, share, 0.0)
+    settled = min(1.0, (volume * share + add_up(phi)) / (volume + total))
+    return Exchange(settled * room, settled, volume * (share - settled))
 
 
-def add_up(values: Float, cells: Bool) -> float:
-    """Sum over cells in an order of its own, row by row: equal bits on every machine, and ten times as fast as fsum."""
-    total = np.zeros(values.shape[-1])
-    for row in np.where(cells, values, 0.0).reshape(-1, values.shape[-1]):
-        total += row
+def add_up(values: Float) -> float:
+    """Sum of a flat array in an order of its own: equal bits on every machine, and ten times as fast as fsum."""
+    total = np.zeros(min(ROW, values.size))
+    for start in range(0, values.size, ROW):
+        row = values[start : start + ROW]
+        total[: row.size] += row
     return math.fsum(total.tolist())
 
 
@@ -87,6 +90,8 @@ class Entry:
     """Of a finite bath: liquor times the room of its cells, in full cells; 0 of any other."""
     share: float
     """What a finite bath holds, as a share of its volume."""
+    places: Int
+    """(n,) the cells of a finite bath, in the flat array of one dye."""
 
     def acts(self, step: int) -> bool:
         """Whether it is kept up in a step."""
@@ -113,9 +118,12 @@ class Supplies:
         """One more, after those that are there; it does not begin before the step `earliest`."""
         first = max(float(earliest), first_step(supply.start, self.dt))
         last = first if supply.stop is None else max(first, first_step(supply.stop, self.dt))
-        volume = supply.liquor * add_up(self.room, supply.cells) if supply.liquor is not None else 0.0
         name = f"supply[{len(self.entries)}] {supply.kind}"
-        self.entries.append(Entry(supply, name, first, last, volume, supply.amount))
+        volume, places = 0.0, np.zeros(0, np.int32)
+        if supply.liquor is not None:
+            places = np.flatnonzero(supply.cells).astype(np.int32)
+            volume = supply.liquor * add_up(self.room.ravel()[places])
+        self.entries.append(Entry(supply, name, first, last, volume, supply.amount, places))
 
     def begin(self, phi: Float, step: int) -> None:
         """Give what starts with a step; again, nothing more. phi is (dyes, 2, ny, nx)."""
@@ -169,8 +177,9 @@ class Supplies:
             self.given[dye][name] = self.given[dye].get(name, 0.0) + amount
 
     def _exchange(self, phi: Float, entry: Entry) -> None:
-        dye, cells = entry.supply.dye, entry.supply.cells
-        phi[dye], entry.share, given = exchange(phi[dye], self.room, cells, entry.share, entry.volume)
+        dye, places = entry.supply.dye, entry.places
+        amounts, room = phi[dye].reshape(-1), self.room.reshape(-1)
+        amounts[places], entry.share, given = exchange(amounts[places], room[places], entry.share, entry.volume)
         self.note(dye, entry.name, given)
 
     def most(self, state: DyeState) -> DyeState:
