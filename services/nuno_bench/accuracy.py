@@ -21,7 +21,7 @@ import numpy as np
 from nuno import scene_file
 from nuno.choose import PROMISE, decide
 from nuno.trials import GROWTH
-from nuno_bench import machine, markdown, page
+from nuno_bench import machine, markdown, options, page
 from nuno_bench.horizon import DISTURBANCE, disturb
 from nuno_bench.observe import Problem, Run, make_problem, simulate
 from nuno_bench.random_scenes import random_scene
@@ -75,17 +75,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--first", type=int, default=1, metavar="SEED", help="seed of the first of them (default: 1)")
     parser.add_argument("--duration", default="0.3 s", help="of each scene (default: %(default)s)")
     parser.add_argument("--levels", default=",".join(PROMISE), metavar="A,B", help="default: %(default)s")
-    parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="for a run of the reference")
-    parser.add_argument("--out", type=Path, default=Path("recordings/bench"), metavar="DIR")
-    parser.add_argument("--docs", type=Path, metavar="FILE", help="also put the table into a page's marked section")
+    options.add_seconds(parser, "--budget", 60.0, "for a run of the reference")
+    options.add_shared(parser, "--out", "--docs")
 
 
 def main(args: argparse.Namespace) -> int:
     """The table of all scenes and levels; 1 where an error is more than three times what was promised."""
-    levels = [name for name in args.levels.split(",") if name]
-    for name in levels:
-        if name not in PROMISE:
-            raise BadInput("no such level", field="--levels", value=name, limit=", ".join(PROMISE))
+    levels = options.names_of(args.levels)
+    options.require_known(levels, PROMISE, "level", "--levels")
     if not levels or (not args.scenes and args.random < 0) or not args.budget > 0.0:
         raise BadInput("nothing to measure", remedy="name a level and a scene, and a budget of more than 0 s")
     if args.docs is not None:

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from nuno import scene_file
-from nuno_bench import findings, machine, markdown, page, plots
+from nuno_bench import findings, machine, markdown, options, page, plots
 from nuno_bench.experiment import INTEGRATORS, RUNAWAY, SERIES, Trace, run_experiment
 from nuno_bench.findings import Finding
 from nuno_bench.plots import Curve
 from nuno_bench.result import number, text_table
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput
 
 HEADINGS = (
     "method",
@@ -45,26 +45,10 @@ LEAD = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="a scene with a garment on a skeleton, e.g. skirt-paper")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help="change a field of the scene"
-    )
-    parser.add_argument(
         "--integrators", default=",".join(INTEGRATORS), metavar="A,B", help="methods to compare (default: %(default)s)"
     )
-    parser.add_argument(
-        "--repeats",
-        type=int,
-        default=3,
-        metavar="N",
-        help="runs of each variant that are timed (default: 3); with one, claims about time stay undecided",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("recordings/bench"),
-        metavar="DIR",
-        help="where page, CSV and JSON go (default: %(default)s)",
-    )
-    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into this Markdown page's section")
+    options.add_repeats(parser, 3, "runs of each variant that are timed; with one, claims about time stay undecided")
+    options.add_shared(parser, "--set", "--out", "--docs")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -92,13 +76,9 @@ def _check(args: argparse.Namespace) -> tuple[Path, list[str]]:
     plots.require_matplotlib()
     if args.docs is not None:
         markdown.check_section(args.docs, "integrators")
-    if args.repeats < 1:
-        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
-    names = args.integrators.split(",")
-    for name in names:
-        if name not in INTEGRATORS:
-            problem, remedy = "no method of this comparison", nearest(name, INTEGRATORS)
-            raise BadInput(problem, field="--integrators", value=name, remedy=remedy)
+    options.require_repeats(args.repeats)
+    names = options.names_of(args.integrators)
+    options.require_known(names, INTEGRATORS, "method in this comparison", "--integrators")
     path: Path = scene_file.find(args.scene)
     loaded = scene_file.read(path, args.overrides)
     if not loaded.colliders or loaded.colliders[0].name != "skeleton":

@@ -5,19 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from nuno import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench import machine, markdown, plots, stiff
+from nuno_bench import machine, markdown, options, plots, stiff
 from nuno_bench import peer_page as shown
 from nuno_bench.peer_problem import Sheet
 from nuno_bench.peer_process import Point, measure
 from nuno_bench.peer_table import KINDS, Kind, label
 from nuno_bench.result import text_table
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput
 
 GROUPS = {
     name: [kind for kind in KINDS if kind.name.partition("-")[0] == name] for name in ("nuno", "mujoco", "newton")
@@ -27,33 +26,18 @@ GROUPS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     names = ", ".join([*GROUPS, *(kind.name for kind in KINDS)])
-    parser.add_argument("--only", default="", metavar="NAME,NAME", help=f"which of {names} (default: all installed)")
-    parser.add_argument(
-        "--repeats", type=int, default=3, metavar="N", help="seconds to simulate at each setting (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--limit",
-        type=float,
-        default=200.0,
-        metavar="SECONDS",
-        help="wall time of a setting, start and all; no repeats after a third of it (default: %(default)g)",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("recordings/bench"),
-        metavar="DIR",
-        help="where page, CSV and JSON go (default: %(default)s)",
-    )
-    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the table into this Markdown page's section")
+    parser.add_argument("--only", metavar="NAME,NAME", help=f"which of {names} (default: all installed)")
+    options.add_repeats(parser, 3, "seconds to simulate at each setting")
+    limit = "wall time of a setting, start and all; no repeats after a third of it"
+    options.add_seconds(parser, "--limit", 200.0, limit)
+    options.add_shared(parser, "--out", "--docs")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run every setting, print the table, write page, CSV and JSON. A peer that breaks is a finding."""
     plots.require_matplotlib()
     kinds = choose(args.only)
-    if args.repeats < 1:
-        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
+    options.require_repeats(args.repeats)
     if not args.limit > 0.0:
         raise BadInput("a setting needs time", field="--limit", value=args.limit, limit="> 0 s")
     if args.docs is not None:
@@ -76,13 +60,11 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def choose(only: str) -> list[Kind]:
+def choose(only: str | None) -> list[Kind]:
     """Kinds by their names, or by the engine's. Raises BadInput for any other name."""
     known = {kind.name: [kind] for kind in KINDS} | GROUPS
-    names = [name for name in only.split(",") if name]
-    for name in names:
-        if name not in known:
-            raise BadInput("no such peer", field="--only", value=name, remedy=nearest(name, known))
+    names = options.names_of(only)
+    options.require_known(names, known, "peer", "--only")
     chosen = [kind for name in names for kind in known[name]]
     return [kind for kind in KINDS if not names or kind in chosen]
 

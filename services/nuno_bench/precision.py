@@ -18,7 +18,7 @@ import numpy as np
 from nuno import registry, scene_file
 from nuno.scene_file import Loaded
 from nuno.viewer.require import require
-from nuno_bench import executor, machine, markdown, plots
+from nuno_bench import executor, machine, markdown, options, plots
 from nuno_bench.dye_problem import DYE_OBSERVABLES, DyeProblem
 from nuno_bench.dye_reference import make_dye_reference
 from nuno_bench.executor import Executor, Here
@@ -37,38 +37,19 @@ from nuno_bench.precision_untimed import run_untimed
 from nuno_bench.reference import Compared, make_reference
 from nuno_bench.result import text_table
 from nuno_bench.sweep import choose_solvers
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenes", nargs="+", metavar="SCENE", help="a scene file, or the name of a shipped one")
-    parser.add_argument("--solvers", metavar="A,B", help="solvers to try (default: all that are installed)")
+    options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
+    options.add_repeats(parser, 3, "timed runs of each point")
+    budget = "for a scene's sweep; finer points that would exceed it are left out"
+    options.add_seconds(parser, "--budget", 120.0, budget)
     parser.add_argument("--duration", metavar="TIME", help="simulated time, instead of the scene's")
-    parser.add_argument("--repeats", type=int, default=3, metavar="N", help="timed runs of each point (default: 3)")
-    parser.add_argument(
-        "--budget",
-        type=float,
-        default=120.0,
-        metavar="SECONDS",
-        help="for a scene's sweep; finer points that would exceed it are left out (default: %(default)g)",
-    )
-    parser.add_argument(
-        "--observable",
-        metavar="A,B",
-        help=f"what is plotted beside positions (default: all): {', '.join(OBSERVABLES)}; of dye "
-        f"{', '.join(DYE_OBSERVABLES)}",
-    )
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
-                        help="change a field of the scene")  # fmt: skip
-    parser.add_argument("--out", type=Path, default=Path("recordings/bench"), metavar="DIR",
-                        help="where page, CSV and JSON go (default: %(default)s)")  # fmt: skip
-    parser.add_argument(
-        "--docs", type=Path, metavar="FILE", help="put tables and a picture into this Markdown page's sections"
-    )
+    known = f"{', '.join(OBSERVABLES)}; of dye {', '.join(DYE_OBSERVABLES)}"
+    parser.add_argument("--observable", metavar="A,B", help=f"what is plotted beside positions (default: all): {known}")
     executor.add_arguments(parser, "1: what is timed runs alone; with more, errors of points too slow for the budget "
                            "follow without their times")  # fmt: skip
-    parser.add_argument("--rrd", type=Path, metavar="FILE", help="write the series as a rerun file, too")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted sweep, keeping its points")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -127,8 +108,7 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     plots.require_matplotlib()
     executor.check(args)
     require(None, args.rrd, "--rrd")
-    if args.repeats < 1:
-        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
+    options.require_repeats(args.repeats)
     if not (args.budget > 0.0 and math.isfinite(args.budget)):
         raise BadInput("a sweep needs time", field="--budget", value=args.budget, limit="more than 0 s")
     overrides = [*args.overrides, *([f"duration={args.duration}"] if args.duration else [])]
@@ -137,14 +117,13 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     solvers = [name for dye in dyed for name in registry.installed(DyeProblem.group if dye else Problem.group)]
     observables = [name for dye in dyed for name in (DYE_OBSERVABLES if dye else OBSERVABLES)]
     for option, given, known in (
-        ("--solvers", args.solvers, solvers),
-        ("--observable", args.observable, observables),
+        ("solver", args.solvers, solvers),
+        ("observable", args.observable, observables),
     ):
-        for name in _names(given):
-            if name not in known:
-                raise BadInput("no such name", field=option, value=name, remedy=nearest(name, known))
-        if given is not None and not _names(given):
-            raise BadInput("none is named: the sweep would be empty", field=option, value=given)
+        field = f"--{option}" if option == "observable" else "--solvers"
+        options.require_known(options.names_of(given), known, option, field)
+        if given is not None and not options.names_of(given):
+            raise BadInput("none is named: the sweep would be empty", field=field, value=given)
     names = [one.scene.name for one in loaded]
     if len(set(names)) < len(names):
         raise BadInput("two scenes have one name, and would write the same files", field="SCENE", value=names)
@@ -156,15 +135,11 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     return loaded
 
 
-def _names(given: str | None) -> list[str]:
-    return [name for name in (given or "").split(",") if name]
-
-
 def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
     others, told = machine.Others(), _teller(loaded.scene.name)
     problem = pose(loaded)
-    solvers, omitted = choose_solvers(problem, _names(args.solvers))
+    solvers, omitted = choose_solvers(problem, options.names_of(args.solvers))
     sweep = start_sweep(problem, solvers, told)
     sweep.omitted[:0] = omitted
     reference, horizon = _refer(problem, args.budget, told)
@@ -177,7 +152,9 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Fi
         if not isinstance(where, Here):
             run_untimed(sweep, runner, pack(loaded.path, loaded.overrides), kept, args.budget, where, told)
     kind = DYE if isinstance(problem, DyeProblem) else CLOTH
-    shown = [name for name in _names(args.observable) or kind.titles if name in floors and name != kind.leading]
+    shown = [
+        name for name in options.names_of(args.observable) or kind.titles if name in floors and name != kind.leading
+    ]
     about = {
         "command": machine.command(),
         "scene": f"{problem.describe()}, {problem.frames} frames, {problem.frames * problem.frame:.3g} s",

@@ -7,11 +7,9 @@ import importlib
 import json
 import sys
 import traceback
-from pathlib import Path
 
-from nuno_bench import limits, machine, markdown
+from nuno_bench import limits, machine, markdown, options
 from nuno_bench.result import HEADINGS, Result, number, rows, text_table
-from nuno_schemas.errors import BadInput, nearest
 
 CASES = {
     "grid-256": ("nuno_bench.steps", "grid_256"),
@@ -33,19 +31,14 @@ CASES = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"which to run (default: all): {', '.join(CASES)}")
-    parser.add_argument("--repeats", type=int, default=7, metavar="N", help="samples of each figure (default: 7)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all samples, machine and versions")
-    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the table into this Markdown page's section")
-    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with the table and a plot")
+    options.add_repeats(parser, 7, "samples of each figure")
+    options.add_shared(parser, "--json", "--html", "--docs")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the cases; 1 if any could not be measured. A missed bar is a finding, not a failure."""
-    for name in args.cases:
-        if name not in CASES:
-            raise BadInput("no such case", value=name, remedy=nearest(name, CASES))
-    if args.repeats < 1:
-        raise BadInput("at least one repeat is needed", field="--repeats", value=args.repeats)
+    options.require_known(args.cases, CASES, "case", "CASE")
+    options.require_repeats(args.repeats)
     if args.docs is not None:
         markdown.check_section(args.docs, "speed")
     if args.html is not None:

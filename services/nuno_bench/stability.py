@@ -10,7 +10,7 @@ from pathlib import Path
 from nuno import registry, scene_file
 from nuno.scene_file import Loaded
 from nuno.viewer.require import require as require_viewer
-from nuno_bench import executor, machine, markdown, plots
+from nuno_bench import executor, machine, markdown, options, plots
 from nuno_bench import stability_page as shown
 from nuno_bench.kept import Kept, hint, require
 from nuno_bench.result import text_table
@@ -19,32 +19,16 @@ from nuno_bench.stability_drift import measure_modes
 from nuno_bench.stability_dye import AXIS, DyePosed
 from nuno_bench.stability_plots import maps
 from nuno_bench.stability_run import Mapped, Row, measure_all, settings_of
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput
 
 MODES_SHARE = 0.25
 """Of the budget that goes to the long runs of a small net."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenes", nargs="+", metavar="SCENE", help="scenes to map: files, or names of shipped ones")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help="change a field of the scenes"
-    )
-    parser.add_argument("--solvers", default="", metavar="A,B", help="solver plugins (default: all installed)")
-    parser.add_argument(
-        "--budget", type=float, default=180.0, metavar="SECONDS", help="wall time for each scene (default: %(default)g)"
-    )
+    options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
+    options.add_seconds(parser, "--budget", 180.0, "wall time for each scene")
     executor.add_arguments(parser, "all cores")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted sweep of the same arguments")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("recordings/bench"),
-        metavar="DIR",
-        help="where page, CSV and JSON go (default: %(default)s)",
-    )
-    parser.add_argument("--rrd", type=Path, metavar="FILE", help="write maps and series as a rerun file, too")
-    parser.add_argument("--docs", type=Path, metavar="FILE", help="put them into this Markdown page's sections")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -77,10 +61,8 @@ def _choose(args: argparse.Namespace, paths: Sequence[Path]) -> dict[Path, list[
     groups = {path: _group(scene_file.read(path, args.overrides)) for path in paths}
     installed = {group: sorted(registry.installed(group)) for group in groups.values()}
     known = [name for names in installed.values() for name in names]
-    names = [name for name in args.solvers.split(",") if name]
-    for name in names:
-        if name not in known:
-            raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, known))
+    names = options.names_of(args.solvers)
+    options.require_known(names, known, "solver", "--solvers")
     chosen = {path: [n for n in names or installed[group] if n in installed[group]] for path, group in groups.items()}
     for path, own in chosen.items():
         if not own:

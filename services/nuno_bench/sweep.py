@@ -10,9 +10,10 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from nuno import registry
+from nuno_bench.options import require_known
 from nuno_bench.posing import AnyProblem
 from nuno_bench.result import number
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import StepLimit
 
 SHARES = (0.9, 0.5, 0.25, 0.1, 0.05, 0.025)
@@ -89,9 +90,7 @@ def choose_solvers(problem: AnyProblem, wanted: Sequence[str]) -> tuple[list[Sol
     Raises BadInput for an unknown name, and where nothing is left to run.
     """
     known = registry.installed(problem.group)
-    for name in wanted:
-        if name not in known:
-            raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, known))
+    require_known(wanted, known, "solver", "--solvers")
     solvers, omitted = [], []
     for name in dict.fromkeys(wanted or known):
         if not wanted and name in LEFT_OUT:

@@ -13,6 +13,7 @@ from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
 from nuno_bench.laws import contacts, dye_amounts, dye_spread, nets, oscillator, statics
 from nuno_bench.laws.base import Broken, Case, Outcome, Unsupported
+from nuno_bench.options import require_known
 from nuno_schemas.errors import BadInput, nearest
 
 CASES: tuple[Case, ...] = (
@@ -47,9 +48,7 @@ def choose_parts(cases: Sequence[str], solvers: Sequence[str]) -> list[Part]:
     """
     known = {group: sorted(registry.installed(group)) for group in GROUPS}
     every = [name for names in known.values() for name in names]
-    for name in solvers:
-        if name not in every:
-            raise BadInput("no such solver", field="--solvers", value=name, remedy=nearest(name, every))
+    require_known(solvers, every, "solver", "--solvers")
     chosen, parts = choose_cases(cases), []
     for group, of in GROUPS.items():
         own = tuple(case for case in chosen if case.group == group)

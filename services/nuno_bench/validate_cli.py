@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nuno.viewer.require import require as require_viewer
-from nuno_bench import executor, machine, markdown, plots
+from nuno_bench import executor, machine, markdown, options, plots
 from nuno_bench import validate as suite
 from nuno_bench import validate_page as shown
 from nuno_bench.kept import Kept, hint, require
@@ -20,26 +20,14 @@ from nuno_schemas.errors import BadInput
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="cases by name or its beginning (default: all)")
-    parser.add_argument("--solvers", default="", metavar="A,B", help="solver plugins (default: all that are installed)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure as JSON")
-    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page")
-    parser.add_argument("--rrd", type=Path, metavar="FILE", help="write the figures as a rerun file")
-    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the table into this Markdown page's section")
+    options.add_shared(parser, "--solvers", "--resume", "--out", "--json", "--html", "--rrd", "--docs")
     executor.add_arguments(parser, "all cores")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted run of the same arguments")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("recordings/bench"),
-        metavar="DIR",
-        help="where finished cases are kept meanwhile (default: %(default)s)",
-    )
     parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the cases, print the table; the exit code is 1 where a solver failed one."""
-    parts = suite.choose_parts(args.cases, [name for name in args.solvers.split(",") if name])
+    parts = suite.choose_parts(args.cases, options.names_of(args.solvers))
     if args.list:
         cases = [case for part in parts for case in part.cases]
         width = max(len(case.name) for case in cases)
