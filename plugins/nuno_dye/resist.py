@@ -36,6 +36,10 @@ class ImageResist(_Resist):
     kind: Literal["image"] = "image"
     file: str = Field(description="a grey PNG beside the scene, a pixel for each cell; transparent keeps nothing out")
     invert: bool = Field(default=False, description="black keeps dye out")
+    fit: Literal["exact", "stretch"] = Field(
+        default="exact",
+        description="stretch: an image of any size is drawn out over the cloth, by means over its cells",
+    )
 
 
 class ShapeResist(_Resist):
@@ -82,7 +86,9 @@ def find_resist(
 ) -> Float:
     """(ny, nx) B of one item. Raises BadInput for an image that does not fit, and what touches no cell."""
     if isinstance(resist, ImageResist):
-        values = read_image(files.resolve(resist.file), shape, resist.invert)
+        stretched = resist.fit == "stretch"
+        values = read_image(files.resolve(resist.file), None if stretched else shape, resist.invert)
+        values = stretch(values, shape) if stretched else values
     elif isinstance(resist, ShapeResist):
         values = cover(resist.region, shape, size).astype(np.float64)
     elif isinstance(resist, Shibori):
@@ -126,11 +132,11 @@ def combine(parts: Sequence[Float]) -> Float:
 
 
 def read_image(
-    path: Path, shape: tuple[int, int], invert: bool = False, of: tuple[str, str] = ("cloth's", "cells")
+    path: Path, shape: tuple[int, int] | None, invert: bool = False, of: tuple[str, str] = ("cloth's", "cells")
 ) -> Float:
     """(ny, nx) a grey PNG of any bit depth, as shares of its white; what is transparent counts less.
 
-    `of` says whose size `shape` is, and in what.
+    `of` says whose size `shape` is, and in what; without a shape an image of any size is read.
 
     Raises BadInput for a file that is no PNG, for one in colour, and for a size that is not the cloth's.
     """
@@ -139,11 +145,11 @@ def read_image(
     try:
         with path.open("rb") as stream, Image.open(stream, formats=["PNG"]) as image:
             found = (image.height, image.width)
-            if found == shape:
+            if shape is None or found == shape:
                 values, cover_ = _read_pixels(image)
     except Exception as error:  # whatever a broken file makes of the decoder
         raise BadInput(f"cannot be read as PNG: {error}", file=str(path)) from None
-    if found != shape:
+    if shape is not None and found != shape:
         raise BadInput(
             f"the image has not the {of[0]} size", file=str(path), value=f"{found[1]} x {found[0]} pixels",
             limit=f"{shape[1]} x {shape[0]} {of[1]}", remedy=f"scale the image, or change the {of[0]} {of[1]}",
@@ -153,6 +159,14 @@ def read_image(
             raise BadInput("the image is in colour", file=str(path), limit="grey", remedy="convert it to grey")
         values = values[..., 0]
     return (1.0 - values if invert else values) * cover_
+
+
+def stretch(values: Float, shape: tuple[int, int]) -> Float:
+    """(ny, nx) means of an image over the cells that it is drawn out over, in single precision."""
+    from PIL import Image
+
+    drawn = Image.fromarray(values.astype(np.float32)).resize(shape[::-1], Image.Resampling.BOX)
+    return np.clip(np.asarray(drawn, np.float64), 0.0, 1.0)
 
 
 def _read_pixels(image: Any) -> tuple[Float, Float | float]:

@@ -6,6 +6,7 @@ from typing import Any, TextIO
 
 from nuno.scene_file import Loaded
 from nuno.supervisor import Outcome
+from nuno.words import duration, factor
 from nuno_schemas.messages import FRAMES
 
 Report = dict[str, Any]
@@ -115,9 +116,9 @@ def lines(report: Report) -> list[tuple[str, str]]:
     rows = [("run", f"{report['run']}: {report['state']}{', at rest' if report['rested'] else ''}")]
     sizes = ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
-    simulated, wall, factor = report["simulated_seconds"], report["wall_seconds"], report["real_time_factor"]
+    simulated, wall = report["simulated_seconds"], report["wall_seconds"]
     prepared = report["prepare_seconds"]
-    took = f"{simulated:.3g} s simulated in {wall:.3g} s: {factor:.2f}x real time"
+    took = f"{duration(simulated)} simulated in {duration(wall)}: {factor(report['real_time_factor'])} real time"
     paused = f", paused for {report['paused_seconds']:.3g} s" if report["paused_seconds"] >= 0.005 else ""
     rows.append(("time", f"{took} (prepared in {prepared:.2g} s{paused})"))
     parts = {name: seconds for name, seconds in report["parts_seconds"].items() if seconds >= 0.0005}

@@ -106,6 +106,19 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     assert np.abs(read_image(tmp_path / "a.png", (9, 8)) - values).max() <= 2**-17
 
 
+def test_a_stencil_of_any_size_is_drawn_out_over_the_cloth(tmp_path: Path) -> None:
+    """Its mean stays; cells that several pixels fall into hold their mean; larger cells repeat them."""
+    values = np.random.default_rng(1).random((40, 60))
+    write_image(tmp_path / "a.png", values)
+    item = ImageResist(file="a.png", fit="stretch")
+    small = find_resist(item, (20, 20), SIZE, Folder(tmp_path))
+    assert np.abs(small - values.reshape(20, 2, 20, 3).mean(axis=(1, 3))).max() < 2e-5
+    large = find_resist(item, (80, 120), SIZE, Folder(tmp_path))
+    assert np.abs(large - np.kron(values, np.ones((2, 2)))).max() < 2e-5
+    with pytest.raises(BadInput, match="60 x 40 pixels"):
+        find_resist(ImageResist(file="a.png"), (20, 20), SIZE, Folder(tmp_path))
+
+
 def test_items_of_a_scene(tmp_path: Path) -> None:
     values = np.random.default_rng(1).random((20, 30))
     write_image(tmp_path / "stencil.png", values)

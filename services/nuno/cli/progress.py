@@ -7,6 +7,7 @@ import time
 from types import TracebackType
 from typing import Any
 
+from nuno.words import LONG, factor, time_of
 from nuno_schemas.messages import FrameStatus
 from nuno_schemas.scene import Scene
 
@@ -51,14 +52,14 @@ class ProgressLine:
         now = time.perf_counter()
         if not self.start:
             self.start, self.first = now, status.t
-        factor = (status.t - self.first) / max(now - self.start, 1e-9)
-        rate = f"{factor:.1f}x real time" if status.t > self.first else ""
+        times = (status.t - self.first) / max(now - self.start, 1e-9)
+        rate = f"{factor(times)} real time" if status.t > self.first else ""
+        unit, name = time_of(self.scene.duration) if self.scene.duration > LONG else (1.0, "s")
+        done = f"{status.t / unit:.2f} of {self.scene.duration / unit:g} {name}"
         if self._bar is not None:
-            self._bar.update(
-                self._task, completed=status.t, description=f"{status.t:.2f} of {self.scene.duration:g} s", rate=rate
-            )
+            self._bar.update(self._task, completed=status.t, description=done, rate=rate)
             return
         tenth = int(10 * status.t / self.scene.duration + 1e-9)
         if tenth > self.tenth:
             self.tenth = tenth
-            print(f"{status.t:.2f} of {self.scene.duration:g} s  {rate}", file=sys.stderr)
+            print(f"{done}  {rate}", file=sys.stderr)

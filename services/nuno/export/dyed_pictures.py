@@ -15,6 +15,7 @@ from nuno.export.dyed import PICTURE_SIDE, DyePainter, painter_of
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recorded, Recording
 from nuno.recording.restore import restored_scene
+from nuno.words import time_of
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView
@@ -26,7 +27,6 @@ INK, PAPER = (58, 58, 62), (250, 249, 246)
 FONT, BAND = 15, 30
 """Heights of text and of the strip below a picture [pixels]."""
 UNITS = ((1e-6, "um"), (1e-3, "mm"), (1.0, "m"))
-TIMES = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"))
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def _bar(pixel: float, width: int) -> tuple[int, str]:
 
 
 def _time(t: float) -> str:
-    unit, name = next((u for u in TIMES if t >= u[0]), TIMES[-1])
+    unit, name = time_of(t)
     return f"{t / unit:.3g} {name}"
 
 

@@ -1,0 +1,23 @@
+"""Numbers as people read them."""
+
+from __future__ import annotations
+
+TIMES = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"))
+LONG = 1000.0
+"""Times up to this [s] are told in seconds."""
+
+
+def time_of(seconds: float) -> tuple[float, str]:
+    """The largest unit of time that is not longer, and its name; at least a second."""
+    return next((unit for unit in TIMES if abs(seconds) >= unit[0]), TIMES[-1])
+
+
+def duration(seconds: float) -> str:
+    """A time in seconds, and a long one in minutes, hours or days."""
+    unit, name = time_of(seconds) if abs(seconds) > LONG else TIMES[-1]
+    return f"{seconds / unit:.3g} {name}"
+
+
+def factor(times: float) -> str:
+    """How many times as fast, without digits that nobody reads."""
+    return f"{times:.2f}x" if times < 100.0 else f"{times:,.0f}x"
