@@ -245,6 +245,18 @@ def test_what_would_come_after_the_end_is_said(tmp_path: Path, capsys: pytest.Ca
     assert said in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("supply", [DROP | {"start": "4 s"}, WHOLE | {"start": "4 s", "region": LEFT}])
+def test_what_comes_later_fills_no_cell_beyond_its_room(supply: dict[str, Any], tmp_path: Path) -> None:
+    """Of a dye that only spreads: the solver may leave out limits that cannot bind, as none does without dye."""
+    data = arrays() | {"phi": np.zeros((2, 9, 11))}
+    cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": SPREAD | {"I": 1}, "supply": [supply]}
+    dyeing = DyeRun(scene_file.read(write_scene(tmp_path, data=data, cloth=cloth, dyes=[RED], solver="explicit")), 1)
+    for _ in range(10):
+        report = dyeing.advance().report
+        assert (dyeing.state.phi[0] <= dyeing.cells.mobile_room * (1.0 + 1e-12)).all()
+    assert report.mobile[0] > 1.0 and dyeing.balance(report) < 1e-13
+
+
 def test_supplies_are_resumed_and_replayed_to_the_last_bit(tmp_path: Path) -> None:
     """From within the times of all of them."""
     whole = nuno.run(rich(tmp_path), record=tmp_path / "whole.mcap")

@@ -225,6 +225,17 @@ def test_a_dye_that_does_not_answer_does_not_end_the_run(tmp_path: Path, monkeyp
         assert recording.complete and verify(recording).frame is None
 
 
+def test_cloth_that_comes_to_rest_ends_the_dyeing(tmp_path: Path) -> None:
+    """Without gravity it rests from the start: after a tenth of a second."""
+    result = nuno.run(
+        write(tmp_path, until="rest", gravity=[0, 0, 0], bodies=[], duration=10.0), record=tmp_path / "both.mcap"
+    )
+    assert result.report["rested"] and result.recording.complete
+    frames = [len(result.recording.marks(topic)) for topic in (None, DYE_STATUS.name)]
+    assert frames[0] == frames[1] < 20
+    assert verify(result.recording).dyed == frames[1]
+
+
 def test_a_replay_sends_the_digests_of_both(tmp_path: Path) -> None:
     from nuno.bus import Bus, Inbox, Message
     from nuno.sessions import hub_at
