@@ -13,8 +13,9 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel
 
+from nuno import registry
 from nuno.dye.run import DyeRun
-from nuno.scene_file import Loaded
+from nuno.scene_file import Chosen, Loaded
 from nuno_bench.machine import cores
 from nuno_bench.observe import Run, Series, check_memory
 from nuno_schemas.dye import DyeState
@@ -23,6 +24,8 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import StepLimit
 
 AMOUNTS = "amounts"
+SCHEME = "explicit"
+"""The plainest solver: what errors are measured against is made of it."""
 DYE_OBSERVABLES = {
     "mobile": "all mobile dye",
     "fixed": "all dye that fibre has taken",
@@ -54,8 +57,9 @@ class DyeProblem:
 
     @cached_property
     def start(self) -> DyeRun:
-        """The scene at its start, with its own solver."""
-        return DyeRun(self.loaded, self.threads, 1)
+        """The scene at its start, whatever its own solver is."""
+        plugin = registry.load(self.group, SCHEME)
+        return self.begin(plugin, plugin.Config(), 1)
 
     @cached_property
     def size(self) -> float:
@@ -82,7 +86,7 @@ class DyeProblem:
         chosen = self.loaded.dye
         if chosen is None:
             raise BadInput("the scene has no dye", self.loaded.file)
-        solver = replace(chosen.solver, plugin=plugin, config=config)
+        solver = Chosen(self.group, plugin, config, "dye.solver")
         return DyeRun(replace(self.loaded, dye=replace(chosen, solver=solver)), self.threads, steps)
 
     def run(self, plugin: Any, config: BaseModel, steps: int, most_seconds: float = math.inf) -> Run:

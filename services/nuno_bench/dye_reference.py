@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench.dye_problem import DyeProblem
+from nuno_bench.dye_problem import SCHEME, DyeProblem
 from nuno_bench.observe import Run, Series
 from nuno_bench.reference import Compared
 from nuno_schemas.errors import BadInput
 
-SCHEME = "explicit"
 FINER = (32, 16, 8, 4, 2)
 """Steps for one that is stable, tried in turn: the first that ends within the time allowed, halved steps and all."""
 CHECKED = (64, 32, 16, 8, 4, 2, 1)

@@ -94,7 +94,8 @@ def order_rows(
         seen = "" if slope is None else f"{slope:.2f}" + (" of the tolerance" if adaptive else "")
         failed = sum(not point.done for point in own)
         first = number(first_calls[name]) if name in first_calls else ""
-        rows.append([name, own[0].kind, str(own[0].order), seen, first, str(len(own)), str(failed) if failed else ""])
+        nominal = str(own[0].order or "not stated")
+        rows.append([name, own[0].kind, nominal, seen, first, str(len(own)), str(failed) if failed else ""])
     return rows
 
 

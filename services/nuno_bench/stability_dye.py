@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from nuno import registry, scene_file
-from nuno_bench.dye_problem import DyeProblem, make_dye_problem
-from nuno_bench.dye_reference import SCHEME, extrapolate
+from nuno_bench.dye_problem import SCHEME, DyeProblem, make_dye_problem
+from nuno_bench.dye_reference import extrapolate
 from nuno_bench.observe import Run
 from nuno_bench.packed import pack, unpacked
 from nuno_bench.stability_case import Motion, Setting

@@ -148,7 +148,7 @@ def _implicit(problem: AnyProblem, solver: Solver) -> list[Setting]:
         fields, label = {}, _length(problem.frame / steps)
         if "residual" in known and math.isinf(solver.limit.resolved):
             start = float(known["residual"].default)
-            fields = {"residual": max(TIGHTEST_RESIDUAL, start / steps**solver.order)}
+            fields = {"residual": max(TIGHTEST_RESIDUAL, start / steps ** max(1, solver.order))}
             label += f", residual {fields['residual']:.1e}"
         settings.append(Setting(label, steps, fields, problem.frame / steps, float(steps)))
     return settings

@@ -19,6 +19,7 @@ from nuno_bench.dye_problem import AMOUNTS, DyeProblem, make_dye_problem
 from nuno_bench.dye_reference import make_dye_reference
 from nuno_bench.observe import Series
 from nuno_bench.precision_findings import fit_order
+from nuno_bench.precision_page import orders_of
 from nuno_dye.explicit import Explicit
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float
@@ -106,6 +107,8 @@ def test_errors_fall_at_the_order_of_each_solver(tmp_path: Path) -> None:
         seen = fit_order(points_of(found, solver), AMOUNTS, found.floors[AMOUNTS].l2)
         assert seen == pytest.approx(order, abs=0.1), solver
     assert {point.order for point in points_of(found, "extrapolated")} == {2}
+    nominal = {row[0]: row[2] for row in orders_of(found)}
+    assert nominal["extrapolated"] == "2" and nominal["explicit"] in ("1", "not stated")
 
 
 def test_errors_are_those_against_the_closed_form(tmp_path: Path) -> None:
