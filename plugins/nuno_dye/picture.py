@@ -30,13 +30,18 @@ SAMPLES = 4
 """Points across a cell, at least, that shade is averaged over: twist is finer than a cell."""
 
 
+PLAIN = TextureConfig(depth=0.0, fibres=0.0, relief=0.0, bend=0.0, shadow=1.0, hole=1.0)
+
+
 class YarnsConfig(Config):
     """Yarns drawn as twisted cylinders."""
 
     ground: Colour | None = Field(
         default=None, description="colour of the undyed cloth, #rrggbb; the first dye's light unless given"
     )
-    texture: TextureConfig = Field(default=TextureConfig(), description="how yarns look")
+    texture: TextureConfig | None = Field(
+        default=TextureConfig(), description="how yarns look; null: colours alone, as where a cloth is seen from afar"
+    )
 
 
 class Drawing(NamedTuple):
@@ -74,7 +79,7 @@ class YarnsPicture:
         window: Window,
         scale: int,
     ) -> Drawing:
-        layer, shade = shade_window(layers, window, scale, config.texture)
+        layer, shade = shade_window(layers, window, scale, config.texture or PLAIN)
         ground = None if config.ground is None else parse_hex(config.ground)
         yarns = find_lays(layers)
         return begin_drawing(

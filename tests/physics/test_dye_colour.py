@@ -309,3 +309,12 @@ def test_colours_that_are_none_are_refused() -> None:
         with pytest.raises(ValidationError):
             DyeColour.model_validate(wrong)
     assert isinstance(find_lays(layers_of(cloth(draw_plain())))[0], Lay)
+
+
+def test_no_texture_is_colours_alone() -> None:
+    cells = cloth(draw_twill(2, 1))
+    plugin, seen = YarnsPicture(), spots(cells)
+    how = YarnsConfig(texture=None)
+    prepared = plugin.prepare(how, SceneFiles(Path()), layers_of(cells), [INK], whole(cells), 2)
+    assert np.array_equal(plugin.draw(prepared, seen), draw_cloth(cells, seen, 2, FLAT))
+    assert (plugin.draw(prepared, 0.0 * seen) == 255).all()

@@ -279,6 +279,7 @@ TILED = "v 0 0 0\nv 1 0 0\nv 0 0 1\nvt 0 0\nvt 3 0\nvt 0 3\nf 1/1 2/2 3/3\n"
         ({"dye": {"on": None}}, "objects", "name the object that is dyed as dye.on"),
         ({"dye": {"solver": {"plugin": "explicit", "dt": "100 s"}}}, "dye.solver.dt", "a dye.speed of at least 5000"),
         ({"dye": {"dyes": []}}, "dye.dyes", "too short"),
+        ({"dye": {"picture": {"crop": {"low": [0, 0], "high": [1, 1]}}}}, "dye.picture.crop", "shows all of the cloth"),
     ],
 )
 def test_garments_are_refused_by_name(fields: dict[str, Any], field: str, words: str, tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from nuno.export.dyed import DyePainter
 from nuno.viewer import layout
 from nuno.viewer.bodies import INSET, Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
-from nuno.viewer.dyed import DyedCloth
-from nuno.viewer.dyed import about as dyed_about
+from nuno.viewer.dyed import DyedCloth, DyedTexture
+from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
     BODIES,
@@ -70,7 +70,8 @@ class Bridge:
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
         self._bodies: Bodies | None = None
-        self._dyed = DyedCloth(recording, painter, live) if painter is not None else None
+        self._on = painter.on if painter is not None else None
+        self._dyed = self._dye(painter) if painter is not None else None
         self._energy: list[str] = []
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
@@ -86,14 +87,19 @@ class Bridge:
         }
         if self._dyed is not None:
             self._handlers |= {
-                CLOTH.name: self._dyed_cloth,
+                CLOTH.name: self._dyed.take_cloth,
                 CONCENTRATION.name: self._amounts,
-                DYE_STATUS.name: self._dye_status,
+                DYE_STATUS.name: self._dyed.take_status,
             }
         # Wall-clock timelines would make two conversions of one recording differ.
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
         self._log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+
+    def _dye(self, painter: DyePainter) -> DyedCloth:
+        if painter.on is None:
+            return DyedCloth(self.recording, painter, self.live)
+        return DyedTexture(self.recording, painter, self.live, self._wear, self._arrange)
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Log one message; other topics are passed over. A message outside any frame
@@ -145,12 +151,14 @@ class Bridge:
         self._cloths = []
         for spec in text["objects"]:
             path = layout.entity("world", "cloth", str(spec["name"]))
-            cloth = Cloth(self.recording, path, spec, arrays, self.images)
+            cloth = Cloth(self.recording, path, spec, arrays, self.images, spec["name"] == self._on)
             self._cloths.append(cloth)
             if cloth.untextured:
                 self._log(
                     "/log", rr.TextLog(f"the texture of {spec['name']} cannot be read: {spec['texture']}", level="WARN")
                 )
+        if self._dyed is not None and self._dyed.shown is not None:
+            self._wear(self._dyed.shown)
         self._log(
             "/about",
             rr.TextDocument(
@@ -177,7 +185,8 @@ class Bridge:
 
     def _arrange(self) -> None:
         if self._eye is not None:
-            blueprint = layout.arrange(self._eye, self._bodies is not None, self.live)
+            dyes = self._dyed.names if self._dyed is not None else []
+            blueprint = layout.arrange(self._eye, self._bodies is not None, self.live, dyes)
             self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _status(self, payload: bytes) -> None:
@@ -211,29 +220,16 @@ class Bridge:
         report = Penetration.model_validate_json(payload)
         self._log("/plots/penetration", rr.Scalars([1000.0 * report.depth, 1000.0 * report.mean]))
 
-    def _dyed_cloth(self, payload: bytes) -> None:
-        assert self._dyed is not None
-        self._dyed.take_cloth(payload)
-        arrays, text = decode_arrays(payload)
-        page = dyed_about(str(text.get("scene", "")), self._dyed.painter, arrays["fibre"].shape)
-        self._log("/about", rr.TextDocument(page, media_type="text/markdown"), static=True)
-
     def _amounts(self, payload: bytes) -> None:
         assert self._dyed is not None
         self._dyed.take_amounts(*self._latest, payload)
-        self.frames += 1
+        self.frames += self._on is None
 
-    def _dye_status(self, payload: bytes) -> None:
-        assert self._dyed is not None
-        known = self._dyed.names
-        status = self._dyed.take_status(payload)
-        if self._dyed.names is not known:
-            blueprint = layout.arrange_dyed(
-                self._dyed.names, self._dyed.painter.shape, self._dyed.painter.duration, self.live
-            )
-            self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
-        if status.message:
-            self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
+    def _wear(self, picture: Picture) -> None:
+        """Give the object that is dyed its texture."""
+        for cloth in self._cloths:
+            if cloth.dyed:
+                cloth.log_texture(picture)
 
     def _event(self, payload: bytes) -> None:
         event = Event.model_validate_json(payload)

@@ -56,12 +56,19 @@ class Cloth:
     recording  the rerun stream
     spec       the object as in the fabric message: name, start, stop, texture, colour
     arrays     the fabric message's arrays, of all objects
+    dyed       its texture comes with the frames
 
     Raises BadMessage where the arrays do not fit together.
     """
 
     def __init__(
-        self, recording: Any, path: str, spec: dict[str, Any], arrays: dict[str, NDArray[Any]], images: ReadImage
+        self,
+        recording: Any,
+        path: str,
+        spec: dict[str, Any],
+        arrays: dict[str, NDArray[Any]],
+        images: ReadImage,
+        dyed: bool = False,
     ) -> None:
         self.recording, self.path = recording, path
         self.start, self.stop = int(spec["start"]), int(spec["stop"])
@@ -72,9 +79,11 @@ class Cloth:
         self.stretch = np.zeros(len(self.edges), np.float32)
         self.most = np.zeros(n, np.float32)
         self.normals = np.zeros((n, 3), np.float32)
-        image = images(spec["texture"]) if spec.get("texture") and "uv" in arrays else None
-        self.untextured = bool(spec.get("texture")) and image is None
-        self.coloured = image is None and not spec.get("colour") and len(self.edges) > 0
+        self.dyed = dyed and "uv" in arrays
+        named = spec.get("texture") if not self.dyed else None
+        image = images(named) if named and "uv" in arrays else None
+        self.untextured = bool(named) and image is None
+        self.coloured = image is None and not self.dyed and not spec.get("colour") and len(self.edges) > 0
         self._log_static(spec, arrays, image)
 
     def _inside(self, indices: NDArray[Any]) -> NDArray[np.bool_]:
@@ -98,22 +107,19 @@ class Cloth:
             self._log("springs", springs, static=True)
             return
         self._log("", rr.Mesh3D.from_fields(triangle_indices=self.faces.astype(np.uint32)), static=True)
-        if image is not None:
+        if image is not None or self.dyed:
             # v points up on cloth and down in images.
             uv = np.asarray(arrays["uv"][self.start : self.stop], np.float32).copy()
             uv[:, 1] = 1.0 - uv[:, 1]
-            shape = rr.components.ImageFormat(
-                width=image.shape[1],
-                height=image.shape[0],
-                color_model=rr.ColorModel.RGB,
-                channel_datatype=rr.ChannelDatatype.U8,
-            )
-            texture = rr.Mesh3D.from_fields(
-                vertex_texcoords=uv, albedo_texture_buffer=image.tobytes(), albedo_texture_format=shape
-            )
-            self._log("", texture, static=True)
-        elif not self.coloured:
+            self._log("", rr.Mesh3D.from_fields(vertex_texcoords=uv), static=True)
+        if image is not None:
+            self._log("", texture_of(image), static=True)
+        elif not self.coloured and not self.dyed:
             self._log("", rr.Mesh3D.from_fields(albedo_factor=int(colour[0])), static=True)
+
+    def log_texture(self, image: NDArray[np.uint8]) -> None:
+        """What dyed cloth looks like from now on: (h, w, 3) sRGB."""
+        self._log("", texture_of(image))
 
     def log(self, positions: NDArray[np.float64]) -> None:
         """One frame: (n, 3) positions [m] of all objects."""
@@ -147,6 +153,17 @@ class Cloth:
 
     def _log(self, below: str, what: Any, static: bool = False) -> None:
         self.recording.log(f"{self.path}/{below}" if below else self.path, what, static=static, strict=True)
+
+
+def texture_of(image: NDArray[np.uint8]) -> Any:
+    """A mesh's texture (h, w, 3) sRGB."""
+    shape = rr.components.ImageFormat(
+        width=image.shape[1],
+        height=image.shape[0],
+        color_model=rr.ColorModel.RGB,
+        channel_datatype=rr.ChannelDatatype.U8,
+    )
+    return rr.Mesh3D.from_fields(albedo_texture_buffer=image.tobytes(), albedo_texture_format=shape)
 
 
 def segments(x: NDArray[np.float32], edges: NDArray[np.int32]) -> Any:

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from nuno.arrays import BadMessage
 from nuno.export.cloth import read_texture
-from nuno.export.dyed import DyePainter, painter_of
+from nuno.export.dyed import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
-from nuno.viewer.dyed import MOST_PIXELS
+from nuno.viewer.dyed import viewer_painter
 from nuno.viewer.file import RerunFile
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import View
@@ -34,11 +34,11 @@ def convert(recording: Recording, path: Path) -> Path:
 @contextmanager
 def _painter(recording: Recording) -> Iterator[DyePainter | None]:
     """What draws the recording's dyed cloth, while its scene's files are there."""
-    if not recording.dyed_alone:
+    if not recording.scene.get("dye"):
         yield None
         return
     with restored_scene(recording) as loaded:
-        yield painter_of(loaded, most=MOST_PIXELS)
+        yield viewer_painter(loaded)
 
 
 def _write(recording: Recording, file: RerunFile) -> Path:

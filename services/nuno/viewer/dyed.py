@@ -5,18 +5,24 @@ from __future__ import annotations
 import io
 import math
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from nuno.export.dyed import DyePainter
+from nuno.arrays import decode_arrays
+from nuno.export.dyed import DyePainter, painter_of
+from nuno.scene_file import Loaded
 from nuno.viewer import layout
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.messages import DyeStatus
 
 MOST_PIXELS = 2**21
 """Of a picture in the viewer, for which its scale is made smaller."""
+TEXTURE_PIXELS, TEXTURES = 2**18, 100
+"""Of an object's texture, which rerun does not take as JPEG; and how many of them a scene has at most, unless it says
+how far apart they are."""
 LIVE_SECONDS = 0.1
 """Between two pictures of a live view, at least: drawing may not fall behind a fast run."""
 QUALITY = 92
@@ -35,8 +41,9 @@ class DyedCloth:
 
     def __init__(self, recording: Any, painter: DyePainter, live: bool) -> None:
         self.recording, self.painter, self.live = recording, painter, live
+        self.every = painter.look.every or 0.0
         self.names: list[str] = []
-        self._shown: Picture | None = None
+        self.shown: Picture | None = None
         self._waiting: tuple[int, float, bytes] | None = None
         self._drawn = -math.inf
         """When the last picture was drawn, in wall time [s]."""
@@ -46,12 +53,13 @@ class DyedCloth:
     def take_cloth(self, payload: bytes) -> None:
         """Raises BadMessage, and BadInput for a cloth that cannot be drawn."""
         self.painter.take_cloth(payload)
-        self._shown = None
+        self.shown = None
+        arrays, text = decode_arrays(payload)
+        self.describe(str(text.get("scene", "")), arrays["fibre"].shape)
 
     def take_amounts(self, frame: int, t: float, payload: bytes) -> None:
         """Show a frame, now or later. Raises BadMessage."""
-        every = self.painter.look.every or 0.0
-        early = t < self._last + every * (1.0 - 1e-9)
+        early = t < self._last + self.every * (1.0 - 1e-9)
         if early or (self.live and time.monotonic() < self._drawn + LIVE_SECONDS):
             self._waiting = frame, t, payload
             return
@@ -62,34 +70,94 @@ class DyedCloth:
         if self._waiting is not None:
             self._draw(*self._waiting)
 
-    def take_status(self, payload: bytes) -> DyeStatus:
+    def take_status(self, payload: bytes) -> None:
         """Log the amounts of a frame."""
         status = DyeStatus.model_validate_json(payload)
         if list(status.mobile) != self.names:
             self.names = list(status.mobile)
             for name in self.names:
-                self._log(_curves(name), layout.names(AMOUNTS, WIDTHS), static=True)
-            self._log("/plots/time", layout.names(["computing the frame"]), static=True)
+                self.log(_curves(name), layout.names(AMOUNTS, WIDTHS), static=True)
+            self.arrange()
         for name in self.names:
             mobile, fixed = (_number(amount.get(name)) for amount in (status.mobile, status.fixed))
             values = [_number(status.supplied.get(name)), mobile + fixed, mobile, fixed]
-            self._log(_curves(name), rr.Scalars(values))
-        self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
-        return status
+            self.log(_curves(name), rr.Scalars(values))
+        self.time_frame(status.step_seconds)
+        if status.message:
+            self.log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
+
+    def describe(self, scene: str, shape: tuple[int, ...]) -> None:
+        """Say what is shown of a scene's cells (2, ny, nx)."""
+        page = about(scene, self.painter, shape)
+        self.log("/about", rr.TextDocument(page, media_type="text/markdown"), static=True)
+
+    def arrange(self) -> None:
+        """Arrange the window, when the dyes are known."""
+        self.log("/plots/time", layout.names(["computing the frame"]), static=True)
+        blueprint = layout.arrange_dyed(self.names, self.painter.shape, self.painter.duration, self.live)
+        self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
+
+    def time_frame(self, seconds: float) -> None:
+        """How long a frame took [s]."""
+        self.log("/plots/time", rr.Scalars(1000.0 * seconds))
+
+    def show(self, picture: Picture) -> None:
+        """Log a picture that is not the last one."""
+        self.log(layout.PICTURE, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
+
+    def log(self, path: str, *what: Any, static: bool = False) -> None:
+        self.recording.log(path, *what, static=static, strict=True)
 
     def _draw(self, frame: int, t: float, payload: bytes) -> None:
         self._waiting = None
         picture = self.painter.draw(payload)
         self._drawn, self._last = time.monotonic(), t
-        if self._shown is not None and np.array_equal(picture, self._shown):
+        if self.shown is not None and np.array_equal(picture, self.shown):
             return
         self.recording.set_time("frame", sequence=frame)
         self.recording.set_time(layout.TIMELINE, duration=t)
-        self._log(layout.PICTURE, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
-        self._shown = picture
+        self.show(picture)
+        self.shown = picture
 
-    def _log(self, path: str, *what: Any, static: bool = False) -> None:
-        self.recording.log(path, *what, static=static, strict=True)
+
+class DyedTexture(DyedCloth):
+    """The same as the texture of an object, which is part of the scene in space.
+
+    wear     logs a picture as the object's texture
+    arranged arranges the scene's window anew
+    """
+
+    def __init__(
+        self,
+        recording: Any,
+        painter: DyePainter,
+        live: bool,
+        wear: Callable[[Picture], None],
+        arranged: Callable[[], None],
+    ) -> None:
+        super().__init__(recording, painter, live)
+        self.every = painter.look.every or painter.duration / TEXTURES
+        self._wear, self._arranged = wear, arranged
+
+    def show(self, picture: Picture) -> None:
+        """Dye the object."""
+        self._wear(picture)
+
+    def arrange(self) -> None:
+        """The scene's window, with the dyes' curves."""
+        self._arranged()
+
+    def describe(self, scene: str, shape: tuple[int, ...]) -> None:
+        """The scene's own page says what is shown."""
+
+    def time_frame(self, seconds: float) -> None:
+        """The scene's own curve is that of what moves."""
+
+
+def viewer_painter(loaded: Loaded) -> DyePainter:
+    """The painter of a scene's dye for the viewer. Raises BadInput where it has none."""
+    on = loaded.scene.dye is not None and loaded.scene.dye.on is not None
+    return painter_of(loaded, most=TEXTURE_PIXELS if on else MOST_PIXELS)
 
 
 def about(scene: str, painter: DyePainter, shape: tuple[int, ...]) -> str:

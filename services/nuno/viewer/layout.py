@@ -66,12 +66,14 @@ def fit_eye(points: Float, view: View) -> Eye:
     return Eye(target + distance * toward, target)
 
 
-def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
+def arrange(eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None) -> Any:
     """The blueprint: the scene large on the left; curves, log and report beside it."""
     plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
         plots.append(curves("Penetration [mm]", "penetration", legend=True))
     plots.append(curves("Wall time to compute a frame [ms]", "time"))
+    amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True) for name in dyes or ()]
+    tabs = [*([("Dye", amounts)] if amounts else []), ("Curves", plots)]
     scene = rrb.Spatial3DView(
         name="Scene",
         origin="/world",
@@ -81,7 +83,7 @@ def arrange(eye: Eye, bodies: bool, live: bool) -> Any:
             kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=[0, 1, 0]
         ),
     )
-    return _blueprint(scene, rrb.Vertical(*plots, name="Curves"), live)
+    return _blueprint(scene, [rrb.Vertical(*part, name=name) for name, part in tabs], live)
 
 
 def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live: bool) -> Any:
@@ -99,7 +101,7 @@ def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live:
         background=rrb.Background(color=BACKGROUND),
         visual_bounds=rrb.VisualBounds2D(x_range=(0, shape[1]), y_range=(0, shape[0])),
     )
-    return _blueprint(picture, rrb.Vertical(*plots, name="Curves"), live, max(1.0, duration / PLAY_SECONDS))
+    return _blueprint(picture, [rrb.Vertical(*plots, name="Curves")], live, max(1.0, duration / PLAY_SECONDS))
 
 
 def curves(name: str, what: str, legend: bool = False, duration: float | None = None) -> Any:
@@ -116,9 +118,9 @@ def curves(name: str, what: str, legend: bool = False, duration: float | None = 
     )
 
 
-def _blueprint(main: Any, plots: Any, live: bool, speed: float = 1.0) -> Any:
+def _blueprint(main: Any, plots: list[Any], live: bool, speed: float = 1.0) -> Any:
     side = rrb.Tabs(
-        plots,
+        *plots,
         rrb.TextDocumentView(name="About", origin="/about"),
         rrb.TextLogView(name="Log", origin="/log"),
         rrb.TextDocumentView(name="Report", origin="/report"),

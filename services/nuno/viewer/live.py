@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import psutil
 
-from nuno_schemas.messages import FRAMES
+from nuno_schemas.messages import FRAMES, STATE
 from nuno_schemas.scene import View
 
 RING_BYTES = 64 * 2**20
@@ -76,6 +76,7 @@ class LiveView:
 
     view      "window", "web" or the address of an open viewer
     scene     of a dyed cloth, as `stream.scene_of` writes it
+    leader    the topic of which a frame has one message
     announce  called with what there is to tell the user ("warning" or "start", text)
 
     `feed` returns at once, whatever the viewer does. `finish` waits while frames are shown, at
@@ -84,13 +85,19 @@ class LiveView:
     """
 
     def __init__(
-        self, view: str, run: str, scene_view: View, announce: Callable[[str, str], None], scene: str = ""
+        self,
+        view: str,
+        run: str,
+        scene_view: View,
+        announce: Callable[[str, str], None],
+        scene: str = "",
+        leader: str = STATE.name,
     ) -> None:
         self.frames = self.shown = 0
         self.pid: int | None = None
         self.page = ""
         self.error = ""
-        self._announce = announce
+        self._announce, self._leader = announce, leader
         self._ring = Ring()
         # -P: a module of the user's folder must not stand in for one of ours.
         command = [sys.executable, "-P", "-m", "nuno.viewer.stream", view, run, scene_view.model_dump_json(), scene]
@@ -109,7 +116,7 @@ class LiveView:
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Pass one message on, without waiting."""
-        self.frames += topic in FRAMES
+        self.frames += topic == self._leader
         self._ring.put((topic, frame, t, payload))
 
     def finish(self) -> None:

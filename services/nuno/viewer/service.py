@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
 TOPICS = [FABRIC, GEOMETRY, BODIES, STATE, STATUS, PENETRATION, CLOTH, CONCENTRATION, DYE_STATUS, EVENTS, REPORT]
+CLOTHS = (FABRIC.name, CLOTH.name)
+"""What frames are about."""
 MOST_EARLY = 64
 """Messages that a live view keeps until the cloth is known. A file keeps all: the simulation waits for it."""
 DRAIN_SECONDS = 0.1
@@ -52,15 +54,19 @@ class Viewer:
         self.frames = 0
         self.early: list[Message] | None = []
         """What came before the cloth did."""
-        self.cloth = FABRIC.name if context.loaded.scene.moves else CLOTH.name
+        scene = context.loaded.scene
+        self.awaited = {name for name, there in ((FABRIC.name, scene.moves), (CLOTH.name, scene.dye)) if there}
         options, view = context.options, context.loaded.scene.view
         self.file: Any = None
         if options.save is not None:
             from nuno.viewer.file import RerunFile
 
             self.file = RerunFile(options.save, context.bus.run, view, painter=_painter(context.loaded))
-        scene = scene_of(context.loaded)
-        self.live = LiveView(options.view, context.bus.run, view, self.announce, scene) if options.view else None
+        again = scene_of(context.loaded)
+        self.leader = STATE.name if scene.moves else CONCENTRATION.name
+        self.live: LiveView | None = None
+        if options.view:
+            self.live = LiveView(options.view, context.bus.run, view, self.announce, again, self.leader)
         self.acknowledges = context.bus.service in options.must_see
         # Without a file a viewer may come late, and then sees what is new.
         self.inbox = Inbox(context.bus, TOPICS, newest_only=self.file is None)
@@ -75,13 +81,12 @@ class Viewer:
         viewer that comes late never hears of the cloth, and waits for nothing.
         """
         if self.early is not None:
-            if message.topic != self.cloth and (self.file is not None or len(self.early) < MOST_EARLY):
-                self.early.append(message)
+            self.early.append(message)
+            self.awaited.discard(message.topic)
+            if self.awaited and (self.file is not None or len(self.early) <= MOST_EARLY):
                 return
             waiting, self.early = self.early, None
-            # Without the cloth after all, what waited still goes first.
-            order = [message, *waiting] if message.topic == self.cloth else [*waiting, message]
-            for each in order:
+            for each in sorted(waiting, key=lambda kept: kept.topic not in CLOTHS):
                 self.show(each)
             return
         self.show(message)
@@ -101,7 +106,7 @@ class Viewer:
             except BadMessage:
                 self.inbox.counts.refused[message.topic] += 1
         if message.topic in FRAMES:
-            self.frames += 1
+            self.frames += message.topic == self.leader
             if self.acknowledges:
                 ack = Ack(service=self.context.bus.service, frame=header.frame)
                 topic = ack_topic(self.context.bus.service)
@@ -130,12 +135,11 @@ class Viewer:
 
 
 def _painter(loaded: Loaded) -> DyePainter | None:
-    if loaded.scene.moves:
+    if loaded.dye is None:
         return None
-    from nuno.export.dyed import painter_of
-    from nuno.viewer.dyed import MOST_PIXELS
+    from nuno.viewer.dyed import viewer_painter
 
-    return painter_of(loaded, most=MOST_PIXELS)
+    return viewer_painter(loaded)
 
 
 def main(context: Context) -> None:

@@ -135,17 +135,16 @@ def read_painter(scene: str) -> DyePainter | None:
     if not scene:
         return None
     from nuno import scene_file
-    from nuno.export.dyed import painter_of
-    from nuno.viewer.dyed import MOST_PIXELS
+    from nuno.viewer.dyed import viewer_painter
 
     said = json.loads(scene)
     roots = [Path(root) for root in said["roots"]]
-    return painter_of(scene_file.read(Path(said["path"]), said["overrides"], roots), most=MOST_PIXELS)
+    return viewer_painter(scene_file.read(Path(said["path"]), said["overrides"], roots))
 
 
 def scene_of(loaded: Loaded) -> str:
-    """Where a scene of dye alone can be read again; "" for any other."""
-    if loaded.scene.moves:
+    """Where a scene of dye can be read again; "" for any other."""
+    if loaded.dye is None:
         return ""
     roots = [str(root) for root in loaded.files.roots]
     return json.dumps({"path": str(loaded.path), "overrides": list(loaded.overrides), "roots": roots})
