@@ -46,12 +46,12 @@ def limit_of(isotherm: int, first: float, second: float, phi: Any, room: Any) ->
 
 
 @kernel
-def may_bind(first: float, phi: Any, held: Any, free: Any) -> Any:
-    """Whether Freundlich's limit is below what is taken without it, `free`, in any of eight cells.
+def may_bind(first: float, phi: Any, held: Any, free: Any, pace: float) -> Any:
+    """Whether `pace` times what Freundlich's limit leaves is below what is taken without it, `free`, in any lane.
 
     phi^b >= min(phi, 1), as b <= 1: most often that tells, and the power is not needed.
     """
-    margin = (first * lower(phi, splat(1.0)) - held) - free
+    margin = pace * (first * lower(phi, splat(1.0)) - held) - free
     return any_below(where_greater(free, splat(0.0), margin), 0.0)
 
 
@@ -64,7 +64,7 @@ def adsorb_row(
     for c in range(start, phi.shape[1] - WIDTH, WIDTH):
         there, held, room = load(phi, row, c), load(fixed, row, c), load(fibre, row, c)
         taken = lower(lower(rate * (there - held), room - held), there)
-        if isotherm != FREUNDLICH or may_bind(first, there, held, taken):
+        if isotherm != FREUNDLICH or may_bind(first, there, held, taken, 1.0):
             taken = lower(taken, limit_of(isotherm, first, second, there, room) - held)
         taken = higher(taken, nothing)
         store(phi, row, c, there - taken)
@@ -72,21 +72,9 @@ def adsorb_row(
 
 
 @kernel
-def uptake_in(uptake: Any, b: int) -> Any:
-    """The part of band `b`; None where nothing is taken."""
-    if uptake is None:
-        return None
-    return Uptake(
-        uptake.fixed[b], uptake.fibre[b], uptake.rate, uptake.isotherm, uptake.first, uptake.second
-    )  # fmt: skip
-
-
-@kernel
-def adsorb_both(phi: Any, uptake: Any, start: int, row: int, r: int) -> None:
-    """Fix dye in one row of both layers, (2 r, w), from column `start` on."""
-    adsorb_row(
-        phi, uptake.fixed, uptake.fibre, start, row, uptake.rate, uptake.isotherm, uptake.first, uptake.second
-    )  # fmt: skip
-    adsorb_row(
-        phi, uptake.fixed, uptake.fibre, start, row + r, uptake.rate, uptake.isotherm, uptake.first, uptake.second
-    )  # fmt: skip
+def adsorb_both(phi: Any, uptake: Any, b: int, start: int, row: int, r: int) -> None:
+    """Fix dye in one row of both layers of band `b`, (2 r, w), from column `start` on."""
+    for at in (row, row + r):
+        adsorb_row(
+            phi, uptake.fixed[b], uptake.fibre[b], start, at, uptake.rate, uptake.isotherm, uptake.first, uptake.second
+        )

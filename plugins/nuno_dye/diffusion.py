@@ -21,8 +21,8 @@ from llvmlite import ir
 from numba import prange
 from numpy.typing import NDArray
 
-from nuno_dye.adsorption import adsorb_both, uptake_in
-from nuno_dye.upkeep import keep_both, upkeep_in
+from nuno_dye.adsorption import adsorb_both
+from nuno_dye.upkeep import keep_both
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.simd import WIDTH, instruction, load, splat, store, vector
 from nuno_schemas.fabric import Float
@@ -102,9 +102,9 @@ def start_row(phi: Any, down: Any, edge: Any, level: int, row: int, r: int) -> N
 @kernel
 def pass_over(
     levels: int, phi: Any, along: Any, down: Any, across: Any, edge: Any, first: int, last: int, up: int, low: int,
-    uptake: Any, upkeep: Any,
+    uptake: Any, upkeep: Any, b: int,
 ) -> None:  # fmt: skip
-    """`levels` steps of one band. Level s is right where it has levels - 1 - s rows of its neighbours.
+    """`levels` steps of band `b`. Level s is right where it has levels - 1 - s rows of its neighbours.
 
     Fibre takes its dye one row ahead: the level before is done with that row and keeps what flows from it.
     """
@@ -115,14 +115,14 @@ def pass_over(
             if first - up * beyond <= row <= last + low * beyond:
                 if row == first - up * beyond:
                     if uptake is not None:
-                        adsorb_both(phi, uptake, LEFT, row - 1, r)
-                        adsorb_both(phi, uptake, LEFT, row, r)
+                        adsorb_both(phi, uptake, b, LEFT, row - 1, r)
+                        adsorb_both(phi, uptake, b, LEFT, row, r)
                     start_row(phi, down, edge, level, row, r)
                 if uptake is not None:
-                    adsorb_both(phi, uptake, LEFT, row + 1, r)
+                    adsorb_both(phi, uptake, b, LEFT, row + 1, r)
                 step_row(phi, along, down, across, edge, level, row)
                 if upkeep is not None:
-                    keep_both(phi, upkeep, LEFT, row, r)
+                    keep_both(phi, upkeep, b, LEFT, row, r)
 
 
 @parallel_kernel
@@ -132,7 +132,7 @@ def pass_bands(levels: int, bands: Any, uptake: Any, upkeep: Any) -> None:
         pass_over(
             levels, bands.phi[b], bands.along[b], bands.down[b], bands.across[b], bands.edge[b],
             bands.first[b], bands.last[b], bands.shrinks[b, 0], bands.shrinks[b, 1],
-            uptake_in(uptake, b), upkeep_in(upkeep, b),
+            uptake, upkeep, b,
         )  # fmt: skip
 
 

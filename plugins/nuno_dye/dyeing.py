@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 from numba import prange
 
-from nuno_dye.adsorption import adsorb_both, uptake_in
+from nuno_dye.adsorption import adsorb_both
 from nuno_dye.diffusion import LEFT, Rows, renew_ghosts, slide
-from nuno_dye.upkeep import keep_both, upkeep_in
+from nuno_dye.upkeep import keep_both
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.simd import WIDTH, load, splat, store
 from nuno_kernels.simd_choose import higher, lower
@@ -136,9 +136,9 @@ def move_row(phi: Any, rolling: Any, base: int, row: int, r: int) -> None:
 @kernel
 def pass_over_dye(
     levels: int, phi: Any, along: Any, down: Any, across: Any, mobile: Any, rolling: Any,
-    first: int, last: int, up: int, low: int, uptake: Any, upkeep: Any,
+    first: int, last: int, up: int, low: int, uptake: Any, upkeep: Any, n: int,
 ) -> None:  # fmt: skip
-    """`levels` steps of one band: rows are adsorbed two ahead, their fluxes and factors known one ahead."""
+    """`levels` steps of band `n`: rows are adsorbed two ahead, their fluxes and factors known one ahead."""
     r = across.shape[0]
     for at in range(first - 2 * up * (levels - 1) - 4, last + 2 * low * (levels - 1) + 2 * levels + 2):
         for level in range(levels):
@@ -147,7 +147,7 @@ def pass_over_dye(
             ahead = row + 2
             if start - 2 <= ahead <= stop + 2:
                 if uptake is not None:
-                    adsorb_both(phi, uptake, LEFT, ahead, r)
+                    adsorb_both(phi, uptake, n, LEFT, ahead, r)
                 if ahead > start - 2:
                     flux_row(phi, along, down, across, rolling, base, ahead - 1)
                 if ahead >= start:
@@ -157,7 +157,7 @@ def pass_over_dye(
                 if row >= start:
                     move_row(phi, rolling, base, row, r)
                     if upkeep is not None:
-                        keep_both(phi, upkeep, LEFT, row, r)
+                        keep_both(phi, upkeep, n, LEFT, row, r)
 
 
 @parallel_kernel
@@ -167,7 +167,7 @@ def pass_dye_bands(levels: int, bands: Any, uptake: Any, upkeep: Any) -> None:
         pass_over_dye(
             levels, bands.phi[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n], bands.rolling[n],
             bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1],
-            uptake_in(uptake, n), upkeep_in(upkeep, n),
+            uptake, upkeep, n,
         )  # fmt: skip
 
 

@@ -18,23 +18,29 @@ import numba
 import numpy as np
 from pydantic import BaseModel
 
-from nuno_dye.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Uptake
+from nuno_dye.adsorption import Uptake
 from nuno_dye.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.diffusion import GHOST, Bands, diffuse
 from nuno_dye.dyeing import LEVELS, DyeBands, dye
-from nuno_dye.faces import Faces, face_sums, face_values
-from nuno_dye.sums import sum_compensated
+from nuno_dye.faces import face_sums, face_values
+from nuno_dye.solving import (
+    Known,
+    adsorbs,
+    count_bands,
+    describe_threads,
+    know,
+    largest_amounts,
+    make_report,
+    raise_largest,
+    require_laws,
+    same_cells,
+    uptake_of,
+)
 from nuno_dye.upkeep import Upkeep, begin_upkeep, make_upkeep, sum_given
 from nuno_kernels import threads_available
-from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem
-from nuno_schemas.errors import BadInput
+from nuno_schemas.dye import Cells, DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.plugin import Config
-
-KINDS = {"partition": PARTITION, "freundlich": FREUNDLICH, "langmuir": LANGMUIR, "python": NOTHING}
-"""Isotherms; one in Python is worked out between the kernel's steps."""
-CELLS_PER_THREAD = 10_000
-"""A pass over fewer takes some tens of microseconds, not much longer than to wake a thread."""
 
 
 class ExplicitConfig(Config):
@@ -43,21 +49,14 @@ class ExplicitConfig(Config):
 
 @dataclass
 class Work:
-    """What was made from a system's cells, dyes and threads, and from its supply.
+    """What was made from a system.
 
-    faces   face values, and `most`, the largest sum of a cell's
-    room    least capacity V_u of a cell that a face reaches
-    floors  (dyes, 2, ny, nx) what is kept up as far as there is room, None where nothing is
     bands   by dye, and whether limits may bind: the step [s] and the kernel's layout for it
     upkeep  by dye and ghost rows: the layout of its floors
     fibre   by ghost rows: the layout of V_d
     """
 
-    system: DyeSystem
-    faces: Faces
-    most: float
-    room: float
-    floors: Float | None
+    known: Known
     bands: dict[tuple[int, bool], tuple[float, Bands | DyeBands]] = field(default_factory=dict)
     upkeep: dict[tuple[int, int], Upkeep] = field(default_factory=dict)
     fibre: dict[int, Float] = field(default_factory=dict)
@@ -71,12 +70,8 @@ class Explicit:
 
     def prepare(self, config: ExplicitConfig, system: DyeSystem, state: DyeState) -> Memory:
         """Memory: `highest` (dyes,), the largest amount that any cell can have had."""
-        for one in system.dyes:
-            law = one.isotherm
-            if law is not None and (law.kind not in KINDS or (law.kind == "python") != (law.function is not None)):
-                raise BadInput("no kernel knows this isotherm", value=law.kind, limit=", ".join(KINDS))
-        highest = state.phi.reshape(len(system.dyes), -1).max(axis=1)
-        return Memory({"highest": highest.astype(np.float64)}, _make_work(system))
+        require_laws(system)
+        return Memory({"highest": largest_amounts(state)}, Work(know(system)))
 
     def limit(self, config: ExplicitConfig, system: DyeSystem) -> float:
         """D0 dt / size^2 times the largest sum of P T over a cell's faces is 1 there."""
@@ -87,84 +82,44 @@ class Explicit:
         """See nuno_schemas.dye.DyeSolver."""
         work = memory.work = _renew_work(memory.work, system)  # type: ignore[arg-type]
         highest = memory.arrays["highest"]
+        raise_largest(highest, work.known)
         numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
-        supplied = []
-        for k in range(len(system.dyes)):
-            if work.floors is not None:
-                highest[k] = max(highest[k], work.floors[k].max())
-            supplied.append(_advance_one(work, k, state, steps, dt, float(highest[k])))
+        given = [_advance_one(work, k, state, steps, dt, float(highest[k])) for k in range(len(system.dyes))]
         state.t += steps * dt
-        mobile, fixed = (
-            tuple(sum_compensated(values.reshape(-1)) for values in amounts) for amounts in (state.phi, state.fixed)
-        )
-        finite = bool(np.isfinite([*mobile, *fixed]).all())
-        status, message = ("ok", "") if finite else ("diverged", "amounts of dye are no longer finite")
-        gave = tuple(supplied) if system.supply is not None else ()
-        return DyeReport(status, steps, mobile, fixed, message, {"steps": steps}, gave)  # type: ignore[arg-type]
+        return make_report(system, state, {"steps": steps}, given)
 
     def about(self, system: DyeSystem) -> str:
-        available, why = threads_available()
-        number = _bands(system)
-        if number == 1 and min(system.threads, available) > 1:
-            return f"1 thread: {system.cells.fibre.size:,} cells are fewer than several threads pay for"
-        return f"{number} thread{'s' if number > 1 else ''} of {available} ({why})"
-
-
-def _make_work(system: DyeSystem) -> Work:
-    faces = face_values(system.cells)
-    sums = face_sums(faces)
-    room = float(system.cells.mobile_room[sums > 0.0].min(initial=np.inf))
-    return Work(system, faces, float(sums.max()), room, _floors(system))
+        return describe_threads(system)
 
 
 def _renew_work(work: Work, system: DyeSystem) -> Work:
     """What still holds for a system that may have other cells, dyes, threads or another supply than before."""
-    before = work.system
+    before = work.known.system
     if system is before:
         return work
-    if system.cells is not before.cells or system.dyes != before.dyes or system.threads != before.threads:
-        return _make_work(system)
+    if not same_cells(system, before):
+        return Work(know(system))
     if system.supply is not before.supply:
-        work.floors = _floors(system)
         work.upkeep.clear()
-    work.system = system
+    work.known = know(system)
     return work
-
-
-def _floors(system: DyeSystem) -> Float | None:
-    return None if system.supply is None else np.minimum(system.supply, system.cells.mobile_room)
-
-
-def _adsorbs(one: Dye) -> bool:
-    return one.isotherm is not None and one.adsorption > 0.0
-
-
-def _bands(system: DyeSystem) -> int:
-    """Bands, one a thread: as many as are worth it. The result does not depend on them."""
-    return max(1, min(system.threads, threads_available()[0], system.cells.fibre.size // CELLS_PER_THREAD))
 
 
 def _upkeep(work: Work, k: int, cut: Cut) -> Upkeep | None:
     """Floors of one dye in a kernel's layout, with nothing given yet; None where it has none."""
-    if work.floors is None or not work.floors[k].any():
+    if work.known.floors is None or not work.known.floors[k].any():
         return None
     found = work.upkeep.get((k, cut.ghost))
     if found is None:
-        found = work.upkeep[k, cut.ghost] = make_upkeep(cut.fill(work.floors[k])[0])
+        found = work.upkeep[k, cut.ghost] = make_upkeep(cut.fill(work.known.floors[k])[0])
     return begin_upkeep(found)
 
 
-def _uptake(work: Work, k: int, cut: Cut, dt: float) -> Uptake | None:
+def _uptake(work: Work, k: int, cut: Cut, scale: float) -> Uptake | None:
     """Fibre of one dye in a kernel's layout; None where the kernel fixes nothing."""
-    one, cells = work.system.dyes[k], work.system.cells
-    law = one.isotherm
-    if law is None or not _adsorbs(one) or law.kind == "python":
-        return None
     if cut.ghost not in work.fibre:
-        work.fibre[cut.ghost] = cut.fill(cells.fixed_room)[0]
-    kind = PARTITION if law.kind == "freundlich" and law.second == 1.0 else KINDS[law.kind]
-    rate = one.adsorption * (one.D0 * dt / cells.size**2)
-    return Uptake(np.empty(cut.shape), work.fibre[cut.ghost], rate, kind, law.first, law.second)
+        work.fibre[cut.ghost] = cut.fill(work.known.system.cells.fixed_room)[0]
+    return uptake_of(work.known.system.dyes[k], np.empty(cut.shape), work.fibre[cut.ghost], scale)
 
 
 def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, highest: float) -> float:
@@ -172,14 +127,14 @@ def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, hig
 
     Returns what its supplies gave.
     """
-    system, phi, fixed = work.system, state.phi[k], state.fixed[k]
+    system, phi, fixed = work.known.system, state.phi[k], state.fixed[k]
     one, cells = system.dyes[k], system.cells
     scale = one.D0 * dt / cells.size**2
-    limited = not highest <= work.room or scale * work.most > 1.0
-    cut = Cut(phi.shape, _bands(system), 2 * LEVELS if limited else GHOST)
+    limited = not highest <= work.known.room or scale * work.known.most > 1.0
+    cut = Cut(phi.shape, count_bands(system), 2 * LEVELS if limited else GHOST)
     bands = _layout(work, k, limited, dt, scale, cut.number)
-    uptake, upkeep = _uptake(work, k, cut, dt), _upkeep(work, k, cut)
-    function = one.isotherm.function if one.isotherm is not None and _adsorbs(one) else None
+    uptake, upkeep = _uptake(work, k, cut, scale), _upkeep(work, k, cut)
+    function = one.isotherm.function if one.isotherm is not None and adsorbs(one) else None
     for count in [steps] if function is None or not steps else [1] * steps:
         if function is not None and count:
             _adsorb(phi, fixed, cells, one.adsorption * scale, function)
@@ -198,11 +153,11 @@ def _layout(work: Work, k: int, limited: bool, dt: float, scale: float, number: 
     """One dye's weights in a kernel's layout."""
     known, bands = work.bands.get((k, limited), (0.0, None))
     if bands is None or known != dt:
-        empty, cells = np.zeros(work.system.cells.fibre.shape), work.system.cells
+        empty, cells = np.zeros(work.known.system.cells.fibre.shape), work.known.system.cells
         bands = (
-            make_dye_bands(empty, cells, work.faces, scale, number)
+            make_dye_bands(empty, cells, work.known.faces, scale, number)
             if limited
-            else make_bands(empty, work.faces, scale, number)
+            else make_bands(empty, work.known.faces, scale, number)
         )
         work.bands[k, limited] = dt, bands
     return bands

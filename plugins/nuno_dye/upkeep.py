@@ -52,19 +52,11 @@ def sum_given(given: Float, lost: Float) -> float:
 
 
 @kernel
-def upkeep_in(upkeep: Any, b: int) -> Any:
-    """The part of band `b`; None where nothing is kept up."""
-    if upkeep is None:
-        return None
-    return Upkeep(upkeep.floor[b], upkeep.given[b], upkeep.lost[b], upkeep.rows[b])
-
-
-@kernel
-def keep_both(phi: Any, upkeep: Any, start: int, row: int, r: int) -> None:
-    """Raise one row of both layers, (2 r, w), to its floor, from column `start` on."""
-    if upkeep.rows[row]:
-        keep_row(phi, upkeep.floor, upkeep.given, upkeep.lost, start, row)
-        keep_row(phi, upkeep.floor, upkeep.given, upkeep.lost, start, row + r)
+def keep_both(phi: Any, upkeep: Any, b: int, start: int, row: int, r: int) -> None:
+    """Raise one row of both layers of band `b`, (2 r, w), to its floor, from column `start` on."""
+    if upkeep.rows[b, row]:
+        keep_row(phi, upkeep.floor[b], upkeep.given[b], upkeep.lost[b], start, row)
+        keep_row(phi, upkeep.floor[b], upkeep.given[b], upkeep.lost[b], start, row + r)
 
 
 @kernel

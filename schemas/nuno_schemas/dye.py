@@ -140,7 +140,7 @@ class DyeReport:
     `supplied` are the totals that kept-up supplies gave in this frame; empty stands for nothing.
     """
 
-    status: Literal["ok", "diverged"]
+    status: Literal["ok", "diverged", "unconverged"]
     steps: int
     mobile: tuple[float, ...]
     fixed: tuple[float, ...]

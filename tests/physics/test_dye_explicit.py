@@ -10,9 +10,10 @@ import pytest
 from test_dye_diffusion import random_cells
 from test_dye_step import ISOTHERMS, plain_step, resisted, start
 
-from nuno_dye.explicit import CELLS_PER_THREAD, Explicit, ExplicitConfig
+from nuno_dye.explicit import Explicit, ExplicitConfig
 from nuno_dye.faces import face_values, largest_sum
 from nuno_dye.isotherms import Freundlich, FreundlichConfig, Langmuir, LangmuirConfig, Partition, PartitionConfig
+from nuno_dye.solving import CELLS_PER_THREAD
 from nuno_dye.sums import sum_compensated
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Isotherm
 from nuno_schemas.fabric import Float
@@ -96,7 +97,7 @@ def test_where_nothing_can_be_limited_the_faster_kernel_has_the_bits_of_the_whol
     for system in (dyed(cells, LAWS.get(law or ""), threads), replace(dyed(cells, None, threads), supply=supply)):
         solver, states = Explicit(), [DyeState(phi[None].copy(), 0 * phi[None]) for _ in range(2)]
         memory = [solver.prepare(CONFIG, system, state) for state in states]
-        assert memory[0].arrays["highest"][0] <= memory[0].work.room  # type: ignore[attr-defined]
+        assert memory[0].arrays["highest"][0] <= memory[0].work.known.room  # type: ignore[attr-defined]
         memory[1].arrays["highest"][0] = np.inf
         dt = solver.limit(CONFIG, system)
         plain, whole = (solver.advance(system, *pair, 20, 0.9 * dt) for pair in zip(states, memory, strict=True))

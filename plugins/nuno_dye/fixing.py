@@ -1,0 +1,131 @@
+"""Adsorption within a long step: as a rate in each of its stages, and settled at its end.
+
+A stage takes D_ab / d^2 (phi - A), but no more than `pace` times what the limit min(V_d, A_d(phi)) leaves, so that
+fixed dye comes to its limit within a few explicit steps. Those modes the stages damp by half a step at least; what
+they leave to the limit is taken at the end: what a cell that holds S = phi + A takes is the A with A = A_d(S - A),
+or, where phi is kept up, A_d(phi). It is never more than D_ab allows in the step, at the mean phi.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from numba import prange
+
+from nuno_dye.adsorption import FREUNDLICH, PARTITION, limit_of, may_bind
+from nuno_dye.diffusion import LEFT
+from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.simd import WIDTH, load, splat, store
+from nuno_kernels.simd_choose import higher, lower
+from nuno_schemas.fabric import Float
+
+ROUNDS = 60
+"""Newton steps at most; five or six do."""
+
+
+class Taking(NamedTuple):
+    """Fixed dye at a step's start, what fibre takes then, its room V_d, and its law; rate is D_ab dt / d^2."""
+
+    start: Float
+    slope: Float
+    fibre: Float
+    rate: float
+    isotherm: int
+    first: float
+    second: float
+
+
+@kernel
+def taken_at(seen: Any, held: Any, taking: Any, row: int, c: int, pace: float) -> Any:
+    """What eight cells take."""
+    phi, fixed, room = load(seen, row, c), load(held, row, c), load(taking.fibre, row, c)
+    taken = lower(taking.rate * (phi - fixed), pace * (room - fixed))
+    if taking.isotherm != FREUNDLICH or may_bind(taking.first, phi, fixed, taken, pace):
+        limit = limit_of(taking.isotherm, taking.first, taking.second, phi, room)
+        taken = lower(taken, pace * (limit - fixed))
+    return higher(taken, splat(0.0))
+
+
+@kernel
+def take_row(seen: Any, held: Any, taking: Any, rates: Any, to: int, row: int, pace: float) -> None:
+    """What a row of one layer takes in `rates[to + 2]`, and off what it gets, in `rates[to]`."""
+    for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
+        taken = taken_at(seen, held, taking, row, c, pace)
+        store(rates, to + 2, c, taken)
+        store(rates, to, c, load(rates, to, c) - taken)
+
+
+@kernel
+def limit_beside(isotherm: int, first: float, second: float, phi: float, room: float) -> float:
+    """A_d at mobile dye phi."""
+    if isotherm == PARTITION:
+        return first * phi
+    if isotherm == FREUNDLICH:
+        power: float = phi**second
+        return first * power
+    return room * first * phi / (1.0 + first * phi)
+
+
+@kernel
+def limit_within(isotherm: int, first: float, second: float, total: float, room: float) -> float:
+    """The A with A = A_d(S - A)."""
+    if isotherm == PARTITION:
+        return first * total / (1.0 + first)
+    if isotherm == FREUNDLICH:
+        # phi + k phi^b = S is concave in phi: from below its root Newton's steps stay below it.
+        phi = min(0.5 * total, (0.5 * total / first) ** (1.0 / second)) if first > 0.0 else total
+        for _ in range(ROUNDS):
+            bound = first * phi**second
+            step = (total - phi - bound) / (1.0 + second * bound / phi) if phi > 0.0 else 0.0
+            phi += step
+            if step <= 1e-16 * phi:
+                break
+        return total - phi
+    # K A^2 - (1 + K (S + V_d)) A + V_d K S = 0, the lesser root, without cancellation.
+    p = 1.0 + first * (total + room)
+    return 2.0 * room * first * total / (p + math.sqrt(max(p * p - 4.0 * first * first * room * total, 0.0)))
+
+
+@kernel
+def settle_row(
+    phi: Any, before: Any, fixed: Any, held: Any, fibre: Any, floor: Any, row: int, nx: int, pace: float,
+    rate: float, isotherm: int, first: float, second: float,
+) -> None:  # fmt: skip
+    """Bring a row's fixed dye to its limit; `held` is fixed dye and `before` mobile dye at the step's start."""
+    for c in range(LEFT, LEFT + nx):
+        there, found, room = phi[row, c], fixed[row, c], fibre[row, c]
+        if not (there > found and room > found):
+            continue
+        limit = min(limit_beside(isotherm, first, second, there, room), room)
+        if not (limit > found and pace * (limit - found) < rate * (there - found)):
+            continue
+        mean = 0.5 * (there + before[row, c])
+        if floor is None or there > floor[row, c]:
+            limit = limit_within(isotherm, first, second, there + found, room)
+        most = min(min(limit, room), mean - (mean - held[row, c]) * math.exp(-rate))
+        taken = min(max(most - found, 0.0), there)
+        phi[row, c], fixed[row, c] = there - taken, found + taken
+
+
+@parallel_kernel
+def settle_bands(cuts: Any, phi: Any, before: Any, fixed: Any, taking: Any, floor: Any, nx: int, pace: float) -> None:
+    """All rows of both layers, (2 r, w)."""
+    r = phi.shape[0] // 2
+    for b in prange(cuts.shape[0] - 1):
+        for row in range(cuts[b], cuts[b + 1]):
+            for layer in range(2):
+                settle_row(
+                    phi, before, fixed, taking.start, taking.fibre, floor, row + layer * r, nx, pace,
+                    taking.rate, taking.isotherm, taking.first, taking.second,
+                )  # fmt: skip
+
+
+@kernel
+def bound_fixed(phi: Any, fixed: Any, held: Any, fibre: Any) -> None:
+    """Fixed dye becomes no less than at the start, `held`, and no more than its room; the rest is mobile."""
+    for i in range(phi.shape[0]):
+        for c in range(LEFT, phi.shape[1]):
+            found = min(max(fixed[i, c], held[i, c]), max(fibre[i, c], held[i, c]))
+            phi[i, c] += fixed[i, c] - found
+            fixed[i, c] = found
