@@ -14,7 +14,8 @@ from test_dye_upkeep import kept
 
 from nuno_dye import rkl2 as module
 from nuno_dye.explicit import Explicit, ExplicitConfig
-from nuno_dye.rkl2 import MOST_STAGES, Rkl2, Rkl2Config, find_coefficients, find_stages
+from nuno_dye.legendre import find_coefficients, find_stages
+from nuno_dye.rkl2 import MOST_STAGES, Rkl2, Rkl2Config
 from nuno_dye.solving import CELLS_PER_THREAD
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Isotherm, Tortuosity
 from nuno_schemas.errors import BadInput
