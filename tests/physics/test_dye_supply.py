@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from nuno_dye.regions import Disc, Polygon, Rectangle, Region, Stroke, cover
-from nuno_dye.supply import AnySupply, Bath, Brush, find_cells, prepare_supplies
+from nuno_dye.resist import Resists
+from nuno_dye.supply import AnySupply, Bath, Brush, Supplies, find_cells, prepare_supplies
 from nuno_schemas.errors import BadInput
 
 SIZE = 5e-5
@@ -123,3 +126,15 @@ def test_what_is_given_is_told_with_its_time_and_its_cells() -> None:
     assert np.array_equal(drop.cells, find_cells(items[0], SHAPE, SIZE))
     assert (bath.dye, bath.start, bath.stop, bath.liquor) == (1, 1.0, 3600.0, None) and not bath.cells[0].any()
     assert (finite.stop, finite.liquor) == (math.inf, 20.0)
+
+
+def test_the_documented_supplies_are_some() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "dye-cloth.md").read_text()
+    blocks = [yaml.safe_load(block.split("```")[0]) for block in page.split("```yaml\nsupply:")[1:]]
+    items = [TypeAdapter(Supplies).validate_python(block) for block in blocks]
+    assert len(items) == 1 and [one.kind for one in items[0]] == ["drop", "stroke", "bath", "bath"]
+    said = [
+        yaml.safe_load(line.split("'")[1]) for line in page.splitlines() if line.startswith("nuno control last add")
+    ]
+    assert TypeAdapter(Supplies).validate_python([said[0]["supply"]]) and list(said[1]) == ["resist"]
+    assert TypeAdapter(Resists).validate_python([said[1]["resist"]])
