@@ -20,10 +20,11 @@ from nuno_bench.stability_case import Motion, Setting
 from nuno_schemas.errors import BadInput
 
 AXIS = "diffusion"
-FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2)
-"""Of the scene's coefficients."""
-FRAMES = 5
-"""Of the scene that are run, at most."""
+FACTORS = (1e-2, 1e-1, 1.0, 1e1)
+"""Of the scene's coefficients: a larger one costs its reference so many times the steps."""
+FRAMES = 4
+LONGEST = 32.0
+"""Of a frame, in steps at the scene's own limit: the scene's frames may hold thousands of them."""
 FINER = 8
 """Steps of the reference for one that is stable; it is extrapolated from these and twice as many."""
 MOST_HALVINGS = 11
@@ -31,18 +32,25 @@ MOST_HALVINGS = 11
 
 
 def dye_settings(path: Path, overrides: Sequence[str]) -> list[Setting]:
-    """A setting for each factor, the scene's own first. Raises BadInput."""
-    loaded = scene_file.read(path, overrides)
-    dye = loaded.scene.dye
+    """A setting for each factor, the scene's own first, of frames that hold few steps. Raises BadInput."""
+    loaded = scene_file.read(path, [*overrides, "allow_unstable=true"])
+    dye, problem = loaded.scene.dye, make_dye_problem(loaded, threads=1)
     if dye is None:
         raise BadInput("the scene has no dye", str(path))
-    few = f"duration={min(FRAMES, loaded.scene.frames) / loaded.scene.frame_rate!r}"
+    frame = min(problem.frame, LONGEST * _limit(problem))
+    few = f"frame_rate={dye.speed / frame!r}", f"duration={FRAMES * frame / dye.speed!r}"
     scene = pack(path, overrides)
     made = [
-        Setting(scene, (few, *(f"dye.dyes.{i}.D0={one.D0 * value!r}" for i, one in enumerate(dye.dyes))), AXIS, value)
+        Setting(scene, (*few, *(f"dye.dyes.{i}.D0={one.D0 * value!r}" for i, one in enumerate(dye.dyes))), AXIS, value)
         for value in FACTORS
     ]
     return sorted(made, key=lambda setting: abs(math.log(setting.value)))
+
+
+def _limit(problem: DyeProblem) -> float:
+    """Stable step of the explicit scheme [s]."""
+    plugin = registry.load(problem.group, SCHEME)
+    return problem.limit(plugin, plugin.Config()).dt
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,7 @@ def pose_dye(setting: Setting) -> Iterator[DyePosed]:
 def prepare_dye(posed: DyePosed, setting: Setting) -> tuple[list[int], Motion]:
     """Numbers of steps a frame, the same for all factors, and the setting's reference. Raises BadInput."""
     plugin = registry.load(DyeProblem.group, SCHEME)
-    limit = posed.problem.limit(plugin, plugin.Config()).dt
+    limit = _limit(posed.problem)
     # A tenth of the scene's own limit is the limit at ten times its coefficients.
     finest = 10.0 * posed.frame / (limit * setting.value)
     counts = [2**i for i in range(min(MOST_HALVINGS, math.ceil(math.log2(max(2.0, finest)))) + 1)]

@@ -26,7 +26,7 @@ HOW = (
     "itself declined, or did not converge. A scene's own run refuses steps above the line."
 )
 HOW_DYE = (
-    "A point is a few frames of the scene, held against the explicit scheme at fine steps, extrapolated. It is exact "
+    "A point is the beginning of the scene, held against the explicit scheme at fine steps, extrapolated. It is exact "
     f"up to a distance of {EXACT:g} of how far amounts change at most in any cell, and accurate up to {ACCURATE:g}, "
     f"unless more than that of all dye has come or gone. Beyond, it is damped away where {LOST:.0%} of the dye is "
     "missing, diverged where it is not finite, and drifting otherwise: limits on what a cell may hold keep even "
