@@ -18,6 +18,8 @@ from nuno.dye.supply import add_up, exchange, first_step, give
 from nuno.report import lines
 from nuno.service import Options
 from nuno.verify import verify
+from nuno_dye.explicit import Explicit
+from nuno_schemas.dye import DyeSystem
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -166,6 +168,22 @@ def test_what_is_kept_up_stops_at_its_time(tmp_path: Path) -> None:
     assert short.supplied == doubled.supplied < long.supplied
     short.advance()
     assert short.supplied == doubled.supplied
+
+
+@pytest.mark.parametrize(("supply", "kept"), [(WHOLE, True), (DROP, False), (WHOLE | {"liquor": 2.0}, False)])
+def test_steps_that_keep_supplies_up_are_prepared(
+    supply: dict[str, Any], kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What they need is compiled before the run, where it is not counted as its time."""
+    prepared, before = list[tuple[int, bool]](), Explicit.advance
+
+    def advance(self: Explicit, system: DyeSystem, state: Any, memory: Any, steps: int, dt: float) -> Any:
+        prepared.append((steps, system.supply is not None))
+        return before(self, system, state, memory, steps, dt)
+
+    monkeypatch.setattr(Explicit, "advance", advance)
+    slab(tmp_path, 9, [supply | {"start": "1 s"} | ({"place": [CELL, 0]} if supply is DROP else {})])
+    assert prepared == ([(0, False), (0, True)] if kept else [(0, False)])
 
 
 def test_giving_fills_to_a_share_takes_nothing_and_counts_what_it_gave() -> None:

@@ -79,6 +79,8 @@ class DyeRun:
         except BadInput as error:
             raise loaded.at("dye.solver", error) from None
         start = self.measure()
+        if supplies.keeps:
+            self.measure(np.zeros_like(self.state.phi))
         for k, pair in enumerate(zip(start.mobile, start.fixed, strict=True)):
             supplies.note(k, AT_THE_START, fsum(pair))
         self.supplies = supplies
@@ -103,9 +105,10 @@ class DyeRun:
         """Whether the scene's last frame is done."""
         return self.frame >= self.loaded.scene.frames
 
-    def measure(self) -> DyeReport:
-        """The present amounts, without a step; compiles what the steps need."""
-        found: DyeReport = self._solver.plugin.advance(self.system, self.state, self.memory, 0, self.dt)
+    def measure(self, kept: Float | None = None) -> DyeReport:
+        """The present amounts, without a step; compiles what steps need, and those with supplies `kept` up."""
+        system = replace(self.system, supply=kept)
+        found: DyeReport = self._solver.plugin.advance(system, self.state, self.memory, 0, self.dt)
         return found
 
     def advance(self) -> Frame:

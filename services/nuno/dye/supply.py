@@ -144,6 +144,11 @@ class Supplies:
         edges = (edge for entry in self.entries for edge in (entry.first, entry.last) if step < edge < end)
         return int(min(edges, default=end))
 
+    @property
+    def keeps(self) -> bool:
+        """Whether the solver ever has to keep anything up."""
+        return any(entry.supply.stop is not None and not entry.finite for entry in self.entries)
+
     def keep(self, step: int) -> Float | None:
         """(dyes, 2, ny, nx) the least that cells hold after a step, None where nothing is kept up."""
         acting = tuple(i for i, entry in enumerate(self.entries) if not entry.finite and entry.acts(step))
