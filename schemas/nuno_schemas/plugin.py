@@ -28,9 +28,9 @@ GROUPS: Mapping[str, str] = {
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
     "nuno.renderers": "draw a picture of a frame",
-    "nuno.dye_cloths": "build a cloth to dye: cells",
+    "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
     "nuno.dye_solvers": "spread dye in a cloth over time",
-    "nuno.dye_pictures": "draw dyed cloth: yarns",
+    "nuno.dye_pictures": "draw dyed cloth: yarns, photograph",
     "nuno.isotherms": "how much dye fibre fixes: partition, freundlich, langmuir",
 }
 

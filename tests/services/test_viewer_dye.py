@@ -174,6 +174,19 @@ def test_damaged_amounts_are_refused_and_leave_the_picture(run: Path, tmp_path: 
     for broken in ({"fibre": found["phi"][0]}, {"fibre": found["phi"][0], "up": found["phi"][0, :, :3]}):
         with pytest.raises(BadMessage):
             file.feed("dye/cloth", 1, 1.0, encode_arrays(broken, {"v_max": 1, "cell_size": 1e-4}))
+    known, said = decode_arrays(cloth.payload)
+    for change in (
+        {"weft_yarn": np.zeros(9, np.int32)},
+        {"weft_yarn": np.full(9, 2**30, np.int32), "warp_yarn": np.zeros(11, np.int32)},
+        {"weft_yarn": np.zeros(9, np.int32), "warp_yarn": np.zeros(11)},
+        {"photograph": np.zeros((9, 11, 3), np.uint8)},
+        {"photograph": np.zeros((9, 12, 3), np.uint8), "photograph_warp": np.zeros((9, 12), bool)},
+    ):
+        with pytest.raises(BadMessage):
+            file.feed("dye/cloth", 1, 1.0, encode_arrays(known | change, said))
+    for change in ({"cell_size": 0.0}, {"v_max": float("nan")}, {"cell_size": "wide"}):
+        with pytest.raises(BadMessage):
+            file.feed("dye/cloth", 1, 1.0, encode_arrays(known, said | change))
     file.feed(CONCENTRATION.name, 2, 2.0, amounts.payload)
     file.finish()
     assert list(pictures(tmp_path / "a.rrd")) == [2]

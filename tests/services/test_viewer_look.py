@@ -31,22 +31,27 @@ SOON = 60.0
 @pytest.fixture(scope="module")
 def picture(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.int64]:
     """The 3-D view at half a second, (height, width, 3)."""
-    import rerun_cli
-    from rerun.experimental import ViewerClient
-
     path = tmp_path_factory.mktemp("look") / "run.rrd"
     file = RerunFile(path, "run")
     for message in messages(31):
         file.feed(*message)
     file.finish()
+    return look(path, 0.5, "3D")
+
+
+def look(path: Path, t: float, view: str) -> NDArray[np.int64]:
+    """A rerun file's first view of a class at t [s], (height, width, 3)."""
+    import rerun_cli
+    from rerun.experimental import ViewerClient
+
     binary = os.path.join(rerun_cli.__path__[0], "rerun")
     with ViewerClient.spawn(headless=True, port=free_port(), executable_path=binary) as client:
         client.open(str(path))
         end = time.monotonic() + SOON
-        while not (views := [v.view_id for v in client.get_state().views if v.view_class == "3D"]):
+        while not (views := [v.view_id for v in client.get_state().views if v.view_class == view]):
             assert time.monotonic() < end
             time.sleep(0.1)
-        client.set_time("sim_time", duration=0.5, play_state="paused")
+        client.set_time("sim_time", duration=t, play_state="paused")
         previous = b""
         # The first pictures may come before all is loaded: two equal ones say that nothing moves.
         while True:

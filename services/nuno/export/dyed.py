@@ -65,18 +65,7 @@ class DyePainter:
 
     def take_cloth(self, payload: bytes) -> None:
         """The cloth, from a message. Raises BadMessage, and BadInput for what cannot be drawn."""
-        arrays, text = decode_arrays(payload)
-        try:
-            fibre, up = arrays["fibre"].astype(bool), arrays["up"].astype(bool)
-            if fibre.ndim != 3 or len(fibre) != 2 or up.shape != fibre.shape or not fibre.size:
-                raise BadMessage(f"cells of shapes {fibre.shape} and {up.shape}")
-            yarns = (arrays["weft_yarn"], arrays["warp_yarn"]) if "weft_yarn" in arrays else None
-            if yarns is not None and (yarns[0].shape, yarns[1].shape) != (fibre.shape[1:2], fibre.shape[2:]):
-                raise BadMessage(f"yarns of shapes {yarns[0].shape} and {yarns[1].shape} for {fibre.shape}")
-            size, photograph = float(text["cell_size"]), _photograph(arrays, fibre.shape)
-            layers = Layers(fibre, up, float(text["v_max"]), yarns, photograph)
-        except (KeyError, TypeError, ValueError) as error:
-            raise BadMessage(f"not a cloth: {error}") from None
+        layers, size = read_layers(payload)
         self.prepare(layers, size)
 
     def prepare(self, layers: Layers, size: float) -> None:
@@ -143,6 +132,25 @@ def check_picture(loaded: Loaded, cells: Cells) -> None:
         plugin.prepare(config, loaded.files, layers, painter.colours, Window(0, 1, 0, 1), 1)
     except BadInput as error:
         raise loaded.at("dye.picture", error) from None
+
+
+def read_layers(payload: bytes) -> tuple[Layers, float]:
+    """A cloth's layers and the side of its cells [m], from its message. Raises BadMessage."""
+    arrays, text = decode_arrays(payload)
+    try:
+        fibre, up = arrays["fibre"].astype(bool), arrays["up"].astype(bool)
+        size, v_max = float(text["cell_size"]), float(text["v_max"])
+        if fibre.ndim != 3 or len(fibre) != 2 or up.shape != fibre.shape or not fibre.size:
+            raise BadMessage(f"cells of shapes {fibre.shape} and {up.shape}")
+        if not (0.0 < size < math.inf and 0.0 < v_max < math.inf):
+            raise BadMessage(f"cells of {size} m that hold {v_max}")
+        yarns = (arrays["weft_yarn"], arrays["warp_yarn"]) if "weft_yarn" in arrays else None
+        for yarn, cells in zip(yarns or (), fibre.shape[1:], strict=False):
+            if yarn.shape != (cells,) or yarn.dtype.kind != "i" or not (yarn.min() >= 0 and yarn.max() <= cells):
+                raise BadMessage(f"yarns of shape {yarn.shape} for {cells} cells side by side")
+        return Layers(fibre, up, v_max, yarns, _photograph(arrays, fibre.shape)), size
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadMessage(f"not a cloth: {error}") from None
 
 
 def _photograph(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> Photograph | None:

@@ -19,6 +19,7 @@ from nuno.viewer.bodies import INSET, Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth, DyedTexture
 from nuno_schemas.dye_picture import Picture
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
     BODIES,
@@ -117,7 +118,7 @@ class Bridge:
         self.recording.set_time(layout.TIMELINE, duration=self._latest[1])
         try:
             handler(payload)
-        except (KeyError, TypeError, IndexError, AttributeError, ValidationError, ValueError) as error:
+        except (KeyError, TypeError, IndexError, AttributeError, ValidationError, ValueError, BadInput) as error:
             raise BadMessage(f"{topic}: {error}") from None
 
     def flush(self) -> None:
