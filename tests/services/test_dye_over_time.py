@@ -23,6 +23,7 @@ from nuno_schemas.dye import DyeSystem
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
+CLOTH = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": {"I": 0.5, "II": 0.5, "III": 0.1}}
 SPREAD = {"I": 0, "II": 1, "III": 1, "IV": 1, "V": 1}
 RED = {"name": "red", "D0": D0}
 LEFT = {"shape": "rectangle", "low": [0, 0], "high": [CELL, 1]}
@@ -184,6 +185,25 @@ def test_steps_that_keep_supplies_up_are_prepared(
     monkeypatch.setattr(Explicit, "advance", advance)
     slab(tmp_path, 9, [supply | {"start": "1 s"} | ({"place": [CELL, 0]} if supply is DROP else {})])
     assert prepared == ([(0, False), (0, True)] if kept else [(0, False)])
+
+
+@pytest.mark.parametrize("supply", [[DROP], [WHOLE], [WHOLE | {"liquor": 2.0}], [WHOLE, WHOLE | {"liquor": 2.0}]])
+def test_a_solver_sees_the_same_system_while_nothing_changes(
+    supply: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Solvers keep what follows from it: another system in every frame would be laid out in every frame."""
+    seen, before = list[DyeSystem](), Explicit.advance
+
+    def advance(self: Explicit, system: DyeSystem, *rest: Any) -> Any:
+        seen.append(system)
+        return before(self, system, *rest)
+
+    dyeing = DyeRun(scene_file.read(write_scene(tmp_path, cloth=CLOTH | {"supply": supply})), 1)
+    dyeing.advance()
+    monkeypatch.setattr(Explicit, "advance", advance)
+    for _ in range(3):
+        dyeing.advance()
+    assert len(seen) >= 3 and all(system is seen[0] for system in seen)
 
 
 def test_giving_fills_to_a_share_takes_nothing_and_counts_what_it_gave() -> None:

@@ -70,6 +70,8 @@ class DyeRun:
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
         dyes = (Dye(one.name, one.D0, one.adsorption, law) for one, law in zip(dye.dyes, laws, strict=True))
         self.system = DyeSystem(self.cells, tuple(dyes), self.threads)
+        self._keeping = self.system
+        """With what is kept up at present. Solvers hold what follows from a system as long as it is the same."""
         try:
             self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
             whole = dye.speed / loaded.scene.frame_rate
@@ -107,8 +109,13 @@ class DyeRun:
 
     def measure(self, kept: Float | None = None) -> DyeReport:
         """The present amounts, without a step; compiles what steps need, and those with supplies `kept` up."""
-        system = replace(self.system, supply=kept)
-        found: DyeReport = self._solver.plugin.advance(system, self.state, self.memory, 0, self.dt)
+        return self._step(kept, 0)
+
+    def _step(self, kept: Float | None, steps: int) -> DyeReport:
+        """Steps of the solver with supplies kept up: the same system as long as they are the same."""
+        if self._keeping.supply is not kept or self._keeping.cells is not self.cells:
+            self._keeping = replace(self.system, supply=kept)
+        found: DyeReport = self._solver.plugin.advance(self._keeping, self.state, self.memory, steps, self.dt)
         return found
 
     def advance(self) -> Frame:
@@ -121,15 +128,15 @@ class DyeRun:
         while True:
             self.supplies.begin(self.state.phi, step)
             until = self.supplies.until(step, end)
-            system = replace(self.system, supply=self.supplies.keep(step))
-            report = self._solver.plugin.advance(system, self.state, self.memory, until - step, self.dt)
+            kept = self.supplies.keep(step)
+            report = self._step(kept, until - step)
             totals.update(report.totals)
             exchanged = self.supplies.end(self.state.phi, step, report.supplied)
             step = until
             if step == end or report.status != "ok":
                 break
         if exchanged:
-            measured = self.measure()
+            measured = self.measure(kept)
             report = replace(report, mobile=measured.mobile, fixed=measured.fixed)
         self.frame += 1
         self.state.t = self.time
