@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from PIL import Image
 from scenes import write_scene as write_cloth
 
 import nuno
+from nuno import registry
 from nuno.cli import main
 from nuno.export.dyed_pictures import _bar, _time, caption, dyed_pictures, find_amounts
 from nuno.files import SceneFiles
@@ -20,6 +22,7 @@ from nuno_dye.picture import YarnsPicture
 from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import DyeColour
+from nuno_schemas.plugin import Config
 
 NY, NX = 9, 11
 
@@ -207,3 +210,42 @@ def test_a_caption_tells_the_time_of_the_dyeing(tmp_path: Path) -> None:
         pictures.draw(find_amounts(recording, None))
         assert pictures.painter.time == pytest.approx(18 * 60.0)
     assert [_time(t) for t in (0.0, 59.0, 1080.0, 5400.0, 172_800.0)] == ["0 s", "59 s", "18 min", "1.5 h", "2 d"]
+
+
+class StripesConfig(Config):
+    """Of a plugin from elsewhere."""
+
+    level: int = 7
+
+
+class Stripes:
+    """Draws how many dyes there are, and how much of them; as a package of somebody else's would."""
+
+    name = "stripes"
+    Config = StripesConfig
+
+    def prepare(self, config: Any, files: Any, layers: Layers, dyes: Any, window: Window, scale: int) -> Any:
+        return config.level, len(dyes), scale * (window.bottom - window.top), scale * (window.right - window.left)
+
+    def draw(self, prepared: Any, amounts: NDArray[np.float32]) -> NDArray[np.uint8]:
+        level, dyes, height, width = prepared
+        picture = np.full((height, width, 3), level, np.uint8)
+        picture[..., 1], picture[..., 2] = dyes, round(float(amounts.sum()))
+        return picture
+
+
+def test_a_plugin_from_elsewhere_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    installed, group = registry.installed, "nuno.dye_pictures"
+    point = EntryPoint("stripes", f"{__name__}:Stripes", group)
+    monkeypatch.setattr(
+        registry, "installed", lambda asked: installed(asked) | ({"stripes": point} if asked == group else {})
+    )
+    scene = write_scene(tmp_path, picture={"plugin": "stripes", "level": 9, "scale": 2})
+    path = nuno.run(scene, record=tmp_path / "run.mcap").path
+    with nuno.open(path) as recording:
+        last = recording.last("dye/concentration")
+        amounts, _ = recording.arrays(last)
+        assert recording.metadata["plugins"][f"{group}/stripes"] == "unknown package"
+    total = round(float((amounts["phi"] + amounts["fixed"]).sum()))
+    picture = export(path)
+    assert picture.shape == (2 * NY, 2 * NX, 3) and (picture == [9, 1, total]).all()
