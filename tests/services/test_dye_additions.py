@@ -15,6 +15,7 @@ from PIL import Image
 import nuno
 from nuno import scene_file, supervisor
 from nuno.cli import main
+from nuno.dye.checkpoint import DyeCheckpoint
 from nuno.dye.run import DyeRun
 from nuno.recording.restore import control_events
 from nuno.service import Options
@@ -80,6 +81,37 @@ def test_a_resist_takes_only_the_room_that_is_left(tmp_path: Path) -> None:
 def _two(data: dict[str, Any]) -> dict[str, Any]:
     second = np.roll(data["phi"], 2, axis=2) * 0.0 + 0.3 * data["porosity"] * (1.0 - data["resist"])
     return data | {"phi": np.stack([data["phi"], second]), "fixed": np.zeros((2, *data["fixed"].shape))}
+
+
+def test_a_resumed_run_prepares_its_solver_with_the_resist_that_it_goes_on_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from nuno_dye.explicit import Explicit
+
+    whole = start(tmp_path)
+    for _ in range(2):
+        whole.advance()
+    whole.add(said("resist", PASTE))
+    whole.advance()
+    point = _checkpoint(whole)
+    seen, before = list[Any](), Explicit.prepare
+
+    def prepare(self: Explicit, config: Any, system: Any, state: Any) -> Any:
+        seen.append(system.cells.resist)
+        return before(self, config, system, state)
+
+    monkeypatch.setattr(Explicit, "prepare", prepare)
+    resumed = start(tmp_path)
+    resumed.resume(point, [(2, said("resist", PASTE))])
+    assert np.array_equal(seen[-1], whole.cells.resist) and resumed.digest() == whole.digest()
+    assert resumed.advance().digest == whole.advance().digest
+
+
+def _checkpoint(dyeing: DyeRun) -> DyeCheckpoint:
+    text = {"supply": dyeing.supplies.save(dyeing.frame * dyeing.steps)}
+    phi, fixed, resist = (values.copy() for values in (dyeing.state.phi, dyeing.state.fixed, dyeing.cells.resist))
+    memory = {name: values.copy() for name, values in dyeing.memory.arrays.items()}
+    return DyeCheckpoint(dyeing.frame, dyeing.t, dyeing.digest(), phi, fixed, memory, text, resist)
 
 
 def test_a_bath_keeps_its_volume_where_paste_comes_into_it(tmp_path: Path) -> None:

@@ -196,9 +196,11 @@ class DyeRun:
                     limit=f"{target.shape}",
                     remedy="resume with the recording's own scene",
                 )
-            np.copyto(target, given[name])
         if point.resist is not None:
             self.change_resist(point.resist)
+            self.memory = self._prepare(self.supplies)
+        for name, target in {"phi": self.state.phi, "fixed": self.state.fixed, **self.memory.arrays}.items():
+            np.copyto(target, given[name])
         self.frame = point.frame
         try:
             self.supplies.restore(point.text["supply"], self.frame * self.steps)
