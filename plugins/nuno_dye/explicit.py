@@ -66,6 +66,7 @@ class Explicit:
     """Adsorption, then diffusion with all fluxes from the same amounts."""
 
     name: ClassVar[str] = "explicit"
+    order: ClassVar[int] = 1
     Config: ClassVar[type[BaseModel]] = ExplicitConfig
 
     def prepare(self, config: ExplicitConfig, system: DyeSystem, state: DyeState) -> Memory:

@@ -92,6 +92,7 @@ class Rkl2:
     """Second-order super-time-stepping."""
 
     name: ClassVar[str] = "rkl2"
+    order: ClassVar[int] = 2
     Config: ClassVar[type[BaseModel]] = Rkl2Config
 
     def prepare(self, config: Rkl2Config, system: DyeSystem, state: DyeState) -> Memory:

@@ -43,6 +43,16 @@ class Extrapolated(Explicit):
 
 
 @pytest.fixture
+def alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No other solver of dye is installed than the explicit one."""
+    own = [point for point in entry_points(group=DyeProblem.group) if point.name == "explicit"]
+    known = registry.entry_points
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: own if group == DyeProblem.group else known(group=group)
+    )
+
+
+@pytest.fixture
 def foreign(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is installed."""
     group = DyeProblem.group
@@ -89,6 +99,7 @@ def exact(start: Float, t: Float) -> Float:
     return found
 
 
+@pytest.mark.usefixtures("alone")
 def test_the_reference_is_the_closed_form_to_its_floor(tmp_path: Path) -> None:
     reference = make_dye_reference(problem_of(write_wave(tmp_path)), 20.0, lambda text: None)
     series: Series = reference.run.series
