@@ -155,10 +155,11 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Fi
     shown = [
         name for name in options.names_of(args.observable) or kind.titles if name in floors and name != kind.leading
     ]
+    disturbed = "" if horizon.fades else f"; disturbance {DISTURBANCE:g} of the size"
     about = {
         "command": machine.command(),
         "scene": f"{problem.describe()}, {problem.frames} frames, {problem.frames * problem.frame:.3g} s",
-        "reference": f"{reference.how}; {reference.seconds:.2g} s for both; disturbance {DISTURBANCE:g} of the size",
+        "reference": f"{reference.how}; {reference.seconds:.2g} s for both{disturbed}",
         **machine.describe(),
         "load": others.describe(),
     }

@@ -52,7 +52,7 @@ def counts(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def beyond(rows: Sequence[Row]) -> list[list[str]]:
-    """How the stated limits compare with the maps: points below that were lost, and above that were not."""
+    """How the stated limits compare with the maps: points that were lost below, and above, out of all."""
     found: dict[str, list[int]] = {}
     for row in rows:
         if not math.isfinite(row.limit) or row.limit <= 0.0:
@@ -61,7 +61,7 @@ def beyond(rows: Sequence[Row]) -> list[list[str]]:
         for point in row.points:
             if point.outcome in ("left out", "refused"):
                 continue
-            above, lost = point.dt > row.limit, point.outcome == "diverged"
+            above, lost = point.dt > row.limit, point.outcome in LOST_BY.get(row.axis, ("diverged",))
             tally[2 * above] += 1
             tally[2 * above + 1] += lost
     return [[solver, f"{b} of {a}", f"{d} of {c}"] for solver, (a, b, c, d) in sorted(found.items())]
@@ -80,7 +80,9 @@ def modes(sizes: Sequence[Amplification], drifts: Sequence[Drift]) -> list[list[
 
 
 COUNTS = ("map", "solver", *CLASSES)
-BEYOND = ("solver", "diverged below its limit", "diverged above it")
+LOST_BY = {"diffusion": ("damped away", "drifting", "diverged")}
+"""Classes in which a point counts as lost, by kind of map: dye is bounded, and never diverges."""
+BEYOND = ("solver", "lost below its limit", "lost above it")
 MODES = ("solver", "matrix off", "steps", "energy at the end, change", "largest")
 
 
@@ -97,7 +99,18 @@ def render(
             sections.append((f"{axis.capitalize()} and step", parts))
     if sections:
         sections[0][1].insert(0, HOW_DYE if sweep.rows[0].axis == "diffusion" else HOW)
-        sections.append(("Limits", [page.Table(BEYOND, beyond(sweep.rows), "Points, of both maps together.")]))
+        sections.append(
+            (
+                "Limits",
+                [
+                    page.Table(
+                        BEYOND,
+                        beyond(sweep.rows),
+                        "Points of all maps. Lost: diverged; of dye, which is bounded, drifting or damped away, too.",
+                    )
+                ],
+            )
+        )
         sections.append(("Points", [page.Table(COUNTS, counts(sweep.rows), "Points of each class.")]))
     if sizes:
         text = "Measured by single steps of an undamped oscillator; 1 is exact. Adaptive solvers take the step given."

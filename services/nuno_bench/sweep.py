@@ -62,8 +62,9 @@ class Solver:
     def kind(self) -> str:
         if getattr(self.plugin, "adaptive", False):
             return "adaptive"
-        explicit = getattr(self.plugin, "explicit", math.isfinite(self.limit.dt))
-        return "fixed steps" if explicit else "implicit"
+        if not hasattr(self.plugin, "explicit"):
+            return "fixed steps" if math.isfinite(self.limit.dt) else "any step"
+        return "fixed steps" if self.plugin.explicit else "implicit"
 
     @property
     def order(self) -> int:

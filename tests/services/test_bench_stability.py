@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -201,6 +202,8 @@ def rows() -> list[Row]:
 def test_tables_count_points_on_either_side_of_the_limit() -> None:
     assert stability_page.counts(rows()) == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
     assert stability_page.beyond(rows()) == [["rk4", "0 of 2", "2 of 4"]]
+    dyed = [replace(row, axis="diffusion") for row in rows()]
+    assert stability_page.beyond(dyed) == [["rk4", "0 of 2", "4 of 4"]], "drifting is as far as dye goes"
 
 
 def test_every_class_has_a_colour_of_its_own_lightness() -> None:
