@@ -11,7 +11,7 @@ import pytest
 from dye_scene import CELL, D0, arrays, write_scene
 
 import nuno
-from nuno import scene_file, supervisor
+from nuno import registry, scene_file, supervisor
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import add_up, exchange, first_step, give
@@ -100,7 +100,7 @@ def test_a_finite_bath_is_exhausted_as_a_slab_takes_it_up(tmp_path: Path) -> Non
             report = dyeing.advance().report
         phi = dyeing.state.phi[0, 0, 0]
         most = 0.25 * liquor * length / (liquor + cells)
-        steps = dyeing.frame * dyeing.steps
+        steps = 100 * dyeing.frame
         errors.append((phi[1:].sum() + 0.5 * phi[0]) / most - taken_up_of_little(0.125 * steps / length**2, 0.8))
         assert [entry.share for entry in dyeing.supplies.entries] == [pytest.approx(2.0 * phi[0], rel=1e-15)]
         assert dyeing.supplied[0] == pytest.approx(liquor * (0.5 - 2.0 * phi[0]), rel=1e-12)
@@ -109,9 +109,36 @@ def test_a_finite_bath_is_exhausted_as_a_slab_takes_it_up(tmp_path: Path) -> Non
     assert errors[0] / errors[1] == pytest.approx((20.5 / 10.5) ** 2, rel=0.1)
 
 
-def test_a_finite_bath_ends_at_its_share(tmp_path: Path) -> None:
+@pytest.mark.parametrize("solver", sorted(registry.installed("nuno.dye_solvers")))
+def test_exchange_is_of_the_first_order_in_the_step(solver: str, tmp_path: Path) -> None:
+    """Held against short explicit steps. What cells hand on within a step the bath makes good only after it."""
+    bath = WHOLE | {"region": LEFT, "liquor": 8.0, "amount": 0.5}
+
+    def left(plugin: str, parts: int) -> float:
+        dt = CELL**2 / (4.0 * D0) / parts
+        dyeing = slab(tmp_path, 11, [bath], solver={"plugin": plugin, "dt": dt})
+        dyeing.advance()
+        return dyeing.supplies.entries[0].share
+
+    exact = 2.0 * left("explicit", 64) - left("explicit", 32)
+    errors = [left(solver, parts) - exact for parts in (2, 4, 8)]
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
+    assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.1)
+
+
+def test_an_automatic_step_is_short_enough_for_a_finite_bath(tmp_path: Path) -> None:
+    """Others go by the solver's limit."""
+    for supply, limited in ((WHOLE | {"liquor": 8.0}, True), (WHOLE, False)):
+        cloth = CLOTH | {"supply": [supply]}
+        scene = write_scene(tmp_path, cloth=cloth, solver="rkl2", dyes=[RED], frame_rate=1e-4, duration=1e4)
+        assert (DyeRun(scene_file.read(scene), 1).dt <= CELL**2 / (2.0 * D0)) == limited
+
+
+@pytest.mark.parametrize("solver", sorted(registry.installed("nuno.dye_solvers")))
+def test_a_finite_bath_ends_at_its_share(solver: str, tmp_path: Path) -> None:
     """a L V_bath / (L V_bath + V_all): the cells that it reaches hand dye on to those that it does not."""
-    dyeing = slab(tmp_path, 6, [WHOLE | {"region": LEFT, "liquor": 3.0, "amount": 0.9}])
+    dyeing = slab(tmp_path, 6, [WHOLE | {"region": LEFT, "liquor": 3.0, "amount": 0.9}],
+                  solver={"plugin": solver, "dt": CELL**2 / (4.0 * D0)})  # fmt: skip
     for _ in range(30):
         dyeing.advance()
     assert [entry.share for entry in dyeing.supplies.entries] == [pytest.approx(0.9 * 3.0 / (3.0 + 6.0), rel=1e-12)]

@@ -75,7 +75,9 @@ class DyeRun:
         try:
             self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
             whole = dye.speed / loaded.scene.frame_rate
-            self.steps, self.dt = (steps, whole / steps) if steps else choose_dye_step(loaded, dye, self.limit)
+            self.steps, self.dt = (
+                (steps, whole / steps) if steps else choose_dye_step(loaded, dye, self.limit, self._resolved(given))
+            )
             supplies = Supplies(given, self.cells.mobile_room, self.dt, len(dye.dyes))
             self.memory = self._prepare(supplies)
         except BadInput as error:
@@ -87,6 +89,14 @@ class DyeRun:
             supplies.note(k, AT_THE_START, fsum(pair))
         self.supplies = supplies
         self.supplies.begin(self.state.phi, 0)
+
+    def _resolved(self, given: Sequence[Supply]) -> float:
+        """Longest step [s] in which cells in a finite bath hand on no more than they hold, d^2 / (2 D0); inf without.
+
+        Such a bath meets its cells between steps only: over longer ones it would give too slowly.
+        """
+        fastest = max((self.system.dyes[one.dye].D0 for one in given if one.liquor is not None), default=0.0)
+        return self.cells.size**2 / (2.0 * fastest) if fastest > 0.0 else np.inf
 
     def _prepare(self, supplies: Supplies) -> Memory:
         memory: Memory = self._solver.plugin.prepare(self._solver.config, self.system, supplies.most(self.state))

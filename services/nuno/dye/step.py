@@ -17,8 +17,10 @@ ROUNDING = 1e-12
 """Relative: a step computed as the limit itself may come out longer by this."""
 
 
-def choose_dye_step(loaded: Loaded, dye: Dyeing, limit: float) -> tuple[int, float]:
+def choose_dye_step(loaded: Loaded, dye: Dyeing, limit: float, resolved: float = math.inf) -> tuple[int, float]:
     """Steps a frame and the step [s] of dyeing, for a solver that is stable up to `limit` [s].
+
+    `dt: auto` takes no more than `resolved` [s] either.
 
     Raises BadInput for a step longer than a frame, one that does not divide it, and one above the limit
     where the scene does not allow substeps.
@@ -26,7 +28,7 @@ def choose_dye_step(loaded: Loaded, dye: Dyeing, limit: float) -> tuple[int, flo
     rate, dt = loaded.scene.frame_rate, dye.solver.dt
     frame = dye.speed / rate
     if dt == "auto":
-        longest = SAFE * limit
+        longest = min(SAFE * limit, resolved)
         require_few(loaded, FIELD, frame, longest, "larger cells, or a higher frame_rate")
         steps = max(1, math.ceil(frame / longest))
         return steps, frame / steps
