@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from nuno_cloth.net_yarns import check_yarns
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Fabric, Float, Int, Springs
+from nuno_schemas.fabric import Fabric, Int, Springs, Yarns
 from nuno_schemas.plugin import Config, Files
 
 # Name, shape after the leading n (vertices) or s (springs), and kind of dtype allowed.
@@ -26,6 +27,12 @@ KEYS: dict[str, tuple[str, tuple[int, ...], str]] = {
     "rest": ("s", (), "fiu"),
     "c": ("s", (), "fiu"),
 }
+YARN_KEYS: dict[str, tuple[str, tuple[int, ...], str]] = {
+    "yarn_links": ("l", (), "iu"),
+    "yarn_ptr": ("y + 1", (), "iu"),
+    "mu": ("y", (), "fiu"),
+}
+"""All or none of these."""
 BYTES_PER_VERTEX, BYTES_PER_SPRING = 300, 80
 """What a run takes at most, from peaks of recorded runs of 262,144 and 786,432 vertices in a row,
 springs in random order: 265 bytes a vertex without springs, 653 with 6 springs for each, 1,193
@@ -38,7 +45,8 @@ class NetConfig(Config):
 
     file: str = Field(
         description="a .npz beside the scene with x (n, 3) [m], v (n, 3) [m/s], m (n,) [kg], pinned (n,) bool, "
-        "springs (s, 2), k (s,) [N/m], rest (s,) [m], c (s,) [N*s/m]; no other key"
+        "springs (s, 2), k (s,) [N/m], rest (s,) [m], c (s,) [N*s/m], and, if springs are links of yarns, "
+        "yarn_links (l,), yarn_ptr (y + 1,), mu (y,) < 1/2; no other key"
     )
 
 
@@ -73,7 +81,13 @@ class Net:
             pinned=data["pinned"],
             faces=np.zeros((0, 3), np.int32),
             springs=springs if springs.number else None,
+            yarns=_yarns(data) if "mu" in data else None,
         )
+
+
+def _yarns(data: dict[str, NDArray[Any]]) -> Yarns:
+    kind = np.zeros(data["mu"].shape[0], np.int8)
+    return Yarns(data["yarn_links"], data["yarn_ptr"], data["mu"], kind)
 
 
 def _open(path: Path) -> zipfile.ZipFile:
@@ -89,20 +103,28 @@ def _require_keys(path: Path, names: list[str]) -> None:
     for name in KEYS:
         if name not in names:
             raise BadInput("a key is missing", file=str(path), field=name, remedy=f"the file needs {', '.join(KEYS)}")
+    some = [name for name in YARN_KEYS if name in names]
+    for name in YARN_KEYS if some else ():
+        if name not in names:
+            remedy = f"yarns need {', '.join(YARN_KEYS)}; leave all out for springs alone"
+            raise BadInput("a key is missing", file=str(path), field=name, remedy=remedy)
     for name in names:
-        if name not in KEYS:
-            raise BadInput("unknown key", file=str(path), field=name, remedy=nearest(name, KEYS))
+        if name not in KEYS | YARN_KEYS:
+            raise BadInput("unknown key", file=str(path), field=name, remedy=nearest(name, KEYS | YARN_KEYS))
 
 
 def read_sizes(path: Path, archive: zipfile.ZipFile) -> dict[str, int]:
-    """Numbers of vertices "n" and springs "s", from the headers alone.
+    """Numbers of vertices "n" and springs "s", and of yarns where it has any, from the headers alone.
 
     Raises BadInput for a missing or unknown key, a wrong dtype or shape, and a header that
     announces more than the file holds: nothing is allocated for a lie.
     """
-    _require_keys(path, [name.removesuffix(".npy") for name in archive.namelist()])
+    names = [name.removesuffix(".npy") for name in archive.namelist()]
+    _require_keys(path, names)
     sizes: dict[str, int] = {}
-    for name, (letter, rest, kinds) in KEYS.items():
+    for name, (letter, rest, kinds) in (KEYS | YARN_KEYS).items():
+        if name not in names:
+            continue
         shape, dtype, start = _read_header(path, archive, name)
         if dtype.kind not in kinds and 0 not in shape:
             raise BadInput("wrong dtype", file=str(path), field=name, value=str(dtype), limit=DTYPES[kinds])
@@ -133,19 +155,26 @@ def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> tuple[tuple
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The eight arrays, C-contiguous, in float64, int32 and bool; pickles are never read."""
+    """The eight arrays, and the three of yarns where it has them, C-contiguous, in float64, int32 and bool.
+
+    Pickles are never read.
+    """
     with _open(path) as archive:
         sizes = read_sizes(path, archive)
     arrays: dict[str, NDArray[Any]] = {}
     with np.load(path, allow_pickle=False) as file:
-        for name in KEYS:
+        for name in (*KEYS, *YARN_KEYS):
+            if name not in file:
+                continue
             try:
                 array = file[name]
             except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
                 raise BadInput(f"cannot be read: {error}", file=str(path), field=name) from None
             if name == "springs":
                 _require_indices(path, array, sizes["n"])
-            arrays[name] = np.ascontiguousarray(array, DTYPES[KEYS[name][2]])
+            if name in YARN_KEYS:
+                _require_int32(path, name, array)
+            arrays[name] = np.ascontiguousarray(array, DTYPES[(KEYS | YARN_KEYS)[name][2]])
     return arrays
 
 
@@ -160,6 +189,13 @@ def _require_indices(path: Path, springs: NDArray[Any], number: int) -> None:
         )
 
 
+def _require_int32(path: Path, name: str, values: NDArray[Any]) -> None:
+    """What an index cannot be, whatever it counts, is refused before the conversion would wrap it."""
+    most = np.iinfo(np.int32).max
+    if values.dtype.kind in "iu":
+        _require(path, name, values, (values >= 0) & (values <= most), f"0 to {most}", "not an index")
+
+
 def check_values(path: Path, data: dict[str, NDArray[Any]]) -> None:
     """Raises BadInput for the first value out of range, with its key and index."""
     for name in ("x", "v", "m", "k", "rest", "c"):
@@ -168,14 +204,16 @@ def check_values(path: Path, data: dict[str, NDArray[Any]]) -> None:
     for name in ("k", "rest", "c"):
         _require(path, name, data[name], data[name] >= 0, ">= 0", "must not be negative")
     _require_distinct(path, data["springs"])
+    if "mu" in data:
+        check_yarns(path, data["springs"], data["yarn_links"], data["yarn_ptr"], data["mu"])
 
 
-def _require(path: Path, name: str, values: Float, good: NDArray[np.bool_], limit: str, problem: str) -> None:
+def _require(path: Path, name: str, values: NDArray[Any], good: NDArray[np.bool_], limit: str, problem: str) -> None:
     bad = np.argwhere(~good)
     if bad.size:
         index = tuple(int(i) for i in bad[0])
         place = ", ".join(map(str, index))
-        raise BadInput(problem, file=str(path), field=f"{name}[{place}]", value=float(values[index]), limit=limit)
+        raise BadInput(problem, file=str(path), field=f"{name}[{place}]", value=values[index].item(), limit=limit)
 
 
 def _require_distinct(path: Path, springs: Int) -> None:

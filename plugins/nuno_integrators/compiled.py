@@ -213,6 +213,7 @@ def _report(system: System, work: Work, packed: Packed, told: Told, seconds: flo
         first, total = int(np.argmin(finite)), int((~finite).sum())
         status = "diverged"
         message = f"vertex {first} has no finite position or velocity ({total} of {finite.shape[0]} vertices)"
-    kinds = {name: getattr(energy, name) for name in ("kinetic", "gravitational", "springs", "hinges")}
+    names = ("kinetic", "gravitational", "springs", "hinges", *(("yarns",) if packed.yarns is not None else ()))
+    kinds = {name: getattr(energy, name) for name in names}
     times = {"steps": seconds}
     return StepReport(status, told.steps, message, times, counts, kinds, energy.stretch, told.totals)

@@ -32,8 +32,8 @@ def advance_at_once(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, 
     for step in range(steps):
         add_forces(
             here_x, here_v, step / steps, to_x, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs,
-            p.hinge_lists, p.bindings, None, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.threads, None,
-            to_x, to_v, dt,
+            p.hinge_lists, p.bindings, None, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.yarns, p.threads,
+            None, to_x, to_v, dt,
         )  # fmt: skip
         here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
         commit(here_x, here_v, (step + 1) / steps, p.bindings, None, p.threads)

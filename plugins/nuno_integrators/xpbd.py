@@ -26,6 +26,7 @@ from nuno_kernels.acceleration import Packed
 from nuno_kernels.constraint_packing import Constraints, pack_constraints
 from nuno_kernels.constraint_step import advance_xpbd
 from nuno_kernels.stability import measure_rates, stable_step
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config, StepLimit, System
 
@@ -68,6 +69,13 @@ class XPBD(Compiled):
 
     def make_work(self, config: XPBDConfig, system: System, packed: Packed) -> XPBDWork:
         n, repeated = system.fabric.number, config.iterations > 1
+        if packed.yarns is not None:
+            raise BadInput(
+                "xpbd has no constraint for tension that passes along yarns",
+                field="solver.plugin",
+                value=self.name,
+                remedy="use an explicit or implicit solver, or set mu to 0",
+            )
         if packed.contact is not None:
             from nuno_kernels import contact_projection  # noqa: F401  (makes its kernels known)
         others = None

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nuno_kernels.bindings import Bindings
     from nuno_kernels.contact import Contact
     from nuno_kernels.wind import Air, ParticleWind, WindLists, WindRuns
+    from nuno_kernels.yarns import YarnLists
 
 # Kernels of terms that not every scene has. Their modules put them here, and are loaded only where a term
 # brings them in: without it numba prunes the branches that name them.
@@ -33,6 +34,7 @@ commit_contact_parallel: Any = None
 add_particle_wind: Any = None
 add_wind_lists: Any = None
 add_wind_runs: Any = None
+add_yarns: Any = None
 
 
 def provide(**kernels: Any) -> None:
@@ -68,6 +70,7 @@ class Packed(NamedTuple):
     wind_runs: WindRuns | None = None
     wind_lists: WindLists | None = None
     particle_wind: ParticleWind | None = None
+    yarns: YarnLists | None = None
     threads: int | None = None
     late: bool | None = None
     velocity_matters: bool = True
@@ -110,7 +113,8 @@ def step_block(
 def force_block(
     block: int, x: Any, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
-    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, late: Any, to_x: Any, to_v: Any, dt: float,
+    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, yarns: Any, late: Any,
+    to_x: Any, to_v: Any, dt: float,
 ) -> None:  # fmt: skip
     """Forces [N] on a block's vertices, summed in the core's cache and written to a (3, n); or, where dt is not 0,
     a step of symplectic Euler into to_x and to_v. One function for both: each kind would compile all forces anew.
@@ -134,6 +138,8 @@ def force_block(
         add_wind_runs(block, origin, x, v, force, wind_runs.start, wind_runs.task, air)
     if wind_lists is not None:
         add_wind_lists(block, x, v, force, wind_lists.start, wind_lists.corners, air)
+    if yarns is not None:
+        add_yarns(block, x, v, force, yarns)
     if dt != 0.0:
         step_block(block, x, v, force, dt, inverse_mass, gravity, damping, to_x, to_v)
     else:
@@ -149,13 +155,14 @@ def force_block(
 def force_parallel(
     x: Any, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
-    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, late: Any, to_x: Any, to_v: Any, dt: float,
+    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, yarns: Any, late: Any,
+    to_x: Any, to_v: Any, dt: float,
 ) -> None:  # fmt: skip
     """All blocks on several threads: see `force_block`."""
     for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
         force_block(
             block, x, v, a, inverse_mass, gravity, damping, runs, lists, hinge_runs, hinge_lists,
-            air, wind_runs, wind_lists, particle_wind, late, to_x, to_v, dt,
+            air, wind_runs, wind_lists, particle_wind, yarns, late, to_x, to_v, dt,
         )  # fmt: skip
 
 
@@ -170,7 +177,7 @@ def finish_parallel(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: fl
 def add_forces(
     x: Any, v: Any, s: float, a: Any, inverse_mass: Any, gravity: Any, damping: float,
     runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, bindings: Any, contact: Any,
-    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, threads: Any, late: Any,
+    air: Any, wind_runs: Any, wind_lists: Any, particle_wind: Any, yarns: Any, threads: Any, late: Any,
     to_x: Any, to_v: Any, dt: float,
 ) -> None:  # fmt: skip
     """Forces [N] at fraction s of the frame into a (3, n), or accelerations unless `late`, or a whole step.
@@ -184,12 +191,12 @@ def add_forces(
         for block in range((x.shape[1] + BLOCK - 1) // BLOCK):
             force_block(
                 block, x, v, a, inverse_mass, gravity, damping, runs, lists, hinge_runs, hinge_lists,
-                air, wind_runs, wind_lists, particle_wind, late, to_x, to_v, dt,
+                air, wind_runs, wind_lists, particle_wind, yarns, late, to_x, to_v, dt,
             )  # fmt: skip
     else:
         force_parallel(
             x, v, a, inverse_mass, gravity, damping, runs, lists, hinge_runs, hinge_lists,
-            air, wind_runs, wind_lists, particle_wind, late, to_x, to_v, dt,
+            air, wind_runs, wind_lists, particle_wind, yarns, late, to_x, to_v, dt,
         )  # fmt: skip
     if contact is not None:
         if threads is None:
@@ -217,7 +224,7 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
     """
     add_forces(
         x, v, s, a, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs, p.hinge_lists,
-        p.bindings, p.contact, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.threads, p.late, a, a, 0.0,
+        p.bindings, p.contact, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.yarns, p.threads, p.late, a, a, 0.0,
     )  # fmt: skip
     if extra is not None:
         extra(x, v, s, a)

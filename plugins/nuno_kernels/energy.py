@@ -24,13 +24,14 @@ class Energy(NamedTuple):
     gravitational: float
     springs: float
     hinges: float
+    yarns: float
     stretch: float
     shortest: float
     zero_length: int
 
     @property
     def total(self) -> float:
-        return self.kinetic + self.gravitational + self.springs + self.hinges
+        return self.kinetic + self.gravitational + self.springs + self.hinges + self.yarns
 
 
 @inlined
@@ -142,4 +143,9 @@ def measure_energy(x: Float, v: Float, mass: Float, packed: Packed) -> Energy:
     kinetic, gravitational = measure_vertices(x, v, mass, p.gravity)
     springs, stretch, shortest, zeros = measure_springs(x, p.runs, p.lists)
     hinges = measure_hinges(x, p.hinge_runs, p.hinge_lists)
-    return Energy(kinetic, gravitational, springs, hinges, stretch, shortest, zeros)
+    yarns = 0.0
+    if p.yarns is not None:
+        from nuno_kernels.yarns import measure_yarns
+
+        yarns = measure_yarns(x, p.yarns)
+    return Energy(kinetic, gravitational, springs, hinges, yarns, stretch, shortest, zeros)

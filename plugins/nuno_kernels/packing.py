@@ -12,11 +12,12 @@ from nuno_kernels.acceleration import Packed
 from nuno_kernels.hinges import pack_hinges
 from nuno_kernels.springs import pack_springs
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import System
 
 if TYPE_CHECKING:
     from nuno_kernels.bindings import Bindings
+    from nuno_kernels.yarns import YarnLists
 
 PARALLEL_FROM = 4096
 """Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""
@@ -57,6 +58,7 @@ def pack(system: System) -> Packed:
         hinge_runs=hinge_runs,
         hinge_lists=hinge_lists,
         bindings=_find_bindings(system),
+        yarns=_find_yarns(fabric),
         threads=threads if threads > 1 else None,
         **_find_fused(system),
     )
@@ -69,6 +71,7 @@ PARTS = {
     "springs": ("runs", "lists"),
     "hinges": ("hinge_runs", "hinge_lists"),
     "wind": ("wind_runs", "wind_lists"),
+    "yarns": ("yarns",),
     "contact": ("contact",),
 }
 """What a step's forces can be told apart into, and the fields of Packed that hold each."""
@@ -101,7 +104,7 @@ def silence_bodies(packed: Packed) -> Packed:
 
 def reads_velocity(packed: Packed) -> bool:
     """Whether any of the compiled forces depends on the velocity."""
-    damped = any(part is not None and part.damped is not None for part in (packed.runs, packed.lists))
+    damped = any(part is not None and part.damped is not None for part in (packed.runs, packed.lists, packed.yarns))
     return damped or packed.damping != 0.0 or packed.contact is not None or packed.air is not None
 
 
@@ -114,6 +117,15 @@ def _find_bindings(system: System) -> Bindings | None:
 
     vertices, local, frame = (np.concatenate([np.asarray(part[c]) for part in parts]) for c in range(3))  # type: ignore[index]
     return make_bindings(vertices, local, frame) if vertices.size else None
+
+
+def _find_yarns(fabric: Fabric) -> YarnLists | None:
+    """Pairs of links between which tension passes, None where none does: their kernel is then not loaded."""
+    if fabric.yarns is None or fabric.springs is None:
+        return None
+    from nuno_kernels.yarns import pack_yarns
+
+    return pack_yarns(fabric.yarns, fabric.springs, fabric.number)
 
 
 def _find_fused(system: System) -> dict[str, Any]:

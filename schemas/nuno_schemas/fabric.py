@@ -135,6 +135,52 @@ class Hinges:
 
 
 @dataclass(frozen=True)
+class Yarns:
+    """Springs that are links of yarns, along which tension passes: T'_n = T_n + mu (T_(n-1) + T_(n+1)).
+
+    links (l,)    int32    springs yarn by yarn, each following the one before it: they share a vertex.
+                           A yarn that ends with the link it began with is a ring; apart from that a
+                           spring occurs once at most
+    ptr   (y + 1,) int32   yarn y is links[ptr[y]:ptr[y + 1]]
+    mu    (y,)    float64  share of tension passed on, 0 <= mu < 1/2
+    kind  (y,)    int8     which of `names` it is, for reports and pictures
+    names                  e.g. ("nylon", "support")
+
+    The force T' acts along the link, equal and opposite on its ends. A spring in no yarn, or in one of
+    its own, keeps its tension.
+    """
+
+    links: Int
+    ptr: Int
+    mu: Float
+    kind: NDArray[np.int8]
+    names: tuple[str, ...] = ("yarn",)
+
+    @property
+    def number(self) -> int:
+        return int(self.mu.shape[0])
+
+    def neighbours(self) -> tuple[Int, Int]:
+        """(p, 2) links that follow each other on one yarn, and the yarn (p,) of each pair."""
+        yarn = np.repeat(np.arange(self.number, dtype=np.int32), np.diff(self.ptr))
+        same = yarn[1:] == yarn[:-1]
+        return np.stack([self.links[:-1], self.links[1:]], axis=1)[same], yarn[1:][same]
+
+    @staticmethod
+    def join(parts: list[tuple[Yarns, int]]) -> Yarns:
+        """One set from several (at least one), each with what its spring indices grow by."""
+        names = tuple(dict.fromkeys(name for yarns, _ in parts for name in yarns.names))
+        sizes = np.concatenate([np.diff(yarns.ptr) for yarns, _ in parts])
+        return Yarns(
+            np.concatenate([(yarns.links + at).astype(np.int32) for yarns, at in parts]),
+            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
+            np.concatenate([yarns.mu for yarns, _ in parts]),
+            np.concatenate([[names.index(yarns.names[k]) for k in yarns.kind] for yarns, _ in parts]).astype(np.int8),
+            names,
+        )
+
+
+@dataclass(frozen=True)
 class Binding:
     """Pinned vertices that move rigidly with a body's frame.
 
@@ -159,6 +205,7 @@ class Fabric:
                              OBJ files. Image rows run down, so what samples an image, such as
                              plugin.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
     springs, hinges          or None where there are none
+    yarns                    springs that are links of yarns, or None
     bindings                 pinned vertices that follow a body
     texture                  path of an image, or None
     """
@@ -174,6 +221,7 @@ class Fabric:
     uv: NDArray[np.float32] | None = None
     bindings: tuple[Binding, ...] = ()
     texture: str | None = None
+    yarns: Yarns | None = None
 
     @property
     def number(self) -> int:

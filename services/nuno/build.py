@@ -12,7 +12,7 @@ from nuno.scene_file import Chosen, Loaded
 from nuno.worn import check_worn
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Springs, State
+from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Springs, State, Yarns
 from nuno_schemas.plugin import BodyShape, Mover, System, Term
 
 BYTES_PER_VERTEX = 400
@@ -114,6 +114,8 @@ def _join(fabrics: list[Fabric], name: str) -> Fabric:
         if f.springs
     ]
     hinges = [(f.hinges, at) for f, at in moved if f.hinges]
+    before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
+    yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]
     empty = np.zeros((0, 3))
     return Fabric(
         name,
@@ -131,6 +133,7 @@ def _join(fabrics: list[Fabric], name: str) -> Fabric:
             ]
         ),
         tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
+        yarns=Yarns.join(yarns) if yarns else None,
     )
 
 

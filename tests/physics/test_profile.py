@@ -76,7 +76,7 @@ def test_a_profile_names_every_part_and_compiles_nothing() -> None:
     state, memory = moved(plugin, system)
     with event.install_listener("numba:compile", compilations):
         parts = plugin.profile(system, state, memory, POSES)
-    assert list(parts) == [*PARTS, "rest"]
+    assert list(parts) == [*(part for part in PARTS if part != "yarns"), "rest"]  # a skirt has none
     assert all(seconds >= 0.0 for seconds in parts.values())
     assert sum(parts.values()) > 0.0
     assert compilations.seen == 0

@@ -29,7 +29,8 @@ sys.stdout.flush()
 os._exit(0)
 """
 UNNEEDED = (
-    "nuno_kernels.contact", "nuno_kernels.wind", "nuno_kernels.bindings", "nuno_contact", "nuno_cloth.wind",
+    "nuno_kernels.contact", "nuno_kernels.wind", "nuno_kernels.bindings", "nuno_kernels.yarns", "nuno_contact",
+    "nuno_cloth.wind",
     "nuno.collision.service", "nuno.viewer.service", "nuno.viewer.bridge", "nuno_render", "dye", "trimesh", "rerun",
     "matplotlib", "nuno_bench",
 )  # fmt: skip
@@ -68,5 +69,6 @@ def test_one_mass_has_no_array_of_what_it_lacks(tmp_path: Path) -> None:
     packed = simulation.memory.work.packed  # type: ignore[attr-defined]
     lacking = [name for name, part in packed._asdict().items() if part is None]
     assert {"runs", "lists", "hinge_runs", "hinge_lists", "bindings", "contact", "air", "particle_wind"} <= set(lacking)
+    assert "yarns" in lacking
     assert simulation.system.terms == ()
     assert simulation.memory.arrays == {}

@@ -1,0 +1,137 @@
+"""Tension that passes along a yarn: T'_n = T_n + mu (T_(n-1) + T_(n+1)), T_n = k_n (|d_n| - L_n) + c_n d|d_n|/dt.
+
+T_n itself is the spring's and stands in nuno_kernels.springs; here is the rest, pair by pair of links that follow
+each other. Of points i, j, l on a yarn, with a = x_j - x_i and b = x_l - x_j, the pair adds
+
+    F_a = mu T_b a^ on i and -F_a on j,    F_b = mu T_a b^ on j and -F_b on l,
+
+so that every link gets both its neighbours' tension, momentum is kept exactly, and, each force lying along its own
+link, angular momentum too. With one k on both links the pair's energy is mu k e_a e_b, e the elongation. A yarn's
+energy sum(k e_n^2 / 2 + mu k e_n e_(n+1)) has a matrix k (1 + mu A) with A the path's, whose eigenvalues fill
+(-2, 2): positive definite for any length of yarn just for mu < 1/2. Where k changes along a yarn no energy exists.
+
+A link of zero length has no direction and no tension: it neither gives nor takes. By pairs two roots are taken
+where a link by link sum would take three, and no array of tensions has to be finished before the forces begin.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.acceleration import provide
+from nuno_kernels.blocks import BLOCK, Long, block_count, local_targets, owned_copies, pad_lists
+from nuno_kernels.simd import WIDTH, add_at, gather, load, root
+from nuno_kernels.simd_choose import where_not_zero
+from nuno_schemas.fabric import Float, Int, Springs, Yarns
+
+
+class YarnLists(NamedTuple):
+    """Pairs of links that follow each other, padded to whole vectors by pairs at one vertex.
+
+    start     (blocks + 1,) int64  places of each block's pairs
+    corners   (6, p) int32         vertices i, j, l, then their columns in the block's forces
+    constants (6, p) float64       mu k [N/m], rest [m], mu c [N s/m] of link i-j, then of link j-l
+    damped    True where any mu c is not 0, else None
+    """
+
+    start: Long
+    corners: Int
+    constants: Float
+    damped: bool | None
+
+
+@kernel
+def listed_link(x: Any, corners: Any, which: int, p: int) -> Any:
+    """x of corner which + 1 minus x of corner `which`, of eight pairs."""
+    return (
+        gather(x, 0, corners, which + 1, p) - gather(x, 0, corners, which, p),
+        gather(x, 1, corners, which + 1, p) - gather(x, 1, corners, which, p),
+        gather(x, 2, corners, which + 1, p) - gather(x, 2, corners, which, p),
+    )
+
+
+@kernel
+def add_yarns(block: int, x: Any, v: Any, force: Any, yarns: Any) -> None:
+    """Add to a block's forces (3, w) what passes along its yarns."""
+    corners, constants = yarns.corners, yarns.constants
+    for p in range(yarns.start[block], yarns.start[block + 1], WIDTH):
+        a, b = listed_link(x, corners, 0, p), listed_link(x, corners, 1, p)
+        square_a, square_b = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
+        long_a, long_b = root(square_a), root(square_b)
+        pull_a = load(constants, 0, p) * (long_a - load(constants, 1, p))
+        pull_b = load(constants, 3, p) * (long_b - load(constants, 4, p))
+        if yarns.damped is not None:
+            va, vb = listed_link(v, corners, 0, p), listed_link(v, corners, 1, p)
+            pull_a = pull_a + load(constants, 2, p) * ((va[0] * a[0] + va[1] * a[1] + va[2] * a[2]) / long_a)
+            pull_b = pull_b + load(constants, 5, p) * ((vb[0] * b[0] + vb[1] * b[1] + vb[2] * b[2]) / long_b)
+        along_a = where_not_zero(square_a, where_not_zero(square_b, pull_b) / long_a)
+        along_b = where_not_zero(square_b, where_not_zero(square_a, pull_a) / long_b)
+        for row in range(3):
+            on_a, on_b = along_a * a[row], along_b * b[row]
+            add_at(force, row, corners, 3, p, on_a)
+            add_at(force, row, corners, 4, p, on_b - on_a)
+            add_at(force, row, corners, 5, p, 0.0 - on_b)
+
+
+provide(add_yarns=add_yarns)
+
+
+@kernel
+def measure_yarns(x: Any, yarns: Any) -> float:
+    """Sum of mu k e_a e_b over all pairs [J], each counted where its first vertex is at home.
+
+    Where k changes along a yarn there is no energy, and this takes the mean of the two.
+    """
+    total, corners, constants = 0.0, yarns.corners, yarns.constants
+    for block in range(yarns.start.shape[0] - 1):
+        width = min(BLOCK, x.shape[1] - block * BLOCK)
+        for p in range(yarns.start[block], yarns.start[block + 1]):
+            if corners[3, p] < width:
+                a = elongation(x, corners[0, p], corners[1, p], constants[1, p])
+                b = elongation(x, corners[1, p], corners[2, p], constants[4, p])
+                total += 0.5 * (constants[0, p] + constants[3, p]) * a * b
+    return total
+
+
+@kernel
+def elongation(x: Any, i: int, j: int, rest: float) -> float:
+    """|d| - L, 0 where |d| is 0: such a link takes no part."""
+    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    return length - rest if length > 0.0 else 0.0
+
+
+def pair_corners(pairs: Int, neighbours: Int) -> Int:
+    """(3, p) vertices i, j, l of neighbouring links (p, 2), which are springs of vertices (s, 2)."""
+    first, second = pairs[neighbours[:, 0]], pairs[neighbours[:, 1]]
+    # The shared vertex is the first link's end that the second has too.
+    ends = (first[:, 1] == second[:, 0]) | (first[:, 1] == second[:, 1])
+    middle = np.where(ends, first[:, 1], first[:, 0])
+    last = np.where(second[:, 0] == middle, second[:, 1], second[:, 0])
+    return np.stack([first.sum(axis=1) - middle, middle, last]).astype(np.int32)
+
+
+def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | None:
+    """Kernel layout of a fabric's yarns; None where no tension passes (mu = 0, or single links)."""
+    neighbours, yarn = yarns.neighbours()
+    passing = yarns.mu[yarn] > 0.0
+    if not passing.any():
+        return None
+    neighbours, mu = neighbours[passing], yarns.mu[yarn[passing]]
+    corners = pair_corners(springs.pairs(), neighbours).astype(np.int64)
+    k, rest, c = (springs.per_spring(values)[neighbours.T] for values in (springs.k, springs.rest, springs.c))
+    constants = np.stack([mu * k[0], rest[0], mu * c[0], mu * k[1], rest[1], mu * c[1]])
+    order = np.lexsort((corners.max(axis=0), corners.min(axis=0)))
+    corners, constants = corners[:, order], constants[:, order]
+    element, bounds = owned_copies(corners, block_count(vertices))
+    element, start = pad_lists(element, bounds, WIDTH)
+    filled = element >= 0
+    target = local_targets(np.where(filled, corners[:, element], -1), start, vertices)
+    table = np.concatenate([np.where(filled, corners[:, element], 0), target]).astype(np.int32)
+    constants = np.ascontiguousarray(np.where(filled, constants[:, element], 0.0))
+    damped = True if constants[[2, 5]].any() else None
+    return YarnLists(start, np.ascontiguousarray(table), constants, damped)
