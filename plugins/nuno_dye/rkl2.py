@@ -7,7 +7,7 @@ Smooth amounts converge with the second order in the step; where a limit begins 
 first.
 
 A first step over a jump would ring: the first one, and one after cloth or supplies have changed, is taken in parts
-that double from an explicit step on.
+that double from a quarter of an explicit step on.
 
 An explicit stage can overshoot where amounts jump. What a step leaves below nothing or above capacity goes to or
 comes from the neighbours (nuno_dye.repair). Where they cannot take it, the step is taken again as two halves, ten
@@ -57,6 +57,8 @@ PACE = 0.25
 """Cells come to their limits in four explicit steps, or in the whole step where that is shorter."""
 STIFFER = 1.25
 """By how much limits may raise the largest eigenvalue: PACE of them."""
+QUARTERS = 4
+"""Parts of each of a fresh step's doublings: fibre takes most where amounts jump, and keeps it."""
 HALVINGS = 10
 BEYOND = 1e3
 """What a kept-up cell may hold beyond its capacity while others' excess is moved."""
@@ -200,7 +202,8 @@ def _advance_one(
     shares = np.ones(steps * parts)
     if fresh:
         doublings = max(0, math.ceil(math.log2(max(_reach(work, room, one, scale / parts), 1.0))))
-        shares = np.concatenate([[0.5**doublings], 0.5 ** np.arange(doublings, 0, -1.0), shares[1:]])
+        doubling = np.concatenate([[0.5**doublings], 0.5 ** np.arange(doublings, 0, -1.0)])
+        shares = np.concatenate([np.repeat(doubling / QUARTERS, QUARTERS), shares[1:]])
     for share in shares:
         after, added = _step(work, room, one, amounts, float(share) * scale / parts, totals, 0)
         if after is None:

@@ -47,6 +47,16 @@ AUTO = "auto"
 Accuracy = Literal["preview", "normal", "reference"]
 
 
+def _require_auto_alone(solver: Choice) -> None:
+    """Refuse fields beside `plugin: auto`."""
+    given = [*solver.config, *(name for name in solver.model_fields_set if name != "plugin")]
+    beside = next((name for name in given if getattr(solver, name) != "auto"), None)
+    if solver.plugin == AUTO and beside is not None:
+        raise PydanticCustomError(
+            "beside_auto", "auto chooses this as well; leave it out, or name a solver", {"inside": (beside,)}
+        )
+
+
 class Solver(Choice):
     """The integrator and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
 
@@ -61,13 +71,7 @@ class Solver(Choice):
 
     @model_validator(mode="after")
     def _auto_alone(self) -> Solver:
-        if self.plugin == AUTO and (self.config or self.dt != "auto"):
-            beside = next(iter(self.config), "dt")
-            raise PydanticCustomError(
-                "beside_auto",
-                "auto chooses this as well; leave it out, or name a solver",
-                {"inside": (beside,)},
-            )
+        _require_auto_alone(self)
         return self
 
 
@@ -139,6 +143,11 @@ class DyeSolver(Choice):
     def _by_name(cls, value: Any) -> Any:
         return {"plugin": value} if isinstance(value, str) else value
 
+    @model_validator(mode="after")
+    def _auto_alone(self) -> DyeSolver:
+        _require_auto_alone(self)
+        return self
+
 
 class Dyestuff(Part):
     """One of the dyes in a cloth; they do not act on each other."""
@@ -171,7 +180,8 @@ class Dyeing(Part):
     )
     cloth: Choice = Field(description="what builds it: a plugin and its fields")
     solver: DyeSolver = Field(
-        default=DyeSolver(plugin="explicit"), description="a plugin with its fields, and its step"
+        default=DyeSolver(plugin=AUTO),
+        description="a plugin with its fields, and its step; auto: chosen for the scene and `accuracy`",
     )
     dyes: list[Dyestuff] = Field(min_length=1, max_length=16, description="what the cloth is dyed with")
     speed: Speed = Field(
@@ -187,7 +197,7 @@ class Dyeing(Part):
         return require_distinct(dyes)
 
 
-MOVING = ("objects", "bodies", "forces", "solver", "accuracy", "until")
+MOVING = ("objects", "bodies", "forces", "solver", "until")
 """Fields of a scene of moving cloth, which a scene of dye alone has not."""
 
 
@@ -211,7 +221,7 @@ class Scene(Part):
     accuracy: Accuracy | None = Field(
         default=None,
         description="what the step is chosen for: positions off by a hundredth (preview), a thousandth (normal) or a "
-        "ten-thousandth (reference) of the cloth's size; normal where the solver is auto",
+        "ten-thousandth (reference) of the cloth's size, dye of the largest amount; normal where the solver is auto",
     )
     allow_unstable: bool = Field(default=False, description="accept a step above the stability limit")
     gravity: tuple[Acceleration, Acceleration, Acceleration] = Field(
@@ -259,6 +269,12 @@ class Scene(Part):
                 "accuracy chooses the step, and solver.dt gives it; leave one of them out",
                 {"inside": ("accuracy",)},
             )
+        if self.accuracy is not None and not self.moves and self.dye is not None and self.dye.solver.plugin != AUTO:
+            raise PydanticCustomError(
+                "dye_accuracy",
+                "accuracy chooses the solver of the dye, and dye.solver names it; leave one of them out",
+                {"inside": ("accuracy",)},
+            )
         return self
 
     @property
@@ -267,9 +283,14 @@ class Scene(Part):
         return self.dye is None or self.dye.on is not None
 
     @property
-    def undecided(self) -> bool:
-        """Whether the solver's step, or the solver, is still to be chosen."""
+    def step_undecided(self) -> bool:
+        """Whether the solver of moving cloth, or its step, is still to be chosen."""
         return self.moves and (self.solver.plugin == AUTO or self.accuracy is not None)
+
+    @property
+    def undecided(self) -> bool:
+        """Whether a solver or its step is still to be chosen."""
+        return self.step_undecided or (self.dye is not None and self.dye.solver.plugin == AUTO)
 
     @property
     def frames(self) -> int:

@@ -54,8 +54,12 @@ def decide(loaded: Loaded) -> Loaded:
 
     Raises BadInput for an accuracy that the named solver cannot be given.
     """
+    if loaded.scene.dye is not None and loaded.scene.undecided:
+        from nuno.dye.choose import decide_dye  # only a scene of dye loads it
+
+        loaded = decide_dye(loaded)
     scene = loaded.scene
-    if not scene.undecided:
+    if not scene.step_undecided:
         return loaded
     accuracy = scene.accuracy or "normal"
     first = FIRST if scene.solver.plugin == AUTO else scene.solver.plugin
@@ -166,7 +170,8 @@ def _written(loaded: Loaded, name: str, dt: float | None, why: str) -> Loaded:
     decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
     fields = ", ".join(f"{key}: {value!r}" if key == "dt" else f"{key}: {value}" for key, value in chosen.items())
     overrides = (*loaded.overrides, f"solver={{{fields}}}", "accuracy=null")
-    return replace(decided, overrides=overrides, path=loaded.path, why=why)
+    both = f"{why}; dye: {loaded.why}" if loaded.why else why
+    return replace(decided, overrides=overrides, path=loaded.path, why=both)
 
 
 def _reason(trials: Trials, best: Found, found: list[Found], accuracy: Accuracy) -> str:

@@ -16,10 +16,10 @@ from nuno.files import SceneFiles
 from nuno.yaml_lines import dotted
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.parts import Choice
-from nuno_schemas.scene import AUTO, Dyeing, Scene
+from nuno_schemas.scene import AUTO, Dyeing, DyeSolver, Scene
 
-FIRST = "symplectic_euler"
-"""The solver that a choice starts from: the cheapest step."""
+FIRST, FIRST_DYE = "symplectic_euler", "explicit"
+"""The solvers that a choice starts from: the cheapest step."""
 
 
 @dataclass
@@ -208,10 +208,14 @@ def _solver(scene: Scene) -> Choice:
     return scene.solver if scene.solver.plugin != AUTO else Choice(plugin=FIRST)
 
 
+def _dye_solver(dye: Dyeing) -> Choice:
+    return dye.solver if dye.solver.plugin != AUTO else DyeSolver(plugin=FIRST_DYE)
+
+
 def _chosen_dye(dye: Dyeing, chosen: Callable[[str, Choice, yaml_lines.Path], Chosen]) -> ChosenDye:
     return ChosenDye(
         chosen("nuno.dye_cloths", dye.cloth, ("dye", "cloth")),
-        chosen("nuno.dye_solvers", dye.solver, ("dye", "solver")),
+        chosen("nuno.dye_solvers", _dye_solver(dye), ("dye", "solver")),
         [
             chosen("nuno.isotherms", one.isotherm, ("dye", "dyes", i, "isotherm")) if one.isotherm else None
             for i, one in enumerate(dye.dyes)

@@ -58,7 +58,7 @@ def main(args: argparse.Namespace) -> int:
             )
     runs.check_id(args.run)
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root, args.named)
-    if args.service in ("simulation", "recorder"):
+    if args.service in ("simulation", "recorder", "dye"):
         loaded = decide(loaded)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     with sessions.spoke(args.connect, args.config, PATIENCE) as session:

@@ -1,0 +1,80 @@
+"""`dye.solver: auto`: the promise kept, the same choice every time, recorded as if written by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dye_scene import arrays, write_scene
+
+import nuno
+from nuno import scene_file
+from nuno.choose import decide
+from nuno.dye.choose import PROMISE
+from nuno.dye.run import DyeRun
+from nuno.scene_file import Loaded
+from nuno.verify import verify
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+RED = {"name": "red", "D0": "0.7 mm^2/h"}
+
+
+def read(folder: Path, *overrides: str, **fields: Any) -> Loaded:
+    data = arrays(16, 18)
+    data["resist"] = 0.2 * data["resist"]
+    long = {"duration": "4 h", "frame_rate": 1 / 7200.0} | fields
+    return scene_file.read(write_scene(folder, data=data, solver="auto", **long), overrides)
+
+
+def end_of(loaded: Loaded, steps: int = 0) -> Float:
+    dyeing = DyeRun(loaded, 1, steps)
+    while not dyeing.finished:
+        dyeing.advance()
+    return np.stack([dyeing.state.phi, dyeing.state.fixed])
+
+
+@pytest.mark.parametrize("accuracy", ["preview", "normal"])
+def test_long_steps_are_taken_where_they_keep_the_promise(accuracy: Any, tmp_path: Path) -> None:
+    decided = decide(read(tmp_path, f"accuracy={accuracy}", dyes=[RED]))
+    assert decided.dye is not None and decided.scene.dye is not None
+    assert decided.dye.solver.name == "rkl2" and isinstance(decided.scene.dye.solver.dt, float)
+    assert f"{PROMISE[accuracy]:g} was asked for" in decided.why and accuracy in decided.why
+    assert not decided.scene.undecided and "accuracy" not in decided.data
+    exact = end_of(decided, 400)
+    assert np.abs(end_of(decided) - exact).max() <= 1.5 * PROMISE[accuracy] * exact.max()
+
+
+def test_the_choice_is_the_same_every_time_and_stands_in_the_recording(tmp_path: Path) -> None:
+    first, second = (decide(read(tmp_path)) for _ in range(2))
+    assert first.data == second.data and first.overrides == second.overrides
+    result = nuno.run(tmp_path / "scene.yaml", record=tmp_path / "run.mcap")
+    with nuno.open(result.path) as recording:
+        assert recording.complete and verify(recording).frame is None
+        assert recording.scene["dye"]["solver"] == first.data["dye"]["solver"]
+    assert result.report["chosen"] == first.why
+
+
+def test_a_frame_within_an_explicit_step_is_explicit(tmp_path: Path) -> None:
+    decided = decide(read(tmp_path, duration="4 s", frame_rate=1.0))
+    assert decided.dye is not None and decided.dye.solver.name == "explicit"
+    assert "no longer than an explicit step" in decided.why
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("dye.solver={plugin: auto, dt: 1 s}", "auto chooses this as well"),
+        ("dye.solver={plugin: auto, substeps: allowed}", "auto chooses this as well"),
+    ],
+)
+def test_what_auto_chooses_cannot_be_given(override: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=said):
+        read(tmp_path, override)
+
+
+def test_accuracy_beside_a_named_solver_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="accuracy chooses the solver of the dye"):
+        read(tmp_path, "dye.solver=rkl2", "accuracy=normal")
