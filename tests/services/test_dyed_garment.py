@@ -55,7 +55,13 @@ def scene(**fields: Any) -> dict[str, Any]:
     """A sheet over a ball, an hour of dyeing in a second; `dye` replaces fields of the dye, None leaves it out."""
     cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": {"I": 0.5, "II": 0.5, "III": 0.1}}
     blue = {"name": "blue", "D0": "1.93 mm^2/h", "adsorption": 0.5, "isotherm": {"plugin": "langmuir", "K": 2.0}}
-    dye = {"on": "sheet", "speed": "3600 s/s", "cloth": cloth | {"supply": [BATH, DROP]}, "dyes": [blue]}
+    dye = {
+        "on": "sheet",
+        "speed": "3600 s/s",
+        "cloth": cloth | {"supply": [BATH, DROP]},
+        "dyes": [blue],
+        "solver": "explicit",
+    }
     changed = fields.pop("dye", {})
     return {
         "nuno": 1, "name": "garment", "duration": 0.2, "frame_rate": 50,
