@@ -1,0 +1,1 @@
+"""Knitted cloth: points where yarns cross, joined by links of yarns."""

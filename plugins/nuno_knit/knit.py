@@ -1,0 +1,140 @@
+"""Plain knit, flat or a tube, of any yarns in turn: the knit paper's two-yarn stocking is one of them."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_knit.quantities import Length, Mass, Metres, Ratio
+from nuno_knit.structure import Knit as Structure
+from nuno_knit.yarns import Yarn, YarnName, resolve
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Fabric, Float, Springs, Yarns
+from nuno_schemas.plugin import Config, Files
+
+Number = Annotated[int, Field(ge=1, le=8192)]
+PinName = Literal["top-row", "bottom-row", "left-edge", "right-edge", "all-rim"]
+BYTES_PER_POINT = 900
+"""Two links a point and a pair of links for each: springs as runs take 80 bytes each in a net, yarns rather more."""
+
+
+class KnitConfig(Config):
+    """A panel or a tube of plain knit."""
+
+    wales: Number = Field(default=32, description="columns of stitches; two columns of points each")
+    courses: Number = Field(default=32, description="rows of stitches; one more row of points")
+    form: Literal["panel", "tube"] = Field(
+        default="panel", description="panel: flat in x and y, seen from +z; tube: round the y axis"
+    )
+    spacing: tuple[Length, Length] = Field(
+        default=(5e-4, 5e-4), description="rest length of arcs, half a wale, and of legs, a course [m]"
+    )
+    stretch: tuple[Ratio, Ratio] = Field(
+        default=(1.0, 1.0), description="how much wider and higher than at rest it starts"
+    )
+    yarns: tuple[YarnName | Yarn, ...] = Field(
+        default=("nylon", "support"), min_length=1, max_length=64, description="of the courses, in turn from the bottom"
+    )
+    mass: Mass | None = Field(default=None, description="of every point; left out: the yarns' own [kg]")
+    pin: tuple[PinName, ...] = Field(default=(), description="points that are held, by name")
+    centre: tuple[Metres, Metres, Metres] = Field(default=(0.0, 0.0, 0.0), description="of the knit [m]")
+
+
+class Knit:
+    """A net of yarns: points where they cross, links between, tension passing along each course."""
+
+    name: ClassVar[str] = "knit"
+    Config: ClassVar[type[BaseModel]] = KnitConfig
+
+    def count(self, config: KnitConfig, files: Files) -> int:
+        return structure(config).points
+
+    def memory(self, config: KnitConfig, files: Files, vertices: int) -> int:
+        """What a run takes at most [bytes]."""
+        return vertices * BYTES_PER_POINT
+
+    def build(self, config: KnitConfig, files: Files, seed: int) -> Fabric:
+        """Raises BadInput for a tube of fewer than two wales, and for edges of a tube."""
+        net = structure(config)
+        position = place(config, net)
+        used = [resolve(choice) for choice in config.yarns]
+        pairs, springs, yarns = net.pairs(), *knit_yarns(config, net, used)
+        if config.mass is not None:
+            mass = np.full(net.points, config.mass)
+        else:
+            course, _ = net.course()
+            density = np.array([yarn.density for yarn in used])[course % len(used)]
+            mass = np.bincount(pairs.reshape(-1), np.repeat(0.5 * density * springs.rest, 2), net.points)
+        return Fabric(
+            name=self.name,
+            position=position,
+            velocity=np.zeros((net.points, 3)),
+            mass=mass,
+            pinned=_pin(config, net),
+            faces=np.zeros((0, 3), np.int32),
+            springs=springs,
+            yarns=yarns,
+        )
+
+
+def structure(config: KnitConfig) -> Structure:
+    """The net of a configuration. Raises BadInput."""
+    if config.form == "tube" and config.wales < 2:
+        problem = "a tube of one wale would join two points twice"
+        raise BadInput(problem, field="wales", value=config.wales, limit="2 at least", remedy="knit a panel")
+    return Structure(config.courses, 2 * config.wales, config.form == "tube")
+
+
+def knit_yarns(config: KnitConfig, net: Structure, used: list[Yarn]) -> tuple[Springs, Yarns]:
+    """Links with their yarns' constants, and the yarns they are links of."""
+    course, borrowed = net.course()
+    which = course % len(used)
+    leg = np.arange(net.links) < net.legs
+    rest = np.where(leg, config.spacing[1], config.spacing[0]) * np.array([yarn.length for yarn in used])[which]
+    k, c = np.empty(net.links), np.array([yarn.c for yarn in used])[which]
+    for index, yarn in enumerate(used):
+        for part in (leg, ~leg):
+            mine = (which == index) & part
+            if mine.any():
+                k[mine] = yarn.stiffness(float(rest[mine][0]))
+    threads = net.threads()
+    of = np.array([which[thread[0]] for thread in threads])
+    names = tuple(dict.fromkeys(yarn.name for yarn in used))
+    kind = np.array([names.index(yarn.name) for yarn in used], np.int8)[of]
+    # A borrowed link has no neighbour to share with: 0 says so.
+    alone = np.array([borrowed[thread[0]] for thread in threads])
+    mu = np.where(alone, 0.0, np.array([yarn.mu for yarn in used])[of])
+    ptr = np.concatenate([[0], np.cumsum([len(thread) for thread in threads])]).astype(np.int32)
+    return Springs.from_pairs(net.pairs(), k, rest, c), Yarns(np.concatenate(threads), ptr, mu, kind, names)
+
+
+def place(config: KnitConfig, net: Structure) -> Float:
+    """(n, 3) positions [m]; on a tube the distance of neighbours, not the arc between them, is the spacing."""
+    row, column = np.divmod(np.arange(net.points), net.columns)
+    across, up = (spacing * stretch for spacing, stretch in zip(config.spacing, config.stretch, strict=True))
+    x = np.zeros((net.points, 3))
+    x[:, 1] = up * (row - 0.5 * net.courses)
+    if config.form == "panel":
+        x[:, 0] = across * (column - 0.5 * (net.columns - 1))
+    else:
+        radius, angle = 0.5 * across / np.sin(np.pi / net.columns), 2.0 * np.pi * column / net.columns
+        # To the right as seen from outside: from +z towards +x.
+        x[:, 0], x[:, 2] = radius * np.sin(angle), radius * np.cos(angle)
+    return x + np.asarray(config.centre)
+
+
+def _pin(config: KnitConfig, net: Structure) -> Bool:
+    pinned = np.zeros((net.courses + 1, net.columns), bool)
+    places: dict[str, tuple[int | slice, int | slice]] = {
+        "top-row": (-1, slice(None)),
+        "bottom-row": (0, slice(None)),
+        "left-edge": (slice(None), 0),
+        "right-edge": (slice(None), -1),
+    }
+    for name in places if "all-rim" in config.pin else config.pin:
+        if name.endswith("edge") and net.periodic:
+            raise BadInput("a tube has no such edge", field="pin", value=name, limit="top-row or bottom-row")
+        pinned[places[name]] = True
+    return pinned.reshape(-1)

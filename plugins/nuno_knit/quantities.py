@@ -1,0 +1,28 @@
+"""Types of quantities with units that configurations of knits use; a type checker sees floats."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    Length = float
+    Metres = float
+    Mass = float
+    LinearDensity = float
+    Newtons = float
+    Stiffness = float
+    SpringDamping = float
+    Ratio = float
+    Share = float
+else:
+    from nuno_schemas.units import quantity
+
+    Length = quantity("m", gt=0)
+    Metres = quantity("m")
+    Mass = quantity("kg", gt=0)
+    LinearDensity = quantity("kg/m", gt=0)
+    Newtons = quantity("N", gt=0)
+    Stiffness = quantity("N/m", gt=0)
+    SpringDamping = quantity("N*s/m", ge=0)
+    Ratio = quantity("", gt=0)
+    Share = quantity("", ge=0)

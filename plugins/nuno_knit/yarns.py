@@ -1,0 +1,89 @@
+"""Yarns to knit with, in physical units, each with its source.
+
+A yarn's tensile stiffness is EA [N], force per strain: its specific modulus [N/tex] times its linear density. A
+link of rest length L then has k = EA / L, so that a finer net of the same yarn stretches the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from nuno_knit.quantities import LinearDensity, Newtons, Ratio, Share, SpringDamping, Stiffness
+from nuno_schemas.plugin import Config
+
+DTEX = 1e-7
+"""kg/m in one dtex."""
+MU = 0.2
+"""Share of its neighbours' tension that a link takes over: the knit paper's value for both yarns."""
+
+
+class Yarn(Config):
+    """A yarn: its stiffness as `ea` of the yarn or `k` of each link, and what it weighs."""
+
+    name: str = Field(default="yarn", min_length=1, max_length=64, description="for reports and pictures")
+    ea: Newtons | None = Field(default=None, description="tensile stiffness, force per strain [N]")
+    k: Stiffness | None = Field(default=None, description="of every link instead, whatever its length [N/m]")
+    density: LinearDensity = Field(default=22 * DTEX, description='linear density, for example "22 dtex" [kg/m]')
+    mu: Share = Field(default=MU, description="share of its neighbours' tension that a link takes over, below 1/2")
+    length: Ratio = Field(default=1.0, description="rest length of its links, as a ratio of the knit's spacing")
+    c: SpringDamping = Field(default=0.0, description="damping along every link [N s/m]")
+
+    @field_validator("mu")
+    @classmethod
+    def _has_an_energy(cls, mu: float) -> float:
+        if mu >= 0.5:
+            raise ValueError("must be below 1/2: from there on a long yarn's energy has no minimum")
+        return mu
+
+    @model_validator(mode="after")
+    def _one_stiffness(self) -> Yarn:
+        if (self.ea is None) == (self.k is None):
+            raise ValueError("give ea, the yarn's stiffness, or k, that of a link: one of them")
+        return self
+
+    def stiffness(self, rest: float) -> float:
+        """Of a link of rest length [m]: [N/m]."""
+        if self.k is not None:
+            return self.k
+        assert self.ea is not None
+        return self.ea / rest
+
+
+@dataclass(frozen=True)
+class Known:
+    """A yarn that scenes can name, and where its numbers come from."""
+
+    yarn: Yarn
+    source: str
+
+
+PRESETS: dict[str, Known] = {
+    "nylon": Known(
+        Yarn(name="nylon", ea=6.6, density=22 * DTEX),
+        "nylon 6.6, medium tenacity, 22 dtex: initial modulus 3.0 N/tex, Morton & Hearle, Physical Properties of "
+        "Textile Fibres, table 13.2",
+    ),
+    "nylon-6": Known(
+        Yarn(name="nylon-6", ea=1.3, density=22 * DTEX),
+        "nylon 6, 22 dtex: initial modulus 0.6 N/tex, Morton & Hearle, table 13.2",
+    ),
+    "elastane": Known(
+        Yarn(name="elastane", ea=0.024, density=22 * DTEX),
+        "elastane, 22 dtex, 0.011 N/tex: an assumption of the order of spandex filaments, not measured",
+    ),
+    "support": Known(
+        Yarn(name="support", ea=0.024, density=44 * DTEX),
+        "22 dtex of elastane covered with 22 dtex of nylon, below the strain at which the cover locks: the core alone "
+        "carries; assumed as elastane is",
+    ),
+}
+
+YarnName = Literal["nylon", "nylon-6", "elastane", "support"]
+
+
+def resolve(choice: YarnName | Yarn) -> Yarn:
+    """The yarn that a scene names or describes."""
+    return PRESETS[choice].yarn if isinstance(choice, str) else choice
