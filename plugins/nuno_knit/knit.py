@@ -122,7 +122,8 @@ def place(config: KnitConfig, net: Structure) -> Float:
         radius, angle = 0.5 * across / np.sin(np.pi / net.columns), 2.0 * np.pi * column / net.columns
         # To the right as seen from outside: from +z towards +x.
         x[:, 0], x[:, 2] = radius * np.sin(angle), radius * np.cos(angle)
-    return x + np.asarray(config.centre)
+    x += np.asarray(config.centre)
+    return x
 
 
 def _pin(config: KnitConfig, net: Structure) -> Bool:

@@ -91,4 +91,4 @@ class Knit:
     def point_kind(self) -> Int:
         """(points,) 0 to 3, 2 (r % 2) + q % 2: with two yarns in turn the yarns around a point follow from it."""
         row, column = np.divmod(np.arange(self.points), self.columns)
-        return (2 * (row % 2) + column % 2).astype(np.int32)
+        return np.asarray(2 * (row % 2) + column % 2, np.int32)

@@ -29,7 +29,7 @@ class Yarn(Config):
     density: LinearDensity = Field(default=22 * DTEX, description='linear density, for example "22 dtex" [kg/m]')
     mu: Share = Field(default=MU, description="share of its neighbours' tension that a link takes over, below 1/2")
     length: Ratio = Field(default=1.0, description="rest length of its links, as a ratio of the knit's spacing")
-    c: SpringDamping = Field(default=0.0, description="damping along every link [N s/m]")
+    c: SpringDamping = Field(default=0.0, description="damping along every link [N*s/m]")
 
     @field_validator("mu")
     @classmethod

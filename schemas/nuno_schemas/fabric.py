@@ -166,6 +166,14 @@ class Yarns:
         same = yarn[1:] == yarn[:-1]
         return np.stack([self.links[:-1], self.links[1:]], axis=1)[same], yarn[1:][same]
 
+    def lengths(self, springs: Springs) -> Float:
+        """(y,) rest length of every yarn [m], each link of a ring counted once."""
+        rest = springs.per_spring(springs.rest)[self.links]
+        total = np.add.reduceat(rest, self.ptr[:-1]) if self.number else np.zeros(0)
+        first, last = self.ptr[:-1], self.ptr[1:] - 1
+        ring = (last > first) & (self.links[first] == self.links[last])
+        return np.asarray(total - np.where(ring, rest[last], 0.0))
+
     @staticmethod
     def join(parts: list[tuple[Yarns, int]]) -> Yarns:
         """One set from several (at least one), each with what its spring indices grow by."""

@@ -50,7 +50,9 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         left_out.append("viscous damping: 0")
     if not any(scene.gravity):
         left_out.append("gravity: 0")
-    left_out.append(f"{'knit' if scene.dye is not None else 'dye, knit'} and wrinkles: the scene has none")
+    knit = any(spec.model.plugin == "knit" for spec in scene.objects)
+    absent = [*(() if scene.dye is not None else ("dye",)), *(() if knit else ("knit",)), "wrinkles"]
+    left_out.append(f"{' and '.join(', '.join(absent).rsplit(', ', 1))}: the scene has none")
     return Plan(tuple(services), _must_see(services, options), tuple(left_out))
 
 

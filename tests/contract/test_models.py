@@ -16,6 +16,7 @@ from nuno_cloth.net import Net
 from nuno_cloth.presets import PRESETS
 from nuno_cloth.sheet import Sheet
 from nuno_cloth.skirt import Skirt
+from nuno_knit.knit import Knit
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 
@@ -32,6 +33,7 @@ EXAMPLES: list[tuple[Any, dict[str, Any]]] = [
     (Skirt(), {"columns": 64, "rows": 24, "fullness": 1.3, "pleats": 8, "attach": {"body": "b", "frame": "hips"}}),
     (Mesh(), {"file": "sheet.obj", "fabric": "jacket", "pin": [0]}),
     (Net(), {"file": "net.npz"}),
+    (Knit(), {"wales": 4, "courses": 5, "form": "tube", "pin": ["top-row"]}),
 ]
 
 

@@ -121,6 +121,17 @@ def test_yarns_have_their_own_stiffness_length_and_weight(files: Folder) -> None
     assert np.isclose(fabric.mass.sum(), weight.sum(), rtol=1e-14)
 
 
+@pytest.mark.parametrize("form", ["panel", "tube"])
+def test_a_course_takes_four_links_a_wale(form: str, files: Folder) -> None:
+    """Its yarn's length, on a panel less the sinker that would go on."""
+    fabric = knit(files, form, 6, 5, spacing=[0.3, 0.5])
+    assert fabric.springs is not None and fabric.yarns is not None
+    lengths = fabric.yarns.lengths(fabric.springs)
+    course = 6 * 2 * (0.3 + 0.5) - (0.3 if form == "panel" else 0.0)
+    assert np.abs(lengths[:5] - course).max() < 1e-14
+    assert np.abs(lengths[5:] - 0.3).max() == 0.0
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_say_where_they_come_from(name: str) -> None:
     assert PRESETS[name].yarn.name == name

@@ -51,7 +51,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
 
 def _size(simulation: Simulation) -> list[tuple[str, str]]:
     fabric = simulation.fabric
-    parts = {"springs": fabric.springs, "hinges": fabric.hinges}
+    parts = {"springs": fabric.springs, "hinges": fabric.hinges, "yarns": fabric.yarns}
     counts = [f"{part.number:,} {name}" for name, part in parts.items() if part is not None]
     terms = [name for name, part in parts.items() if part is not None]
     terms += sorted({term.kind for term in simulation.system.terms})

@@ -17,6 +17,7 @@ from nuno.service import Context
 from nuno.simulation.run import Frame, Simulation
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import RunFailed
+from nuno_schemas.fabric import Fabric
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status
 from nuno_schemas.plugin import StepReport
 
@@ -155,9 +156,21 @@ class Driver(Lockstep):
             "energy": self.energy,
             "stretch": self.stretch,
             "counts": self.counts,
-            "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
+            "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()}
+            | yarn_facts(fabric),
             "threads": simulation.about(),
             "vertices": fabric.number,
             "springs": fabric.springs.number if fabric.springs else 0,
             "hinges": fabric.hinges.number if fabric.hinges else 0,
         }
+
+
+def yarn_facts(fabric: Fabric) -> dict[str, float]:
+    """Rest length [m] of the yarns of each name, all together and of the longest: of a knit, of one course."""
+    if fabric.yarns is None or fabric.springs is None:
+        return {}
+    lengths, kind, found = fabric.yarns.lengths(fabric.springs), fabric.yarns.kind, dict[str, float]()
+    for index, name in enumerate(fabric.yarns.names):
+        own = lengths[kind == index]
+        found |= {f"yarn_length/{name}": float(own.sum()), f"longest_yarn/{name}": float(own.max(initial=0.0))}
+    return found
