@@ -206,7 +206,7 @@ def test_steps_that_keep_supplies_up_are_prepared(
     prepared, before = list[tuple[int, bool]](), Explicit.advance
 
     def advance(self: Explicit, system: DyeSystem, state: Any, memory: Any, steps: int, dt: float) -> Any:
-        prepared.append((steps, system.supply is not None))
+        prepared.append((steps, system.supply is not None and bool(system.supply.any())))
         return before(self, system, state, memory, steps, dt)
 
     monkeypatch.setattr(Explicit, "advance", advance)

@@ -83,8 +83,8 @@ class DyeRun:
         except BadInput as error:
             raise loaded.at("dye.solver", error) from None
         start = self.measure()
-        if supplies.keeps:
-            self.measure(np.zeros_like(self.state.phi))
+        if (kept := supplies.keep_ever()) is not None:
+            self.measure(kept)
         for k, pair in enumerate(zip(start.mobile, start.fixed, strict=True)):
             supplies.note(k, AT_THE_START, fsum(pair))
         self.supplies = supplies

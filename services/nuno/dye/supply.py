@@ -144,10 +144,10 @@ class Supplies:
         edges = (edge for entry in self.entries for edge in (entry.first, entry.last) if step < edge < end)
         return int(min(edges, default=end))
 
-    @property
-    def keeps(self) -> bool:
-        """Whether the solver ever has to keep anything up."""
-        return any(entry.supply.stop is not None and not entry.finite for entry in self.entries)
+    def keep_ever(self) -> Float | None:
+        """(dyes, 2, ny, nx) the most that the solver ever has to keep up, None for nothing."""
+        kept = [i for i, entry in enumerate(self.entries) if entry.supply.stop is not None and not entry.finite]
+        return self._least(kept) if kept else None
 
     def keep(self, step: int) -> Float | None:
         """(dyes, 2, ny, nx) the least that cells hold after a step, None where nothing is kept up."""
