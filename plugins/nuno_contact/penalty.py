@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno_kernels.contact import make_contact
-from nuno_schemas.bodies import Geometry
+from nuno_schemas.bodies import MESH, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config, Term
@@ -47,7 +47,10 @@ def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
 
 
 def check(geometry: Geometry) -> None:
-    """Raises BadInput for a body whose contact constants make no sense."""
+    """Raises BadInput for a body that is a mesh, or whose contact constants make no sense."""
+    for primitive in np.flatnonzero(geometry.kind == MESH).tolist():
+        body = geometry.bodies[geometry.body[primitive]]
+        raise BadInput("penalty contact knows no meshes", field=body, remedy="contact: {plugin: sliding}")
     for index, body in enumerate(geometry.bodies):
         stiffness = geometry.stiffness[index]
         if not (np.isnan(stiffness) or 0.0 < stiffness < np.inf):

@@ -11,7 +11,7 @@ from nuno_contact.quantities import Direction, Point, Size
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import BodyShape, Config, Mover
+from nuno_schemas.plugin import BodyShape, Config, Files, Mover
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -85,7 +85,7 @@ class Capsule:
     name: ClassVar[str] = "capsule"
     Config: ClassVar[type[BaseModel]] = CapsuleConfig
 
-    def build(self, config: BaseModel, mover: Mover | None) -> BodyShape:
+    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         c = cast(CapsuleConfig, config)
         return one_primitive(c, mover, CAPSULE, c.a, c.b, c.radius)
 
@@ -96,7 +96,7 @@ class Sphere:
     name: ClassVar[str] = "sphere"
     Config: ClassVar[type[BaseModel]] = SphereConfig
 
-    def build(self, config: BaseModel, mover: Mover | None) -> BodyShape:
+    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         c = cast(SphereConfig, config)
         return one_primitive(c, mover, CAPSULE, c.centre, c.centre, c.radius)
 
@@ -107,7 +107,7 @@ class Plane:
     name: ClassVar[str] = "plane"
     Config: ClassVar[type[BaseModel]] = PlaneConfig
 
-    def build(self, config: BaseModel, mover: Mover | None) -> BodyShape:
+    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         c = cast(PlaneConfig, config)
         normal: Float = np.array(c.normal, np.float64)
         length = float(np.linalg.norm(normal))
@@ -122,6 +122,6 @@ class Box:
     name: ClassVar[str] = "box"
     Config: ClassVar[type[BaseModel]] = BoxConfig
 
-    def build(self, config: BaseModel, mover: Mover | None) -> BodyShape:
+    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         c = cast(BoxConfig, config)
         return one_primitive(c, mover, BOX, c.centre, [0.5 * size for size in c.size], 0.0)

@@ -15,7 +15,7 @@ from nuno_contact.radii import PELVIS_HALF_WIDTH, PIECES, PROFILES, default_radi
 from nuno_schemas.bodies import CAPSULE
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import BodyShape, Config, Mover
+from nuno_schemas.plugin import BodyShape, Config, Files, Mover
 
 
 class SkeletonConfig(Config):
@@ -190,7 +190,7 @@ class Skeleton:
     name: ClassVar[str] = "skeleton"
     Config: ClassVar[type[BaseModel]] = SkeletonConfig
 
-    def build(self, config: BaseModel, mover: Mover | None) -> BodyShape:
+    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         """Raises BadInput without a motion that has a skeleton, and for names that it does not have."""
         c = cast(SkeletonConfig, config)
         if mover is None or len(mover.joints) < 2:

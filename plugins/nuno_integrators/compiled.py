@@ -106,6 +106,10 @@ class Compiled(ABC):
         packed = _set_poses(work.packed, poses)
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t + steps * dt)
+        if packed.slides is not None:
+            from nuno_kernels.slides import find_room
+
+            find_room(work.x, packed.slides)
         if steps == 0:
             self.compile(work, packed, extra)
         started = time.perf_counter()
@@ -175,6 +179,10 @@ def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
         from nuno_kernels.contact import set_poses
 
         set_poses(packed.contact, *poses)
+    if packed.slides is not None:
+        from nuno_kernels.slides import set_slide_poses
+
+        set_slide_poses(packed.slides, *poses)
     if packed.bindings is not None:
         from nuno_kernels.bindings import set_binding_poses
 
@@ -206,6 +214,10 @@ def _report(system: System, work: Work, packed: Packed, told: Told, seconds: flo
         from nuno_kernels.contact import count_contacts
 
         counts |= count_contacts(packed.contact)
+    if packed.slides is not None:
+        from nuno_kernels.slides import count_slides
+
+        counts |= count_slides(packed.slides)
     finite = np.isfinite(work.x).all(axis=0) & np.isfinite(work.v).all(axis=0)
     status: Literal["ok", "diverged", "unconverged"] = "unconverged" if told.problem else "ok"
     message = told.problem

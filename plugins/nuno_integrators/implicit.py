@@ -83,7 +83,7 @@ class Implicit(Compiled):
     def compile(self, work: ImplicitWork, packed: Packed, extra: Any) -> None:
         compile_stage(work.stage, packed, extra, work.x, work.v)
         # By its signature: called, it would let friction forget where it holds.
-        held = (work.x, work.v, 1.0, packed.bindings, packed.contact, packed.threads)
+        held = (work.x, work.v, 1.0, packed.bindings, packed.contact, packed.slides, packed.threads)
         kernel: Any = commit
         kernel.compile(tuple(numba.typeof(value) for value in held))
 
@@ -95,7 +95,7 @@ class Implicit(Compiled):
         ok, residual = self.attempt(work, packed, extra, start, h, span)
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
-            commit(work.x, work.v, (start + h) / span, packed.bindings, packed.contact, packed.threads)
+            commit(work.x, work.v, (start + h) / span, packed.bindings, packed.contact, packed.slides, packed.threads)
             return 1, math.nan
         if depth == MOST_HALVINGS:
             return 0, residual

@@ -32,7 +32,7 @@ def advance_leapfrog(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any,
             add(u, v, 0.5 * dt, a, p.threads)
         evaluate(x, u if p.velocity_matters else v, (step + 1) / steps, b, p, extra)
         add(v, v, 0.5 * dt, b, p.threads)
-        commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.threads)
+        commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.slides, p.threads)
         a, b = b, a
 
 

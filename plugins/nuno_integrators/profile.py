@@ -31,6 +31,7 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
     step saves without it. Anchors are those of a copy.
     """
     own = packed if packed.contact is None else packed._replace(contact=own_copy(packed.contact))
+    own = own if own.slides is None else own._replace(slides=own_copy(own.slides))
     place, speed = x.copy(), v.copy()
 
     def run(variant: Packed, force: Any, steps: int) -> float:

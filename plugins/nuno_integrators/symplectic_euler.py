@@ -20,7 +20,7 @@ def advance_symplectic_euler(x: Any, v: Any, stages: Any, steps: int, dt: float,
     for step in range(steps):
         evaluate(x, v, step / steps, a, p, extra)
         add_twice(v, v, dt, a, x, x, dt, v, p.threads)
-        commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.threads)
+        commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.slides, p.threads)
 
 
 @kernel
@@ -36,7 +36,7 @@ def advance_at_once(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, 
             None, to_x, to_v, dt,
         )  # fmt: skip
         here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
-        commit(here_x, here_v, (step + 1) / steps, p.bindings, None, p.threads)
+        commit(here_x, here_v, (step + 1) / steps, p.bindings, None, p.slides, p.threads)
     if steps % 2 == 1:
         x[...] = here_x
         v[...] = here_v

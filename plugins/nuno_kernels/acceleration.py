@@ -21,6 +21,7 @@ from nuno_schemas.fabric import Float
 if TYPE_CHECKING:
     from nuno_kernels.bindings import Bindings
     from nuno_kernels.contact import Contact
+    from nuno_kernels.slides import Slides
     from nuno_kernels.wind import Air, ParticleWind, WindLists, WindRuns
     from nuno_kernels.yarns import YarnLists
 
@@ -31,6 +32,8 @@ add_contact: Any = None
 add_contact_parallel: Any = None
 commit_contact: Any = None
 commit_contact_parallel: Any = None
+commit_slides: Any = None
+commit_slides_parallel: Any = None
 add_particle_wind: Any = None
 add_wind_lists: Any = None
 add_wind_runs: Any = None
@@ -66,6 +69,7 @@ class Packed(NamedTuple):
     hinge_lists: HingeLists | None = None
     bindings: Bindings | None = None
     contact: Contact | None = None
+    slides: Slides | None = None
     air: Air | None = None
     wind_runs: WindRuns | None = None
     wind_lists: WindLists | None = None
@@ -232,8 +236,10 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
 
 @kernel
-def commit(x: Any, v: Any, s: float, bindings: Any, contact: Any, threads: Any) -> None:
-    """After a whole step that ends at fraction s: place bound vertices, update friction anchors."""
+def commit(x: Any, v: Any, s: float, bindings: Any, contact: Any, slides: Any, threads: Any) -> None:
+    """After a whole step that ends at fraction s: place bound vertices, update friction anchors, and hold vertices
+    off the bodies that they slide on.
+    """
     if bindings is not None:
         place_bound(x, v, s, bindings)
     if contact is not None:
@@ -241,3 +247,8 @@ def commit(x: Any, v: Any, s: float, bindings: Any, contact: Any, threads: Any) 
             commit_contact(x, v, s, contact)
         else:
             commit_contact_parallel(x, v, s, contact)
+    if slides is not None:
+        if threads is None:
+            commit_slides(x, v, s, slides)
+        else:
+            commit_slides_parallel(x, v, s, slides)

@@ -154,4 +154,4 @@ def advance_xpbd(
                 x, u, y, w, end, inverse_step, mobility, c.colour, c.runs, c.lists, c.hinges, p.contact, held, p.threads
             )
         arrive(x, v, u, inverse_step, p.threads)
-        commit(x, v, end, p.bindings, p.contact, p.threads)
+        commit(x, v, end, p.bindings, p.contact, p.slides, p.threads)

@@ -24,6 +24,7 @@ SHORTEST = 1e-300
 if TYPE_CHECKING:
     from nuno_kernels.bindings import Bindings
     from nuno_kernels.contact import Contact
+    from nuno_kernels.slides import Slides
 
 
 def rotation_between(q0: Float, q1: Float) -> Float:
@@ -39,7 +40,7 @@ def rotation_between(q0: Float, q1: Float) -> Float:
     return turn
 
 
-def write_interval(moved: Contact | Bindings, poses0: Poses, poses1: Poses) -> None:
+def write_interval(moved: Contact | Slides | Bindings, poses0: Poses, poses1: Poses) -> None:
     """Write the interval from poses0.t to poses1.t in place; one without duration stands still at its start."""
     duration = poses1.t - poses0.t
     moving = duration > 0.0

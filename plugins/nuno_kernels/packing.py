@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PARALLEL_FROM = 4096
 """Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""
 
-FUSED = ("contact", "wind", "particle_wind")
+FUSED = ("contact", "slides", "wind", "particle_wind")
 
 Extra = Callable[[Float, Float, float, Float], None]
 
@@ -99,13 +99,19 @@ def silence_bodies(packed: Packed) -> Packed:
     bindings = packed.bindings
     if bindings is not None:
         bindings = bindings._replace(vertices=bindings.vertices[:0], frames=bindings.frames[:0])
-    return silence(packed, "contact")._replace(bindings=bindings)
+    slides = packed.slides
+    if slides is not None:
+        slides = slides._replace(tally=slides.tally[:0], frames=slides.frames[:0])
+    return silence(packed, "contact")._replace(bindings=bindings, slides=slides)
 
 
 def reads_velocity(packed: Packed) -> bool:
-    """Whether any of the compiled forces depends on the velocity."""
+    """Whether any of the compiled forces depends on the velocity, or contact moves vertices after a step: an
+    acceleration found before is then not that of the next step's start.
+    """
     damped = any(part is not None and part.damped is not None for part in (packed.runs, packed.lists, packed.yarns))
-    return damped or packed.damping != 0.0 or packed.contact is not None or packed.air is not None
+    moved = packed.contact is not None or packed.slides is not None
+    return damped or moved or packed.damping != 0.0 or packed.air is not None
 
 
 def _find_bindings(system: System) -> Bindings | None:

@@ -93,3 +93,39 @@ def where_greater(typing: Any, test: Any, limit: Any, value: Any) -> Any:
         return builder.select(builder.fcmp_unordered(">", args[0], args[1]), args[2], zero)
 
     return vector(vector, vector, vector), build
+
+
+@instruction
+def where_not_negative(typing: Any, test: Any, value: Any, other: Any) -> Any:
+    """`value` where `test` >= 0, `other` elsewhere (also where `test` is NaN)."""
+    if not test == value == other == vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        zero = ir.Constant(LANES, [0.0] * WIDTH)
+        return builder.select(builder.fcmp_ordered(">=", args[0], zero), args[1], args[2])
+
+    return vector(vector, vector, vector), build
+
+
+@instruction
+def lanes_up_to(typing: Any, value: Any, limit: Any) -> Any:
+    """Bits of the lanes that are no more than the number `limit`: bit j for lane j; NaN is not."""
+    if value != vector:
+        return None
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        below = builder.fcmp_ordered("<=", args[0], spread(builder, args[1]))
+        return builder.zext(builder.bitcast(below, ir.IntType(WIDTH)), ir.IntType(64))
+
+    return types.int64(vector, types.float64), build
+
+
+@instruction
+def first_lane(typing: Any, bits: Any) -> Any:
+    """Number of the lowest bit that is set, of bits that are not 0."""
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), build

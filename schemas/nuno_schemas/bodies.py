@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float, Int
 
-CAPSULE, PLANE, BOX = 0, 1, 2
+CAPSULE, PLANE, BOX, MESH = 0, 1, 2, 3
+
+
+def no_rows(kind: type[np.generic], *columns: int) -> NDArray[Any]:
+    """An empty array of rows of so many columns."""
+    return np.zeros((0, *columns), kind)
 
 
 @dataclass(frozen=True)
@@ -17,15 +24,18 @@ class Geometry:
     """Everything about bodies that does not change: sent once.
 
     bodies     names of the b bodies; frames: names "body/frame" of the f frames
-    kind       (p,) int8     CAPSULE (a sphere where a = b), PLANE or BOX
+    kind       (p,) int8     CAPSULE (a sphere where a = b), PLANE, BOX or MESH
     frame      (p,) int32    frame that carries the primitive
     body       (p,) int32    body it belongs to; a body is the union of its primitives
     a, b       (p, 3)        in the frame [m]: capsule ends; plane point and unit normal;
-                             box centre and half extents
+                             box centre and half extents; lowest and highest corner of a mesh
     radius     (p,)          [m], capsules only, else 0
     stiffness  (b,)          penalty stiffness per cloth vertex [N/m]; NaN = chosen by the solver
     damping    (b,)          damping of the normal velocity in contact, as a ratio of critical
     friction   (b,)          Coulomb coefficient
+    vertices   (v, 3)        of all meshes, in their primitives' frames [m]
+    faces      (t, 3) int32  triangles of them, counter-clockwise seen from outside, each mesh closed
+    owner      (t,) int32    primitive that the triangle belongs to
     """
 
     bodies: tuple[str, ...]
@@ -39,6 +49,19 @@ class Geometry:
     stiffness: Float
     damping: Float
     friction: Float
+    vertices: Float = field(default_factory=partial(no_rows, np.float64, 3))
+    faces: Int = field(default_factory=partial(no_rows, np.int32, 3))
+    owner: Int = field(default_factory=partial(no_rows, np.int32))
+
+    def mesh(self, primitive: int) -> tuple[Float, Int]:
+        """Vertices (n, 3) [m] and faces (f, 3) of a primitive that is a mesh."""
+        return pick_mesh(self.vertices, self.faces[self.owner == primitive])
+
+
+def pick_mesh(vertices: Float, faces: Int) -> tuple[Float, Int]:
+    """The vertices that faces (f, 3) use, in their order, and the faces by the numbers they have there."""
+    used, numbers = np.unique(faces, return_inverse=True)
+    return vertices[used], numbers.reshape(-1, 3).astype(np.int32)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
@@ -17,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.bodies import Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 
 GROUPS: Mapping[str, str] = {
     "nuno.models": "build a fabric: sheet, skirt, mesh, net",
     "nuno.forces": "forces beyond springs, hinges, gravity and damping: wind, drag",
     "nuno.integrators": "advance a fabric's state in time",
-    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton",
+    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh",
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
     "nuno.renderers": "draw a picture of a frame",
@@ -53,7 +54,7 @@ class Files(Protocol):
 class Term:
     """One force, prepared for one fabric.
 
-    A `kind` that the kernels know ("springs", "hinges", "wind", "particle_wind", "contact") is
+    A `kind` that the kernels know ("springs", "hinges", "wind", "particle_wind", "contact", "slides") is
     fused into the compiled step, and `data` is that kernel's tuple of arrays. Any other force
     has kind "python" and `data` is a function f(x, v, t, out): it adds newtons to `out` (n, 3)
     and is called at every evaluation.
@@ -205,6 +206,9 @@ class BodyShape:
     a: Float
     b: Float
     radius: Float
+    vertices: Float = field(default_factory=partial(no_rows, np.float64, 3))
+    faces: NDArray[np.int32] = field(default_factory=partial(no_rows, np.int32, 3))
+    owner: NDArray[np.int32] = field(default_factory=partial(no_rows, np.int32))
 
 
 class Motion(Protocol):
@@ -237,7 +241,7 @@ class Collider(Protocol):
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
-    def build(self, config: Any, mover: Mover | None) -> BodyShape:
+    def build(self, config: Any, mover: Mover | None, files: Files) -> BodyShape:
         """Primitives; without a mover there is one frame, the world."""
         ...
 

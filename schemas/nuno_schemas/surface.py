@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry
+from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry
 from nuno_schemas.fabric import Float, Int
 
 AROUND, RINGS = 24, 6
@@ -68,14 +68,14 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
     """Vertices (n, 3) [m] in their frames, faces (f, 3), and the frame of each vertex (n,).
 
     Faces are counter-clockwise seen from outside. `inset` [m] draws bodies thinner by so much:
-    between its vertices cloth cuts through round bodies that its vertices rest on. Planes,
+    between its vertices cloth cuts through round bodies that its vertices rest on. Meshes are as they are. Planes,
     which have no end, are patches of `plane_size` [m]. In the world a vertex is
     R(frame) vertex + translation(frame).
     """
     vertices, faces, frames = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)]
     number = 0
-    for kind, frame, a, b, radius in zip(
-        geometry.kind, geometry.frame, geometry.a, geometry.b, geometry.radius, strict=True
+    for i, (kind, frame, a, b, radius) in enumerate(
+        zip(geometry.kind, geometry.frame, geometry.a, geometry.b, geometry.radius, strict=True)
     ):
         if kind == CAPSULE:
             points, triangles = capsule_mesh(a, b, max(float(radius) - inset, 0.1 * float(radius)))
@@ -83,6 +83,8 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
             points, triangles = box_mesh(a, np.maximum(b - inset, 0.1 * b))
         elif kind == PLANE:
             points, triangles = plane_mesh(a - inset * b, b, plane_size)
+        elif kind == MESH:
+            points, triangles = geometry.mesh(i)
         else:
             raise ValueError(f"unknown primitive kind {int(kind)}")
         vertices.append(points)

@@ -12,7 +12,7 @@ from nuno.scene_file import Chosen, Loaded
 from nuno.worn import check_worn
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Springs, State, Yarns
+from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Int, Springs, State, Yarns
 from nuno_schemas.plugin import BodyShape, Mover, System, Term
 
 BYTES_PER_VERTEX = 400
@@ -171,7 +171,7 @@ def build_bodies(loaded: Loaded) -> Bodies:
         try:
             mover = motion.plugin.prepare(motion.config, loaded.files) if motion else None
             field = f"bodies[{i}].collider"
-            shapes.append(collider.plugin.build(collider.config, mover))
+            shapes.append(collider.plugin.build(collider.config, mover, loaded.files))
         except BadInput as error:
             raise loaded.at(field, error) from None
         movers.append(mover)
@@ -194,6 +194,18 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
         np.array([np.nan if b.stiffness == "auto" else b.stiffness for b in bodies]),
         np.array([b.damping for b in bodies]),
         np.array([b.friction for b in bodies]),
+        *_join_meshes(shapes),
+    )
+
+
+def _join_meshes(shapes: list[BodyShape]) -> tuple[Float, Int, Int]:
+    """Vertices, faces and owners of all bodies' meshes, in Geometry's layout."""
+    vertices = np.cumsum([0, *(len(s.vertices) for s in shapes)])
+    primitives = np.cumsum([0, *(len(s.kind) for s in shapes)])
+    return (
+        np.concatenate([s.vertices for s in shapes]),
+        np.concatenate([s.faces + at for s, at in zip(shapes, vertices, strict=False)]).astype(np.int32),
+        np.concatenate([s.owner + at for s, at in zip(shapes, primitives, strict=False)]).astype(np.int32),
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from nuno.collision.distance import signed_distance
-from nuno_schemas.bodies import BOX, PLANE, Geometry, Poses
+from nuno_schemas.bodies import BOX, MESH, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -57,10 +57,13 @@ def _nearest(places: Float, geometry: Geometry, poses: Poses, frame: int) -> tup
 
 def _only(geometry: Geometry, i: int) -> Geometry:
     chosen = {name: getattr(geometry, name)[i : i + 1] for name in ("kind", "frame", "body", "a", "b", "radius")}
-    return replace(geometry, **chosen)
+    faces = geometry.faces[geometry.owner == i]
+    return replace(geometry, **chosen, faces=faces, owner=np.zeros(len(faces), np.int32))
 
 
 def _radius(geometry: Geometry, i: int) -> float:
     if geometry.kind[i] == PLANE:
         return np.inf
+    if geometry.kind[i] == MESH:
+        return float(0.5 * (geometry.b[i] - geometry.a[i]).max())
     return float(geometry.b[i].max() if geometry.kind[i] == BOX else geometry.radius[i])

@@ -20,6 +20,7 @@ CASES = {
     "stiff": ("nuno_bench.stiff", "stiff_sheet"),
     "scipy": ("nuno_bench.scipy_peer", "scipy_peer"),
     "stiffness": ("nuno_bench.stiffness", "stiffness"),
+    "closest": ("nuno_bench.closest", "closest"),
     "dye": ("nuno_bench.dye_speed", "dye"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),
     "start": ("nuno_bench.processes", "start"),

@@ -39,7 +39,7 @@ def walker():
 
 
 def skeleton(mover, **config):
-    return Skeleton().build(SkeletonConfig(**config), mover)
+    return Skeleton().build(SkeletonConfig(**config), mover, Anywhere())
 
 
 def pieces_of(shape, mover, joint):
@@ -67,7 +67,7 @@ def assert_layout(shape):
 )
 def test_single_shapes_follow_the_layout(collider, config, kind, a, b, radius, dancer):
     for mover, frames in ((None, ("world",)), (dancer, dancer.joints)):
-        shape = collider().build(config, mover)
+        shape = collider().build(config, mover, Anywhere())
         assert_layout(shape)
         assert shape.frames == frames
         assert shape.kind.tolist() == [kind]
@@ -76,9 +76,9 @@ def test_single_shapes_follow_the_layout(collider, config, kind, a, b, radius, d
 
 def test_a_shape_rides_on_the_joint_that_is_named(dancer):
     config = SphereConfig(radius=0.1, joint="head")
-    assert dancer.joints[Sphere().build(config, dancer).frame[0]] == "head"
+    assert dancer.joints[Sphere().build(config, dancer, Anywhere()).frame[0]] == "head"
     with pytest.raises(BadInput, match="no such joint") as caught:
-        Sphere().build(SphereConfig(radius=0.1, joint="hed"), dancer)
+        Sphere().build(SphereConfig(radius=0.1, joint="hed"), dancer, Anywhere())
     assert "'head'" in str(caught.value)
 
 
@@ -108,7 +108,7 @@ def test_bad_values_are_refused_by_field(model, values, field):
 
 def test_a_plane_needs_a_direction():
     with pytest.raises(BadInput, match="normal"):
-        Plane().build(PlaneConfig(normal=(0, 0, 0)), None)
+        Plane().build(PlaneConfig(normal=(0, 0, 0)), None, Anywhere())
 
 
 def test_the_dancer_has_the_papers_pieces(dancer):

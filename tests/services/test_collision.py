@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import trimesh
 
 from nuno.collision.distance import penetration, signed_distance
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
-from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.surface import box_mesh
 
 TURN = np.array([0.8, 0.2, -0.5, 0.26])
 TURN /= np.linalg.norm(TURN)
@@ -95,3 +98,23 @@ def test_bodies_cross_the_bus_unchanged() -> None:
     poses = decode_poses(encode_poses(posed(), 3))
     assert poses.rotation.tobytes() == posed().rotation.tobytes()
     assert poses.translation.tobytes() == posed().translation.tobytes()
+
+
+def test_depth_in_a_mesh_is_that_in_the_box_it_has_the_shape_of() -> None:
+    """Moved and turned, with points whose rays hit edges and corners."""
+    half = np.array([0.5, 0.3, 0.2])
+    x, faces = box_mesh(np.zeros(3), half)
+    one, rest = np.zeros(1, np.int32), (np.full(1, np.nan), np.zeros(1), np.zeros(1))
+    bounds = (-half[None], half[None], np.zeros(1))
+    names = (("body",), ("body/world",))
+    mesh = Geometry(*names, np.array([MESH], np.int8), one, one, *bounds, *rest, x, faces, np.zeros(12, np.int32))
+    plain = Geometry(*names, np.array([BOX], np.int8), one, one, np.zeros((1, 3)), half[None], np.zeros(1), *rest)
+    poses = Poses(0.0, np.array([[math.cos(0.4), 0.0, math.sin(0.4), 0.0]]), np.array([[0.1, 0.2, 0.3]]))
+    steps = np.linspace(-0.6, 0.6, 13)
+    local = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    local = np.concatenate([local, np.random.default_rng(0).uniform(-0.6, 0.6, (500, 3))])
+    points = local @ rotation_matrices(poses.rotation)[0].T + poses.translation[0]
+    assert np.abs(penetration(points, mesh, poses) - penetration(points, plain, poses)).max() < 1e-14
+    assert np.abs(signed_distance(points, mesh, poses) - signed_distance(points, plain, poses)).max() < 1e-14
+    back = decode_geometry(encode_geometry(mesh))
+    assert np.array_equal(back.faces, faces) and np.array_equal(back.vertices, x)

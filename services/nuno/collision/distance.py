@@ -10,7 +10,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses, rotation_matrices
+from nuno.collision.mesh import are_inside, columns_of, distances
+from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 
 
@@ -40,11 +41,13 @@ def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:
     centre = np.einsum("pij,pj->pi", turns, centre) + poses.translation[geometry.frame]
     away = np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0), axis=1)
     near = np.flatnonzero((away <= reach) | (geometry.kind == PLANE))
-    return np.maximum(-_lowest(points, geometry, poses, near), 0.0)
+    return np.maximum(-_lowest(points, geometry, poses, near, True), 0.0)
 
 
-def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[int]) -> Float:
-    """(n,) signed distance to the nearest of the chosen primitives, inf for points not finite."""
+def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[int], inside_only: bool = False) -> Float:
+    """(n,) signed distance to the nearest of the chosen primitives, inf for points not finite, and, where only
+    points inside count, for points outside of a mesh.
+    """
     nearest = np.full(len(points), np.inf)
     finite = np.asarray(np.isfinite(points).all(axis=1))
     points = np.where(finite[:, None], points, 0.0)
@@ -52,9 +55,23 @@ def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[in
     for i in chosen:
         frame = geometry.frame[i]
         local = (points - poses.translation[frame]) @ turns[frame]
-        distance = _primitive(local, int(geometry.kind[i]), geometry.a[i], geometry.b[i], float(geometry.radius[i]))
+        kind, a, b = int(geometry.kind[i]), geometry.a[i], geometry.b[i]
+        if kind == MESH:
+            distance = _mesh(local, geometry, i, inside_only)
+        else:
+            distance = _primitive(local, kind, a, b, float(geometry.radius[i]))
         nearest = np.minimum(nearest, distance)
     return np.where(finite, nearest, np.inf)
+
+
+def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
+    vertices, faces = geometry.mesh(i)
+    inside = are_inside(p, columns_of(vertices, faces, geometry.faces, i))
+    if not inside_only:
+        return np.where(inside, -1.0, 1.0) * distances(p, vertices, faces)
+    distance = np.full(len(p), np.inf)
+    distance[inside] = -distances(p[inside], vertices, faces)
+    return distance
 
 
 def _primitive(p: Float, kind: int, a: Float, b: Float, radius: float) -> Float:

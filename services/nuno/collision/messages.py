@@ -11,19 +11,19 @@ GEOMETRY_QUESTION = "collision/ask/geometry"
 POSES_QUESTION = "collision/ask/poses"
 
 _ARRAYS = ("kind", "frame", "body", "a", "b", "radius", "stiffness", "damping", "friction")
+_MESHES = ("vertices", "faces", "owner")
 
 
 def encode_geometry(geometry: Geometry) -> bytes:
-    return encode_arrays(
-        {name: getattr(geometry, name) for name in _ARRAYS}, {"bodies": geometry.bodies, "frames": geometry.frames}
-    )
+    arrays = {name: getattr(geometry, name) for name in (*_ARRAYS, *_MESHES)}
+    return encode_arrays(arrays, {"bodies": geometry.bodies, "frames": geometry.frames})
 
 
 def decode_geometry(payload: bytes) -> Geometry:
     """Raises BadMessage."""
     arrays, text = decode_arrays(payload)
     try:
-        return Geometry(tuple(text["bodies"]), tuple(text["frames"]), *(arrays[name] for name in _ARRAYS))
+        return Geometry(tuple(text["bodies"]), tuple(text["frames"]), *(arrays[name] for name in (*_ARRAYS, *_MESHES)))
     except (KeyError, TypeError) as error:
         raise BadMessage(f"geometry without {error}") from None
 

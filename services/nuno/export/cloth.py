@@ -145,7 +145,10 @@ def _level(geometry: Geometry, rotation: Float) -> NDArray[np.bool_]:
 def _without(geometry: Geometry, drop: NDArray[np.bool_]) -> Geometry:
     kept = {name: getattr(geometry, name)[~drop] for name in ("kind", "frame", "body", "a", "b", "radius")}
     rest = {name: getattr(geometry, name) for name in ("bodies", "frames", "stiffness", "damping", "friction")}
-    return Geometry(**kept, **rest)
+    number = np.cumsum(~drop) - 1
+    stays = ~drop[geometry.owner]
+    owner = number[geometry.owner[stays]].astype(np.int32)
+    return Geometry(**kept, **rest, vertices=geometry.vertices, faces=geometry.faces[stays], owner=owner)
 
 
 def body_vertices(recording: Recording, bodies: Bodies | None, t: float) -> Float:

@@ -1,0 +1,97 @@
+"""A closed triangle mesh as a body: from a file, or the leg that comes with nuno."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar, Literal, cast
+
+import numpy as np
+from pydantic import BaseModel, Field, model_validator
+
+from nuno_contact.quantities import Angle, Direction, Point, Size
+from nuno_contact.rotations import from_axis_angle
+from nuno_contact.shapes import ORIGIN, OnJoint, find_frame
+from nuno_kernels.closest_point import Closest, closest_points
+from nuno_kernels.leg import leg_mesh
+from nuno_kernels.mesh_file import read_closed
+from nuno_kernels.surface_tree import build_tree
+from nuno_schemas.bodies import MESH, rotation_matrices
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.plugin import BodyShape, Config, Files, Mover
+
+Search = Callable[..., Closest]
+"""A function (points (n, 3), start (n,) or None) -> Closest."""
+
+
+class Rotation(Config):
+    """A right-handed turn about an axis."""
+
+    axis: Direction = Field(default=(0.0, 1.0, 0.0), description="of any length but zero")
+    angle: Angle = Field(description="[rad]")
+
+
+class MeshConfig(OnJoint):
+    """A closed surface: a file's or a built-in one, scaled, turned about its origin, then moved by `centre`."""
+
+    file: str | None = Field(default=None, description="a mesh beside the scene: OBJ, PLY, STL or GLB")
+    shape: Literal["leg"] | None = Field(default=None, description="or one that comes with nuno: an average leg")
+    resolution: int = Field(default=96, ge=12, le=2048, description="of the leg: vertices round it")
+    scale: Size = Field(default=1.0, description="length of one of the file's units [m]; 1 leaves the leg its size")
+    rotate: Rotation | None = Field(default=None, description="a turn about the mesh's origin")
+    centre: Point = Field(default=ORIGIN, description="where the mesh's origin comes to lie, in the joint's frame [m]")
+    mend: bool = Field(default=False, description="turn triangles that face the wrong way and fill holes")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> MeshConfig:
+        if (self.file is None) == (self.shape is None):
+            raise ValueError("a mesh needs either a file or a shape")
+        return self
+
+
+class MeshCollider:
+    """A rigid closed mesh on a joint of its body's motion. Contact with it is `sliding`."""
+
+    name: ClassVar[str] = "mesh"
+    Config: ClassVar[type[BaseModel]] = MeshConfig
+
+    def search(self, vertices: Float, faces: Int) -> Search:
+        """The closest point of a mesh, for others than the contact: see nuno_kernels.closest_point."""
+        tree = build_tree(vertices, faces)
+
+        def ask(points: Float, start: Int | None = None) -> Closest:
+            return closest_points(tree, points, start)
+
+        return ask
+
+    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
+        """Raises BadInput for a mesh that is not closed, passes through itself, or cannot be read."""
+        c = cast(MeshConfig, config)
+        frames, frame = find_frame(c.joint, mover)
+        if c.file is not None:
+            x, faces = read_closed(files.resolve(c.file), c.scale, c.mend)
+        else:
+            x, faces = leg_mesh(c.resolution)
+            x = x * c.scale
+        x = np.ascontiguousarray(x @ turn_of(c.rotate).T + np.asarray(c.centre))
+        return BodyShape(
+            frames=frames,
+            kind=np.array([MESH], np.int8),
+            frame=np.array([frame], np.int32),
+            a=x.min(axis=0)[None],
+            b=x.max(axis=0)[None],
+            radius=np.zeros(1),
+            vertices=x,
+            faces=faces,
+            owner=np.zeros(len(faces), np.int32),
+        )
+
+
+def turn_of(rotation: Rotation | None) -> Float:
+    """(3, 3) matrix of a turn. Raises BadInput for an axis without direction."""
+    if rotation is None:
+        return np.eye(3)
+    if not any(rotation.axis):
+        raise BadInput("a turn needs an axis", field="rotate.axis", value=rotation.axis, limit="not all zero")
+    turn: Float = rotation_matrices(from_axis_angle(np.asarray(rotation.axis), rotation.angle)[None])[0]
+    return turn

@@ -1,0 +1,90 @@
+"""Closed triangle meshes from OBJ, PLY, STL and GLB files, read by trimesh, checked, and mended where asked to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels.mesh_check import check_closed, check_crossings, place_of
+from nuno_kernels.surface_normals import face_normals
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+
+KINDS = ("obj", "ply", "stl", "glb")
+LARGEST_FILE = 1 << 30
+
+
+def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Float, Int]:
+    """Vertices (n, 3) [m] and triangles (f, 3) of a file whose unit is `scale` [m], seen from outside
+    counter-clockwise.
+
+    Vertices at the same place become one (STL has no other way to share them), triangles without area and
+    vertices without triangle are left out. To `mend` also turns triangles that face the wrong way and fills holes.
+    Raises BadInput, with face or edge and place, for a file that cannot be read, or is not a closed
+    surface without self-intersections.
+    """
+    try:
+        x, faces = clean_mesh(*_load(path), scale)
+        if mend:
+            x, faces = mend_mesh(x, faces)
+        check_closed(x, faces)
+        check_crossings(x, faces)
+    except BadInput as error:
+        error.file = str(path)
+        raise
+    return x, faces
+
+
+def _load(path: Path) -> tuple[Float, Int]:
+    import trimesh
+
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in KINDS:
+        limit = ", ".join(f".{name}" for name in KINDS)
+        raise BadInput("unknown kind of mesh", field="file", value=path.name, limit=limit)
+    size = path.stat().st_size
+    if not 0 < size <= LARGEST_FILE:
+        raise BadInput("empty or too large for a mesh", value=size, limit=f"1 to {LARGEST_FILE} bytes")
+    try:
+        with path.open("rb") as stream:
+            mesh: Any = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
+    except Exception as error:
+        raise BadInput(f"cannot be read as {kind.upper()}: {error}", field="file") from None
+    x = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64).reshape(-1, 3)
+    return x, np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3).astype(np.int32)
+
+
+def clean_mesh(x: Float, faces: Int, scale: float = 1.0) -> tuple[Float, Int]:
+    """The same surface, `scale` times as large, without repeated and unused vertices and triangles without area.
+
+    Raises BadInput where nothing is left, and for a vertex without a place.
+    """
+    if len(faces) == 0:
+        raise BadInput("the mesh has no triangles", field="file")
+    bad = ~np.isfinite(x).all(axis=1)
+    if bad.any():
+        raise BadInput("not a finite position", field=f"vertex {int(np.argmax(bad))}", value=place_of(x[bad][0]))
+    _, kept, joined = np.unique(x, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(np.argsort(kept))
+    faces = order[joined.reshape(-1)][faces].astype(np.int32)
+    x = x[np.sort(kept)] * scale
+    apart = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    faces = faces[apart]
+    faces = faces[(face_normals(x, faces) != 0.0).any(axis=1)]
+    if len(faces) == 0:
+        raise BadInput("no triangle of the mesh has an area", field="file")
+    used, numbers = np.unique(faces, return_inverse=True)
+    return np.ascontiguousarray(x[used]), numbers.reshape(-1, 3).astype(np.int32)
+
+
+def mend_mesh(x: Float, faces: Int) -> tuple[Float, Int]:
+    """The mesh with its normals outwards and its holes filled, as far as trimesh can."""
+    import trimesh
+
+    mesh: Any = trimesh.Trimesh(x, faces, process=False)
+    trimesh.repair.fix_winding(mesh)
+    mesh.fill_holes()
+    trimesh.repair.fix_normals(mesh, multibody=True)
+    return clean_mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32))

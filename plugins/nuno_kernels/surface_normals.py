@@ -1,0 +1,49 @@
+"""Pseudonormals of a closed mesh: which side of it a point lies on.
+
+A point whose closest point on the mesh is x lies outside just if (p - x) . n > 0, with n the face's normal
+inside of a triangle, the sum of both faces' normals on an edge, and the sum of the faces' normals weighted
+by their angles at a vertex. J. A. Baerentzen, H. Aanaes: Signed distance computation using the angle weighted
+pseudonormal. IEEE Transactions on Visualization and Computer Graphics 11(3), 2005.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_schemas.fabric import Float, Int
+
+
+def face_normals(x: Float, faces: Int) -> Float:
+    """(f, 3) unit normals of triangles (f, 3); zero where a triangle has no area."""
+    a, b, c = (x[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    unit: Float = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
+    return unit
+
+
+def edge_numbers(faces: Int) -> tuple[Int, Int]:
+    """Numbers (f, 3) int32 of the edges a-b, b-c, c-a of triangles, and the edges' vertices (e, 2), lower first."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
+    span = int(faces.max(initial=0)) + 1
+    keys, numbers = np.unique(ends[:, 0] * span + ends[:, 1], return_inverse=True)
+    pairs = np.stack(np.divmod(keys, span), axis=1).astype(np.int32)
+    return numbers.reshape(-1, 3).astype(np.int32), pairs
+
+
+def edge_normals(x: Float, faces: Int, numbers: Int, count: int) -> Float:
+    """(e, 3) sums of the unit normals of the faces at each of `count` edges."""
+    normals = np.repeat(face_normals(x, faces), 3, axis=0)
+    flat = numbers.reshape(-1)
+    return np.stack([np.bincount(flat, normals[:, k], count) for k in range(3)], axis=1)
+
+
+def vertex_normals(x: Float, faces: Int) -> Float:
+    """(n, 3) sums of the faces' unit normals, weighted by the faces' angles at the vertex."""
+    corner = x[faces]
+    forward, back = np.roll(corner, -1, axis=1) - corner, np.roll(corner, 1, axis=1) - corner
+    sine = np.linalg.norm(np.cross(forward, back), axis=-1)
+    angle = np.arctan2(sine, np.einsum("fij,fij->fi", forward, back))
+    weighted = (angle[:, :, None] * face_normals(x, faces)[:, None]).reshape(-1, 3)
+    flat = faces.reshape(-1)
+    return np.stack([np.bincount(flat, weighted[:, k], len(x)) for k in range(3)], axis=1)

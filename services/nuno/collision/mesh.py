@@ -1,0 +1,128 @@
+"""How deep points lie inside a closed mesh, found apart from the search that contact uses.
+
+A point is inside where a ray from it along x crosses the mesh an odd number of times. Triangles are listed by
+the cells of a grid over y and z, so that a ray looks at those of its own cell. Which side of an edge a ray
+passes is computed from the edge's ends in the order of their numbers, and so with the same bits for both of
+its triangles: a ray that hits an edge or a vertex crosses exactly one. Only of points inside is the distance taken,
+to every triangle in turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_schemas.fabric import Bool, Float, Int
+
+AT_ONCE = 2_000_000
+"""Pairs of a point and a triangle whose distances are taken together."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A mesh whose triangles are listed by the cells (y, z) that they reach into.
+
+    low (2,) [m] and size [m] of the cells, shape: how many; triangles of cell k are listed[start[k]:start[k + 1]].
+    """
+
+    vertices: Float
+    faces: Int
+    low: Float
+    size: float
+    shape: tuple[int, int]
+    start: NDArray[np.int64]
+    listed: NDArray[np.int64]
+
+
+def make_columns(vertices: Float, faces: Int) -> Columns:
+    """Cells about as wide as the triangles, so that a cell lists a few."""
+    corners = vertices[faces][:, :, 1:]
+    least, most = corners.min(axis=1), corners.max(axis=1)
+    low, high = least.min(axis=0), most.max(axis=0)
+    size = max(float((most - least).mean()), float((high - low).max()) / 2048) or 1.0
+    shape = (int((high - low)[0] / size) + 1, int((high - low)[1] / size) + 1)
+    first = ((least - low) / size).astype(np.int64)
+    last = np.minimum(((most - low) / size).astype(np.int64), np.array(shape) - 1)
+    wide = last - first + 1
+    count = wide.prod(axis=1)
+    face = np.repeat(np.arange(len(faces)), count)
+    step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+    row, column = first[face, 0] + step // wide[face, 1], first[face, 1] + step % wide[face, 1]
+    cell = row * shape[1] + column
+    order = np.argsort(cell, kind="stable")
+    start = np.searchsorted(cell[order], np.arange(shape[0] * shape[1] + 1))
+    return Columns(vertices, faces, low, size, shape, start.astype(np.int64), face[order])
+
+
+def are_inside(points: Float, columns: Columns) -> Bool:
+    """(n,) whether points (n, 3) lie inside."""
+    place = (points[:, 1:] - columns.low) / columns.size
+    within = ((place >= 0.0) & (place < np.array(columns.shape))).all(axis=1)
+    which = np.flatnonzero(within)
+    cell = place[which].astype(np.int64) @ np.array([columns.shape[1], 1])
+    count = columns.start[cell + 1] - columns.start[cell]
+    point = np.repeat(which, count)
+    step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+    face = columns.listed[np.repeat(columns.start[cell], count) + step]
+    crossed = np.bincount(point[_cross(points[point], columns, face)], minlength=len(points))
+    return np.asarray(crossed % 2 == 1)
+
+
+def _cross(p: Float, columns: Columns, face: NDArray[np.int64]) -> Bool:
+    """(m,) whether the rays from p (m, 3) towards +x cross the triangles `face` (m,)."""
+    corner = columns.faces[face]
+    sides = []
+    for k in range(3):
+        a, b = corner[:, k], corner[:, (k + 1) % 3]
+        first, second = np.minimum(a, b), np.maximum(a, b)
+        start, along = columns.vertices[first, 1:], columns.vertices[second, 1:] - columns.vertices[first, 1:]
+        off = p[:, 1:] - start
+        left = along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0] >= 0.0
+        sides.append(left == (a < b))
+    around = (sides[0] == sides[1]) & (sides[1] == sides[2])
+    start, second_corner, third = (columns.vertices[corner[:, k]] for k in range(3))
+    normal = np.cross(second_corner - start, third - start)
+    height = ((p - start) * normal).sum(axis=1)
+    return np.asarray(around & (height * normal[:, 0] < 0.0))
+
+
+def distances(points: Float, vertices: Float, faces: Int) -> Float:
+    """(n,) distance [m] of points (n, 3) to the nearest triangle, by looking at all of them."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    chunk = max(1, AT_ONCE // len(faces))
+    parts = [_to_triangles(points[k : k + chunk], a, b, c) for k in range(0, len(points), chunk)]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _to_triangles(p: Float, a: Float, b: Float, c: Float) -> Float:
+    least: Float = np.full(len(p), np.inf)
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1)
+    unit = normal / np.where(length > 0.0, length, 1.0)[:, None]
+    within = np.broadcast_to(length > 0.0, (len(p), len(a)))
+    height = p @ unit.T - (a * unit).sum(axis=1)
+    for start, end in ((a, b), (b, c), (c, a)):
+        along, off = end - start, p[:, None] - start
+        square = (along * along).sum(axis=1)
+        part = np.clip((off * along).sum(axis=-1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+        away = np.linalg.norm(off - part[..., None] * along, axis=-1)
+        least = np.minimum(least, away.min(axis=1))
+        within = within & ((np.cross(along, off) * unit).sum(axis=-1) >= 0.0)
+    return np.asarray(np.minimum(least, np.where(within, np.abs(height), np.inf).min(axis=1)))
+
+
+_COLUMNS: dict[int, tuple[Int, Columns]] = {}
+"""By the identity of the array of faces that they were made of: the last mesh or few of a run."""
+
+
+def columns_of(vertices: Float, faces: Int, key: Int, number: int) -> Columns:
+    """The columns of mesh `number` of a geometry whose faces are the array `key`, made once."""
+    name = hash((id(key), number))
+    kept = _COLUMNS.get(name)
+    if kept is None or kept[0] is not key:
+        while len(_COLUMNS) >= 16:
+            del _COLUMNS[next(iter(_COLUMNS))]
+        kept = _COLUMNS[name] = (key, make_columns(vertices, faces))
+    return kept[1]

@@ -1,0 +1,132 @@
+"""Meshes from files: what is read in four formats, what is refused and where, what can be mended; the leg."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from nuno_contact.mesh import MeshCollider, MeshConfig
+from nuno_kernels.leg import leg_mesh
+from nuno_kernels.mesh_check import check_closed, check_crossings, volume
+from nuno_kernels.mesh_file import read_closed
+from nuno_kernels.mesh_sections import cut_mesh
+from nuno_schemas.bodies import MESH
+from nuno_schemas.errors import BadInput
+
+
+class Anywhere:
+    def resolve(self, name: str) -> Path:
+        return Path(name)
+
+
+def save(mesh, path: Path) -> Path:
+    mesh.export(path)
+    return path
+
+
+def ball() -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(subdivisions=2)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl", "glb"])
+def test_a_closed_mesh_is_read_from_every_format(tmp_path: Path, kind: str) -> None:
+    x, faces = read_closed(save(ball(), tmp_path / f"ball.{kind}"), scale=0.1)
+    assert (len(x), len(faces)) == (162, 320)
+    assert volume(x, faces) == pytest.approx(ball().volume * 1e-3, rel=1e-5)
+
+
+def test_a_hole_is_named_with_its_edge_and_place_and_can_be_mended(tmp_path: Path) -> None:
+    mesh = ball()
+    mesh.update_faces(np.arange(len(mesh.faces)) != 7)
+    path = save(mesh, tmp_path / "hole.obj")
+    with pytest.raises(BadInput, match=r"edge \d+-\d+: the mesh has a hole") as refusal:
+        read_closed(path)
+    assert "at [" in str(refusal.value) and str(path) in str(refusal.value)
+    assert len(read_closed(path, mend=True)[1]) == 320
+
+
+def test_triangles_that_face_the_wrong_way_are_named_and_can_be_turned(tmp_path: Path) -> None:
+    mesh = ball()
+    faces = np.array(mesh.faces)
+    faces[11] = faces[11, ::-1]
+    path = save(trimesh.Trimesh(mesh.vertices, faces, process=False), tmp_path / "turned.obj")
+    with pytest.raises(BadInput, match="opposite ways"):
+        read_closed(path)
+    x, mended = read_closed(path, mend=True)
+    assert volume(x, mended) == pytest.approx(mesh.volume, rel=1e-6)
+
+
+def test_a_mesh_inside_out_is_refused_and_can_be_turned(tmp_path: Path) -> None:
+    mesh = ball()
+    path = save(trimesh.Trimesh(mesh.vertices, np.array(mesh.faces)[:, ::-1], process=False), tmp_path / "in.obj")
+    with pytest.raises(BadInput, match="inside out"):
+        read_closed(path)
+    assert volume(*read_closed(path, mend=True)) > 0.0
+
+
+def test_a_mesh_that_passes_through_itself_is_refused_with_both_faces(tmp_path: Path) -> None:
+    one, other = ball(), ball()
+    other.apply_translation([1.5, 0.13, 0.07])
+    both = trimesh.util.concatenate([one, other])
+    with pytest.raises(BadInput, match=r"faces (\d+) and (\d+): the mesh passes through itself") as refusal:
+        read_closed(save(both, tmp_path / "both.obj"))
+    assert "at [" in str(refusal.value)
+    other.apply_translation([1.0, 0.0, 0.0])
+    apart = trimesh.util.concatenate([one, other])
+    assert len(read_closed(save(apart, tmp_path / "apart.obj"))[1]) == 640
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "problem"),
+    [
+        ("a.txt", "x", "unknown kind"),
+        ("a.obj", "", "empty"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangles"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "not a finite|cannot be read"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle of the mesh has an area"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "hole"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, name: str, text: str, problem: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(BadInput, match=problem):
+        read_closed(path)
+
+
+def test_a_collider_is_scaled_turned_and_moved(tmp_path: Path) -> None:
+    path = save(trimesh.creation.box((2.0, 1.0, 1.0)), tmp_path / "box.stl")
+    config = MeshConfig.model_validate(
+        {"file": str(path), "scale": "10 mm", "rotate": {"axis": [0, 0, 1], "angle": "90 deg"}, "centre": [0, 1, 0]}
+    )
+    shape = MeshCollider().build(config, None, Anywhere())
+    assert shape.kind.tolist() == [MESH] and shape.owner.tolist() == [0] * 12
+    np.testing.assert_allclose(shape.a, [[-0.005, 0.99, -0.005]], atol=1e-12)
+    np.testing.assert_allclose(shape.b, [[0.005, 1.01, 0.005]], atol=1e-12)
+    assert np.isfinite(shape.vertices).all() and shape.vertices.shape == (8, 3)
+
+
+def test_a_mesh_needs_just_one_source() -> None:
+    for fields in ({}, {"file": "a.obj", "shape": "leg"}):
+        with pytest.raises(ValueError, match="either a file or a shape"):
+            MeshConfig.model_validate(fields)
+
+
+@pytest.mark.parametrize("around", [12, 48, 96])
+def test_the_leg_is_closed_and_does_not_meet_itself_at_any_resolution(around: int) -> None:
+    x, faces = leg_mesh(around)
+    check_closed(x, faces)
+    check_crossings(x, faces)
+    assert volume(x, faces) == pytest.approx(9e-3, rel=0.15)
+
+
+def test_the_leg_has_the_girths_it_was_made_from() -> None:
+    """At thigh, knee, calf and ankle; between them girths are interpolated."""
+    x, faces = leg_mesh(160)
+    for height, girth in ((0.70, 0.570), (0.455, 0.353), (0.320, 0.350), (0.113, 0.212)):
+        found = max(loop.girth for loop in cut_mesh(x, faces, x[:, 1] - height))
+        assert found == pytest.approx(girth, rel=0.02), height
+    assert np.ptp(x[x[:, 1] < 0.06, 2]) == pytest.approx(0.245, rel=0.02)

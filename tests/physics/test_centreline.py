@@ -1,0 +1,112 @@
+"""Axes of tubes: a cylinder's, a cone's, an arc's, and girths along them; points outside are refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import closed_meshes as meshes
+import numpy as np
+import pytest
+
+from nuno_kernels.centreline import find_axis, follow_axis
+from nuno_kernels.mesh_sections import cut_mesh
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+
+
+def tube(
+    rows: int, around: int, place: Callable[[float], tuple[Float, Float, Float]], radius: Callable[[float], float]
+) -> tuple[Float, Int]:
+    """A tube closed by fans: `place(s)` is the middle and two directions across, s from 0 to 1."""
+    angle = 2 * np.pi * np.arange(around) / around
+    rings, ends = [], []
+    for s in np.linspace(0.0, 1.0, rows):
+        middle, u, v = place(float(s))
+        rings.append(middle + radius(float(s)) * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v))
+        ends.append(middle)
+    n = rows * around
+    here, after = np.arange(around), (np.arange(around) + 1) % around
+    first = np.stack([np.full(around, n), here, after], axis=1)
+    last = np.stack([np.full(around, n + 1), n - around + after, n - around + here], axis=1)
+    tube_faces = meshes.grid_faces(rows, around, False)
+    x = np.concatenate([*rings, [ends[0], ends[-1]]])
+    one_way = np.concatenate([tube_faces[:, ::-1], first, last]).astype(np.int32)
+    return meshes.outward(x, one_way)
+
+
+UP, ACROSS, DEEP = np.array([0.0, 1, 0]), np.array([1.0, 0, 0]), np.array([0.0, 0, 1])
+
+
+def straight(s: float) -> tuple[Float, Float, Float]:
+    return s * UP, ACROSS, DEEP
+
+
+def bent(s: float) -> tuple[Float, Float, Float]:
+    """A quarter of a circle of radius 0.5 about the origin, in the plane of x and y."""
+    out = np.array([math.cos(0.5 * math.pi * s), math.sin(0.5 * math.pi * s), 0.0])
+    return 0.5 * out, out, DEEP
+
+
+def polygon(radius: float, around: int) -> float:
+    return 2 * around * radius * math.sin(math.pi / around)
+
+
+def test_axis_and_girth_of_a_cylinder_off_its_middle() -> None:
+    x, faces = tube(60, 40, straight, lambda s: 0.12)
+    axis = find_axis(x, faces, np.array([0.05, 0.1, 0.02]), np.array([-0.04, 0.9, 0.05]), 32)
+    inner = axis.points[3:-3]
+    assert np.abs(inner[:, [0, 2]]).max() < 2e-3
+    assert axis.girth[3:-3] == pytest.approx(polygon(0.12, 40), rel=2e-3)
+    assert (np.diff(axis.along) > 0).all()
+
+
+def test_girth_of_a_cone_falls_as_its_radius() -> None:
+    x, faces = tube(60, 40, straight, lambda s: 0.15 - 0.1 * s)
+    axis = find_axis(x, faces, np.array([0.0, 0.1, 0.0]), np.array([0.0, 0.9, 0.0]), 32)
+    expected = np.array([polygon(0.15 - 0.1 * y, 40) for y in axis.points[:, 1]])
+    assert np.abs(axis.points[:, [0, 2]]).max() < 1e-3
+    assert axis.girth == pytest.approx(expected, rel=1e-2)
+
+
+def test_axis_of_an_arc_converges_at_order_two() -> None:
+    errors = []
+    for rows in (16, 32, 64):
+        x, faces = tube(2 * rows, 24, bent, lambda s: 0.12)
+        ends = [bent(s)[0] for s in (0.08, 0.92)]
+        axis = find_axis(x, faces, ends[0], ends[1], rows)
+        errors.append(float(np.abs(np.hypot(axis.points[2:-2, 0], axis.points[2:-2, 1]) - 0.5).max()))
+        assert np.abs(axis.points[:, 2]).max() < 1e-3
+    assert errors[-1] < 1e-3
+    assert errors[0] / errors[-1] > 8.0, errors
+
+
+def test_given_points_keep_their_places_and_get_girths() -> None:
+    x, faces = tube(40, 64, bent, lambda s: 0.1)
+    points = np.array([bent(s)[0] for s in np.linspace(0.1, 0.9, 33)])
+    axis = follow_axis(x, faces, points)
+    assert np.array_equal(axis.points, points)
+    assert axis.girth[1:-1] == pytest.approx(polygon(0.1, 64), rel=5e-3)
+    assert axis.at(np.array([0.0, 1.0])) == pytest.approx(points[[0, -1]])
+
+
+def test_points_outside_are_refused_with_their_distance() -> None:
+    x, faces = tube(20, 24, straight, lambda s: 0.1)
+    with pytest.raises(BadInput, match=r"axis\[1\]") as refusal:
+        follow_axis(x, faces, np.array([[0.0, 0.5, 0.0], [0.4, 0.5, 0.0]]))
+    assert "0.3" in str(refusal.value)
+    with pytest.raises(BadInput, match="same place"):
+        follow_axis(x, faces, np.array([[0.0, 0.5, 0.0], [0.0, 0.5, 0.0]]))
+    with pytest.raises(BadInput, match="outside"):
+        find_axis(x, faces, np.array([0.0, -0.5, 0.0]), np.array([0.0, 0.5, 0.0]))
+
+
+def test_a_section_through_vertices_is_closed() -> None:
+    """A plane just through rings of vertices still cuts one loop, of the same girth as beside them."""
+    x, faces = tube(21, 24, straight, lambda s: 0.1)
+    loops = cut_mesh(x, faces, x[:, 1] - 0.5)
+    assert len(loops) == 1
+    assert loops[0].girth == pytest.approx(polygon(0.1, 24), rel=1e-9)
+    assert loops[0].centroid() == pytest.approx([0.0, 0.5, 0.0], abs=1e-12)
+    ring = cut_mesh(*meshes.torus(20, 12), meshes.torus(20, 12)[0][:, 0] - 0.05)
+    assert len(ring) == 2

@@ -1,0 +1,205 @@
+"""Sliding contact: nothing enters a mesh, however it moves; friction is Coulomb's at any step; momentum is kept."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import closed_meshes as meshes
+import numpy as np
+import pytest
+
+from nuno import registry
+from nuno.collision.distance import penetration, signed_distance
+from nuno_contact.sliding import Sliding, SlidingConfig
+from nuno_schemas.bodies import MESH, Geometry, Poses
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int, Memory, Springs, State
+from nuno_schemas.plugin import System
+
+STILL = np.array([[1.0, 0.0, 0.0, 0.0]])
+GAP = 5e-5
+G = 9.81
+
+
+def body(mesh: tuple[Float, Int], friction: float = 0.0) -> Geometry:
+    x, faces = mesh
+    one = np.zeros(1, np.int32)
+    return Geometry(
+        ("body",), ("body/world",), np.array([MESH], np.int8), one, one, x.min(axis=0)[None], x.max(axis=0)[None],
+        np.zeros(1), np.array([np.nan]), np.zeros(1), np.array([friction]), x, faces, np.zeros(len(faces), np.int32),
+    )  # fmt: skip
+
+
+def loose(x: Float, v: Float | None = None, mass: float = 0.01) -> Fabric:
+    v = np.zeros_like(x) if v is None else v
+    return Fabric("points", x, v, np.full(len(x), mass), np.zeros(len(x), bool), np.zeros((0, 3), np.int32))
+
+
+def turned(angle: float, axis: tuple[float, float, float]) -> Float:
+    return np.array([[math.cos(0.5 * angle), *(math.sin(0.5 * angle) * np.asarray(axis))]])
+
+
+class World:
+    """A fabric, one body and an integrator."""
+
+    def __init__(self, fabric: Fabric, geometry: Geometry, gravity: Float, name: str = "symplectic_euler") -> None:
+        self.geometry = geometry
+        term = Sliding().prepare(SlidingConfig(gap=GAP), fabric, geometry, gravity)
+        self.system = System(fabric, gravity, 0.0, (term,))
+        self.plugin = registry.load("nuno.integrators", name)
+        self.state = State(fabric.position.copy(), fabric.velocity.copy())
+        self.memory: Memory = self.plugin.prepare(self.plugin.Config(), self.system, self.state)
+
+    def go(self, steps: int, dt: float, start: Poses | None = None, end: Poses | None = None) -> None:
+        t = self.state.t
+        start = start or Poses(t, STILL, np.zeros((1, 3)))
+        end = end or Poses(t + steps * dt, start.rotation, start.translation)
+        report = self.plugin.advance(self.system, self.state, self.memory, (start, end), steps, dt)
+        assert report.status == "ok", report.message
+
+    @property
+    def slides(self):
+        return self.memory.work.packed.slides
+
+
+METHODS = ["symplectic_euler", "leapfrog", "rk4", "dopri5", "implicit_euler", "tr_bdf2", "xpbd"]
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_sticks_and_slides_on_an_incline_as_coulomb_says(name: str) -> None:
+    """None below tan alpha = mu, else g (sin alpha - mu cos alpha) t^2 / 2, at two steps."""
+    mu = 0.4
+    start = np.array([[-5.0, 1.0 + GAP, z] for z in (-0.4, 0.1, 0.3)])
+    for share in (0.98, 1.5):
+        alpha = math.atan(share * mu)
+        gravity = G * np.array([math.sin(alpha), -math.cos(alpha), 0.0])
+        for steps, dt in ((100, 2e-3), (10, 2e-2)):
+            world = World(loose(start), body(meshes.box((20.0, 2.0, 2.0)), mu), gravity, name)
+            world.go(steps, dt)
+            t = steps * dt
+            pull = G * (math.sin(alpha) - mu * math.cos(alpha))
+            moved, expected = world.state.x[2] - start[2], max(0.0, 0.5 * pull * t * t)
+            first_order = name in ("symplectic_euler", "implicit_euler", "xpbd")
+            assert abs(moved[0] - expected) <= 1e-9 + (0.51 * max(pull, 0.0) * t * dt if first_order else 0.0)
+            assert abs(moved[1]) <= 0.01 * GAP + 1e-12 and abs(moved[2]) < 1e-12
+            assert world.state.v[2] == pytest.approx([max(0.0, pull * t), 0.0, 0.0], abs=1e-9)
+
+
+def net(n: int, size: float, at: Float, k: float) -> Fabric:
+    """A square net of springs, flat, about `at`."""
+    i, j = np.divmod(np.arange(n * n), n)
+    x = np.stack([(j / (n - 1) - 0.5) * size, 0 * i, (i / (n - 1) - 0.5) * size], axis=-1) + at
+    right, down = np.flatnonzero(j < n - 1), np.flatnonzero(i < n - 1)
+    pairs = np.concatenate([np.stack([right, right + 1], 1), np.stack([down, down + n], 1)]).astype(np.int32)
+    rest = np.full(len(pairs), size / (n - 1))
+    springs = Springs.from_pairs(pairs, np.full(len(pairs), k), rest, np.full(len(pairs), 0.02))
+    return replace(loose(x, mass=1e-3), springs=springs)
+
+
+@pytest.mark.parametrize("name", ["symplectic_euler", "implicit_euler"])
+def test_cloth_never_enters_a_ring_that_turns_and_flies_up_through_it(name: str) -> None:
+    mesh = meshes.torus(48, 20, 0.2, 0.07)
+    world = World(net(24, 0.8, np.array([0.0, 0.15, 0.0]), 20.0), body(mesh, 0.2), np.array([0.0, -G, 0.0]), name)
+    touched = 0
+    for frame in range(30):
+        at = [Poses(t, turned(9.0 * t, (0.6, 0.8, 0.0)), np.array([[0.0, 1.5 * t, 0.3 * t]])) for t in
+              (frame / 60, (frame + 1) / 60)]  # fmt: skip
+        world.go(8, 1 / 480, *at)
+        assert penetration(world.state.x, world.geometry, at[1]).max() == 0.0
+        assert signed_distance(world.state.x[::7], world.geometry, at[1]).min() > 0.5 * GAP
+        touched = max(touched, int(world.slides.tally[:, 0].sum()))
+    assert touched > 50
+
+
+def test_fast_points_do_not_pass_through_a_thin_plate() -> None:
+    """At 100 m/s a step is a thousand times the thickness; one in a corner between the plate and itself included."""
+    rng = np.random.default_rng(0)
+    plate = meshes.box((1.0, 1e-4, 1.0))
+    x = rng.uniform(-0.45, 0.45, (300, 3)) * [1, 0, 1] + [0, 0.11, 0]
+    v = np.tile([3.0, -100.0, 1.0], (300, 1)) + rng.normal(size=(300, 3))
+    world = World(loose(x, v), body(plate), np.zeros(3))
+    world.go(20, 1e-3)
+    assert world.state.x[:, 1].min() >= 0.5e-4 + 0.5 * GAP
+    assert np.abs(world.state.x[:, [0, 2]] - (x + 0.02 * v)[:, [0, 2]]).max() < 1e-12
+
+
+def groove(half_angle: float) -> tuple[Float, Int]:
+    """A block whose upper side is a valley along z."""
+    x, faces = meshes.box((2.0, 4.0, 8.0))
+    depth = 1.0 / math.tan(half_angle)
+    rim = np.array([[0.0, 2.0 - depth, z] for z in (-4.0, 4.0)])
+    outline = np.array([[-1.0, -2.0 - depth], [1.0, -2.0 - depth], [1.0, 2.0], [0.0, 2.0 - depth], [-1.0, 2.0]])
+    x = np.concatenate([np.column_stack([outline, np.full(5, z)]) for z in (-4.0, 4.0)])
+    sides = [[i, (i + 1) % 5, 5 + (i + 1) % 5, 5 + i] for i in range(5)]
+    faces = [[q[0], q[1], q[2]] for q in sides] + [[q[0], q[2], q[3]] for q in sides]
+    ends = [[0, 3, 4], [0, 1, 3], [1, 2, 3]]
+    faces += [[c, b, a] for a, b, c in ends] + [[5 + a, 5 + b, 5 + c] for a, b, c in ends]
+    assert np.allclose(x[[3, 8]], rim)
+    return meshes.outward(x, np.array(faces, np.int32))
+
+
+@pytest.mark.parametrize("half_angle", [0.2, 0.6, 1.2])
+def test_slides_along_a_valley_on_both_of_its_sides(half_angle: float) -> None:
+    """N = m g cos(alpha) / sin(half angle) in all, from both sides: friction is mu N against the fall along it."""
+    mu, alpha = 0.1, 0.7
+    x, faces = groove(half_angle)
+    bottom = x[3, 1] + GAP / math.sin(half_angle)
+    gravity = G * np.array([0.0, -math.cos(alpha), math.sin(alpha)])
+    world = World(loose(np.array([[0.0, bottom, -3.0]])), body((x, faces), mu), gravity)
+    world.go(500, 1e-3)
+    pull = G * (math.sin(alpha) - mu * math.cos(alpha) / math.sin(half_angle))
+    assert world.state.v[0, 2] == pytest.approx(0.5 * pull, rel=1e-6)
+    assert np.abs(world.state.x[0, :2] - [0.0, bottom]).max() < 0.1 * GAP
+
+
+def test_slides_down_a_finer_sphere_as_down_the_true_one() -> None:
+    """The way is off by an edge's length (the distance by its square, tests of the closest point say): at every edge a
+    landing loses the square of the angle that it turns by, and there are as many as edges are short.
+    """
+    errors = []
+    for rings in (24, 48, 96):
+        angle = 0.3 + 2 * np.pi * np.arange(40) / 40
+        start = np.stack([math.sin(0.2) * np.cos(angle), np.full(40, math.cos(0.2)), math.sin(0.2) * np.sin(angle)], 1)
+        ball = meshes.sphere(rings)
+        world = World(loose(start * (1.0 + GAP)), body(ball), np.array([0.0, -G, 0.0]))
+        world.go(600, 1e-3)
+        theta = np.arctan2(np.hypot(*world.state.x[:, [0, 2]].T), world.state.x[:, 1])
+        t, exact = 0.0, [0.2, 0.0]
+        for _ in range(6000):
+            exact[1] += 1e-4 * G * math.sin(exact[0])
+            exact[0] += 1e-4 * exact[1]
+            t += 1e-4
+        errors.append(float(np.abs(theta - exact[0]).mean()))
+    assert np.all(np.log2(np.array(errors[:-1]) / errors[1:]) > 0.7), errors
+
+
+def test_what_the_body_is_given_the_cloth_has_lost() -> None:
+    world = World(net(12, 0.6, np.array([0.02, 0.16, 0.01]), 10.0), body(meshes.sphere(16, 0.15), 0.3),
+                  np.array([0.0, -G, 0.0]))  # fmt: skip
+    end = Poses(0.25, turned(2.0, (0.0, 0.6, 0.8)), np.array([[0.1, 0.2, 0.0]]))
+    world.go(250, 1e-3, None, end)
+    given = world.slides.impulse.sum(axis=(0, 1))
+    weight = world.system.fabric.mass.sum() * world.system.gravity * 0.25
+    assert np.abs(given).min() > 1e-3
+    assert np.abs(1e-3 * world.state.v.sum(axis=0) - (weight - given)).max() < 1e-12
+
+
+def test_threads_and_frames_change_no_bit() -> None:
+    fabric = net(80, 0.6, np.array([0.0, 0.17, 0.0]), 5.0)
+    found = []
+    for threads, pieces in ((1, 4), (2, 4), (1, 1)):
+        world = World(fabric, body(meshes.sphere(24, 0.15), 0.3), np.array([0.0, -G, 0.0]))
+        world.system = replace(world.system, threads=threads)
+        world.memory = world.plugin.prepare(world.plugin.Config(), world.system, world.state)
+        for _ in range(pieces):
+            world.go(80 // pieces, 1e-3)
+        found.append(world.state.x.tobytes() + world.state.v.tobytes())
+    assert found[0] == found[1]
+    assert np.frombuffer(found[0]) == pytest.approx(np.frombuffer(found[2]), abs=1e-9)
+
+
+def test_a_primitive_is_refused_by_name() -> None:
+    geometry = replace(body(meshes.box((1, 1, 1))), kind=np.zeros(1, np.int8))
+    with pytest.raises(BadInput, match="body"):
+        Sliding().prepare(SlidingConfig(), loose(np.ones((1, 3))), geometry, np.zeros(3))
