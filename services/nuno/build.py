@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import psutil
+from numpy.typing import NDArray
 
 from nuno.scene_file import Chosen, Loaded
 from nuno.worn import check_worn
@@ -264,6 +265,17 @@ def start_state(fabric: Fabric) -> State:
     velocity = np.array(fabric.velocity, np.float64, order="C")
     velocity[fabric.pinned] = 0.0
     return State(np.array(fabric.position, np.float64, order="C"), velocity, 0.0)
+
+
+def edge_yarns(fabric: Fabric) -> NDArray[np.int8] | None:
+    """(e,) which of its yarns' names each of `structural_edges` is, -1 where it is in none; None without yarns."""
+    springs, yarns = fabric.springs, fabric.yarns
+    if springs is None or yarns is None:
+        return None
+    kind = np.full(springs.number, -1, np.int8)
+    kind[yarns.links] = np.repeat(yarns.kind, np.diff(yarns.ptr))
+    structural = np.repeat(springs.kind == 0, springs.count)
+    return kind[structural] if structural.any() else kind
 
 
 def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:

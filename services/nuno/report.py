@@ -65,6 +65,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "last_penetration": collision.get("last_depth"),
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
         "counts": summary.get("counts", {}),
+        "yarns": summary.get("yarns", {}),
         "dye": dyer.get("dye"),
         "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,
         "frames": {

@@ -28,7 +28,8 @@ class Piece:
     """One object of the scene: vertices start to stop of all; indices count from start.
 
     faces (f, 3), edges (e, 2) int32; rest (e,) [m]; uv (n, 2) with v up, or None;
-    image (h, w, 3) uint8 sRGB or None; colour "#rrggbb" or None.
+    image (h, w, 3) uint8 sRGB or None; colour "#rrggbb" or None; yarns (e,) which kind of yarn each edge is,
+    -1 for none, or None where the cloth has no yarns.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Piece:
     uv: NDArray[np.float32] | None
     image: NDArray[np.uint8] | None
     colour: str | None
+    yarns: NDArray[np.int8] | None = None
 
     def stretch(self, x: Float) -> Float:
         """(n,) largest |d| / rest - 1 of each vertex's springs, for x (n, 3) [m] of this piece."""
@@ -58,23 +60,31 @@ def read_pieces(recording: Recording) -> list[Piece]:
     try:
         faces, edges = (np.asarray(arrays[name], np.int32).reshape(-1, w) for name, w in (("faces", 3), ("edges", 2)))
         rest, number = np.asarray(arrays["edge_rest"], np.float64), int(text["vertices"])
+        yarns = np.asarray(arrays["edge_yarn"], np.int8) if "edge_yarn" in arrays else None
         pieces = []
         for item in text["objects"]:
             start, stop = int(item["start"]), int(item["stop"])
             if not 0 <= start <= stop <= number or len(rest) != len(edges):
                 raise ValueError(f"vertices {start} to {stop} of {number}, {len(rest)} lengths of {len(edges)} springs")
+            if yarns is not None and yarns.shape != rest.shape:
+                raise ValueError(f"{len(yarns)} kinds of yarn for {len(edges)} springs")
             uv = arrays["uv"][start:stop] if "uv" in arrays else None
             image = read_texture(recording, item.get("texture")) if uv is not None else None
             mine = _inside(edges, start, stop)
             pieces.append(
                 Piece(
                     str(item["name"]), start, stop, faces[_inside(faces, start, stop)] - start, edges[mine] - start,
-                    rest[mine], uv, image, item.get("colour"),
+                    rest[mine], uv, image, item.get("colour"), _kinds(yarns, mine),
                 )
             )  # fmt: skip
     except (KeyError, ValueError, TypeError) as error:
         raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
     return pieces
+
+
+def _kinds(yarns: NDArray[np.int8] | None, mine: NDArray[np.bool_]) -> NDArray[np.int8] | None:
+    """Those of one piece, None where it has no yarns."""
+    return None if yarns is None or (yarns[mine] < 0).all() else yarns[mine]
 
 
 def _inside(indices: Int, start: int, stop: int) -> NDArray[np.bool_]:

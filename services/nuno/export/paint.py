@@ -7,13 +7,21 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_schemas.colour import colours
+from nuno_schemas.colour import colours, parse_hex
 from nuno_schemas.fabric import Float
 
 STRETCH = (0.001, 1.0)
 """Ends of the colour map for stretch, logarithmic as in the viewer: wool under its own weight
 stretches by a thousandth, the skirt paper's springs by half."""
 PLAIN, BODY = "#d8d3cb", "#b9c0c9"
+YARNS = ("#c98b6b", "#3b5b8c", "#5d8a4f", "#b5523b", "#7d5ba6", "#c9a227")
+"""Of kinds of yarn in the order of their names, over again where there are more."""
+
+
+def paint_yarns(kinds: NDArray[np.int8]) -> NDArray[np.float64]:
+    """(e, 3) linear light of links by their kind of yarn; -1, no yarn, is plain."""
+    table = np.stack([parse_hex(colour) for colour in (*YARNS, PLAIN)])
+    return np.asarray(table[np.where(kinds < 0, len(YARNS), kinds % len(YARNS))])
 
 
 def paint_stretch(stretch: Float) -> NDArray[np.float64]:

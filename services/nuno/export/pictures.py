@@ -17,9 +17,9 @@ from nuno import registry
 from nuno.export.cloth import Bodies, Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.dyed_pictures import Changes
-from nuno.export.paint import BODY, PLAIN, STRETCH, paint_stretch
+from nuno.export.paint import BODY, PLAIN, STRETCH, paint_stretch, paint_yarns
 from nuno.export.target import Progress, check_target, opened, writing
-from nuno.export.tubes import tubes
+from nuno.export.tubes import SIDES, tubes
 from nuno.recording.reader import Frame, Recording
 from nuno_schemas.camera import frame as fit_camera
 from nuno_schemas.colour import parse_hex
@@ -30,8 +30,8 @@ from nuno_schemas.scene import View
 
 Picture = NDArray[np.uint8]
 Colour = Literal["auto", "cloth", "stretch"]
-"""What cloth is painted with. cloth: its texture, else its colour, else plain; stretch: how far its
-threads are stretched; auto: cloth where a texture or colour is given, else stretch."""
+"""What cloth is painted with. cloth: its texture, else its colour, else the colours of its kinds of yarn, else plain;
+stretch: how far its threads are stretched; auto: cloth where a texture or colour is given, else stretch."""
 RENDERER = "raster"
 LOOKS = 16
 """Frames that the camera of an animation is fitted to."""
@@ -67,7 +67,7 @@ class Painter:
         self.ground = self._ground(meshes)
         dyed = "" if self.dyed is None else self.dyed.name
         plain = [p for p in self.pieces if p.image is None and p.colour is None and p.name != dyed]
-        by_stretch = any(len(piece.edges) for piece in plain)
+        by_stretch = any(len(piece.edges) and piece.yarns is None for piece in plain)
         legend = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1], "format": "percent"}
         self.legend = legend if by_stretch else None
 
@@ -109,10 +109,12 @@ def check_colour(colour: str) -> None:
 
 
 def _coloured(piece: Piece, colour: Colour) -> Piece:
-    """The piece as it is to be painted: by its texture, else its colour, else its stretch."""
+    """The piece as it is to be painted: by its texture, else its colour, else its yarns, else its stretch."""
     if colour == "stretch":
-        return replace(piece, image=None, colour=None)
-    return replace(piece, colour=piece.colour or PLAIN) if colour == "cloth" else piece
+        return replace(piece, image=None, colour=None, yarns=None)
+    if colour == "auto" or piece.colour is not None or len(piece.faces):
+        piece = replace(piece, yarns=None)
+    return replace(piece, colour=piece.colour or PLAIN) if colour == "cloth" and piece.yarns is None else piece
 
 
 def export_picture(
@@ -185,7 +187,8 @@ def _cloth_mesh(piece: Piece, x: Float) -> Mesh:
     """A piece with faces as it is, a net as thin tubes along its springs."""
     if not len(piece.faces):
         vertices, faces, owner = tubes(x, piece.edges)
-        return Mesh(vertices, faces, _paint(piece, x)[owner], two_sided=False)
+        by_point = None if piece.yarns is None else np.repeat(paint_yarns(piece.yarns), 2 * SIDES, axis=0)
+        return Mesh(vertices, faces, _paint(piece, x)[owner] if by_point is None else by_point, two_sided=False)
     if piece.image is not None and piece.uv is not None:
         # v points up on cloth and down in images.
         uv = piece.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.arrays import encode_arrays, encode_points
-from nuno.build import structural_edges
+from nuno.build import edge_yarns, structural_edges
 from nuno.collision.ask import ask_poses
 from nuno.lockstep import CONTROL, Lockstep
 from nuno.service import Context
@@ -117,6 +117,9 @@ class Driver(Lockstep):
         }
         if fabric.uv is not None:
             arrays["uv"] = fabric.uv
+        yarns = edge_yarns(fabric)
+        if yarns is not None:
+            arrays["edge_yarn"] = yarns
         text = {
             "vertices": fabric.number,
             "scene": self.scene.name,
@@ -156,8 +159,8 @@ class Driver(Lockstep):
             "energy": self.energy,
             "stretch": self.stretch,
             "counts": self.counts,
-            "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()}
-            | yarn_facts(fabric),
+            "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
+            "yarns": measure_yarns(fabric),
             "threads": simulation.about(),
             "vertices": fabric.number,
             "springs": fabric.springs.number if fabric.springs else 0,
@@ -165,12 +168,13 @@ class Driver(Lockstep):
         }
 
 
-def yarn_facts(fabric: Fabric) -> dict[str, float]:
-    """Rest length [m] of the yarns of each name, all together and of the longest: of a knit, of one course."""
+def measure_yarns(fabric: Fabric) -> dict[str, dict[str, float]]:
+    """Rest lengths [m] by name of yarn: of all of that name, and of the longest, which in a knit is a course."""
     if fabric.yarns is None or fabric.springs is None:
         return {}
-    lengths, kind, found = fabric.yarns.lengths(fabric.springs), fabric.yarns.kind, dict[str, float]()
+    lengths = fabric.yarns.lengths(fabric.springs)
+    found: dict[str, dict[str, float]] = {}
     for index, name in enumerate(fabric.yarns.names):
-        own = lengths[kind == index]
-        found |= {f"yarn_length/{name}": float(own.sum()), f"longest_yarn/{name}": float(own.max(initial=0.0))}
+        own = lengths[fabric.yarns.kind == index]
+        found[name] = {"length": float(own.sum()), "longest": float(own.max(initial=0.0))}
     return found

@@ -1,0 +1,69 @@
+"""Knits in recordings: what kind of yarn each link is, how long the yarns are, and pictures by kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nuno import api, build, scene_file
+from nuno.export.cloth import read_pieces
+from nuno.export.paint import PLAIN, YARNS, paint_stretch, paint_yarns
+from nuno.export.pictures import Painter
+from nuno.export.tubes import SIDES
+from nuno.recording.reader import open_recording
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.fabric import Fabric
+
+SCENE = "knit/stitch-10x10"
+
+
+def fabric() -> Fabric:
+    return build.build_fabric(scene_file.read(scene_file.find(SCENE)))[0]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("knit") / "run.mcap"
+    api.run(SCENE, "duration=0.3", record=path)
+    return path
+
+
+def test_every_edge_knows_its_yarn() -> None:
+    """The soft one is the first, the stiff one the second."""
+    net = fabric()
+    assert net.springs is not None
+    kinds = build.edge_yarns(net)
+    assert kinds is not None
+    assert np.array_equal(kinds, (net.springs.k == 10.0).astype(np.int8))
+
+
+def test_pictures_show_kinds_of_yarn_or_stretch(recorded: Path) -> None:
+    with open_recording(recorded) as recording:
+        last = list(recording.frames())[-1]
+        piece = read_pieces(recording)[0]
+        assert piece.yarns is not None
+        by_kind = Painter(recording, [last], (96, 64), colour="cloth")
+        colours = by_kind.meshes(last)[0].colours
+        assert colours is not None and by_kind.legend is None
+        assert np.array_equal(colours, np.repeat(paint_yarns(piece.yarns), 2 * SIDES, axis=0))
+        assert len(np.unique(colours, axis=0)) == 2
+        by_stretch = Painter(recording, [last], (96, 64))
+        shown = by_stretch.meshes(last)[0].colours
+        assert shown is not None and by_stretch.legend is not None
+        assert np.array_equal(np.unique(shown, axis=0), np.unique(paint_stretch(piece.stretch(last.x)), axis=0))
+
+
+def test_kinds_beyond_the_colours_begin_again_and_none_is_plain() -> None:
+    found = paint_yarns(np.array([0, len(YARNS), -1], np.int8))
+    assert np.array_equal(found[0], found[1])
+    assert np.array_equal(found[2], parse_hex(PLAIN).reshape(3))
+
+
+def test_a_report_has_the_yarns_lengths(recorded: Path) -> None:
+    """9 courses of 5 wales: 4 links a wale less one, of 1 m; 5 heads and 4 sinkers are borrowed of their neighbours."""
+    with open_recording(recorded) as recording:
+        yarns = recording.report()["yarns"]
+    assert yarns["nylon"] == {"length": 5 * 19.0 + 9.0, "longest": 19.0}
+    assert yarns["support"] == {"length": 4 * 19.0, "longest": 19.0}
