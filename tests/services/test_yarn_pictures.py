@@ -67,3 +67,27 @@ def test_a_report_has_the_yarns_lengths(recorded: Path) -> None:
         yarns = recording.report()["yarns"]
     assert yarns["nylon"] == {"length": 5 * 19.0 + 9.0, "longest": 19.0}
     assert yarns["support"] == {"length": 4 * 19.0, "longest": 19.0}
+
+
+def test_yarns_keep_their_links_beside_other_cloth(tmp_path: Path) -> None:
+    """A sheet between two knits: springs are numbered anew, names that they share stay one kind."""
+    knit = "{plugin: knit, wales: 3, courses: 4, form: %s, yarns: %s}"
+    objects = [
+        ("low", knit % ("tube", "[nylon, support]")),
+        ("sheet", "{plugin: sheet, resolution: [5, 4]}"),
+        ("high", knit % ("panel", "[support, elastane]")),
+    ]
+    lines = ["nuno: 1", "name: three", "duration: 1 s", "objects:"]
+    path = tmp_path / "three.yaml"
+    path.write_text("\n".join([*lines, *(f"  - {{name: {name}, model: {model}}}" for name, model in objects)]))
+    fabric, pieces = build.build_fabric(scene_file.read(path))
+    assert fabric.yarns is not None and fabric.springs is not None
+    assert fabric.yarns.names == ("nylon", "support", "elastane")
+    neighbours, yarn = fabric.yarns.neighbours()
+    pairs = fabric.springs.pairs()
+    for first, second in neighbours.tolist():
+        assert len({*pairs[first].tolist()} & {*pairs[second].tolist()}) == 1
+    names = np.array(fabric.yarns.names)[fabric.yarns.kind[yarn]]
+    high = pairs[neighbours[:, 0]].min(axis=1) >= pieces[2].start
+    assert set(names[high]) == {"support", "elastane"} and set(names[~high]) == {"nylon", "support"}
+    assert pairs[neighbours[~high]].max() < pieces[1].start
