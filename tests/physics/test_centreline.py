@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nuno_kernels.centreline import find_axis, follow_axis
+from nuno_kernels.leg import leg_mesh
 from nuno_kernels.mesh_sections import cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -110,3 +111,14 @@ def test_a_section_through_vertices_is_closed() -> None:
     assert loops[0].centroid() == pytest.approx([0.0, 0.5, 0.0], abs=1e-12)
     ring = cut_mesh(*meshes.torus(20, 12), meshes.torus(20, 12)[0][:, 0] - 0.05)
     assert len(ring) == 2
+
+
+def test_axis_of_the_leg_goes_round_the_heel() -> None:
+    """From thigh to toes it stays inside, and its girths fall from thigh to ankle but for the calf."""
+    axis = find_axis(*leg_mesh(36), np.array([0.0, 0.74, 0.0]), np.array([0.0, 0.02, 0.17]), 48)
+    assert np.abs(axis.points[:, 0]).max() < 2e-3
+    assert axis.points[-1, 2] > 0.12 and axis.along[-1] == pytest.approx(0.87, rel=0.05)
+    calf = int(np.argmin(np.abs(axis.points[:, 1] - 0.32)))
+    ankle = int(np.argmin(np.abs(axis.points[:, 1] - 0.113)))
+    assert axis.girth[calf] == pytest.approx(0.35, rel=0.03)
+    assert axis.girth[ankle] == pytest.approx(0.212, rel=0.08)
