@@ -173,7 +173,7 @@ class Dyestuff(Part):
 class Dyeing(Part):
     """A cloth that is dyed: a piece of cloth by itself, or one of the scene's objects."""
 
-    on: Name | None = Field(
+    object: Name | None = Field(
         default=None,
         description="the object that is dyed, whose texture the cloth's cells cover; left out: a cloth that does not "
         "move, and no objects",
@@ -190,6 +190,16 @@ class Dyeing(Part):
     picture: DyePicture = Field(
         default=DyePicture(), description="how it is drawn: a plugin with its fields, and what is shown"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _object_not_on(cls, data: Any) -> Any:
+        # The obvious word for it, and what other readers of YAML make of that word.
+        for name in ("on", "true"):
+            if isinstance(data, dict) and name in data:
+                problem = "no such field; the object that is dyed is `object`: write object: {value}"
+                raise PydanticCustomError("object_not_on", problem, {"value": str(data[name]), "inside": (name,)})
+        return data
 
     @field_validator("dyes")
     @classmethod
@@ -246,17 +256,17 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _dye_alone(self) -> Scene:
-        if self.dye is not None and self.dye.on is not None:
+        if self.dye is not None and self.dye.object is not None:
             names = [part.name for part in self.objects]
-            if self.dye.on not in names:
-                known = nearest(self.dye.on, names)
+            if self.dye.object not in names:
+                known = nearest(self.dye.object, names)
                 problem = "no object has this name, so there is nothing to dye; {known}"
-                raise PydanticCustomError("no_object", problem, {"known": known, "inside": ("dye", "on")})
+                raise PydanticCustomError("no_object", problem, {"known": known, "inside": ("dye", "object")})
         for name in () if self.moves else MOVING:
             if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True):
                 problem = (
                     "a cloth that is dyed by itself does not move; leave `{part}` or `dye` out, or name the "
-                    "object that is dyed as dye.on"
+                    "object that is dyed as dye.object"
                 )
                 raise PydanticCustomError("dye_alone", problem, {"part": name, "inside": (name,)})
         return self
@@ -280,7 +290,7 @@ class Scene(Part):
     @property
     def moves(self) -> bool:
         """Whether there is cloth to simulate: in every scene but one of dye alone."""
-        return self.dye is None or self.dye.on is not None
+        return self.dye is None or self.dye.object is not None
 
     @property
     def step_undecided(self) -> bool:

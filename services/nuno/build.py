@@ -74,7 +74,7 @@ def build_fabric(loaded: Loaded) -> tuple[Fabric, list[Piece]]:
     for i, (model, spec) in enumerate(zip(loaded.models, loaded.scene.objects, strict=True)):
         try:
             fabric = model.plugin.build(model.config, loaded.files, loaded.scene.seed + i)
-            if loaded.scene.dye is not None and loaded.scene.dye.on == spec.name:
+            if loaded.scene.dye is not None and loaded.scene.dye.object == spec.name:
                 check_texture(fabric, spec.name)
         except BadInput as error:
             raise loaded.at(f"objects[{i}].model", error) from None

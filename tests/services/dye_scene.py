@@ -40,7 +40,7 @@ def write_scene(folder: Path, *, data: dict[str, Any] | None = None, **fields: A
         "solver": {"plugin": "explicit", "dt": "1.8 s"},
         "dyes": [blue],
     }
-    inside = {name: fields.pop(name) for name in list(fields) if name in (*dye, "picture", "speed", "on")}
+    inside = {name: fields.pop(name) for name in list(fields) if name in (*dye, "picture", "speed", "object")}
     scene = {"nuno": 1, "name": "exact", "duration": "18 s", "frame_rate": 1 / 1.8, "dye": dye | inside, **fields}
     path = folder / "scene.yaml"
     path.write_text(yaml.safe_dump(scene))

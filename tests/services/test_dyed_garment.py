@@ -56,7 +56,7 @@ def scene(**fields: Any) -> dict[str, Any]:
     cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": {"I": 0.5, "II": 0.5, "III": 0.1}}
     blue = {"name": "blue", "D0": "1.93 mm^2/h", "adsorption": 0.5, "isotherm": {"plugin": "langmuir", "K": 2.0}}
     dye = {
-        "on": "sheet",
+        "object": "sheet",
         "speed": "3600 s/s",
         "cloth": cloth | {"supply": [BATH, DROP]},
         "dyes": [blue],
@@ -82,7 +82,7 @@ def write(folder: Path, **fields: Any) -> Path:
 def alone(folder: Path, **fields: Any) -> Path:
     """The same dye by itself."""
     data = scene(**fields)
-    del data["dye"]["on"]
+    del data["dye"]["object"]
     for name in ("objects", "bodies", "solver"):
         del data[name]
     path = write(folder)
@@ -114,7 +114,7 @@ def test_the_cloth_of_the_dye_says_what_it_lies_on(tmp_path: Path) -> None:
     path = nuno.run(write(tmp_path), record=tmp_path / "both.mcap").path
     with nuno.open(path) as recording:
         message = recording.last("dye/cloth")
-        assert message is not None and decode_arrays(message.payload)[1]["on"] == "sheet"
+        assert message is not None and decode_arrays(message.payload)[1]["object"] == "sheet"
     assert main(["export", str(path), "--npz", str(tmp_path / "out.npz"), "--csv", str(tmp_path / "out.csv")]) == 0
     with np.load(tmp_path / "out.npz") as out:
         assert sorted(out) == ["fixed", "phi", "t", "v", "x"]
@@ -277,12 +277,14 @@ TILED = "v 0 0 0\nv 1 0 0\nv 0 0 1\nvt 0 0\nvt 3 0\nvt 0 3\nf 1/1 2/2 3/3\n"
 @pytest.mark.parametrize(
     ("fields", "field", "words"),
     [
-        ({"dye": {"on": "sheat"}}, "dye.on", "did you mean 'sheet'"),
-        ({"dye": {"on": "sheet"}, "objects": []}, "dye.on", "known: none"),
-        ({"dye": {"on": "cape"}, "mesh": MESH}, "objects[0].model", "'cape'"),
-        ({"dye": {"on": "cape"}, "mesh": MESH}, "objects[0].model", "give the mesh texture coordinates"),
-        ({"dye": {"on": "cape"}, "mesh": TILED}, "objects[0].model", "0 to 3"),
-        ({"dye": {"on": None}}, "objects", "name the object that is dyed as dye.on"),
+        ({"dye": {"object": "sheat"}}, "dye.object", "did you mean 'sheet'"),
+        ({"dye": {"object": "sheet"}, "objects": []}, "dye.object", "known: none"),
+        ({"dye": {"object": "cape"}, "mesh": MESH}, "objects[0].model", "'cape'"),
+        ({"dye": {"object": "cape"}, "mesh": MESH}, "objects[0].model", "give the mesh texture coordinates"),
+        ({"dye": {"object": "cape"}, "mesh": TILED}, "objects[0].model", "0 to 3"),
+        ({"dye": {"on": "sheet"}}, "dye.on", "the object that is dyed is `object`: write object: sheet"),
+        ({"dye": {True: "sheet"}}, "dye.true", "write object: sheet"),
+        ({"dye": {"object": None}}, "objects", "name the object that is dyed as dye.object"),
         ({"dye": {"solver": {"plugin": "explicit", "dt": "100 s"}}}, "dye.solver.dt", "a dye.speed of at least 5000"),
         ({"dye": {"dyes": []}}, "dye.dyes", "too short"),
         ({"dye": {"picture": {"crop": {"low": [0, 0], "high": [1, 1]}}}}, "dye.picture.crop", "shows all of the cloth"),

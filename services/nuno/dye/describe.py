@@ -16,7 +16,7 @@ def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
     return [
         (
             "dye cloth" if loaded.scene.moves else "cloth",
-            f"{_on(loaded)}{dyeing.cells.fibre.size:,} cells of {dyeing.cells.size * 1e3:.4g} mm, in two layers",
+            f"{_object(loaded)}{dyeing.cells.fibre.size:,} cells of {dyeing.cells.size * 1e3:.4g} mm, in two layers",
         ),
         ("dyes", ", ".join(map(_dye, dyeing.system.dyes))),
         *([("supply", "; ".join(map(_supply, dyeing.supplies.entries)))] if dyeing.supplies.entries else []),
@@ -30,9 +30,9 @@ def _dye(one: Dye) -> str:
     return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h, {law})"
 
 
-def _on(loaded: Loaded) -> str:
+def _object(loaded: Loaded) -> str:
     dye = loaded.scene.dye
-    return f"on {dye.on}, " if dye is not None and dye.on is not None else ""
+    return f"on {dye.object}, " if dye is not None and dye.object is not None else ""
 
 
 def _speed(dyeing: DyeRun) -> str:

@@ -43,7 +43,7 @@ class Driver(Lockstep):
         if cells.photograph is not None:
             arrays |= {"photograph": cells.photograph.light, "photograph_warp": cells.photograph.warp}
         text = {"scene": self.scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}
-        text["on"] = self.scene.dye.on if self.scene.dye is not None else None
+        text["object"] = self.scene.dye.object if self.scene.dye is not None else None
         self.context.bus.publisher(CLOTH).put(encode_arrays(arrays, text), dyeing.frame, dyeing.t)
 
     def add(self, item: str) -> dict[str, Any]:

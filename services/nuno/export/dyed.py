@@ -32,7 +32,7 @@ class DyePainter:
     side           pixels of the longer side that `scale: auto` aims at
     most           pixels of a picture at most, for which a given scale is made smaller; None: as given
     duration       of the scene [s]
-    on             the object whose texture is drawn; None: a cloth by itself
+    object         the object whose texture is drawn; None: a cloth by itself
     """
 
     def __init__(
@@ -44,9 +44,9 @@ class DyePainter:
         side: int = PICTURE_SIDE,
         most: int | None = None,
         duration: float = 0.0,
-        on: str | None = None,
+        object: str | None = None,
     ) -> None:
-        self.duration, self.on = duration, on
+        self.duration, self.object = duration, object
         self.chosen, self.look, self.colours, self.files = chosen, look, tuple(colours), files
         self.side, self.most = side, most
         self.size = self.pixel = 0.0
@@ -115,7 +115,7 @@ def painter_of(loaded: Loaded, side: int = PICTURE_SIDE, most: int | None = None
     if dye is None or chosen is None:
         raise BadInput("the scene has no dye", loaded.file)
     colours = [one.colour for one in dye.dyes]
-    return DyePainter(chosen.picture, dye.picture, colours, loaded.files, side, most, loaded.scene.duration, dye.on)
+    return DyePainter(chosen.picture, dye.picture, colours, loaded.files, side, most, loaded.scene.duration, dye.object)
 
 
 def check_picture(loaded: Loaded, cells: Cells) -> None:
@@ -123,7 +123,7 @@ def check_picture(loaded: Loaded, cells: Cells) -> None:
     painter, (ny, nx) = painter_of(loaded), cells.fibre.shape[1:]
     layers = Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph)
     try:
-        if painter.on is not None and painter.look.crop is not None:
+        if painter.object is not None and painter.look.crop is not None:
             problem, remedy = "an object shows all of the cloth that dyes it", "leave crop out"
             raise BadInput(problem, field="crop", value=painter.look.crop.model_dump(), remedy=remedy)
         painter.frame((ny, nx), cells.size)

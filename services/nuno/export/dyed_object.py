@@ -63,7 +63,7 @@ class DyedObject:
 def read_dyed_object(recording: Recording, changes: Changes | None = None) -> DyedObject | None:
     """What is dyed of a recording's objects, None where nothing is. Raises BadInput."""
     dye = recording.scene.get("dye")
-    name = dye.get("on") if isinstance(dye, dict) else None
+    name = dye.get("object") if isinstance(dye, dict) else None
     if name is None:
         return None
     with changed_painter(recording, changes or Changes(), TEXTURE_SIDE) as painter:

@@ -198,7 +198,7 @@ class Recording:
     def dyed_alone(self) -> bool:
         """Whether it is of a cloth that is dyed and does not move."""
         dye = self.scene.get("dye")
-        return isinstance(dye, dict) and dye.get("on") is None
+        return isinstance(dye, dict) and dye.get("object") is None
 
     def marks(self, status: str | None = None) -> dict[int, tuple[int, str]]:
         """Frame number and digest by log time [ns], from the status of each frame.

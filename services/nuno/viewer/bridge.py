@@ -71,7 +71,7 @@ class Bridge:
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
         self._bodies: Bodies | None = None
-        self._on = painter.on if painter is not None else None
+        self._dyed_object = painter.object if painter is not None else None
         self._dyed = self._dye(painter) if painter is not None else None
         self._energy: list[str] = []
         self._latest = (0, 0.0)
@@ -98,7 +98,7 @@ class Bridge:
         self._log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
 
     def _dye(self, painter: DyePainter) -> DyedCloth:
-        if painter.on is None:
+        if painter.object is None:
             return DyedCloth(self.recording, painter, self.live)
         return DyedTexture(self.recording, painter, self.live, self._wear, self._arrange)
 
@@ -152,7 +152,7 @@ class Bridge:
         self._cloths = []
         for spec in text["objects"]:
             path = layout.entity("world", "cloth", str(spec["name"]))
-            cloth = Cloth(self.recording, path, spec, arrays, self.images, spec["name"] == self._on)
+            cloth = Cloth(self.recording, path, spec, arrays, self.images, spec["name"] == self._dyed_object)
             self._cloths.append(cloth)
             if cloth.untextured:
                 self._log(
@@ -224,7 +224,7 @@ class Bridge:
     def _amounts(self, payload: bytes) -> None:
         assert self._dyed is not None
         self._dyed.take_amounts(*self._latest, payload)
-        self.frames += self._on is None
+        self.frames += self._dyed_object is None
 
     def _wear(self, picture: Picture) -> None:
         """Give the object that is dyed its texture."""

@@ -156,8 +156,8 @@ class DyedTexture(DyedCloth):
 
 def viewer_painter(loaded: Loaded) -> DyePainter:
     """The painter of a scene's dye for the viewer. Raises BadInput where it has none."""
-    on = loaded.scene.dye is not None and loaded.scene.dye.on is not None
-    return painter_of(loaded, most=TEXTURE_PIXELS if on else MOST_PIXELS)
+    dressed = loaded.scene.dye is not None and loaded.scene.dye.object is not None
+    return painter_of(loaded, most=TEXTURE_PIXELS if dressed else MOST_PIXELS)
 
 
 def about(scene: str, painter: DyePainter, shape: tuple[int, ...]) -> str:
