@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from nuno.bus import Bus, Inbox, Message, Watch
-from nuno.recording.reader import Recorded, Recording
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Recorded
 from nuno.recording.writer import topic_of
 from nuno.service import ack_topic
 from nuno_schemas.errors import BadInput, RunFailed

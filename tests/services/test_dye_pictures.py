@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from scenes import write_scene as write_cloth
 import nuno
 from nuno import registry
 from nuno.cli import main
-from nuno.export.dyed_pictures import _bar, _time, caption, dyed_pictures, find_amounts
+from nuno.export.dyed_pictures import _bar, _time, caption, choose_amounts, dyed_pictures, find_amounts
 from nuno.files import SceneFiles
 from nuno_dye.picture import YarnsPicture
 from nuno_schemas.dye_picture import Layers, Window
@@ -93,6 +94,13 @@ def test_an_animation_has_a_picture_of_every_frame_between_its_ends(recording: P
         with Image.open(target) as image:
             assert image.n_frames == number  # type: ignore[attr-defined]
             assert image.size[0] == 16 * NX
+
+
+def test_the_end_of_an_animation_may_be_the_time_of_a_frame() -> None:
+    """Times are recorded in nanoseconds, of which 3e7 times 1e-9 is more than 0.03."""
+    frames: Any = SimpleNamespace(path="", marks=lambda: {k * 10_000_000: (k, "") for k in range(2000)})
+    for k in range(0, 2000, 3):
+        assert choose_amounts(frames, k / 100, k / 100) == [k / 100]
 
 
 def test_an_mp4_has_even_sides(recording: Path, tmp_path: Path) -> None:

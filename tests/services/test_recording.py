@@ -14,6 +14,7 @@ from recorded_sheet import GEOMETRY_VALUE, RATE, REPORT_TEXT, Sheet, items, meta
 from nuno.arrays import BadMessage, encode_arrays, encode_points
 from nuno.collision.messages import decode_geometry
 from nuno.recording.reader import END, open_recording
+from nuno.recording.recorded import Recorded
 from nuno.recording.writer import RecordingWriter, check_target, part_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import CHECKPOINT, GEOMETRY, STATE, STATUS, Header, Status
@@ -220,3 +221,8 @@ def test_a_new_run_replaces_an_old_recording_only_when_it_is_whole(tmp_path: Pat
     writer.finish({})
     assert path.read_bytes() != old
     assert not part_of(path).exists()
+
+
+def test_a_message_has_the_time_that_it_was_written_with() -> None:
+    for k in range(2000):
+        assert Recorded("sim/state", 0, round(k / 100 * 1e9), 0, b"").t == k / 100

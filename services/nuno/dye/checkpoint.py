@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno.recording.reader import Arrays, Recorded, Recording
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import control_events
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

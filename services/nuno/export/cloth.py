@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from nuno.arrays import BadMessage, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.recording.reader import Frame, Recording
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Frame
 from nuno_schemas.bodies import PLANE, Geometry, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -180,7 +181,7 @@ def read_frame(recording: Recording, number: int | None = None) -> Frame:
         message = recording.last(STATE.name)
     elif number in times:
         message = next(
-            recording.messages([STATE.name], start=times[number] * 1e-9, end=times[number] * 1e-9 + 1e-9), None
+            recording.messages([STATE.name], start=times[number] / 1e9, end=times[number] / 1e9 + 1e-9), None
         )
     else:
         message = None

@@ -13,7 +13,8 @@ import numpy as np
 from nuno.arrays import BadMessage
 from nuno.export.dyed import PICTURE_SIDE, DyePainter, painter_of
 from nuno.export.target import Progress, check_target, opened, writing
-from nuno.recording.reader import Recorded, Recording
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Recorded
 from nuno.recording.restore import restored_scene
 from nuno.words import time_of
 from nuno_schemas.dye_picture import Picture
@@ -116,7 +117,7 @@ def find_amounts(recording: Recording, number: int | None) -> Recorded:
     times = {frame: time for time, (frame, _) in recording.marks().items()}
     message = recording.last(CONCENTRATION.name)
     if number is not None:
-        start = times[number] * 1e-9 if number in times else np.inf
+        start = times[number] / 1e9 if number in times else np.inf
         found = recording.messages([CONCENTRATION.name], start, start + 1e-9) if number in times else iter(())
         message = next(found, None)
     if message is None:
@@ -128,7 +129,7 @@ def find_amounts(recording: Recording, number: int | None) -> Recorded:
 
 def choose_amounts(recording: Recording, start: float | None, end: float | None) -> list[float]:
     """Times of the frames from `start` to `end` [s]. Raises BadInput where there is none."""
-    times = [time * 1e-9 for time in sorted(recording.marks())]
+    times = [time / 1e9 for time in sorted(recording.marks())]
     first, last = (-np.inf if start is None else start), (np.inf if end is None else end)
     chosen = [time for time in times if first <= time <= last]
     if not chosen:

@@ -11,7 +11,8 @@ from nuno.export.cloth import Piece, body_vertices, check_size, read_bodies, rea
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.paint import BODY, PLAIN, paint_stretch
 from nuno.export.target import Progress, opened, writing
-from nuno.recording.reader import Frame, Recording
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

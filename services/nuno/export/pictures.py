@@ -20,7 +20,8 @@ from nuno.export.dyed_pictures import Changes
 from nuno.export.paint import BODY, PLAIN, STRETCH, paint_stretch, paint_yarns
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.export.tubes import SIDES, tubes
-from nuno.recording.reader import Frame, Recording
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Frame
 from nuno_schemas.camera import frame as fit_camera
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
@@ -168,7 +169,7 @@ def choose_frames(recording: Recording, fps: float, start: float | None, end: fl
     A picture stands for 1 / fps seconds whatever the recording's rate, so time runs true.
     Raises BadInput where there is nothing to show.
     """
-    times = {time * 1e-9: number for time, (number, _) in recording.marks().items()}
+    times = {time / 1e9: number for time, (number, _) in recording.marks().items()}
     known = np.array(sorted(times))
     if not len(known):
         raise BadInput("the recording holds no frames", str(recording.path))

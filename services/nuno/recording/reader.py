@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 
 from nuno.arrays import BadMessage, decode_arrays, decode_points
 from nuno.recording.layout import ChunkPlace, Damaged, Layout, attachment, chunk_messages, read_at, read_layout
+from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
 from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, State
 from nuno_schemas.messages import (
     BODIES,
     CHECKPOINT,
@@ -30,54 +29,8 @@ from nuno_schemas.messages import (
     STATUS,
 )  # fmt: skip
 
-Arrays = dict[str, NDArray[Any]]
 END = "end"
 """Name of the closing metadata: present only where the recorder was asked to finish."""
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """One message: log time is simulation time [ns], publish time wall time [ns]."""
-
-    topic: str
-    seq: int
-    log_time: int
-    publish_time: int
-    payload: bytes
-
-    @property
-    def t(self) -> float:
-        """Simulation time [s], to the nanosecond."""
-        return self.log_time * 1e-9
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Published positions x (n, 3) [m] at time t [s]: float32 precision in float64."""
-
-    number: int
-    t: float
-    digest: str
-    x: Float
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """The float64 state after a frame, with all solver memory: what a run resumes from."""
-
-    frame: int
-    t: float
-    digest: str
-    x: Float
-    v: Float
-    memory: Arrays
-    text: dict[str, Any]
-    """What the simulation wrote beside the arrays: dt, steps."""
-
-    @property
-    def state(self) -> State:
-        """A copy that may be changed."""
-        return State(self.x.copy(), self.v.copy(), self.t)
 
 
 class Recording:
@@ -138,7 +91,7 @@ class Recording:
     def span(self) -> tuple[float, float]:
         """Simulation time [s] of the earliest and the latest message."""
         chunks = self.layout.chunks
-        return min((c.start for c in chunks), default=0) * 1e-9, max((c.end for c in chunks), default=0) * 1e-9
+        return min((c.start for c in chunks), default=0) / 1e9, max((c.end for c in chunks), default=0) / 1e9
 
     @property
     def missing(self) -> dict[str, int]:
