@@ -107,6 +107,23 @@ def test_a_resumed_run_prepares_its_solver_with_the_resist_that_it_goes_on_with(
     assert resumed.advance().digest == whole.advance().digest
 
 
+def test_a_bath_added_after_a_resist_is_resumed_with_its_volume(tmp_path: Path) -> None:
+    """The resist took the room that dye had left at its time, which is not the room at the start."""
+    whole = start(tmp_path)
+    added = [(2, said("resist", PASTE)), (3, said("supply", BATH))]
+    for frame in range(4):
+        for at, item in added:
+            if at == frame:
+                whole.add(item)
+        whole.advance()
+    resumed = start(tmp_path)
+    resumed.resume(_checkpoint(whole), added)
+    assert resumed.supplies.entries[0].volume == whole.supplies.entries[0].volume
+    for _ in range(3):
+        assert resumed.advance().digest == whole.advance().digest
+    assert resumed.supplied == whole.supplied
+
+
 def _checkpoint(dyeing: DyeRun) -> DyeCheckpoint:
     text = {"supply": dyeing.supplies.save(dyeing.frame * dyeing.steps)}
     phi, fixed, resist = (values.copy() for values in (dyeing.state.phi, dyeing.state.fixed, dyeing.cells.resist))

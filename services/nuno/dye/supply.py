@@ -215,7 +215,8 @@ class Supplies:
 
     def save(self, step: int) -> dict[str, Any]:
         """State and account at the start of a step as JSON can hold them, exactly."""
-        return {"baths": self.begun(step), "given": self.given}
+        volumes = {entry.name: entry.volume for entry in self.entries if entry.finite}
+        return {"baths": self.begun(step), "volumes": volumes, "given": self.given}
 
     def restore(self, saved: dict[str, Any], step: int) -> None:
         """Raises ValueError, KeyError, TypeError or AttributeError where it is not of these supplies."""
@@ -224,4 +225,7 @@ class Supplies:
             raise ValueError(f"baths {', '.join(baths) or 'none'}, and {len(given)} dyes")
         for entry in self.entries:
             entry.share = float(baths.get(entry.name, entry.share))
+            if entry.finite:
+                # A resist that was added before the bath has left its cells room for the dye of that time.
+                entry.volume = float(saved["volumes"][entry.name])
         self.given = [{str(name): float(amount) for name, amount in account.items()} for account in given]
