@@ -134,13 +134,14 @@ class DyeRun:
         self.state.t = self.time
         step, end = self.frame * self.steps, (self.frame + 1) * self.steps
         totals: Counter[str] = Counter()
-        exchanged = False
+        taken, exchanged = 0, False
         while True:
             self.supplies.begin(self.state.phi, step)
             until = self.supplies.until(step, end)
             kept = self.supplies.keep(step)
             report = self._step(kept, until - step)
             totals.update(report.totals)
+            taken += report.steps
             exchanged = self.supplies.end(self.state.phi, step, report.supplied)
             step = until
             if step == end or report.status != "ok":
@@ -150,7 +151,7 @@ class DyeRun:
             report = replace(report, mobile=measured.mobile, fixed=measured.fixed)
         self.frame += 1
         self.state.t = self.time
-        report = replace(report, totals=dict(totals))
+        report = replace(report, totals=dict(totals), steps=taken)
         return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
 
     @property
