@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dye_scene import arrays, write_scene
+from dye_scene import CELL, TAU3, arrays, write_scene
 
 import nuno
 from nuno import scene_file
@@ -61,6 +61,20 @@ def test_a_frame_within_an_explicit_step_is_explicit(tmp_path: Path) -> None:
     decided = decide(read(tmp_path, duration="4 s", frame_rate=1.0))
     assert decided.dye is not None and decided.dye.solver.name == "explicit"
     assert "no longer than an explicit step" in decided.why
+
+
+@pytest.mark.parametrize("hours", [0.5, 0.6, 2.75])
+def test_supplies_wait_no_longer_than_for_an_explicit_step(hours: float, tmp_path: Path) -> None:
+    """Frames of two hours: the last one comes in the second frame."""
+    drop = {"kind": "drop", "place": [4 * CELL, 4 * CELL], "diameter": 5 * CELL, "start": f"{hours} h"}
+    cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": TAU3, "supply": [drop]}
+    loaded = read(tmp_path, "accuracy=preview", dyes=[RED], cloth=cloth)
+    longest = DyeRun(scene_file.read(tmp_path / "scene.yaml", ["dye.solver=explicit"]), 1).dt
+    chosen = DyeRun(decide(loaded), 1)
+    entry = chosen.supplies.entries[0]
+    assert 0.0 <= entry.first * chosen.dt - 3600.0 * hours <= longest * (1.0 + 1e-9)
+    if hours == 0.5:
+        assert chosen.steps == 4 * round(chosen.steps / 4) < 7200.0 / longest, "long steps that end at its time"
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import numpy as np
 
 from nuno import scene_file
 from nuno.dye.run import DyeRun
+from nuno.dye.supply import first_step
 from nuno.scene_file import FIRST_DYE, Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -66,10 +67,11 @@ def decide_dye(loaded: Loaded) -> Loaded:
         return loaded
     accuracy = scene.accuracy or "normal"
     explicit = _written(loaded, FIRST_DYE, None, "")
-    steps, dt = _explicit_steps(explicit)
+    run = DyeRun(explicit, 1)
+    steps, dt = run.steps, run.dt
     if steps == 1:
         return _written(loaded, FIRST_DYE, dt, "a frame is no longer than an explicit step")
-    found = _try_longer(_written(loaded, LONG, None, ""), steps, PROMISE[accuracy])
+    found = _try_longer(_written(loaded, LONG, None, ""), steps, _first_on_time(run), PROMISE[accuracy])
     if isinstance(found, str):
         return _written(loaded, FIRST_DYE, dt, f"{accuracy}: {steps} explicit steps a frame; {found}")
     number, error, cost = found
@@ -80,19 +82,35 @@ def decide_dye(loaded: Loaded) -> Loaded:
     return _written(loaded, LONG, dye.speed / scene.frame_rate / number, why)
 
 
-def _explicit_steps(explicit: Loaded) -> tuple[int, float]:
-    dyeing = DyeRun(explicit, 1)
-    return dyeing.steps, dyeing.dt
+def _first_on_time(explicit: DyeRun) -> int:
+    """Steps a frame, a power of two, with which supplies begin and end no later than an explicit step after their time.
+
+    Supplies wait for the next step: one that came in the middle of a long step would be late by half of it, in a
+    frame that no trial may have seen. Any multiple of these steps is on time, too.
+    """
+    end = explicit.loaded.scene.frames * explicit.steps * explicit.dt
+    given = [entry.supply for entry in explicit.supplies.entries]
+    times = [time for one in given for time in (one.start, one.stop) if time is not None and time < end]
+    steps = 1
+    while steps < explicit.steps:
+        dt = explicit.steps * explicit.dt / steps
+        if all(first_step(time, dt) * dt - time <= explicit.dt for time in times):
+            break
+        steps *= 2
+    return steps
 
 
-def _try_longer(loaded: Loaded, most: int, promise: float) -> tuple[int, float, float] | str:
-    """Steps a frame of the long steps that keep the promise, their error and cost [explicit steps]; or why none do."""
+def _try_longer(loaded: Loaded, most: int, first: int, promise: float) -> tuple[int, float, float] | str:
+    """Steps a frame of the long steps that keep the promise, their error and cost [explicit steps]; or why none do.
+
+    `most` are the explicit steps, `first` the fewest long ones.
+    """
     try:
         trials = Trials(loaded, min(loaded.scene.frames, MOST_FRAMES))
-        trials.run(1)
+        trials.run(first)
         if trials.work > 0.1 * MOST_WORK and trials.frames > 1:
             trials = Trials(loaded, 1)
-        steps = 1
+        steps = first
         while True:
             cost = STAGE * trials.run(steps)[1]
             if cost >= most:
@@ -112,7 +130,7 @@ def _extrapolated(
 ) -> tuple[int, float, float] | str:
     """What the second order makes of the last trial."""
     factor = math.sqrt(error / promise)
-    wanted = math.ceil(steps * factor)
+    wanted = steps * math.ceil(factor)
     # Stages of a step fall with the root of its length: those of a frame grow with the root of their number.
     cost = STAGE * trials.run(steps)[1] * math.sqrt(wanted / steps)
     return (wanted, promise, cost) if cost < most else f"{LONG} would take as long as {cost:.3g} for the same"
