@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from nuno_dye.quantities import Share
 from nuno_dye.resist import read_image
@@ -52,6 +52,13 @@ class Colours(Config):
     clean: Annotated[int, Field(ge=1, le=CLEAN_MOST)] = Field(
         default=5, description="side of the median filter that takes away specks, in pixels, odd; 1: none"
     )
+
+    @field_validator("clean")
+    @classmethod
+    def _has_a_middle(cls, clean: int) -> int:
+        if clean % 2 == 0:
+            raise ValueError(f"a square of an even side has no middle pixel; write {clean - 1} or {clean + 1}")
+        return clean
 
 
 def read_photograph(path: Path) -> NDArray[np.uint8]:

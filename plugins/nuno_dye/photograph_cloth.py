@@ -106,9 +106,8 @@ class PhotographCloth:
         try:
             return split_by_colour(config.colours, light)
         except BadInput as error:
-            raise BadInput(
-                error.problem, None, None, f"colours.{error.field}", error.value, None, error.remedy
-            ) from None
+            place = f"colours.{error.field}"
+            raise BadInput(error.problem, None, None, place, error.value, error.limit, error.remedy) from None
 
     def resists(self, config: PhotographConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
         """Raises BadInput for what touches no cell, and an image that does not fit."""

@@ -128,6 +128,19 @@ def test_masks_or_colours_but_not_both(fields: dict[str, Any], tmp_path: Path) -
         config(tmp_path, **fields)
 
 
+@pytest.mark.parametrize(
+    ("colours", "words"),
+    [
+        ({"weft": "#000000"}, ["colours.weft: warp and weft have one colour", "#000000 is the warp's", "lightness"]),
+        ({"clean": 4}, ["even side", "write 3 or 5"]),
+    ],
+)
+def test_colours_are_refused_with_their_limit(colours: dict[str, Any], words: list[str], tmp_path: Path) -> None:
+    with pytest.raises((BadInput, ValidationError)) as refused:
+        build(tmp_path, masks=None, colours={"warp": "#000000", "weft": "#ffffff"} | colours)
+    assert all(word in str(refused.value) for word in words), refused.value
+
+
 def test_what_is_no_photograph_is_refused(tmp_path: Path) -> None:
     given = config(tmp_path)
     (tmp_path / "cloth.png").write_text("a letter")
