@@ -21,9 +21,18 @@ def validator() -> Any:
     return jsonschema.Draft202012Validator(schema)
 
 
-@pytest.mark.parametrize("name", sorted(scene_file.shipped()))
+SHIPPED = {name: path for folder in ("", *scene_file.FOLDERS) for name, path in scene_file.shipped(folder).items()}
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED))
 def test_shipped_scenes_fit(validator: Any, name: str) -> None:
-    validator.validate(yaml.safe_load(scene_file.shipped()[name].read_text()))
+    validator.validate(yaml.safe_load(SHIPPED[name].read_text()))
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED))
+def test_shipped_scenes_say_what_they_show_in_whole_sentences(name: str) -> None:
+    text = yaml.safe_load(SHIPPED[name].read_text())["description"]
+    assert (text[0].isupper() or text[0].isdigit()) and text.endswith("."), text
 
 
 @pytest.mark.parametrize(
