@@ -175,7 +175,7 @@ def _dye(report: Report) -> list[tuple[str, str]]:
         rows += [("dye step", _step(report["dye_steps"])), ("dye digest", report["dye_steps"]["digest"])]
     seconds, simulated = dye["seconds"], report["began"] + report["simulated_seconds"]
     if seconds != simulated:
-        rows.append(("dyeing", f"{_time(seconds)}, {seconds / simulated:g} times as fast as the scene"))
+        rows.append(("dyeing", f"{duration(seconds)}, {seconds / simulated:g} times as fast as the scene"))
     first = next(iter(dye["supplied"]))
     for name, supplied in dye["supplied"].items():
         mobile, fixed = (_cells(dye[kind][name]) for kind in ("mobile", "fixed"))
@@ -183,7 +183,7 @@ def _dye(report: Report) -> list[tuple[str, str]]:
             ("" if name != first else "dye", f"{name}: {supplied:.6g} supplied, {mobile} mobile, {fixed} fixed")
         )
         rows += [("", f"  {text}") for text in _given(dye, name)]
-    late = [f"{name} begins at {_time(start)} of the dyeing, after the end" for name, start in dye["ahead"].items()]
+    late = [f"{name} begins at {duration(start)} of the dyeing, after the end" for name, start in dye["ahead"].items()]
     rows += [("not given" if i == 0 else "", text) for i, text in enumerate(late)]
     text = "not finite" if dye["balance"] is None else f"off by at most {dye['balance']:.2g} of what was supplied"
     return [*rows, ("balance", f"mobile + fixed - supplied: {text}")]
@@ -196,13 +196,6 @@ def _given(dye: Report, name: str) -> list[str]:
         return []
     left = {one: f", {baths[one]:.4g} of the bath is left" if one in baths else "" for one in account}
     return [f"{one}: {_cells(amount)}{left[one]}" for one, amount in account.items()]
-
-
-def _time(seconds: float) -> str:
-    """A time in the largest unit of which there is more than one."""
-    units = {"d": 86400.0, "h": 3600.0, "min": 60.0}
-    unit, size = next(((unit, size) for unit, size in units.items() if seconds > size), ("s", 1.0))
-    return f"{seconds / size:.4g} {unit}"
 
 
 def _cells(amount: float | None) -> str:

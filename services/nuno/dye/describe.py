@@ -7,6 +7,7 @@ import math
 from nuno.dye.run import DyeRun, estimate_memory
 from nuno.dye.supply import Entry
 from nuno.scene_file import Loaded
+from nuno.words import duration
 from nuno_schemas.dye import Dye
 
 
@@ -37,7 +38,7 @@ def _object(loaded: Loaded) -> str:
 
 def _speed(dyeing: DyeRun) -> str:
     scene = dyeing.loaded.scene
-    return f", {scene.frames / scene.frame_rate * dyeing.speed:g} s of dyeing" if dyeing.speed != 1.0 else ""
+    return f", {duration(scene.frames / scene.frame_rate * dyeing.speed)} of dyeing" if dyeing.speed != 1.0 else ""
 
 
 def _time_frame(dyeing: DyeRun) -> float:
@@ -48,9 +49,9 @@ def _time_frame(dyeing: DyeRun) -> float:
 
 def _supply(entry: Entry) -> str:
     one = entry.supply
-    times = f"at {one.start:g} s"
+    times = f"at {duration(one.start)}"
     if one.stop is not None:
-        times = f"{one.start:g} s to {'the end' if math.isinf(one.stop) else f'{one.stop:g} s'}"
+        times = f"{duration(one.start)} to {'the end' if math.isinf(one.stop) else duration(one.stop)}"
     return f"{one.kind} {times}{', exhausted' if entry.finite else ''}"
 
 
