@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -13,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
-from dye_scene import CELL, arrays
+from garment_scene import DROP, PASTE, alone, write
 from live_run import Run
 
 import nuno
@@ -26,68 +22,7 @@ from nuno.recording.restore import control_events
 from nuno.replay import Replay
 from nuno.service import Options
 from nuno.verify import verify
-from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE
-
-SHEET = {
-    "plugin": "sheet",
-    "size": [0.3, 0.3],
-    "resolution": [6, 6],
-    "pin": ["top-corners"],
-    "fabric": "denim",
-}
-BALL = {"name": "ball", "collider": {"plugin": "sphere", "radius": 0.1, "centre": [0, -0.2, 0]}}
-BATH = {"kind": "bath", "maintained": True, "liquor": 5.0, "region": {"shape": "rectangle", "low": [0, 0],
-        "high": [5 * CELL, 1]}}  # fmt: skip
-DROP = {"kind": "drop", "place": [3 * CELL, 4 * CELL], "diameter": 4 * CELL, "start": "36 s"}
-PASTE = {"kind": "paste", "points": [[0, 5 * CELL], [1, 5 * CELL]], "width": 3 * CELL}
-PROGRAM = """
-import json, os, sys
-from nuno.cli import main
-code = main(["run", "scene.yaml", "--no-view", "--record", "one.mcap"])
-print(json.dumps([code, sorted(sys.modules)]))
-sys.stdout.flush()
-os._exit(0)
-"""
-
-
-def scene(**fields: Any) -> dict[str, Any]:
-    """A sheet over a ball, an hour of dyeing in a second; `dye` replaces fields of the dye, None leaves it out."""
-    cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": {"I": 0.5, "II": 0.5, "III": 0.1}}
-    blue = {"name": "blue", "D0": "1.93 mm^2/h", "adsorption": 0.5, "isotherm": {"plugin": "langmuir", "K": 2.0}}
-    dye = {
-        "object": "sheet",
-        "speed": "3600 s/s",
-        "cloth": cloth | {"supply": [BATH, DROP]},
-        "dyes": [blue],
-        "solver": "explicit",
-    }
-    changed = fields.pop("dye", {})
-    return {
-        "nuno": 1, "name": "garment", "duration": 0.2, "frame_rate": 50,
-        "solver": {"plugin": "symplectic_euler", "dt": "auto"},
-        "objects": [{"name": "other", "model": SHEET | {"centre": [1, 0, 0]}}, {"name": "sheet", "model": SHEET}],
-        "bodies": [BALL], "record": {"checkpoint_every": 0.08}, "dye": None if changed is None else dye | changed,
-    } | fields  # fmt: skip
-
-
-def write(folder: Path, **fields: Any) -> Path:
-    np.savez(folder / "cells.npz", allow_pickle=False, **arrays())
-    path = folder / "scene.yaml"
-    data = {name: value for name, value in scene(**fields).items() if value is not None}
-    path.write_text(yaml.safe_dump(data))
-    return path
-
-
-def alone(folder: Path, **fields: Any) -> Path:
-    """The same dye by itself."""
-    data = scene(**fields)
-    del data["dye"]["object"]
-    for name in ("objects", "bodies", "solver"):
-        del data[name]
-    path = write(folder)
-    path.write_text(yaml.safe_dump(data))
-    return path
 
 
 @pytest.mark.parametrize("how", [{}, {"processes": True}])
@@ -268,53 +203,3 @@ def test_a_dye_that_fails_ends_the_run_by_its_name(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(DyeRun, "advance", advance)
     outcome = supervisor.supervise(scene_file.read(write(tmp_path)), Options(record=tmp_path / "both.mcap"))
     assert outcome.state == "failed" and "dye service died: ArithmeticError: no more dye" in outcome.error
-
-
-MESH = "v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
-TILED = "v 0 0 0\nv 1 0 0\nv 0 0 1\nvt 0 0\nvt 3 0\nvt 0 3\nf 1/1 2/2 3/3\n"
-
-
-@pytest.mark.parametrize(
-    ("fields", "field", "words"),
-    [
-        ({"dye": {"object": "sheat"}}, "dye.object", "did you mean 'sheet'"),
-        ({"dye": {"object": "sheet"}, "objects": []}, "dye.object", "known: none"),
-        ({"dye": {"object": "cape"}, "mesh": MESH}, "objects[0].model", "'cape'"),
-        ({"dye": {"object": "cape"}, "mesh": MESH}, "objects[0].model", "give the mesh texture coordinates"),
-        ({"dye": {"object": "cape"}, "mesh": TILED}, "objects[0].model", "0 to 3"),
-        ({"dye": {"on": "sheet"}}, "dye.on", "the object that is dyed is `object`: write object: sheet"),
-        ({"dye": {True: "sheet"}}, "dye.true", "write object: sheet"),
-        ({"dye": {"object": None}}, "objects", "name the object that is dyed as dye.object"),
-        ({"dye": {"solver": {"plugin": "explicit", "dt": "100 s"}}}, "dye.solver.dt", "a dye.speed of at least 5000"),
-        ({"dye": {"dyes": []}}, "dye.dyes", "too short"),
-        ({"dye": {"picture": {"crop": {"low": [0, 0], "high": [1, 1]}}}}, "dye.picture.crop", "shows all of the cloth"),
-    ],
-)
-def test_garments_are_refused_by_name(fields: dict[str, Any], field: str, words: str, tmp_path: Path) -> None:
-    mesh = fields.get("mesh")
-    if mesh is not None:
-        (tmp_path / "cape.obj").write_text(mesh)
-        fields = {"dye": fields["dye"], "objects": [{"name": "cape", "model": {"plugin": "mesh", "file": "cape.obj"}}]}
-    with pytest.raises(BadInput) as refused:
-        nuno.run(write(tmp_path, **fields), record=tmp_path / "run.mcap")
-    assert f"{field}: " in str(refused.value) and words in str(refused.value)
-    assert list(tmp_path.glob("*.mcap*")) == []
-
-
-def test_a_garment_without_bodies_starts_no_collision_service(tmp_path: Path) -> None:
-    write(tmp_path, bodies=[])
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM], cwd=tmp_path, env=os.environ, capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    code, modules = json.loads(done.stdout.splitlines()[-1])
-    assert code == 0 and "nuno.dye.service" in modules and "nuno.simulation.service" in modules
-    assert [name for name in modules if "nuno.collision.service" in name or "nuno_contact" in name] == []
-
-
-def test_a_plan_names_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", str(write(tmp_path))]) == 0
-    said = capsys.readouterr().out
-    assert "services  simulation, dye, collision, recorder" in said
-    assert "on sheet, 198 cells" in said and "72 vertices" in said and "knit and wrinkles: the scene has none" in said
-    assert "720 s of dyeing" in said
