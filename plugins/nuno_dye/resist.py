@@ -140,13 +140,15 @@ def read_image(
 
     Raises BadInput for a file that is no PNG, for one in colour, and for a size that is not the cloth's.
     """
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     try:
         with path.open("rb") as stream, Image.open(stream, formats=["PNG"]) as image:
             found = (image.height, image.width)
             if shape is None or found == shape:
                 values, cover_ = _read_pixels(image)
+    except UnidentifiedImageError:
+        raise BadInput("cannot be read as PNG", file=str(path), remedy="save it as a grey PNG") from None
     except Exception as error:  # whatever a broken file makes of the decoder
         raise BadInput(f"cannot be read as PNG: {error}", file=str(path)) from None
     if shape is not None and found != shape:

@@ -16,6 +16,9 @@ from nuno_schemas.errors import BadInput, nearest
 OVERRIDDEN = 0
 """Line of a field that was given on the command line."""
 
+GIVEN = "--set"
+"""What errors call the command line."""
+
 UNNUMBERED = -1
 """Line of a field whose scene was never a file of the user's."""
 
@@ -39,12 +42,12 @@ _BOUNDS |= {"greater_than_equal": "at least", "less_than_equal": "at most"}
 
 def located(error: BadInput, file: str, lines: Mapping[Path, int], field: str) -> BadInput:
     """Fill in where an error stands, keeping what it already says."""
-    if error.file == file and error.field is not None:
+    if error.file in (file, GIVEN) and error.field is not None:
         return error
     full = f"{field}.{error.field}" if error.field and error.file is None else field
     line = next((n for path, n in sorted(lines.items(), key=lambda i: -len(i[0])) if _under(full, dotted(path))), None)
     if line == OVERRIDDEN:
-        file, line = "--set", None
+        file, line = GIVEN, None
     line = None if line == UNNUMBERED else line
     if error.file is None:
         return BadInput(error.problem, file, line, full, error.value, error.limit, error.remedy)
@@ -122,6 +125,9 @@ def _words(error: Any) -> Words:
     if kind in ("too_short", "too_long"):
         limit = context.get("min_length", context.get("max_length"))
         return f"{kind.replace('_', ' ')} a list", value, f"{limit} items", None
+    if kind == "union_tag_invalid":
+        field, tag = str(context["discriminator"]).strip("'"), str(context["tag"])
+        return f"unknown {field}", tag, None, nearest(tag, re.findall(r"'([^']*)'", str(context["expected_tags"])))
     for name, problem in _WRONG_TYPE.items():
         if kind.startswith(name + "_"):
             return problem, value, None, None

@@ -232,3 +232,10 @@ def test_amounts_are_a_table(tmp_path: Path) -> None:
         .read_text()
         .startswith("frame,t [s],steps,step_seconds [s],time [s],balance [1],mobile_blue")
     )
+
+
+def test_a_step_given_on_the_command_line_is_told_to_stand_there(tmp_path: Path) -> None:
+    loaded = scene_file.read(write_scene(tmp_path), ["dye.solver={plugin: explicit, dt: 1.7 s}"])
+    with pytest.raises(BadInput, match="not a whole number of steps") as refused:
+        DyeRun(loaded, 1)
+    assert str(refused.value).startswith("--set: dye.solver.dt: a frame is not a whole number of steps\n")

@@ -202,7 +202,11 @@ def test_a_bath_s_share_is_part_of_the_digest(tmp_path: Path) -> None:
         (DROP | {"dye": 1}, "dye.cloth.supply[0].dye", "0 to 0"),
         (WHOLE | {"start": 3, "stop": 2}, "dye.cloth.supply[0]", "stop 2 s must be after start 3 s"),
         (DROP | {"stop": 2}, "dye.cloth.supply[0]", "maintained: true"),
-        (DROP | {"kind": "dropp"}, "dye.cloth.supply[0]", "drop"),
+        (
+            DROP | {"kind": "dropp"},
+            "dye.cloth.supply[0]: unknown kind",
+            "did you mean 'drop'? known: bath, drop, stroke",
+        ),
         (DROP | {"start": "-1 s"}, "dye.cloth.supply[0].start", "at least 0"),
     ],
 )
