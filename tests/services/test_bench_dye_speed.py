@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -38,16 +39,17 @@ def test_numpy_takes_our_steps() -> None:
     check_peer(lambda system, scale: SlicedDiffusion(system.cells, scale).advance, STEPS)
 
 
-@pytest.mark.parametrize("steps", [STEPS, STEPS + 1])
-def test_devito_takes_our_steps(steps: int) -> None:
-    pytest.importorskip("devito")
+# Devito asks for an older NumPy than ours, so that no extra of ours may install it: it is tested where somebody has it.
+if find_spec("devito"):
 
-    def make(system: DyeSystem, scale: float) -> Callable[[Float, int], None]:
-        advance = devito_diffusion(system.cells, scale, 1)
-        assert advance is not None
-        return advance
+    @pytest.mark.parametrize("steps", [STEPS, STEPS + 1])
+    def test_devito_takes_our_steps(steps: int) -> None:
+        def make(system: DyeSystem, scale: float) -> Callable[[Float, int], None]:
+            advance = devito_diffusion(system.cells, scale, 1)
+            assert advance is not None
+            return advance
 
-    check_peer(make, steps)
+        check_peer(make, steps)
 
 
 def test_weights_of_the_peers_add_up_to_the_stated_limit() -> None:
