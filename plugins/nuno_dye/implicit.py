@@ -1,0 +1,262 @@
+"""Implicit steps of any length: diffusion, limits, supplies and adsorption solved together (nuno_dye.implicit_sweep).
+
+`sdirk2` (Alexander 1977) takes two backward Euler stages of gamma = 1 - 1/sqrt(2) of the step, the second from what
+the first, prolonged, came to: of second order, and damping as TR-BDF2 does, whose amplification it has; but its first
+stage asks for no rate at the start, which is without bounds where a drop was just put. `backward_euler` is of first
+order and never leaves the bounds.
+
+Every stage ends with the fluxes of what the sweeps found, so that dye is kept to rounding whatever residual they
+leave. What the second stage takes below nothing or above capacity goes to the neighbours (nuno_dye.repair). Where they
+cannot take it, or the sweeps do not converge, the step is taken again as two halves, eight times over; then the run
+ends as unconverged.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numba
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_dye.bands import Cut
+from nuno_dye.diffusion import LEFT, Rows
+from nuno_dye.implicit_cell import Fibre
+from nuno_dye.implicit_sweep import Stage, relax, settle
+from nuno_dye.repair import repair
+from nuno_dye.rkl2_stage import Weights
+from nuno_dye.solving import (
+    Known,
+    count_bands,
+    describe_threads,
+    know,
+    largest_amounts,
+    law_of,
+    make_report,
+    raise_largest,
+    require_laws,
+    same_cells,
+)
+from nuno_dye.sums import sum_compensated
+from nuno_kernels import threads_available
+from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Memory
+from nuno_schemas.plugin import Config
+
+GAMMA = 1.0 - math.sqrt(0.5)
+MARGIN = 1
+HALVINGS = 8
+MOST_SWEEPS = 3000
+ROUNDING = 8.0 * 2.0**-52
+"""Of the largest amount times the weights of a cell: no residual becomes smaller."""
+BEYOND = 1e3
+"""What a kept-up cell may hold beyond its capacity while others' excess is moved."""
+
+
+class ImplicitConfig(Config):
+    """How steps are taken and solved."""
+
+    scheme: Literal["sdirk2", "backward_euler"] = Field("sdirk2", description="second or first order in the step")
+    residual: float = Field(1e-6, gt=0, le=1e-2, description="of every cell's equation, of the largest amount")
+
+
+@dataclass
+class Work:
+    """What was made from a system: most mobile dye, V_d and floors in the kernel's layout, and weights by scale."""
+
+    config: ImplicitConfig
+    known: Known
+    cut: Cut
+    cuts: Rows
+    mobile: Float
+    fibre: Float
+    floors: dict[int, Float] = field(default_factory=dict)
+    weights: dict[float, Weights] = field(default_factory=dict)
+
+
+@dataclass
+class Spread:
+    """One dye while it is advanced: its floor, whether limits may bind, and the residual allowed [amounts]."""
+
+    one: Dye
+    floor: Float | None
+    limited: bool
+    totals: dict[str, int]
+    given: list[float] = field(default_factory=list)
+    residual: float = 0.0
+    """The last that was too large."""
+
+
+class Implicit:
+    """Backward Euler stages, solved by over-relaxation."""
+
+    name: ClassVar[str] = "implicit"
+    order: ClassVar[int] = 2
+    Config: ClassVar[type[BaseModel]] = ImplicitConfig
+
+    def prepare(self, config: ImplicitConfig, system: DyeSystem, state: DyeState) -> Memory:
+        """Memory: `highest` (dyes,), the largest amount that any cell can have had. Raises BadInput."""
+        require_laws(system)
+        for one in system.dyes:
+            if one.isotherm is not None and one.isotherm.kind == "python":
+                remedy = "solver: explicit, or one of the isotherms that come with it"
+                raise BadInput("implicit knows no isotherm in Python", value=one.name, remedy=remedy)
+        return Memory({"highest": largest_amounts(state)}, _make_work(config, system))
+
+    def limit(self, config: ImplicitConfig, system: DyeSystem) -> float:
+        """None: every step is stable."""
+        return math.inf
+
+    def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
+        """See nuno_schemas.dye.DyeSolver."""
+        work = memory.work = _renew_work(memory.work, system)  # type: ignore[arg-type]
+        highest = memory.arrays["highest"]
+        raise_largest(highest, work.known)
+        numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
+        totals, given, message = {"steps": steps, "sweeps": 0, "halvings": 0}, [], ""
+        for k, one in enumerate(system.dyes):
+            limited = not float(highest[k]) <= work.known.room
+            spread = Spread(one, _floor(work, k), limited, totals)
+            failed = _advance_one(work, spread, state.phi[k], state.fixed[k], steps, dt)
+            given.append(math.fsum(spread.given))
+            message = message or failed
+        state.t += steps * dt
+        return make_report(system, state, totals, given, message)
+
+    def about(self, system: DyeSystem) -> str:
+        return describe_threads(system)
+
+
+def _make_work(config: ImplicitConfig, system: DyeSystem) -> Work:
+    cells = system.cells
+    cut = Cut(cells.fibre.shape, 1, MARGIN)
+    cuts = cut.top + np.linspace(0, cut.ny, count_bands(system) + 1).astype(np.int64)
+    mobile, fibre = (cut.fill(room)[0][0] for room in (cells.mobile_room, cells.fixed_room))
+    return Work(config, know(system), cut, cuts, mobile, fibre)
+
+
+def _renew_work(work: Work, system: DyeSystem) -> Work:
+    """What still holds for a system that may have other cells, dyes, threads or another supply than before."""
+    if system is work.known.system:
+        return work
+    if not same_cells(system, work.known.system):
+        return _make_work(work.config, system)
+    if system.supply is not work.known.system.supply:
+        work.floors.clear()
+    work.known = know(system)
+    return work
+
+
+def _floor(work: Work, k: int) -> Float | None:
+    """What is kept up of a dye, None where nothing is."""
+    floors = work.known.floors
+    if floors is None or not floors[k].any():
+        return None
+    if k not in work.floors:
+        work.floors[k] = work.cut.fill(floors[k])[0][0]
+    return work.floors[k]
+
+
+def _weights(work: Work, scale: float) -> Weights:
+    if scale not in work.weights:
+        if len(work.weights) > HALVINGS:
+            work.weights.clear()
+        along, down, across = (plane[0] for plane in work.cut.fill_faces(work.known.faces, scale))
+        work.weights[scale] = Weights(along, down, across)
+    return work.weights[scale]
+
+
+def _advance_one(work: Work, spread: Spread, phi: Float, fixed: Float, steps: int, dt: float) -> str:
+    """Bring one dye from the start of a frame to its end; why a step failed."""
+    cut, scale = work.cut, spread.one.D0 * dt / work.known.system.cells.size**2
+    amounts = cut.fill(phi)[0][0], cut.fill(fixed)[0][0]
+    for _ in range(steps):
+        after = _step(work, spread, amounts, scale, 0)
+        if after is None:
+            shortest = dt / 2**HALVINGS
+            return f"steps of {shortest:g} s still leave a residual of {spread.residual:g} of the largest amount"
+        amounts = after
+    if steps == 0:
+        _stage(work, spread, amounts, amounts, 0.0, 1)
+    for values, out in zip(amounts, (phi, fixed), strict=True):
+        for layer in range(2):
+            at = cut.top + layer * cut.height
+            out[layer] = values[at : at + cut.ny, LEFT : LEFT + cut.nx]
+    return ""
+
+
+def _step(
+    work: Work, spread: Spread, start: tuple[Float, Float], scale: float, halved: int
+) -> tuple[Float, Float] | None:
+    """Mobile and fixed dye after one step, None where it fails."""
+    after = _whole_step(work, spread, start, scale)
+    if after is not None or halved == HALVINGS:
+        return after
+    spread.totals["halvings"] += 1
+    given = len(spread.given)
+    middle = _step(work, spread, start, 0.5 * scale, halved + 1)
+    after = None if middle is None else _step(work, spread, middle, 0.5 * scale, halved + 1)
+    if after is None:
+        del spread.given[given:]
+    return after
+
+
+def _whole_step(work: Work, spread: Spread, start: tuple[Float, Float], scale: float) -> tuple[Float, Float] | None:
+    """One step without halves."""
+    given: list[float] = []
+    if work.config.scheme == "backward_euler":
+        after = _stage(work, spread, start, start, scale, MOST_SWEEPS, given)
+    else:
+        share = (1.0 - GAMMA) / GAMMA
+        middle = _stage(work, spread, start, start, GAMMA * scale, MOST_SWEEPS, given)
+        if middle is None:
+            return None
+        given = [share * given[0]]
+        begun = tuple(first + share * (then - first) for first, then in zip(start, middle, strict=True))
+        after = _stage(work, spread, start, (begun[0], begun[1]), GAMMA * scale, MOST_SWEEPS, given)
+    if after is None:
+        return None
+    spread.given.extend(given)
+    return after
+
+
+def _stage(
+    work: Work, spread: Spread, start: tuple[Float, Float], begun: tuple[Float, Float], scale: float, sweeps: int,
+    given: list[float] | None = None,
+) -> tuple[Float, Float] | None:  # fmt: skip
+    """Mobile and fixed dye after a stage, None where it fails; `start` is what the step starts from."""
+    weights, most, cut = _weights(work, scale), np.maximum(work.mobile, start[0]), work.cut
+    kind, first, second = law_of(spread.one)
+    fibre = Fibre(start[1], begun[1], work.fibre, spread.one.adsorption * scale, kind, first, second) if kind else None
+    guess = np.clip(begun[0], 0.0, most)
+    if spread.floor is not None:
+        np.maximum(guess, spread.floor, out=guess)
+    stage = Stage(guess, np.ones_like(guess), begun[0])
+    ways = scale * work.known.most
+    largest = float(guess.max())
+    bound = max(work.config.residual, ROUNDING * (1.0 + ways)) * largest
+    count, residual = relax(
+        sweeps, ways / (1.0 + ways), bound, work.cuts, stage, weights, fibre, spread.floor,
+        most if spread.limited else None, cut.nx,
+    )  # fmt: skip
+    spread.totals["sweeps"] += count if given is not None else 0
+    out, held = np.zeros_like(guess), begun[1] if fibre is None else np.zeros_like(guess)
+    settle(out, held, work.cuts, stage, weights, fibre, spread.limited, cut.nx)
+    if not residual <= bound:
+        spread.residual = residual / (largest or 1.0)
+        return None
+    # Kept-up cells take any excess of their neighbours': it is given back to the supply that fed them.
+    bounds = most if spread.floor is None else np.where(spread.floor > 0.0, most + BEYOND, most)
+    if repair(out, bounds, spread.floor, weights, cut.top, cut.top + cut.ny - 1, cut.nx) != 0:
+        spread.residual = residual / (largest or 1.0)
+        return None
+    if spread.floor is not None and given is not None:
+        kept = np.where(spread.floor > 0.0, np.clip(out, spread.floor, most), out)
+        given.append(sum_compensated((kept - out).reshape(-1)))
+        out = kept
+    elif given is not None:
+        given.append(0.0)
+    return out, held

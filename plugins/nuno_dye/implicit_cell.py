@@ -1,0 +1,98 @@
+"""A cell's own equation in an implicit stage: its neighbours are given, its fibre and its limits are not split off.
+
+    phi + (A - A_b) = b + sum over faces g w (phi_j - phi)
+
+with weights w, g the factor of the face's receiver, and A what fibre holds at phi:
+
+    A(phi) = max(A_0, min(V_d, A_d(phi), max(A_b, (A_b + rho phi) / (1 + rho))))
+
+A_0 is fixed dye at the step's start, A_b where the stage begins, rho = D_ab dt / d^2: within its limit fibre takes
+rho (phi - A)^+, and it gives nothing back. A grows with phi, so that there is one root, and which of its pieces holds
+it is found by trying them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from nuno_dye.adsorption import FREUNDLICH, PARTITION
+from nuno_dye.fixing import limit_beside
+from nuno_kernels import kernel
+from nuno_schemas.fabric import Float
+
+ROUNDS = 40
+"""Newton steps for Freundlich's limit at most; four or five do."""
+
+
+class Fibre(NamedTuple):
+    """What fibre holds in a stage, (2 r, w) each, and its law.
+
+    least  A_0, at the step's start
+    begun  A_b, where the stage begins
+    room   V_d
+    rate   D_ab dt / d^2 of the stage
+    """
+
+    least: Float
+    begun: Float
+    room: Float
+    rate: float
+    isotherm: int
+    first: float
+    second: float
+
+
+@kernel
+def held_at(x: float, fibre: Any, at: int, c: int) -> float:
+    """A at mobile dye x."""
+    begun, room = fibre.begun[at, c], fibre.room[at, c]
+    free = max(begun, (begun + fibre.rate * x) / (1.0 + fibre.rate))
+    limit = min(limit_beside(fibre.isotherm, fibre.first, fibre.second, max(x, 0.0), room), room)
+    held: float = max(fibre.least[at, c], min(limit, free))
+    return held
+
+
+@kernel
+def solve_limit(isotherm: int, first: float, second: float, total: float, ways: float, room: float) -> float:
+    """The x >= 0 with ways x + A_d(x) = total, total > 0."""
+    if isotherm == PARTITION:
+        return total / (ways + first)
+    if isotherm == FREUNDLICH:
+        # Concave in x: from below its root Newton's steps stay below it.
+        x = min(0.5 * total / ways, (0.5 * total / first) ** (1.0 / second)) if first > 0.0 else total / ways
+        for _ in range(ROUNDS):
+            bound = first * x**second
+            step = (total - ways * x - bound) / (ways + second * bound / x) if x > 0.0 else 0.0
+            x += step
+            if step <= 1e-15 * x:
+                break
+        return x
+    # ways K x^2 + (ways + K (V_d - S)) x - S = 0, the greater root, without cancellation.
+    p, q = ways + first * (room - total), 4.0 * ways * first * total
+    root = math.sqrt(p * p + q)
+    return 2.0 * total / (p + root) if p > 0.0 else (root - p) / (2.0 * ways * first)
+
+
+@kernel
+def solve_cell(total: float, ways: float, fibre: Any, at: int, c: int) -> float:
+    """The x with ways x + A(x) - A_b = total."""
+    if fibre is None or fibre.room[at, c] <= fibre.least[at, c]:
+        return total / ways
+    begun, least, room, rate = fibre.begun[at, c], fibre.least[at, c], fibre.room[at, c], fibre.rate
+    x = total / ways
+    if x > begun:
+        x = (total + begun * rate / (1.0 + rate)) / (ways + rate / (1.0 + rate))
+    elif x <= 0.0:
+        return x
+    free = max(begun, (begun + rate * x) / (1.0 + rate))
+    if min(limit_beside(fibre.isotherm, fibre.first, fibre.second, x, room), room) >= free:
+        return x
+    total += begun
+    x = (total - least) / ways
+    if limit_beside(fibre.isotherm, fibre.first, fibre.second, max(x, 0.0), room) <= least:
+        return x
+    x = (total - room) / ways
+    if x > 0.0 and limit_beside(fibre.isotherm, fibre.first, fibre.second, x, room) >= room:
+        return x
+    return solve_limit(fibre.isotherm, fibre.first, fibre.second, total, ways, room)

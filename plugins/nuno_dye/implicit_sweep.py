@@ -1,0 +1,205 @@
+"""An implicit stage by sweeps: projected successive over-relaxation of all limits, supplies and fibre at once.
+
+A cell and its neighbours have different colours, as layer + row + column is even or odd, so that each half of a sweep
+depends on the other colour alone: the bits are those of any number of threads. In a cell its own equation is solved
+(nuno_dye.implicit_cell); it is then
+
+    at its floor   where a supply keeps it up
+    full           at V_u, if its root lies beyond: f <= 1, the factor of its inflow, is what keeps it there,
+                   (V_u - b + outflow + taken) / inflow; the supply replaces what flows out of a full kept-up cell
+    free           relaxed by omega; f = 1
+
+As for an obstacle problem (Cryer 1971), what is over-relaxed beyond a bound stays at it. More dye anywhere means
+less room and no less dye elsewhere, so that the sweeps come to the one solution. omega goes by Chebyshev's rule to
+Young's best value for the largest eigenvalue that Jacobi's iteration can have, W / (1 + W), W being the largest sum of
+weights of a cell. A multigrid method would need a coarse form of all three conditions.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import prange
+
+from nuno_dye.diffusion import LEFT
+from nuno_dye.implicit_cell import held_at, solve_cell
+from nuno_kernels import kernel, parallel_kernel
+from nuno_schemas.fabric import Float
+
+ALL_PAIRS = 1e-300
+"""Inflow below this counts as none."""
+
+
+class Stage(NamedTuple):
+    """One dye in a stage, (2 r, w) each, weft rows before warp rows.
+
+    phi      mobile dye, from a first guess to the solution
+    passed   f, any where nothing can be limited
+    begun    b
+    """
+
+    phi: Float
+    passed: Float
+    begun: Float
+
+
+@kernel
+def ways_between(way: float, other: float, here: float, factor: float) -> float:
+    """Conductance of a face whose other side has that amount and factor: flow inwards goes by this cell's, 1."""
+    return way if other > here else way * factor
+
+
+@kernel
+def flows_at(level: float, way: float, other: float, factor: float) -> tuple[float, float, float]:
+    """What comes in and goes out through one face of a cell that holds `level`, and the way out."""
+    apart = way * (other - level)
+    return (apart, 0.0, 0.0) if apart > 0.0 else (0.0, -apart * factor, way * factor)
+
+
+@kernel
+def fill_cell(
+    limit: float, begun: float, phi: Any, passed: Any, weights: Any, fibre: Any, kept: bool, row: int, r: int,
+    layer: int, c: int,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Amount, factor and inflow of a cell whose root without a factor lies beyond its limit."""
+    at, other = row + layer * r, row + r - layer * r
+    along, down, across = weights.along, weights.down, weights.across
+    came, went, ways = 0.0, 0.0, 0.0
+    for way, i, k in (
+        (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
+        (down[at - 1, c], at - 1, c), (across[row, c], other, c),
+    ):  # fmt: skip
+        into, out, open_way = flows_at(limit, way, phi[i, k], passed[i, k])
+        came, went, ways = came + into, went + out, ways + open_way
+    taken = held_at(limit, fibre, at, c) - fibre.begun[at, c] if fibre is not None else 0.0
+    room = limit - begun + taken + (0.0 if kept else went)
+    if room < 0.0 and not kept:
+        # More begins here than can stay: nothing comes in, and it holds what does not flow out.
+        total = begun + ways * limit - went
+        return max(limit, solve_cell(total, 1.0 + ways, fibre, at, c)), 0.0, came
+    factor = min(max(room / came, 0.0), 1.0) if came > ALL_PAIRS else 1.0
+    return limit, factor, came
+
+
+@kernel
+def relax_cell(
+    stage: Any, weights: Any, fibre: Any, floor: Any, most: Any, omega: float, row: int, r: int, layer: int, c: int
+) -> float:
+    """Bring one cell nearer to its root; the residual of its equation before, in amounts."""
+    phi, passed, along, down = stage.phi, stage.passed, weights.along, weights.down
+    at, other = row + layer * r, row + r - layer * r
+    east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
+    through, here = weights.across[row, c], phi[at, c]
+    if most is not None:
+        east = ways_between(east, phi[at, c + 1], here, passed[at, c + 1])
+        west = ways_between(west, phi[at, c - 1], here, passed[at, c - 1])
+        south = ways_between(south, phi[at + 1, c], here, passed[at + 1, c])
+        north = ways_between(north, phi[at - 1, c], here, passed[at - 1, c])
+        through = ways_between(through, phi[other, c], here, passed[other, c])
+    ways = 1.0 + (((east + west) + (south + north)) + through)
+    total = stage.begun[at, c] + (
+        ((east * phi[at, c + 1] + west * phi[at, c - 1]) + (south * phi[at + 1, c] + north * phi[at - 1, c]))
+        + through * phi[other, c]
+    )
+    root = solve_cell(total, ways, fibre, at, c)
+    least = floor[at, c] if floor is not None else 0.0
+    kept = least > 0.0 and root <= least
+    if most is not None and (root >= most[at, c] or (kept and least >= most[at, c])):
+        limit = most[at, c]
+        found, factor, came = fill_cell(
+            limit, stage.begun[at, c], phi, passed, weights, fibre, least >= limit > 0.0, row, r, layer, c
+        )
+        off = abs(found - here) * ways + abs(factor - passed[at, c]) * came
+        phi[at, c], passed[at, c] = found, factor
+        return off
+    if kept:
+        root = relaxed = least
+    else:
+        relaxed = here + omega * (root - here)
+        if least > 0.0:
+            relaxed = max(relaxed, least)
+        if most is not None:
+            relaxed = min(relaxed, most[at, c])
+    off = abs(root - here) * ways
+    phi[at, c] = relaxed
+    if most is not None:
+        off += abs(1.0 - passed[at, c]) * ways * max(here, 0.0)
+        passed[at, c] = 1.0
+    return off
+
+
+@parallel_kernel
+def relax_colour(
+    colour: int, omega: float, cuts: Any, stage: Any, weights: Any, fibre: Any, floor: Any, most: Any, nx: int,
+    worst: Any,
+) -> None:  # fmt: skip
+    """All cells of one colour; the largest residual of each band in `worst`."""
+    r = weights.across.shape[0]
+    for b in prange(cuts.shape[0] - 1):
+        largest = 0.0
+        for row in range(cuts[b], cuts[b + 1]):
+            for layer in range(2):
+                for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
+                    off = relax_cell(stage, weights, fibre, floor, most, omega, row, r, layer, c)
+                    # A residual that is not a number must stay visible.
+                    if not off <= largest:
+                        largest = off
+        worst[b, colour] = largest
+
+
+@kernel
+def relax(
+    sweeps: int, radius: float, bound: float, cuts: Any, stage: Any, weights: Any, fibre: Any, floor: Any, most: Any,
+    nx: int,
+) -> tuple[int, float]:  # fmt: skip
+    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times; sweeps and last residual."""
+    worst = np.zeros((cuts.shape[0] - 1, 2))
+    square, omega, residual = radius * radius, 1.0, np.inf
+    for n in range(sweeps):
+        for colour in range(2):
+            relax_colour(colour, omega, cuts, stage, weights, fibre, floor, most, nx, worst)
+            omega = 1.0 / (1.0 - 0.5 * square) if n + colour == 0 else 1.0 / (1.0 - 0.25 * square * omega)
+        residual = worst.max()
+        if residual <= bound or not np.isfinite(residual):
+            return n + 1, residual
+    return sweeps, residual
+
+
+@kernel
+def flow(way: float, here: float, other: float, factor: float, other_factor: float) -> float:
+    """Flux from the other cell, by the factor of the one that receives; the same bits from both sides."""
+    return way * (factor if other > here else other_factor) * (other - here)
+
+
+@kernel
+def settle_row(
+    out: Any, held: Any, stage: Any, weights: Any, fibre: Any, limited: bool, row: int, r: int, layer: int, nx: int
+) -> None:
+    """What the fluxes of the solution make of one row of one layer, and what its fibre then holds."""
+    phi, passed, along, down = stage.phi, stage.passed, weights.along, weights.down
+    at, other = row + layer * r, row + r - layer * r
+    for c in range(LEFT, LEFT + nx):
+        here, f = phi[at, c], passed[at, c] if limited else 1.0
+        came = 0.0
+        for way, i, k in (
+            (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
+            (down[at - 1, c], at - 1, c), (weights.across[row, c], other, c),
+        ):  # fmt: skip
+            came += flow(way, here, phi[i, k], f, passed[i, k] if limited else 1.0)
+        taken = 0.0
+        if fibre is not None:
+            found = held_at(here, fibre, at, c)
+            taken = found - fibre.begun[at, c]
+            held[at, c] = found
+        out[at, c] = stage.begun[at, c] + came - taken
+
+
+@parallel_kernel
+def settle(out: Any, held: Any, cuts: Any, stage: Any, weights: Any, fibre: Any, limited: bool, nx: int) -> None:
+    """Mobile and fixed dye after the stage, from the fluxes: a residual moves dye then, and makes none."""
+    r = weights.across.shape[0]
+    for b in prange(cuts.shape[0] - 1):
+        for row in range(cuts[b], cuts[b + 1]):
+            for layer in range(2):
+                settle_row(out, held, stage, weights, fibre, limited, row, r, layer, nx)
