@@ -27,8 +27,8 @@ from nuno_dye.implicit_cell import held_at, solve_cell
 from nuno_kernels import kernel, parallel_kernel
 from nuno_schemas.fabric import Float
 
-ALL_PAIRS = 1e-300
-"""Inflow below this counts as none."""
+CROSSINGS = 8
+"""Newton steps in a cell; each but the last passes one of five neighbours, and the first may come from above."""
 
 
 class Stage(NamedTuple):
@@ -45,9 +45,51 @@ class Stage(NamedTuple):
 
 
 @kernel
-def ways_between(way: float, other: float, here: float, factor: float) -> float:
-    """Conductance of a face whose other side has that amount and factor: flow inwards goes by this cell's, 1."""
-    return way if other > here else way * factor
+def root_among(stage: Any, weights: Any, fibre: Any, row: int, r: int, layer: int, c: int) -> tuple[float, float]:
+    """Root of a cell's equation with f = 1 for itself, and the sum of its ways there.
+
+    What flows out goes by the others' factors, so that the sum of ways falls where the cell rises above one: the
+    equation is concave, Newton's steps from below its root stay below, and each passes another cell. One step alone
+    goes to and fro between both sides of a full neighbour, if it is over-relaxed.
+    """
+    phi, passed, along, down = stage.phi, stage.passed, weights.along, weights.down
+    at, other = row + layer * r, row + r - layer * r
+    east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
+    through, x = weights.across[row, c], phi[at, c]
+    p_0, p_1, p_2, p_3, p_4 = phi[at, c + 1], phi[at, c - 1], phi[at + 1, c], phi[at - 1, c], phi[other, c]
+    f_0, f_1, f_2, f_3 = passed[at, c + 1], passed[at, c - 1], passed[at + 1, c], passed[at - 1, c]
+    f_4, begun, ways = passed[other, c], stage.begun[at, c], 1.0
+    limited = f_0 + f_1 + f_2 + f_3 + f_4 < 5.0
+    for _ in range(CROSSINGS):
+        g_0 = east if p_0 > x or not limited else east * f_0
+        g_1 = west if p_1 > x or not limited else west * f_1
+        g_2 = south if p_2 > x or not limited else south * f_2
+        g_3 = north if p_3 > x or not limited else north * f_3
+        g_4 = through if p_4 > x or not limited else through * f_4
+        ways = 1.0 + (((g_0 + g_1) + (g_2 + g_3)) + g_4)
+        total = begun + (((g_0 * p_0 + g_1 * p_1) + (g_2 * p_2 + g_3 * p_3)) + g_4 * p_4)
+        before, x = x, solve_cell(total, ways, fibre, at, c)
+        low, high = min(before, x), max(before, x)
+        if not limited or not (
+            low < p_0 <= high or low < p_1 <= high or low < p_2 <= high or low < p_3 <= high or low < p_4 <= high
+        ):
+            break
+    return x, ways
+
+
+@kernel
+def root_open(stage: Any, weights: Any, fibre: Any, row: int, r: int, layer: int, c: int) -> tuple[float, float]:
+    """The same where nothing can be limited."""
+    phi, along, down = stage.phi, weights.along, weights.down
+    at, other = row + layer * r, row + r - layer * r
+    east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
+    through = weights.across[row, c]
+    ways = 1.0 + (((east + west) + (south + north)) + through)
+    total = stage.begun[at, c] + (
+        ((east * phi[at, c + 1] + west * phi[at, c - 1]) + (south * phi[at + 1, c] + north * phi[at - 1, c]))
+        + through * phi[other, c]
+    )
+    return solve_cell(total, ways, fibre, at, c), ways
 
 
 @kernel
@@ -78,7 +120,7 @@ def fill_cell(
         # More begins here than can stay: nothing comes in, and it holds what does not flow out.
         total = begun + ways * limit - went
         return max(limit, solve_cell(total, 1.0 + ways, fibre, at, c)), 0.0, came
-    factor = min(max(room / came, 0.0), 1.0) if came > ALL_PAIRS else 1.0
+    factor = min(max(room / came, 0.0), 1.0) if came > 0.0 else 1.0
     return limit, factor, came
 
 
@@ -87,22 +129,12 @@ def relax_cell(
     stage: Any, weights: Any, fibre: Any, floor: Any, most: Any, omega: float, row: int, r: int, layer: int, c: int
 ) -> float:
     """Bring one cell nearer to its root; the residual of its equation before, in amounts."""
-    phi, passed, along, down = stage.phi, stage.passed, weights.along, weights.down
-    at, other = row + layer * r, row + r - layer * r
-    east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
-    through, here = weights.across[row, c], phi[at, c]
-    if most is not None:
-        east = ways_between(east, phi[at, c + 1], here, passed[at, c + 1])
-        west = ways_between(west, phi[at, c - 1], here, passed[at, c - 1])
-        south = ways_between(south, phi[at + 1, c], here, passed[at + 1, c])
-        north = ways_between(north, phi[at - 1, c], here, passed[at - 1, c])
-        through = ways_between(through, phi[other, c], here, passed[other, c])
-    ways = 1.0 + (((east + west) + (south + north)) + through)
-    total = stage.begun[at, c] + (
-        ((east * phi[at, c + 1] + west * phi[at, c - 1]) + (south * phi[at + 1, c] + north * phi[at - 1, c]))
-        + through * phi[other, c]
-    )
-    root = solve_cell(total, ways, fibre, at, c)
+    phi, passed, at = stage.phi, stage.passed, row + layer * r
+    here = phi[at, c]
+    if most is None:
+        root, ways = root_open(stage, weights, fibre, row, r, layer, c)
+    else:
+        root, ways = root_among(stage, weights, fibre, row, r, layer, c)
     least = floor[at, c] if floor is not None else 0.0
     kept = least > 0.0 and root <= least
     if most is not None and (root >= most[at, c] or (kept and least >= most[at, c])):
@@ -142,8 +174,8 @@ def relax_colour(
             for layer in range(2):
                 for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
                     off = relax_cell(stage, weights, fibre, floor, most, omega, row, r, layer, c)
-                    # A residual that is not a number must stay visible.
-                    if not off <= largest:
+                    # What is not a number must stay so.
+                    if not off <= largest and largest == largest:
                         largest = off
         worst[b, colour] = largest
 
