@@ -161,23 +161,50 @@ def relax_cell(
     return off
 
 
+@kernel
+def relax_row(
+    colour: int, omega: float, stage: Any, weights: Any, fibre: Any, floor: Any, most: Any, nx: int, row: int,
+    largest: float,
+) -> float:  # fmt: skip
+    """The cells of one colour in a row of both layers; the larger of `largest` and their residuals."""
+    r = weights.across.shape[0]
+    for layer in range(2):
+        for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
+            off = relax_cell(stage, weights, fibre, floor, most, omega, row, r, layer, c)
+            # What is not a number must stay so.
+            if not off <= largest and largest == largest:
+                largest = off
+    return largest
+
+
 @parallel_kernel
-def relax_colour(
-    colour: int, omega: float, cuts: Any, stage: Any, weights: Any, fibre: Any, floor: Any, most: Any, nx: int,
+def relax_bands(
+    omega: float, second: float, cuts: Any, stage: Any, weights: Any, fibre: Any, floor: Any, most: Any, nx: int,
     worst: Any,
 ) -> None:  # fmt: skip
-    """All cells of one colour; the largest residual of each band in `worst`."""
-    r = weights.across.shape[0]
+    """One colour everywhere, the other a row behind it while that is in the cache, but in the bands' outer rows, which
+    the first colour of the next band still sees as they were.
+    """
     for b in prange(cuts.shape[0] - 1):
         largest = 0.0
         for row in range(cuts[b], cuts[b + 1]):
-            for layer in range(2):
-                for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
-                    off = relax_cell(stage, weights, fibre, floor, most, omega, row, r, layer, c)
-                    # What is not a number must stay so.
-                    if not off <= largest and largest == largest:
-                        largest = off
-        worst[b, colour] = largest
+            largest = relax_row(0, omega, stage, weights, fibre, floor, most, nx, row, largest)
+            if row - 1 > cuts[b]:
+                largest = relax_row(1, second, stage, weights, fibre, floor, most, nx, row - 1, largest)
+        worst[b, 0] = largest
+
+
+@parallel_kernel
+def relax_edges(
+    omega: float, cuts: Any, stage: Any, weights: Any, fibre: Any, floor: Any, most: Any, nx: int, worst: Any
+) -> None:
+    """The other colour in the bands' outer rows."""
+    for b in prange(cuts.shape[0] - 1):
+        first, last = cuts[b], cuts[b + 1] - 1
+        largest = relax_row(1, omega, stage, weights, fibre, floor, most, nx, first, 0.0)
+        if last > first:
+            largest = relax_row(1, omega, stage, weights, fibre, floor, most, nx, last, largest)
+        worst[b, 1] = largest
 
 
 @kernel
@@ -189,9 +216,10 @@ def relax(
     worst = np.zeros((cuts.shape[0] - 1, 2))
     square, omega, residual = radius * radius, 1.0, np.inf
     for n in range(sweeps):
-        for colour in range(2):
-            relax_colour(colour, omega, cuts, stage, weights, fibre, floor, most, nx, worst)
-            omega = 1.0 / (1.0 - 0.5 * square) if n + colour == 0 else 1.0 / (1.0 - 0.25 * square * omega)
+        second = 1.0 / (1.0 - 0.5 * square) if n == 0 else 1.0 / (1.0 - 0.25 * square * omega)
+        relax_bands(omega, second, cuts, stage, weights, fibre, floor, most, nx, worst)
+        relax_edges(second, cuts, stage, weights, fibre, floor, most, nx, worst)
+        omega = 1.0 / (1.0 - 0.25 * square * second)
         residual = worst.max()
         if residual <= bound or not np.isfinite(residual):
             return n + 1, residual
