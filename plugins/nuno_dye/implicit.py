@@ -5,6 +5,9 @@ the first, prolonged, came to: of second order, and damping as TR-BDF2 does, who
 stage asks for no rate at the start, which is without bounds where a drop was just put. `backward_euler` is of first
 order and never leaves the bounds.
 
+Beside a jump the first step would overshoot, and fibre keeps what it takes of that: the first one, and one after
+cloth or supplies have changed, is taken in parts that double from an explicit step on.
+
 Every stage ends with the fluxes of what the sweeps found, so that dye is kept to rounding whatever residual they
 leave. What the second stage takes below nothing or above capacity goes to the neighbours (nuno_dye.repair). Where they
 cannot take it, as where many cells fill up in one step, backward Euler takes the step, and `damped` counts it. Where
@@ -24,7 +27,7 @@ from pydantic import BaseModel, Field
 
 from nuno_dye.bands import Cut
 from nuno_dye.diffusion import LEFT, Rows
-from nuno_dye.implicit_cell import Fibre
+from nuno_dye.implicit_cell import Fibre, hold_back
 from nuno_dye.implicit_sweep import Stage, relax, settle
 from nuno_dye.repair import repair
 from nuno_dye.rkl2_stage import Weights
@@ -36,6 +39,7 @@ from nuno_dye.solving import (
     largest_amounts,
     law_of,
     make_report,
+    measure_known,
     raise_largest,
     require_laws,
     same_cells,
@@ -50,6 +54,8 @@ from nuno_schemas.plugin import Config
 GAMMA = 1.0 - math.sqrt(0.5)
 MARGIN = 1
 HALVINGS = 8
+MOST_WEIGHTS = 4
+"""Scales whose weights are kept."""
 SWEEPS, SWEEPS_MORE = 200, 60.0
 """Sweeps of a stage at most: some, and more by the root of the largest sum of weights. Over-relaxation takes about
 sqrt(W / 8) for a factor e, and a residual falls by about 20 of those."""
@@ -101,13 +107,15 @@ class Implicit:
     Config: ClassVar[type[BaseModel]] = ImplicitConfig
 
     def prepare(self, config: ImplicitConfig, system: DyeSystem, state: DyeState) -> Memory:
-        """Memory: `highest` (dyes,), the largest amount that any cell can have had. Raises BadInput."""
+        """Memory: `highest` (dyes,), the largest amount that any cell can have had; `met` (2,), sums of the room and of
+        the floors that the last step met. Raises BadInput.
+        """
         require_laws(system)
         for one in system.dyes:
             if one.isotherm is not None and one.isotherm.kind == "python":
                 remedy = "solver: explicit, or one of the isotherms that come with it"
                 raise BadInput("implicit knows no isotherm in Python", value=one.name, remedy=remedy)
-        return Memory({"highest": largest_amounts(state)}, _make_work(config, system))
+        return Memory({"highest": largest_amounts(state), "met": np.full(2, np.nan)}, _make_work(config, system))
 
     def limit(self, config: ImplicitConfig, system: DyeSystem) -> float:
         """None: every step is stable."""
@@ -119,11 +127,15 @@ class Implicit:
         highest = memory.arrays["highest"]
         raise_largest(highest, work.known)
         numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
+        met = measure_known(work.known)
+        fresh = steps > 0 and not np.array_equal(met, memory.arrays["met"])
+        if fresh:
+            memory.arrays["met"][:] = met
         totals, given, message = {"steps": steps, "sweeps": 0, "damped": 0, "halvings": 0}, [], ""
         for k, one in enumerate(system.dyes):
             limited = not float(highest[k]) <= work.known.room
             spread = Spread(one, _floor(work, k), limited, totals)
-            failed = _advance_one(work, spread, state.phi[k], state.fixed[k], steps, dt)
+            failed = _advance_one(work, spread, state.phi[k], state.fixed[k], steps, dt, fresh)
             given.append(math.fsum(spread.given))
             message = message or failed
         state.t += steps * dt
@@ -165,20 +177,23 @@ def _floor(work: Work, k: int) -> Float | None:
 
 def _weights(work: Work, scale: float) -> Weights:
     if scale not in work.weights:
-        if len(work.weights) > HALVINGS:
+        if len(work.weights) > MOST_WEIGHTS:
             work.weights.clear()
         along, down, across = (plane[0] for plane in work.cut.fill_faces(work.known.faces, scale))
         work.weights[scale] = Weights(along, down, across)
     return work.weights[scale]
 
 
-def _advance_one(work: Work, spread: Spread, phi: Float, fixed: Float, steps: int, dt: float) -> str:
+def _advance_one(work: Work, spread: Spread, phi: Float, fixed: Float, steps: int, dt: float, fresh: bool) -> str:
     """Bring one dye from the start of a frame to its end; why a step failed."""
     cut, scale = work.cut, spread.one.D0 * dt / work.known.system.cells.size**2
     amounts = cut.fill(phi)[0][0], cut.fill(fixed)[0][0]
-    failed = ""
-    for _ in range(steps):
-        after = _step(work, spread, amounts, scale, 0)
+    failed, shares = "", np.ones(steps)
+    if fresh:
+        doublings = max(0, math.ceil(math.log2(max(scale * work.known.most, 1.0))))
+        shares = np.concatenate([[0.5**doublings], 0.5 ** np.arange(doublings, 0, -1.0), shares[1:]])
+    for share in shares:
+        after = _step(work, spread, amounts, float(share) * scale, 0)
         if after is None:
             failed = (
                 f"steps of {dt / 2**HALVINGS:g} s still leave a residual of {spread.residual:.2g} of the largest amount"
@@ -233,6 +248,9 @@ def _two_stages(
         return None
     given[:] = [share * value for value in given]
     begun = start[0] + share * (middle[0] - start[0]), start[1] + share * (middle[1] - start[1])
+    law = law_of(spread.one)
+    if spread.floor is not None and law[0]:
+        given[0] -= hold_back(law, spread.floor, start[1], begun[1], work.fibre)
     return _stage(work, spread, start, begun, GAMMA * scale, given)
 
 

@@ -16,8 +16,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from nuno_dye.adsorption import FREUNDLICH, PARTITION
+import numpy as np
+
+from nuno_dye.adsorption import FREUNDLICH, LANGMUIR, PARTITION
 from nuno_dye.fixing import limit_beside
+from nuno_dye.sums import sum_compensated
 from nuno_kernels import kernel
 from nuno_schemas.fabric import Float
 
@@ -75,7 +78,7 @@ def solve_limit(isotherm: int, first: float, second: float, total: float, ways: 
 
 
 @kernel
-def solve_cell(total: float, ways: float, fibre: Any, at: int, c: int) -> float:
+def solve_cell(total: float, ways: float, fibre: Any, at: int, c: int) -> Any:
     """The x with ways x + A(x) - A_b = total."""
     if fibre is None or fibre.room[at, c] <= fibre.least[at, c]:
         return total / ways
@@ -96,3 +99,17 @@ def solve_cell(total: float, ways: float, fibre: Any, at: int, c: int) -> float:
     if x > 0.0 and limit_beside(fibre.isotherm, fibre.first, fibre.second, x, room) >= room:
         return x
     return solve_limit(fibre.isotherm, fibre.first, fibre.second, total, ways, room)
+
+
+def hold_back(law: tuple[int, float, float], floor: Float, least: Float, fixed: Float, room: Float) -> float:
+    """Take from kept-up fibre what prolonging put beyond its limit at the floor, in place; what the supply saves.
+
+    Left there, it would come off the fibre into a cell that is at its floor already, and raise it and its limit.
+    """
+    kind, first, second = law
+    limit = first * (floor**second if kind == FREUNDLICH else floor)
+    if kind == LANGMUIR:
+        limit = room * limit / (1.0 + limit)
+    beyond = np.where(floor > 0.0, np.maximum(fixed - np.maximum(least, np.minimum(limit, room)), 0.0), 0.0)
+    fixed -= beyond
+    return sum_compensated(beyond.reshape(-1))

@@ -127,7 +127,7 @@ def fill_cell(
 @kernel
 def relax_cell(
     stage: Any, weights: Any, fibre: Any, floor: Any, most: Any, omega: float, row: int, r: int, layer: int, c: int
-) -> float:
+) -> Any:
     """Bring one cell nearer to its root; the residual of its equation before, in amounts."""
     phi, passed, at = stage.phi, stage.passed, row + layer * r
     here = phi[at, c]

@@ -38,6 +38,7 @@ from nuno_dye.solving import (
     largest_amounts,
     law_of,
     make_report,
+    measure_known,
     raise_largest,
     require_laws,
     same_cells,
@@ -118,7 +119,7 @@ class Rkl2:
         highest = memory.arrays["highest"]
         raise_largest(highest, work.known)
         numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
-        met = _measure(work.known)
+        met = measure_known(work.known)
         fresh = steps > 0 and not np.array_equal(met, memory.arrays["met"])
         if fresh:
             memory.arrays["met"][:] = met
@@ -140,12 +141,6 @@ def _make_work(system: DyeSystem) -> Work:
     cut = Cut(system.cells.fibre.shape, 1, MARGIN)
     cuts = cut.top + np.linspace(0, cut.ny, count_bands(system) + 1).astype(np.int64)
     return Work(known, cut, cuts)
-
-
-def _measure(known: Known) -> Float:
-    """(2,) sums of the room for mobile dye and of the floors."""
-    room = sum_compensated(known.system.cells.mobile_room.reshape(-1))
-    return np.array([room, 0.0 if known.floors is None else sum_compensated(known.floors.reshape(-1))])
 
 
 def _renew_work(work: Work, system: DyeSystem) -> Work:

@@ -47,6 +47,12 @@ def know(system: DyeSystem) -> Known:
     return Known(system, faces, float(sums.max()), room, floors)
 
 
+def measure_known(known: Known) -> Float:
+    """(2,) sums of the room for mobile dye and of the floors."""
+    room = sum_compensated(known.system.cells.mobile_room.reshape(-1))
+    return np.array([room, 0.0 if known.floors is None else sum_compensated(known.floors.reshape(-1))])
+
+
 def same_cells(one: DyeSystem, other: DyeSystem) -> bool:
     """Whether what was made from cells, dyes and threads holds for both; arrays count as changed if they are others."""
     return one.cells is other.cells and one.dyes == other.dyes and one.threads == other.threads

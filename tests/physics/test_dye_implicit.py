@@ -26,7 +26,14 @@ SCHEMES = {"sdirk2": 2, "backward_euler": 1}
 
 
 def run(
-    system: DyeSystem, phi: Float, fixed: Float, t: float, steps: int, scheme: str = "sdirk2", frames: int = 1, residual: float = 1e-11
+    system: DyeSystem,
+    phi: Float,
+    fixed: Float,
+    t: float,
+    steps: int,
+    scheme: str = "sdirk2",
+    frames: int = 1,
+    residual: float = 1e-11,
 ) -> tuple[DyeState, DyeReport]:
     """`steps` steps in each of some frames, to `t` [s], solved nearly to rounding; `supplied` is of all."""
     config: Any = {"scheme": scheme, "residual": residual}
