@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from dye_scene import CELL, arrays
+from garment_scene import scene as garment
+from garment_scene import write
 from numpy.typing import NDArray
 from PIL import Image
-from test_dyed_garment import scene as garment
-from test_dyed_garment import write
 
 import nuno
 from nuno import scene_file
