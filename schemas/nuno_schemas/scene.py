@@ -128,25 +128,12 @@ class View(Part):
     size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
 
 
-class DyeSolver(Choice):
+class DyeSolver(Solver):
     """What spreads the dye, and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
 
-    dt: Interval | Literal["auto"] = Field(
-        default="auto", description="step [s]; whole steps make a frame; auto: the largest that is safely stable"
-    )
     substeps: Literal["refused", "allowed"] = Field(
         default="refused", description="allowed: a step above the stability limit is taken as several shorter ones"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _by_name(cls, value: Any) -> Any:
-        return {"plugin": value} if isinstance(value, str) else value
-
-    @model_validator(mode="after")
-    def _auto_alone(self) -> DyeSolver:
-        _require_auto_alone(self)
-        return self
 
 
 class Dyestuff(Part):
@@ -255,13 +242,17 @@ class Scene(Part):
         return require_distinct(parts)
 
     @model_validator(mode="after")
-    def _dye_alone(self) -> Scene:
+    def _dyed_object_is_there(self) -> Scene:
         if self.dye is not None and self.dye.object is not None:
             names = [part.name for part in self.objects]
             if self.dye.object not in names:
                 known = nearest(self.dye.object, names)
                 problem = "no object has this name, so there is nothing to dye; {known}"
                 raise PydanticCustomError("no_object", problem, {"known": known, "inside": ("dye", "object")})
+        return self
+
+    @model_validator(mode="after")
+    def _dye_alone(self) -> Scene:
         for name in () if self.moves else MOVING:
             if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True):
                 problem = (
