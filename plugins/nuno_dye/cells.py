@@ -36,6 +36,10 @@ class Tau3Config(Config):
     IV: Tau = Field(default=1.0, description="between gap and gap")
     V: Tau = Field(default=1.0, description="in a layer, along the yarn")
 
+    def with_weave(self, tau2: float) -> Tortuosity:
+        """All of a cloth's, tau 2 among them."""
+        return Tortuosity(layers=self.I, beside=self.II, rim=self.III, gap=self.IV, yarn=self.V, weave=tau2)
+
 
 class CellsConfig(Config):
     """Arrays of a file, as they are."""
@@ -51,11 +55,6 @@ class CellsConfig(Config):
     v_max: float = Field(default=1.0, gt=0, le=1e12, description="most that a cell holds")
     resist: Resists = Field(default=(), description="what keeps dye out on both layers, beside the file's")
     supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
-
-    @property
-    def tortuosity(self) -> Tortuosity:
-        t = self.tau3
-        return Tortuosity(layers=t.I, beside=t.II, rim=t.III, gap=t.IV, yarn=t.V, weave=self.tau2)
 
 
 class CellsCloth:
@@ -77,7 +76,7 @@ class CellsCloth:
             _require(path, name, data[name], good, "0 to 1", "out of range")
         cells = Cells(
             data["fibre"], data["up"], data["porosity"], data["tau1"], data["resist"], config.cell_size,
-            config.tortuosity, config.v_max,
+            config.tau3.with_weave(config.tau2), config.v_max,
         )  # fmt: skip
         put_on(self.resists(config, cells, files), cells)
         rooms = {"phi": (cells.mobile_room, "v_max P (1 - B)"), "fixed": (cells.fixed_room, "(1 - P) v_max in fibre")}

@@ -24,7 +24,7 @@ from nuno_dye.weaves import (
 from nuno_dye.wif import Draft, read_wif
 from nuno_dye.wif_yarns import Yarns
 from nuno_dye.woven import Lay, WovenConfig, build_cells, lay_measured
-from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
+from nuno_schemas.dye import Cells, DyeState, Supply
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config, Files
@@ -53,11 +53,6 @@ class WovenClothConfig(WovenConfig):
     resist: Resists = Field(default=(), description="what keeps dye out, on both layers")
     supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
-    @property
-    def tortuosity(self) -> Tortuosity:
-        t = self.tau3
-        return Tortuosity(layers=t.I, beside=t.II, rim=t.III, gap=t.IV, yarn=t.V, weave=self.tau2)
-
 
 class WovenCloth:
     """Yarns laid out in two layers and woven."""
@@ -71,7 +66,7 @@ class WovenCloth:
     def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
         """Raises BadInput for a weave or resist that is none, or does not fit the cloth."""
         drawdown, lays = draw_weave(config, files)
-        cells = build_cells(drawdown, config, config.tortuosity, seed, lays, config.v_max)
+        cells = build_cells(drawdown, config, config.tau3.with_weave(config.tau2), seed, lays, config.v_max)
         put_on(self.resists(config, cells, files), cells)
         empty = np.zeros((dyes, *cells.fibre.shape))
         return cells, DyeState(empty, empty.copy())
