@@ -36,14 +36,7 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         services.append("collision")
     else:
         left_out.append("collision service and contact force: the scene has no bodies")
-    if options.record is not None:
-        services.append("recorder")
-    else:
-        left_out.append("recorder: not asked for")
-    if options.view is not None or options.save is not None:
-        services.append("viewer")
-    else:
-        left_out.append("viewer: no screen, or not asked for")
+    _plan_outputs(options, services, left_out)
     if not scene.forces:
         left_out.append("wind and other forces: the scene names none")
     if not scene.damping:
@@ -59,6 +52,12 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
 def _plan_dye(options: Options) -> Plan:
     """The services of a cloth that is dyed by itself."""
     services, left_out = ["dye"], ["simulation and collision services: nothing in the scene moves"]
+    _plan_outputs(options, services, left_out)
+    return Plan(tuple(services), _must_see(services[1:], options), tuple(left_out))
+
+
+def _plan_outputs(options: Options, services: list[str], left_out: list[str]) -> None:
+    """Add recorder and viewer, or why they are left out."""
     if options.record is not None:
         services.append("recorder")
     else:
@@ -67,7 +66,6 @@ def _plan_dye(options: Options) -> Plan:
         services.append("viewer")
     else:
         left_out.append("viewer: no screen, or not asked for")
-    return Plan(tuple(services), _must_see(services[1:], options), tuple(left_out))
 
 
 def _must_see(services: list[str], options: Options) -> tuple[str, ...]:
