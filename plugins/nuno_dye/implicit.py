@@ -21,7 +21,6 @@ import math
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-import numba
 import numpy as np
 from pydantic import BaseModel, Field
 
@@ -33,21 +32,18 @@ from nuno_dye.repair import repair
 from nuno_dye.rkl2_stage import Weights
 from nuno_dye.solving import (
     Known,
+    begin_frame,
     count_bands,
     describe_threads,
     know,
     largest_amounts,
     law_of,
     make_report,
-    measure_known,
-    raise_largest,
-    require_laws,
+    require_compiled_laws,
     same_cells,
 )
 from nuno_dye.sums import sum_compensated
-from nuno_kernels import threads_available
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
-from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.plugin import Config
 
@@ -110,11 +106,7 @@ class Implicit:
         """Memory: `highest` (dyes,), the largest amount that any cell can have had; `met` (2,), sums of the room and of
         the floors that the last step met. Raises BadInput.
         """
-        require_laws(system)
-        for one in system.dyes:
-            if one.isotherm is not None and one.isotherm.kind == "python":
-                remedy = "solver: explicit, or one of the isotherms that come with it"
-                raise BadInput("implicit knows no isotherm in Python", value=one.name, remedy=remedy)
+        require_compiled_laws(system, self.name)
         return Memory({"highest": largest_amounts(state), "met": np.full(2, np.nan)}, _make_work(config, system))
 
     def limit(self, config: ImplicitConfig, system: DyeSystem) -> float:
@@ -124,13 +116,7 @@ class Implicit:
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
         """See nuno_schemas.dye.DyeSolver."""
         work = memory.work = _renew_work(memory.work, system)  # type: ignore[arg-type]
-        highest = memory.arrays["highest"]
-        raise_largest(highest, work.known)
-        numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
-        met = measure_known(work.known)
-        fresh = steps > 0 and not np.array_equal(met, memory.arrays["met"])
-        if fresh:
-            memory.arrays["met"][:] = met
+        highest, fresh = memory.arrays["highest"], begin_frame(memory.arrays, work.known, steps)
         totals, given, message = {"steps": steps, "sweeps": 0, "damped": 0, "halvings": 0}, [], ""
         for k, one in enumerate(system.dyes):
             limited = not float(highest[k]) <= work.known.room

@@ -20,9 +20,8 @@ import math
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-import numba
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from nuno_dye.bands import Cut
 from nuno_dye.diffusion import LEFT, Rows
@@ -32,21 +31,18 @@ from nuno_dye.repair import repair
 from nuno_dye.rkl2_stage import RATES, Amounts, Planes, Weights, super_step
 from nuno_dye.solving import (
     Known,
+    begin_frame,
     count_bands,
     describe_threads,
     know,
     largest_amounts,
     law_of,
     make_report,
-    measure_known,
-    raise_largest,
-    require_laws,
+    require_compiled_laws,
     same_cells,
 )
 from nuno_dye.sums import sum_compensated
-from nuno_kernels import threads_available
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
-from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.plugin import Config
 
@@ -61,12 +57,17 @@ STIFFER = 1.25
 QUARTERS = 4
 """Parts of each of a fresh step's doublings: fibre takes most where amounts jump, and keeps it."""
 HALVINGS = 10
+"""Times at most that a step which leaves its bounds is halved."""
 BEYOND = 1e3
 """What a kept-up cell may hold beyond its capacity while others' excess is moved."""
 
 
 class Rkl2Config(Config):
-    """The solver has no fields of its own."""
+    """What is done with a step that leaves its bounds."""
+
+    halvings: int = Field(
+        default=HALVINGS, ge=0, le=HALVINGS, description="times at most that a step that leaves its bounds is halved"
+    )
 
 
 @dataclass
@@ -85,6 +86,7 @@ class Room:
 class Work:
     """What was made from a system; rooms by dye and whether limits may bind."""
 
+    config: Rkl2Config
     known: Known
     cut: Cut
     cuts: Rows
@@ -102,12 +104,8 @@ class Rkl2:
         """Memory: `highest` (dyes,), the largest amount that any cell can have had; `met` (2,), sums of the room and of
         the floors that the last step met. Raises BadInput.
         """
-        require_laws(system)
-        for one in system.dyes:
-            if one.isotherm is not None and one.isotherm.kind == "python":
-                remedy = "solver: explicit, or one of the isotherms that come with it"
-                raise BadInput("rkl2 knows no isotherm in Python", value=one.name, remedy=remedy)
-        return Memory({"highest": largest_amounts(state), "met": np.full(2, np.nan)}, _make_work(system))
+        require_compiled_laws(system, self.name)
+        return Memory({"highest": largest_amounts(state), "met": np.full(2, np.nan)}, _make_work(config, system))
 
     def limit(self, config: Rkl2Config, system: DyeSystem) -> float:
         """None: stages follow from the step."""
@@ -116,13 +114,7 @@ class Rkl2:
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
         """See nuno_schemas.dye.DyeSolver."""
         work = memory.work = _renew_work(memory.work, system)  # type: ignore[arg-type]
-        highest = memory.arrays["highest"]
-        raise_largest(highest, work.known)
-        numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
-        met = measure_known(work.known)
-        fresh = steps > 0 and not np.array_equal(met, memory.arrays["met"])
-        if fresh:
-            memory.arrays["met"][:] = met
+        highest, fresh = memory.arrays["highest"], begin_frame(memory.arrays, work.known, steps)
         totals, given, message = {"steps": steps, "stages": 0, "halvings": 0}, [], ""
         for k in range(len(system.dyes)):
             limited = not float(highest[k]) <= work.known.room
@@ -136,11 +128,11 @@ class Rkl2:
         return describe_threads(system)
 
 
-def _make_work(system: DyeSystem) -> Work:
+def _make_work(config: Rkl2Config, system: DyeSystem) -> Work:
     known = know(system)
     cut = Cut(system.cells.fibre.shape, 1, MARGIN)
     cuts = cut.top + np.linspace(0, cut.ny, count_bands(system) + 1).astype(np.int64)
-    return Work(known, cut, cuts)
+    return Work(config, known, cut, cuts)
 
 
 def _renew_work(work: Work, system: DyeSystem) -> Work:
@@ -148,7 +140,7 @@ def _renew_work(work: Work, system: DyeSystem) -> Work:
     if system is work.known.system:
         return work
     if not same_cells(system, work.known.system):
-        return _make_work(system)
+        return _make_work(work.config, system)
     if system.supply is not work.known.system.supply:
         work.rooms.clear()
     work.known = know(system)
@@ -202,11 +194,13 @@ def _advance_one(
     for share in shares:
         after, added = _step(work, room, one, amounts, float(share) * scale / parts, totals, 0)
         if after is None:
-            return math.fsum(given), f"no step of {dt / parts / 2**HALVINGS:g} s keeps amounts within capacity"
+            return math.fsum(
+                given
+            ), f"no step of {dt / parts / 2**work.config.halvings:g} s keeps amounts within capacity"
         amounts = after
         given.append(added)
     if steps == 0:
-        _step(work, room, one, amounts, 0.0, dict(totals), HALVINGS)
+        _step(work, room, one, amounts, 0.0, dict(totals), work.config.halvings)
     for values, out in zip(amounts, (state.phi[k], state.fixed[k]), strict=True):
         for layer in range(2):
             at = work.cut.top + layer * work.cut.height
@@ -242,7 +236,7 @@ def _step(
             settle_bands(work.cuts, found, phi, bound, taking, room.floor, work.cut.nx, pace)
             given += _keep(room, found, most)
         return (found, bound), given
-    if halved == HALVINGS:
+    if halved == work.config.halvings:
         return None, 0.0
     totals["halvings"] += 1
     total, after = 0.0, start

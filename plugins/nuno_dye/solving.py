@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -86,6 +88,15 @@ def require_laws(system: DyeSystem) -> None:
             raise BadInput("no kernel knows this isotherm", value=law.kind, limit=", ".join(KINDS))
 
 
+def require_compiled_laws(system: DyeSystem, solver: str) -> None:
+    """Raises BadInput for an isotherm that no kernel knows, and for one in Python."""
+    require_laws(system)
+    for one in system.dyes:
+        if one.isotherm is not None and one.isotherm.kind == "python":
+            remedy = "solver: explicit, or one of the isotherms that come with it"
+            raise BadInput(f"{solver} knows no isotherm in Python", value=one.name, remedy=remedy)
+
+
 def largest_amounts(state: DyeState) -> Float:
     """(dyes,) largest mobile amounts, a solver's memory of what any cell can have had."""
     largest: Float = state.phi.reshape(state.phi.shape[0], -1).max(axis=1)
@@ -96,6 +107,17 @@ def raise_largest(highest: NDArray[Any], known: Known) -> None:
     """Count what supplies keep up among the largest amounts, in place."""
     if known.floors is not None:
         np.maximum(highest, known.floors.reshape(len(highest), -1).max(axis=1), out=highest)
+
+
+def begin_frame(arrays: Mapping[str, NDArray[Any]], known: Known, steps: int) -> bool:
+    """Bring a solver's memory, `highest` and `met`, up to date; whether the next step meets other cells or floors."""
+    raise_largest(arrays["highest"], known)
+    numba.set_num_threads(max(1, min(known.system.threads, threads_available()[0])))
+    met = measure_known(known)
+    fresh = steps > 0 and not np.array_equal(met, arrays["met"])
+    if fresh:
+        arrays["met"][:] = met
+    return fresh
 
 
 def count_bands(system: DyeSystem) -> int:
