@@ -3,7 +3,7 @@
 After a step every vertex has made a movement in each body's frame, where the body stands still, however it
 moves in the world. The movement goes unchanged unless it enters the body, or ends nearer to its surface than
 `gap`; it is then held off by the plane of the triangle it meets, by the next one it meets then, and so on
-(nuno_kernels.slide_planes). The velocity relative to the body is held off by the same planes.
+(nuno_kernels.slide_vertex). The velocity relative to the body is held off by the same planes.
 
 A vertex whose distance from the surface was found once cannot meet it before it has moved as far: `clear`
 keeps what is left, and until that is used up nothing is searched. Where the movement is shorter than `clear`
@@ -28,18 +28,13 @@ from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.acceleration import provide
 from nuno_kernels.closest_point import DEPTH, closest
 from nuno_kernels.contact_poses import pose_frame, write_interval
-from nuno_kernels.slide_planes import hold_off
-from nuno_kernels.surface_crossing import first_crossing
+from nuno_kernels.slide_vertex import slide, slow_down, to_body, turn_out
 from nuno_kernels.surface_tree import Tree
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
 
 BLOCK = 64
 """Vertices handled together."""
-ROUNDS = 12
-"""Times that a movement is looked at: the last two planes it meets hold it off together."""
-NEAR_ENOUGH = 0.01
-"""A movement may end nearer to the surface than the gap by this share of it."""
 
 
 class Slides(NamedTuple):
@@ -82,102 +77,6 @@ class Slides(NamedTuple):
     """(B, b, 3) what the vertices of each block have given to the body so far [N s]"""
     tally: NDArray[np.int64]
     """(B, 2) vertices touching after the last step; vertices that were put back so far"""
-
-
-@kernel
-def to_body(px: float, py: float, pz: float, frames: Any, f: int) -> tuple[float, float, float]:
-    """A place in the world in the axes of frame f."""
-    ex, ey, ez = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
-    return (
-        frames[f, 0] * ex + frames[f, 3] * ey + frames[f, 6] * ez,
-        frames[f, 1] * ex + frames[f, 4] * ey + frames[f, 7] * ez,
-        frames[f, 2] * ex + frames[f, 5] * ey + frames[f, 8] * ez,
-    )
-
-
-@kernel
-def turn_out(v: Any, frames: Any, f: int) -> tuple[float, float, float]:
-    """A vector in the axes of frame f in those of the world."""
-    return (
-        frames[f, 0] * v[0] + frames[f, 1] * v[1] + frames[f, 2] * v[2],
-        frames[f, 3] * v[0] + frames[f, 4] * v[1] + frames[f, 5] * v[2],
-        frames[f, 6] * v[0] + frames[f, 7] * v[1] + frames[f, 8] * v[2],
-    )
-
-
-@kernel
-def outward(p: Any, near: Any, distance: float, normal: Any) -> tuple[float, float, float]:
-    """Unit direction out of the surface at the closest point `near` of p; the pseudonormal where p lies on it."""
-    x, y, z = p[0] - near[0], p[1] - near[1], p[2] - near[2]
-    if abs(distance) < 1e-9 * (abs(p[0]) + abs(p[1]) + abs(p[2])):
-        x, y, z = normal
-        distance = math.sqrt(x * x + y * y + z * z)
-    return x / distance, y / distance, z / distance
-
-
-@kernel
-def slide(
-    start: Any, m: Any, clear: float, place: int, root: int, gap: float, mu: float, boxes: Any, child: Any,
-    corners: Any, face: Any, faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any,
-    waiting: Any, bound: Any,
-) -> Any:  # fmt: skip
-    """A vertex's movement m from `start`, in the body's frame, where it would enter or come nearer than `gap`.
-
-    `clear` is the distance at the start, or less. Returns the movement it makes, the planes' normals n1 and n2,
-    how many of them there are, the distance left, the nearest triangle's place, and whether it was put back.
-    """
-    n1 = n2 = (0.0, 0.0, 0.0)
-    h1 = h2 = 0.0
-    planes = 0
-    made = m
-    distance = clear
-    for turn in range(ROUNDS):
-        length = math.sqrt(made[0] * made[0] + made[1] * made[1] + made[2] * made[2])
-        share, at = 2.0, -1
-        if clear > 0.0 and length >= clear:
-            share, at = first_crossing(
-                start[0], start[1], start[2], made[0], made[1], made[2], root, boxes, child, corners, face, waiting
-            )
-        if share <= 1.0:
-            row, j = 9 * (at // 8), at % 8
-            bx, by, bz = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
-            cx, cy, cz = corners[row + 6, j], corners[row + 7, j], corners[row + 8, j]
-            x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-            size = math.sqrt(x * x + y * y + z * z)
-            n2 = (x / size, y / size, z / size)
-            h2 = gap + share * (made[0] * n2[0] + made[1] * n2[1] + made[2] * n2[2])
-            place, distance = at, -1.0
-        else:
-            p = (start[0] + made[0], start[1] + made[1], start[2] + made[2])
-            place, _, _, x, y, z, distance, nx, ny, nz = closest(
-                p[0], p[1], p[2], place, root, boxes, child, corners, face, faces, edges, vertex_normals,
-                edge_normals, waiting, bound,
-            )  # fmt: skip
-            if distance >= (1.0 - NEAR_ENOUGH) * gap:
-                return made, n1, n2, planes, distance, place, False
-            n2 = outward(p, (x, y, z), distance, (nx, ny, nz))
-            h2 = gap + (x - start[0]) * n2[0] + (y - start[1]) * n2[1] + (z - start[2]) * n2[2]
-        if turn == ROUNDS - 1:
-            break
-        planes = min(planes + 1, 2)
-        made = hold_off(m, n2, h2, n1, h1, planes == 2, mu)
-        n1, h1, n2, h2 = n2, h2, n1, h1
-    if distance > 0.0 or clear <= 0.0:
-        return made, n1, n2, planes, distance, place, False
-    return (0.0, 0.0, 0.0), n1, n2, planes, clear, place, True
-
-
-@kernel
-def slow_down(v: Any, i: int, at: Any, n1: Any, n2: Any, planes: int, mu: float, frames: Any, f: int) -> Any:
-    """Hold the velocity of vertex i at `at` off the body's planes; returns the change of velocity [m/s]."""
-    a, b = turn_out(n1, frames, f), turn_out(n2, frames, f)
-    rx, ry, rz = at[0] - frames[f, 9], at[1] - frames[f, 10], at[2] - frames[f, 11]
-    bx = frames[f, 12] + frames[f, 16] * rz - frames[f, 17] * ry
-    by = frames[f, 13] + frames[f, 17] * rx - frames[f, 15] * rz
-    bz = frames[f, 14] + frames[f, 15] * ry - frames[f, 16] * rx
-    u = (v[0, i] - bx, v[1, i] - by, v[2, i] - bz)
-    w = hold_off(u, a, 0.0, b, 0.0, planes == 2, mu)
-    return w[0] - u[0], w[1] - u[1], w[2] - u[2]
 
 
 @kernel

@@ -1,7 +1,8 @@
-"""Runs of this user that are going on: their names and endpoints, for `nuno control`."""
+"""Runs of this user: their names, where their recordings go, and which are going on, for `nuno control`."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -28,6 +29,24 @@ def check_id(run: str) -> str:
         remedy = "use letters, digits, and - _ . after the first; at most 128"
         raise BadInput("not a run's name", field="--run", value=run, remedy=remedy)
     return run
+
+
+def record_path(folder: Path, run: str) -> Path:
+    """Where a run's recording goes. Raises BadInput if the folder cannot be written."""
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "it is a file")
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".{run}.probe"
+        probe.write_text(json.dumps(run))
+        probe.unlink()
+    except OSError as error:
+        raise BadInput(
+            f"the recordings folder cannot be written: {error.strerror}",
+            value=str(folder),
+            remedy="name another file with --record FILE, or use --no-record",
+        ) from None
+    return folder / f"{run}.mcap"
 
 
 def folder() -> Path:

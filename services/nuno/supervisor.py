@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -281,21 +278,3 @@ def control(run: str, endpoint: str, request: dict[str, Any], config: str | None
     """
     with spoke(endpoint, config) as session:
         return Bus(session, run, "control").ask_json("control", request)
-
-
-def record_path(folder: Path, run: str) -> Path:
-    """Where a run's recording goes. Raises BadInput if the folder cannot be written."""
-    try:
-        if folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, "it is a file")
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".{run}.probe"
-        probe.write_text(json.dumps(run))
-        probe.unlink()
-    except OSError as error:
-        raise BadInput(
-            f"the recordings folder cannot be written: {error.strerror}",
-            value=str(folder),
-            remedy="name another file with --record FILE, or use --no-record",
-        ) from None
-    return folder / f"{run}.mcap"

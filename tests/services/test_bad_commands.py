@@ -18,7 +18,7 @@ from refusals import Refused, sheet
 from scenes import write_scene
 
 import nuno
-from nuno import supervisor
+from nuno import runs
 from nuno.cli import main
 from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput
@@ -119,7 +119,7 @@ def test_a_folder_without_permission() -> None:
         closed = Path(name) / "closed"
         closed.mkdir(mode=0o555)
         with without_root(), pytest.raises(BadInput, match="cannot be written: Permission denied") as caught:
-            supervisor.record_path(closed, "run")
+            runs.record_path(closed, "run")
         assert caught.value.value == str(closed)
         assert list(closed.iterdir()) == []
 

@@ -116,7 +116,7 @@ def _options(args: argparse.Namespace, run: str) -> Options:
     record = None
     if not args.no_record:
         target: Path | None = args.record
-        record = supervisor.record_path(target.parent if target else Path("recordings"), run)
+        record = runs.record_path(target.parent if target else Path("recordings"), run)
         record = target or record
     view = args.view
     if view is None and not args.no_view and args.save is None and has_screen():
