@@ -5,8 +5,7 @@ of their order, so that a node's children stand side by side and a node, like a 
 A mesh of 330,000 triangles is six levels high.
 
 Not chosen: the surface area heuristic, whose boxes are a little tighter but whose leaves are unequally
-full; pointers to children one by one, which cost a gather where a load will do; a tree kept on disk,
-for building one takes less time than reading the file that it is built from.
+full; pointers to children one by one, which cost a gather where a load will do.
 """
 
 from __future__ import annotations
