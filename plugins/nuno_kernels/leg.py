@@ -5,9 +5,11 @@ profile in front (shin, instep, top of the foot) to one behind (calf, heel, sole
 the instep round the heel. A ring is a superellipse; rings between those of the table follow monotone
 cubics, and those with a measured girth are scaled to it. Both ends are closed by caps.
 
-Girths of thigh, knee, calf and ankle are the rounded means of 260 women in G. Heinz, L. J. Peterson, R. W. Johnson,
-C. J. Kerk: Exploring relationships in body dimensions, Journal of Statistics Education 11(2), 2003. Their
-heights, the profiles, and a foot of 24.5 cm are chosen to look like a leg of their mean height of 165 cm.
+Girths of thigh, knee, calf and ankle are the means, to a millimetre, of the 260 women in the data of G. Heinz,
+L. J. Peterson, R. W. Johnson, C. J. Kerk: Exploring relationships in body dimensions, Journal of Statistics Education
+11(2), 2003 (OpenIntro's data set `bdims`): 57.20, 35.26, 35.01 and 21.21 cm, with standard deviations of 4.6, 2.6, 2.6
+and 1.4 cm. The heights of these girths, the profiles, and a foot of 24.5 cm are chosen to look like a leg of the
+women's mean height of 164.9 cm.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ class Ring(NamedTuple):
 
 RINGS = (
     Ring(0.780, 0.095, 0.780, -0.098, 0.093, 2.1, 0.0),
-    Ring(0.700, 0.092, 0.700, -0.088, 0.088, 2.1, 0.570),
+    Ring(0.700, 0.092, 0.700, -0.088, 0.088, 2.1, 0.572),
     Ring(0.600, 0.084, 0.600, -0.066, 0.075, 2.1, 0.0),
     Ring(0.520, 0.074, 0.520, -0.053, 0.062, 2.2, 0.0),
     Ring(0.455, 0.068, 0.455, -0.044, 0.054, 2.3, 0.353),
