@@ -19,14 +19,16 @@ from nuno_kernels.linear import (
     multiply_spring_lists,
     multiply_spring_runs,
 )
+from nuno_kernels.linear_yarns import multiply_yarns
 from nuno_kernels.matrix import Linear
 from nuno_schemas.fabric import Float
 
 
 @kernel
 def multiply_block(
-    block: int, inverse_mass: Any, own: Any, u: Any, out: Any, runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any
-) -> float:
+    block: int, inverse_mass: Any, own: Any, u: Any, out: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any,
+) -> float:  # fmt: skip
     """out = A u on a block's vertices, 0 where pinned; returns its part of u.A u."""
     origin = block * BLOCK
     width = min(BLOCK, u.shape[1] - origin)
@@ -39,6 +41,8 @@ def multiply_block(
         multiply_hinge_runs(block, origin, u, local, hinge_runs)
     if hinge_lists is not None:
         multiply_hinge_lists(block, u, local, hinge_lists)
+    if yarns is not None:
+        multiply_yarns(block, u, local, yarns)
     total = 0.0
     for c in range(width):
         v = origin + c
@@ -83,13 +87,13 @@ def turn_block(block: int, z: Any, p: Any, turn: float) -> None:
 @parallel_kernel
 def multiply_parallel(
     sums: Any, turn: float, z: Any, p: Any, q: Any, inverse_mass: Any, own: Any,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any,
 ) -> None:  # fmt: skip
     """p = z + turn p, then q = A p, on several threads: a product reads its neighbours' p."""
     for block in prange(sums.shape[0]):
         turn_block(block, z, p, turn)
     for block in prange(sums.shape[0]):
-        sums[block] = multiply_block(block, inverse_mass, own, p, q, runs, lists, hinge_runs, hinge_lists)
+        sums[block] = multiply_block(block, inverse_mass, own, p, q, runs, lists, hinge_runs, hinge_lists, yarns)
 
 
 @parallel_kernel
@@ -102,16 +106,16 @@ def descend_parallel(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q:
 @kernel
 def turn_and_multiply(
     sums: Any, turn: float, z: Any, p: Any, q: Any, inverse_mass: Any, own: Any,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, threads: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any, threads: Any,
 ) -> float:  # fmt: skip
     """p = z + turn p and q = A p; p.q."""
     if threads is None:
         for block in range(sums.shape[0]):
             turn_block(block, z, p, turn)
         for block in range(sums.shape[0]):
-            sums[block] = multiply_block(block, inverse_mass, own, p, q, runs, lists, hinge_runs, hinge_lists)
+            sums[block] = multiply_block(block, inverse_mass, own, p, q, runs, lists, hinge_runs, hinge_lists, yarns)
     else:
-        multiply_parallel(sums, turn, z, p, q, inverse_mass, own, runs, lists, hinge_runs, hinge_lists)
+        multiply_parallel(sums, turn, z, p, q, inverse_mass, own, runs, lists, hinge_runs, hinge_lists, yarns)
     return float(sums.sum())
 
 
@@ -129,7 +133,7 @@ def descend(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, ste
 @kernel
 def iterate(
     tolerance: float, most: int, sums: Any, x: Any, r: Any, z: Any, p: Any, q: Any, inverse_mass: Any, own: Any,
-    inverse: Any, runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, threads: Any,
+    inverse: Any, runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any, threads: Any,
 ) -> int:  # fmt: skip
     """Conjugate gradients from x = 0; see `solve`."""
     x[:] = 0.0
@@ -142,7 +146,7 @@ def iterate(
         if not rz > target:
             return iteration
         curvature = turn_and_multiply(
-            sums, turn, z, p, q, inverse_mass, own, runs, lists, hinge_runs, hinge_lists, threads
+            sums, turn, z, p, q, inverse_mass, own, runs, lists, hinge_runs, hinge_lists, yarns, threads
         )
         if not curvature > 0.0:
             return -1 - iteration
@@ -160,7 +164,7 @@ def solve(a: Linear, tolerance: float, most: int, threads: int | None) -> int:
     """
     count = iterate(
         tolerance, most, a.sums, a.x, a.r, a.z, a.p, a.q, a.inverse_mass, a.own, a.inverse,
-        a.runs, a.lists, a.hinge_runs, a.hinge_lists, threads,
+        a.runs, a.lists, a.hinge_runs, a.hinge_lists, a.yarns, threads,
     )  # fmt: skip
     return int(count)
 
@@ -169,6 +173,18 @@ def multiply(a: Linear, u: Float, threads: int | None) -> Float:
     """A u (3, n), 0 where pinned."""
     a.p[...], a.z[...] = u, 0.0
     turn_and_multiply(
-        a.sums, 1.0, a.z, a.p, a.q, a.inverse_mass, a.own, a.runs, a.lists, a.hinge_runs, a.hinge_lists, threads
+        a.sums,
+        1.0,
+        a.z,
+        a.p,
+        a.q,
+        a.inverse_mass,
+        a.own,
+        a.runs,
+        a.lists,
+        a.hinge_runs,
+        a.hinge_lists,
+        a.yarns,
+        threads,
     )
     return a.q.copy()

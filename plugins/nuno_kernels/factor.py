@@ -13,6 +13,7 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.fronts import TILE, Fronts
+from nuno_kernels.linear_yarns import add_yarns
 from nuno_kernels.matrix import Linear
 from nuno_kernels.plan import Elements, Plan
 from nuno_kernels.simd import WIDTH, fused, load, splat, store
@@ -48,7 +49,7 @@ def make_factor(plan: Plan, n: int) -> Factor:
 def compile_factor(a: Linear) -> None:
     """Compile what a factor of this matrix needs, with one that has no vertices."""
     none = np.zeros(0, np.int64)
-    elements = [Elements(none, *np.zeros((3, 1, 0), np.int64)) for _ in range(4)]
+    elements = [Elements(none, *np.zeros((3, 1, 0), np.int64)) for _ in range(5)]
     factor = make_factor(Plan(Fronts(*(none for _ in Fronts._fields)), 0, 0, *elements), a.own.shape[1])
     factorise(factor, a)
     solve_factored(factor, a.r, a.x)
@@ -282,6 +283,8 @@ def factorise(factor: Factor, a: Linear) -> bool:
     for rows, places in ((a.hinge_runs, plan.hinge_runs), (a.hinge_lists, plan.hinge_lists)):
         if rows is not None and places is not None:
             add_hinges(rows, places, factor.diagonal, factor.values)
+    if a.yarns is not None and plan.yarns is not None:
+        add_yarns(a.yarns, plan.yarns, factor.diagonal, factor.values)
     add_diagonal(plan.fronts, factor.diagonal, factor.values)
     return bool(factorise_fronts(plan.fronts, factor.values, factor.scratch))
 

@@ -1,8 +1,9 @@
 """The matrix of an implicit step, linearised at a state; it is never assembled here.
 
-    A u = D u + sum over springs (alpha I + w w^T) (u_i - u_j) + sum over hinges g (g.u),
+    A u = D u + sum over springs (alpha I + w w^T) (u_i - u_j) + sum over hinges g (g.u) + sum over pairs of a yarn,
 
-D (6, n) holding each vertex's own symmetric 3 x 3 block: mass over the squared step, damping, contact.
+D (6, n) holding each vertex's own symmetric 3 x 3 block: mass over the squared step, damping, contact. What links
+of a yarn add that follow each other is in nuno_kernels.linear_yarns.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from nuno_kernels.blocks import BLOCK, PADDING, block_count
 from nuno_kernels.diagonal import invert, sum_hinge_lists, sum_hinge_runs, sum_spring_lists, sum_spring_runs
 from nuno_kernels.linear import fill_hinge_lists, fill_hinge_runs, fill_spring_lists, fill_spring_runs
 from nuno_kernels.linear_layout import LinearLists, LinearRuns, linear_hinges, linear_springs
+from nuno_kernels.linear_yarns import fill_yarns, linear_yarns, sum_yarns
 from nuno_schemas.fabric import Float
 
 LOWEST = 1e300
@@ -39,6 +41,7 @@ class Linear(NamedTuple):
     lists: LinearLists | None
     hinge_runs: LinearRuns | None
     hinge_lists: LinearLists | None
+    yarns: LinearLists | None
     sums: Float
     x: Float
     r: Float
@@ -62,6 +65,7 @@ def make_linear(packed: Packed) -> Linear:
         lists,
         hinge_runs,
         hinge_lists,
+        linear_yarns(packed.yarns),
         sums,
         *(np.zeros((3, n)) for _ in "xrzpq"),
     )
@@ -71,10 +75,10 @@ def make_linear(packed: Packed) -> Linear:
 def fill_block(
     block: int, x: Any, before: Any, rate: float, floor: float, follow: float,
     inverse_mass: Any, own: Any, inverse: Any,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
-    to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any,
+    to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any, to_yarns: Any,
 ) -> None:  # fmt: skip
-    """Linearise a block's springs and hinges at x (3, n) and invert its diagonal blocks."""
+    """Linearise a block's springs, hinges and yarns at x (3, n) and invert its diagonal blocks."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     diagonal = np.zeros((6, high - low + PADDING))
     if runs is not None:
@@ -89,6 +93,9 @@ def fill_block(
     if hinge_lists is not None:
         fill_hinge_lists(block, x, hinge_lists, to_hinge_lists)
         sum_hinge_lists(block, to_hinge_lists, diagonal)
+    if yarns is not None:
+        fill_yarns(block, x, before, yarns, to_yarns, rate, floor, follow)
+        sum_yarns(block, to_yarns, diagonal)
     for v in range(low, high):
         if inverse_mass[v] > 0.0:
             invert(own, inverse, v, diagonal, v - low)
@@ -97,28 +104,28 @@ def fill_block(
 @parallel_kernel
 def fill_parallel(
     x: Any, before: Any, rate: float, floor: float, follow: float, inverse_mass: Any, own: Any, inverse: Any,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
-    to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any,
+    to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any, to_yarns: Any,
 ) -> None:  # fmt: skip
     """All blocks on several threads."""
     for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
         fill_block(
             block, x, before, rate, floor, follow, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
-            to_runs, to_lists, to_hinge_runs, to_hinge_lists,
+            yarns, to_runs, to_lists, to_hinge_runs, to_hinge_lists, to_yarns,
         )  # fmt: skip
 
 
 @kernel
 def fill_blocks(
     x: Any, before: Any, rate: float, floor: float, follow: float, inverse_mass: Any, own: Any, inverse: Any,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any,
-    to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any,
+    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any,
+    to_runs: Any, to_lists: Any, to_hinge_runs: Any, to_hinge_lists: Any, to_yarns: Any,
 ) -> None:  # fmt: skip
     """All blocks on one thread."""
     for block in range((x.shape[1] + BLOCK - 1) // BLOCK):
         fill_block(
             block, x, before, rate, floor, follow, inverse_mass, own, inverse, runs, lists, hinge_runs, hinge_lists,
-            to_runs, to_lists, to_hinge_runs, to_hinge_lists,
+            yarns, to_runs, to_lists, to_hinge_runs, to_hinge_lists, to_yarns,
         )  # fmt: skip
 
 
@@ -134,5 +141,5 @@ def fill(
     call = fill_blocks if p.threads is None else fill_parallel
     call(
         x, x if before is None else before, rate, floor, float(follow), a.inverse_mass, a.own, a.inverse,
-        p.runs, p.lists, p.hinge_runs, p.hinge_lists, a.runs, a.lists, a.hinge_runs, a.hinge_lists,
+        p.runs, p.lists, p.hinge_runs, p.hinge_lists, p.yarns, a.runs, a.lists, a.hinge_runs, a.hinge_lists, a.yarns,
     )  # fmt: skip

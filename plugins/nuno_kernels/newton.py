@@ -5,10 +5,6 @@ The residual is the force that is missing, m (a(x, v) - (v - v^) / g), and the s
 springs and hinges do not hold (contact, wind, forces in Python, damping) acts on each vertex by itself or
 nearly so: its derivative is taken as one 3 x 3 block a vertex, by moving all vertices together along each
 axis. Contact and friction are exact that way; a triangle's wind is lumped.
-
-What passes along yarns is in the residual but not in the matrix: it couples vertices two links apart. Springs
-alone differ from k (1 + mu A) by 2 mu at most, A's eigenvalues being in (-2, 2), so that each Newton step leaves
-up to that share: 0.4 at mu = 0.2, and less where inertia holds the vertices.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The plan of a factorisation: where every spring and hinge goes, all that is known before any number is."""
+"""The plan of a factorisation: where every element goes, all that is known before any number is."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from nuno_schemas.fabric import Float
 
 
 class Elements(NamedTuple):
-    """Where p springs or hinges go.
+    """Where p springs, hinges or pairs of links go.
 
     column    (p,) of their rows
-    vertices  (2 or 4, p)
-    at        (1 or 6, p) where the block of each pair of vertices begins in the factor, -1 if one is pinned
-    width     (1 or 6, p) distance of that block's rows, negative where the second is eliminated first
+    vertices  (2, 3 or 4, p)
+    at        (1, 3 or 6, p) where the block of each pair of vertices begins in the factor, -1 if one is pinned
+    width     (1, 3 or 6, p) distance of that block's rows, negative where the second is eliminated first
     """
 
     column: Long
@@ -42,6 +42,7 @@ class Plan(NamedTuple):
     lists: Elements | None
     hinge_runs: Elements | None
     hinge_lists: Elements | None
+    yarns: Elements | None
 
 
 def make_plan(position: Float, linear: Linear) -> Plan:
@@ -54,6 +55,7 @@ def make_plan(position: Float, linear: Linear) -> Plan:
         None if linear.lists is None else _list_elements(linear.lists, 2),
         None if linear.hinge_runs is None else _run_elements(linear.hinge_runs, 4),
         None if linear.hinge_lists is None else _list_elements(linear.hinge_lists, 4),
+        None if linear.yarns is None else _list_elements(linear.yarns, 3),
     ]
     pairs = [np.empty((0, 2), np.int64), *(_edges(number[item[1]]) for item in found if item is not None)]
     edges = np.unique(np.concatenate(pairs), axis=0)
@@ -90,7 +92,7 @@ def _pairs(corners: int) -> list[tuple[int, int]]:
 
 
 def _edges(corners: Long) -> Long:
-    """(e, 2) pairs, the lower first, among the corners (2 or 4, p) of elements, without the pinned ones (-1)."""
+    """(e, 2) pairs, the lower first, among the corners (2, 3 or 4, p) of elements, without the pinned ones (-1)."""
     pairs = np.concatenate([corners[[i, j]] for i, j in _pairs(corners.shape[0])], axis=1).T
     return np.sort(pairs[(pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])], axis=1)
 

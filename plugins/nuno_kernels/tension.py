@@ -9,6 +9,7 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK
+from nuno_kernels.linear_yarns import turning_of_yarns
 from nuno_schemas.fabric import Float
 
 
@@ -54,7 +55,8 @@ def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
     """
     runs = 0.0 if packed.runs is None else turning_of_runs(before, x, d, packed.runs)
     lists = 0.0 if packed.lists is None else turning_of_lists(before, x, d, packed.lists)
-    return float(runs + lists)
+    yarns = 0.0 if packed.yarns is None else turning_of_yarns(before, x, d, packed.yarns)
+    return float(runs + lists + yarns)
 
 
 @kernel

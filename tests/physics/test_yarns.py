@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from nets import accelerations, make_fabric, make_system, random_net, run, start
+from yarn_nets import balance, chains, line
 
 from nuno_integrators.adaptive import Dop853, Dopri5
 from nuno_integrators.implicit import TRBDF2, ImplicitEuler
@@ -23,35 +24,6 @@ from nuno_kernels.stability import measure_rates
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Springs, Yarns
 from nuno_schemas.plugin import System
-
-
-def chains(points: int, yarns: int, seed: int, length: int = 12, c: float = 0.0, uniform: bool = False) -> Fabric:
-    """Random walks over vertices in a box of 1 m: every walk is a yarn, every second one a ring."""
-    rng = np.random.default_rng(seed)
-    used: set[tuple[int, int]] = set()
-    pairs: list[tuple[int, int]] = []
-    links, ptr = [], [0]
-    for y in range(yarns):
-        walk = rng.permutation(points)[: length + 1].tolist()
-        steps = list(zip(walk, walk[1:] + walk[:1], strict=True))[: length + y % 2]
-        own: list[int] = []
-        for i, j in steps:
-            if (min(i, j), max(i, j)) in used:
-                break
-            used.add((min(i, j), max(i, j)))
-            own.append(len(pairs))
-            pairs.append((i, j) if rng.random() < 0.5 else (j, i))
-        links += own + (own[:1] if len(own) == length + 1 else [])
-        ptr.append(len(links))
-    position = rng.uniform(0.0, 1.0, (points, 3))
-    both = np.array(pairs, np.int32)
-    rest = np.linalg.norm(position[both[:, 1]] - position[both[:, 0]], axis=1) * rng.uniform(0.6, 1.2, len(both))
-    k = np.full(len(both), 7.0) if uniform else rng.uniform(1.0, 100.0, len(both))
-    springs = Springs.from_pairs(both, k, rest, c * rng.uniform(0.5, 1.0, len(both)))
-    mu = rng.uniform(0.05, 0.45, yarns)
-    kind = np.zeros(yarns, np.int8)
-    found = Yarns(np.array(links, np.int32), np.array(ptr, np.int32), mu, kind)
-    return replace(make_fabric(position, springs, mass=1.0), yarns=found)
 
 
 def reference(fabric: Fabric, x: Float, v: Float) -> Float:
@@ -161,50 +133,12 @@ def test_links_of_no_length_neither_give_nor_take() -> None:
     assert np.array_equal(a[:, 0], [0.5, -0.5, 1.5, -1.5])
 
 
-STRETCH = 0.25
-"""Of the line below, between its held ends."""
-
-
-def line(k: float = 40.0, mu: float = 0.2, c: float = 0.0, parts: int = 4) -> System:
-    """A yarn of unequal links along x, held at both ends, with two links before it that share a vertex with it."""
-    rest = np.array([0.5, 1.0, 0.8, 1.2])[:parts]
-    x = np.zeros((parts + 1, 3))
-    x[1:, 0] = (1.0 + STRETCH) * rest.sum() * np.arange(1, parts + 1) / parts
-    index = np.arange(parts, dtype=np.int32)
-    springs = Springs.from_pairs(np.stack([index, index + 1], 1), np.full(parts, k), rest, np.full(parts, c))
-    yarns = Yarns(index, np.array([0, parts], np.int32), np.array([mu]), np.zeros(1, np.int8))
-    pinned = np.zeros(parts + 1, bool)
-    pinned[[0, -1]] = True
-    return make_system(replace(make_fabric(x, springs, mass=0.5, pinned=pinned), yarns=yarns), damping=6.0)
-
-
-def balance(system: System, mu: float = 0.2) -> Float:
-    """Places along x where (1 + mu A) e is the same on all links and sum(e) is what the ends give."""
-    assert system.fabric.springs is not None
-    rest = system.fabric.springs.rest
-    n = len(rest)
-    e = np.linalg.solve(np.eye(n) + mu * (np.eye(n, k=1) + np.eye(n, k=-1)), np.ones(n))
-    return np.concatenate([[0.0], np.cumsum(rest + e * STRETCH * rest.sum() / e.sum())])
-
-
 @pytest.mark.parametrize("plugin", [SymplecticEuler(), Leapfrog(), RK4(), Dopri5()], ids=lambda p: p.name)
 def test_a_stretched_yarn_comes_to_the_closed_forms_rest(plugin: Any) -> None:
     system = line()
     state = start(system)
     run(plugin, system, state, 800, 0.01)
     assert np.abs(state.x[:, 0] - balance(system)).max() < 1e-9
-
-
-@pytest.mark.parametrize("plugin", [ImplicitEuler(), TRBDF2()], ids=lambda p: p.name)
-@pytest.mark.parametrize("mu", [0.2, 0.45])
-def test_large_implicit_steps_come_to_rest_too(plugin: Any, mu: float) -> None:
-    """The matrix knows nothing of what passes along the yarn; the residual, and so the rest, does."""
-    system = line(mu=mu)
-    state = start(system)
-    memory = plugin.prepare(plugin.Config(residual=1e-11, most_iterations=400), system, state)
-    report = plugin.advance(system, state, memory, None, 60, 0.5)
-    assert report.status == "ok"
-    assert np.abs(state.x[:, 0] - balance(system, mu)).max() < 1e-9
 
 
 def disturbed(c: float = 0.5) -> System:

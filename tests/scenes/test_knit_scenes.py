@@ -9,9 +9,11 @@ import pytest
 
 from nuno import scene_file
 from nuno.simulation.run import Simulation
+from nuno_integrators.implicit import ImplicitEuler
+from nuno_kernels import solver
 from nuno_kernels.acceleration import evaluate
 from nuno_kernels.packing import pack, to_rows
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import System
 
 LEGS = 90
@@ -63,6 +65,18 @@ def test_the_panel_settles_in_a_hundred_steps() -> None:
 def test_it_comes_to_rest_where_newton_says() -> None:
     simulation, positions = simulate("stitch-10x10", 1400)
     assert np.abs(positions[-1] - balance(simulation.system)).max() < 1e-8
+
+
+@pytest.mark.parametrize(("patience", "most"), [(solver.PATIENCE, 12), (0.0, 7)], ids=["gradients", "factorised"])
+def test_newton_finds_rest_in_few_steps(monkeypatch: pytest.MonkeyPatch, patience: float, most: int) -> None:
+    """One step of 1e10 s, to a residual of 1e-12: with the matrix of links alone it takes 28."""
+    monkeypatch.setattr(solver, "PATIENCE", patience)
+    system, plugin = simulate("stitch-10x10", 0)[0].system, ImplicitEuler()
+    state = State(system.fabric.position.copy(), system.fabric.velocity.copy())
+    memory = plugin.prepare(plugin.Config(residual=1e-12, most_iterations=100), system, state)
+    report = plugin.advance(system, state, memory, None, 1, 1e10)
+    assert report.status == "ok" and report.totals["newton_steps"] <= most
+    assert np.abs(state.x - balance(system)).max() < 1e-10
 
 
 @cache
