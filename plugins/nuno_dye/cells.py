@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -89,7 +90,7 @@ class CellsCloth:
         _, ny, nx = cells.fibre.shape
         return find_resists(config.resist, (ny, nx), config.cell_size, files)
 
-    def supplies(self, config: CellsConfig, cells: Cells, dyes: int) -> tuple[Supply, ...]:
+    def supplies(self, config: CellsConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
         """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
         _, ny, nx = cells.fibre.shape
         return prepare_supplies(config.supply, (ny, nx), config.cell_size, dyes)

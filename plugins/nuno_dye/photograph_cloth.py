@@ -113,7 +113,7 @@ class PhotographCloth:
         """Raises BadInput for what touches no cell, and an image that does not fit."""
         return find_resists(config.resist, cells.fibre.shape[1:], config.cell_size, files)
 
-    def supplies(self, config: PhotographConfig, cells: Cells, dyes: int) -> tuple[Supply, ...]:
+    def supplies(self, config: PhotographConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
         """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
         return prepare_supplies(config.supply, cells.fibre.shape[1:], config.cell_size, dyes)
 

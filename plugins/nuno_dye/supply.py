@@ -13,12 +13,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from nuno_dye.quantities import Length, Moment, Place, Positive, Share
 from nuno_dye.regions import MOST_POINTS, All, Disc, Region, Stroke, cover
 from nuno_schemas.dye import Supply
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Bool
+from nuno_schemas.parts import Name
 from nuno_schemas.plugin import Config
 
 MOST_SUPPLIES = 256
@@ -27,7 +29,9 @@ MOST_SUPPLIES = 256
 class _Supply(Config):
     """What all kinds share."""
 
-    dye: Annotated[int, Field(ge=0, le=255)] = Field(default=0, description="its place in the list of dyes, from 0")
+    dye: Annotated[int, Field(ge=0, le=255)] | Name = Field(
+        default=0, description="its name, or its place in the list of dyes, from 0"
+    )
     amount: Share = Field(default=1.0, description="share of what a cell can hold of mobile dye")
     layers: Literal["both", "weft", "warp"] = Field(default="both", description="which yarns it reaches")
     maintained: bool = Field(default=False, description="kept up from `start` to `stop`; else given once, at `start`")
@@ -37,9 +41,11 @@ class _Supply(Config):
     @model_validator(mode="after")
     def _check(self) -> _Supply:
         if self.stop is not None and not self.maintained:
-            raise ValueError("stop is for what is maintained: add maintained: true, or leave stop out")
+            problem = "stop is for what is maintained; add maintained: true, or leave stop out"
+            raise PydanticCustomError("stop_of_nothing", problem, {"inside": ("stop",)})
         if self.stop is not None and self.stop <= self.start:
-            raise ValueError(f"stop {self.stop:g} s must be after start {self.start:g} s")
+            times = {"stop": f"{self.stop:g}", "start": f"{self.start:g}", "inside": ("stop",)}
+            raise PydanticCustomError("stop_before_start", "stop {stop} s must be after start {start} s", times)
         return self
 
 
@@ -73,7 +79,8 @@ class Bath(_Supply):
     @model_validator(mode="after")
     def _check_liquor(self) -> Bath:
         if self.liquor is not None and not self.maintained:
-            raise ValueError("a bath with a liquor ratio is exhausted over time: add maintained: true")
+            problem = "a bath with a liquor ratio is exhausted over time; add maintained: true"
+            raise PydanticCustomError("liquor_at_once", problem, {"inside": ("liquor",)})
         return self
 
 
@@ -93,25 +100,35 @@ def find_cells(supply: AnySupply, shape: tuple[int, int], size: float) -> Bool:
     return np.asarray(part & reached[:, None, None])
 
 
-def prepare_supplies(items: Sequence[AnySupply], shape: tuple[int, int], size: float, dyes: int) -> tuple[Supply, ...]:
-    """What a cloth of (ny, nx) cells with side `size` [m] is given.
+def prepare_supplies(
+    items: Sequence[AnySupply], shape: tuple[int, int], size: float, dyes: Sequence[str]
+) -> tuple[Supply, ...]:
+    """What a cloth of (ny, nx) cells with side `size` [m] is given of `dyes`, by name.
 
     Raises BadInput, at `supply[i]`, for what reaches no cell and for a dye that is none of the scene's.
     """
     return tuple(_prepare(item, f"supply[{index}]", shape, size, dyes) for index, item in enumerate(items))
 
 
-def _prepare(item: AnySupply, place: str, shape: tuple[int, int], size: float, dyes: int) -> Supply:
-    if item.dye >= dyes:
-        raise BadInput(
-            "no such dye", field=f"{place}.dye", value=item.dye, limit=f"0 to {dyes - 1}",
-            remedy="dye is a place in the list of dyes, from 0",
-        )  # fmt: skip
+def find_dye(dye: int | str, dyes: Sequence[str]) -> int:
+    """The place of a dye among the scene's, given as that or by name. Raises BadInput."""
+    if dye in dyes:
+        return dyes.index(str(dye))
+    if isinstance(dye, int) and dye < len(dyes):
+        return dye
+    known = ", ".join(f"{place} {name}" for place, name in enumerate(dyes))
+    remedy = nearest(dye, dyes) if isinstance(dye, str) else "write the dye's name, or its place in the list of dyes"
+    raise BadInput("no such dye", field="dye", value=dye, limit=known, remedy=remedy)
+
+
+def _prepare(item: AnySupply, place: str, shape: tuple[int, int], size: float, dyes: Sequence[str]) -> Supply:
+    inside = "dye"
     try:
+        dye = find_dye(item.dye, dyes)
+        inside = {"drop": "place", "stroke": "points", "bath": "region"}[item.kind]
         cells = find_cells(item, shape, size)
     except BadInput as error:
-        inside = {"drop": "place", "stroke": "points", "bath": "region"}[item.kind]
         raise BadInput(error.problem, None, None, f"{place}.{inside}", error.value, error.limit, error.remedy) from None
     until = math.inf if item.stop is None else item.stop
     liquor = item.liquor if isinstance(item, Bath) else None
-    return Supply(item.kind, item.dye, cells, item.amount, item.start, until if item.maintained else None, liquor)
+    return Supply(item.kind, dye, cells, item.amount, item.start, until if item.maintained else None, liquor)

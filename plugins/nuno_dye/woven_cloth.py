@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -75,7 +76,7 @@ class WovenCloth:
         """Raises BadInput for what touches no cell, and an image that does not fit."""
         return find_resists(config.resist, (config.cells[1], config.cells[0]), config.cell_size, files)
 
-    def supplies(self, config: WovenClothConfig, cells: Cells, dyes: int) -> tuple[Supply, ...]:
+    def supplies(self, config: WovenClothConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
         """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
         return prepare_supplies(config.supply, (config.cells[1], config.cells[0]), config.cell_size, dyes)
 

@@ -6,7 +6,7 @@ Amounts are fractions of what a cell can hold at most (`v_max`), per cell.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
 
@@ -195,8 +195,11 @@ class DyeCloth(Protocol):
         """B (ny, nx) of each of `config.resist`, all of them in the cells that were built. Raises BadInput."""
         ...
 
-    def supplies(self, config: Any, cells: Cells, dyes: int) -> tuple[Supply, ...]:
-        """What gives dye to the cells that were built, in the order of `config.supply`. Raises BadInput."""
+    def supplies(self, config: Any, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
+        """What gives `dyes`, by name, to the cells that were built, in the order of `config.supply`.
+
+        Raises BadInput.
+        """
         ...
 
     def count(self, config: Any, files: Files) -> int:

@@ -76,7 +76,8 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     else:
         words = _merged([e for where, e in found if where == place])
     context = first.get("ctx") or {}
-    full = (*prefix, *place, *context.get("inside", ()))
+    inside = (str(context["discriminator"]).strip("'"),) if first["type"] == "union_tag_invalid" else ()
+    full = (*prefix, *place, *context.get("inside", inside))
     problem, value, limit, remedy = words
     return located(BadInput(problem, None, None, None, value, limit, remedy), file, lines, dotted(full))
 

@@ -91,10 +91,16 @@ class Loaded:
 
     def at(self, field: str, error: BadInput) -> BadInput:
         """The same error with this scene's file, line and the field's full path."""
-        if error.field is None and error.file is None and isinstance(error.value, str):
-            # Whoever resolves a file's name does not know which field it came from.
-            inside = (path for path in self.lines if dotted(path).startswith(f"{field}."))
-            field = next((dotted(path) for path in inside if _item(self.data, path) == error.value), field)
+        names: set[object] = set()
+        # Whoever resolves a file's name, or reads the file, does not know which field it came from.
+        if error.file is not None:
+            names = {error.file, *(name for name, path in self.files.used.items() if str(path) == error.file)}
+        elif error.field is None and isinstance(error.value, str):
+            names = {error.value}
+        if names:
+            inside = (path for path in yaml_lines.places(self.data) if dotted(path).startswith(f"{field}."))
+            texts = ((path, _item(self.data, path)) for path in inside)
+            field = next((dotted(path) for path, text in texts if isinstance(text, str) and text in names), field)
         return located(error, self.file, self.lines, field)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import yaml
@@ -88,6 +89,14 @@ def dotted(path: Path) -> str:
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else part)
     return text
+
+
+def places(value: Any, path: Path = ()) -> Iterator[Path]:
+    """All paths in a value that stands at a path, its own first."""
+    yield path
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, one in inside:
+        yield from places(one, (*path, key))
 
 
 def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:

@@ -117,11 +117,11 @@ def test_what_is_given_is_told_with_its_time_and_its_cells() -> None:
     items = TypeAdapter(tuple[AnySupply, ...]).validate_python(
         [
             {"kind": "drop", "place": ["1 mm", "1 mm"], "diameter": "1 mm", "start": "2 min", "amount": 0.5},
-            {"kind": "bath", "maintained": True, "start": 1, "stop": "1 h", "dye": 1, "layers": "warp"},
+            {"kind": "bath", "maintained": True, "start": 1, "stop": "1 h", "dye": "weld", "layers": "warp"},
             {"kind": "bath", "maintained": True, "liquor": 20},
         ]
     )
-    drop, bath, finite = prepare_supplies(items, SHAPE, SIZE, 2)
+    drop, bath, finite = prepare_supplies(items, SHAPE, SIZE, ("madder", "weld"))
     assert (drop.kind, drop.dye, drop.amount, drop.start, drop.stop, drop.liquor) == ("drop", 0, 0.5, 120.0, None, None)
     assert np.array_equal(drop.cells, find_cells(items[0], SHAPE, SIZE))
     assert (bath.dye, bath.start, bath.stop, bath.liquor) == (1, 1.0, 3600.0, None) and not bath.cells[0].any()

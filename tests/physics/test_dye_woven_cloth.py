@@ -58,7 +58,7 @@ def build(root: Path, dyes: int = 1, **scene: Any) -> tuple[Cells, DyeState]:
     assert cloth.count(config, Folder(root)) == cells.fibre.size
     assert state.phi.shape == state.fixed.shape == (dyes, *cells.fibre.shape)
     assert not state.phi.any() and not state.fixed.any()
-    for one in cloth.supplies(config, cells, dyes):
+    for one in cloth.supplies(config, cells, [f"dye{k}" for k in range(dyes)]):
         state.phi[one.dye][one.cells] = one.amount * cells.mobile_room[one.cells]
     return cells, state
 
@@ -139,7 +139,7 @@ def test_it_is_dyed_and_the_dye_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("scene", "said"),
     [
-        ({"supply": [DROP | {"dye": 1}]}, r"(?s)supply\[0\].dye.*0 to 0"),
+        ({"supply": [DROP | {"dye": 1}]}, r"(?s)supply\[0\].dye.*limit:  0 dye0"),
         ({"supply": [DROP, DROP | {"place": ["9 mm", 0]}]}, r"(?s)supply\[1\].place: the part holds no cell.*0.002 m"),
         (
             {"supply": [{"kind": "bath", "region": {"shape": "disc", "centre": [1, 1], "diameter": 1e-3}}]},

@@ -26,6 +26,7 @@ CLOTH = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": {"I"
 DROP = {"kind": "drop", "place": [3 * CELL, 4 * CELL], "diameter": 4 * CELL}
 BATH = {"kind": "bath", "maintained": True, "liquor": 5.0, "region": {"shape": "rectangle", "low": [0, 0],
         "high": [5 * CELL, 1]}}  # fmt: skip
+IMAGE = {"kind": "image"}
 PASTE = {"kind": "paste", "points": [[0, 5 * CELL], [1, 5 * CELL]], "width": 3 * CELL}
 
 
@@ -145,11 +146,12 @@ def test_a_bath_keeps_its_volume_where_paste_comes_into_it(tmp_path: Path) -> No
     [
         (said("supply", DROP | {"diameter": "-1 mm"}), "add: dye.cloth.supply[1].diameter", "more than 0"),
         (said("supply", DROP | {"place": [1, 1]}), "add: dye.cloth.supply[1].place", "0.00055 m x 0.00045 m"),
-        (said("supply", DROP | {"dye": 3}), "add: dye.cloth.supply[1].dye", "0 to 0"),
+        (said("supply", DROP | {"dye": 3}), "add: dye.cloth.supply[1].dye", "limit:  0 blue"),
         (said("supply", BATH | {"stop": "1 s"}), "add: dye.cloth.supply[1].stop", "its time has passed"),
-        (said("resist", PASTE | {"kind": "past"}), "add: dye.cloth.resist[0]", "paste"),
-        (said("resist", {"kind": "image", "file": "late.png"}), "add", "not in the run's recording"),
-        (said("resist", {"kind": "image", "file": "none.png"}), "add: dye.cloth.resist[0].file", "no such file"),
+        (said("supply", DROP | {"dye": "bleu"}), "add: dye.cloth.supply[1].dye", "did you mean 'blue'"),
+        (said("resist", PASTE | {"kind": "past"}), "add: dye.cloth.resist[0].kind", "paste"),
+        (said("resist", IMAGE | {"file": "late.png"}), "add: dye.cloth.resist[0].file", "not in the run's recording"),
+        (said("resist", IMAGE | {"file": "none.png"}), "add: dye.cloth.resist[0].file", "not in the run's recording"),
         (said("resists", PASTE), "add: resists", "did you mean 'resist'"),
         ("supply", "add", "one supply or one resist"),
         ("{supply: {}, resist: {}}", "add", "one supply or one resist"),

@@ -195,16 +195,36 @@ def test_a_bath_s_share_is_part_of_the_digest(tmp_path: Path) -> None:
     assert dyeing.digest() != before
 
 
+def test_a_dye_is_given_by_its_name_as_by_its_place(tmp_path: Path) -> None:
+    def digest(dye: object) -> str:
+        cloth = {
+            "plugin": "cells",
+            "file": "cells.npz",
+            "cell_size": CELL,
+            "tau3": SPREAD,
+            "supply": [DROP | {"dye": dye}],
+        }
+        data = arrays() | {name: np.zeros((2, 2, 9, 11)) for name in ("phi", "fixed")}
+        run = DyeRun(
+            scene_file.read(write_scene(tmp_path, data=data, cloth=cloth, dyes=[RED | {"name": "blue"}, RED])), 1
+        )
+        return run.advance().digest
+
+    assert digest("red") == digest(1) != digest("blue") == digest(0)
+
+
 @pytest.mark.parametrize(
     ("supply", "field", "words"),
     [
         (DROP | {"place": ["20 mm", 0]}, "dye.cloth.supply[0].place", "0.00055 m x 0.00045 m"),
-        (DROP | {"dye": 1}, "dye.cloth.supply[0].dye", "0 to 0"),
-        (WHOLE | {"start": 3, "stop": 2}, "dye.cloth.supply[0]", "stop 2 s must be after start 3 s"),
-        (DROP | {"stop": 2}, "dye.cloth.supply[0]", "maintained: true"),
+        (DROP | {"dye": 1}, "dye.cloth.supply[0].dye", "limit:  0 blue"),
+        (DROP | {"dye": "bleu"}, "dye.cloth.supply[0].dye", "did you mean 'blue'?"),
+        (WHOLE | {"start": 3, "stop": 2}, "dye.cloth.supply[0].stop", "stop 2 s must be after start 3 s"),
+        (DROP | {"stop": 2}, "dye.cloth.supply[0].stop", "maintained: true"),
+        ({"kind": "bath", "liquor": 2}, "dye.cloth.supply[0].liquor", "maintained: true"),
         (
             DROP | {"kind": "dropp"},
-            "dye.cloth.supply[0]: unknown kind",
+            "dye.cloth.supply[0].kind: unknown kind",
             "did you mean 'drop'? known: bath, drop, stroke",
         ),
         (DROP | {"start": "-1 s"}, "dye.cloth.supply[0].start", "at least 0"),

@@ -116,6 +116,8 @@ def test_one_control_holds_both(tmp_path: Path) -> None:
     assert added["field"] == "dye.cloth.resist[0]" and (added["state"], added["frame"]) == ("paused", paused + 3)
     refused = run.control("add", item=json.dumps({"resist": PASTE | {"width": 0}}))
     assert not refused["ok"] and "dye.cloth.resist[1].width" in refused["error"]
+    refused = run.control("set", item="dye.dyes.0.D0=1")
+    assert not refused["ok"] and "nuno control RUN add" in refused["error"]
     assert run.control("set", item="gravity=[0, -1, 0]")["ok"]
     run.control("step", frames=2)
     assert run.wait_until_paused() == paused + 5

@@ -32,7 +32,9 @@ def main(args: argparse.Namespace) -> int:
     request: dict[str, object] = {"action": args.action}
     if args.action == "set":
         if not args.item:
-            raise BadInput("set needs KEY=VALUE", remedy="for example: nuno control last set damping=0.5")
+            raise BadInput(
+                "set needs KEY=VALUE", remedy="for example, of cloth that moves: nuno control last set damping=0.5"
+            )
         request["item"] = args.item
     if args.action == "add":
         if not args.item:
@@ -41,8 +43,11 @@ def main(args: argparse.Namespace) -> int:
         request["item"] = args.item
     if args.action == "step":
         if args.item is not None and not args.item.isdigit():
-            raise BadInput("step takes a number of frames", value=args.item)
+            remedy = "for example: nuno control last step 5"
+            raise BadInput("step takes a number of frames", value=args.item, remedy=remedy)
         request["frames"] = int(args.item or 1)
+    elif args.item is not None and "item" not in request:
+        raise BadInput(f"{args.action} takes nothing more", value=args.item, remedy="leave it out")
     answer = control(run, endpoint, request, args.config)
     if not answer.get("ok"):
         raise BadInput(str(answer.get("error", "refused")))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nuno import scene_file, yaml_lines
 from nuno.explain import UNNUMBERED
+from nuno.files import SceneFiles
 from nuno.scene_file import Loaded
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput, nearest
@@ -46,27 +47,31 @@ def extend(loaded: Loaded, item: str) -> tuple[Loaded, str]:
     items = data["dye"]["cloth"].setdefault(place, [])
     items.append(fields)
     where: yaml_lines.Path = ("dye", "cloth", place, len(items) - 1)
-    lines = dict.fromkeys([*loaded.lines, *paths(fields, where)], UNNUMBERED)
-    files = replace(loaded.files, used=dict(loaded.files.used))
+    lines = dict.fromkeys([*loaded.lines, *yaml_lines.places(fields, where)], UNNUMBERED)
+    files = RecordedFiles(loaded.files.folder, loaded.files.roots, loaded.files.used)
     return scene_file.load(data, lines, NAME, files), yaml_lines.dotted(where)
 
 
-def paths(value: Any, place: yaml_lines.Path) -> Iterator[yaml_lines.Path]:
-    """All places in a value that stands at a place."""
-    yield place
-    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, one in inside:
-        yield from paths(one, (*place, key))
+class RecordedFiles(SceneFiles):
+    """The files that a run has used, which its recording carries."""
+
+    def resolve(self, name: str) -> Path:
+        """Raises BadInput for any other: what it made could not be replayed."""
+        if name not in self.used:
+            known = (
+                f"images that the scene names ({', '.join(self.used)})" if self.used else "no image: the scene has none"
+            )
+            raise BadInput(
+                "the file is not in the run's recording, which could not be replayed", value=name,
+                remedy=f"an added resist may use {known}; or a shape, a paste, a binding",
+            )  # fmt: skip
+        return self.used[name]
 
 
 def as_run(changed: Loaded, before: Loaded) -> Loaded:
-    """The extended scene under the name of the one that runs. Raises BadInput for a file that is not recorded."""
-    if new := changed.files.used.keys() - before.files.used.keys():
-        raise BadInput(
-            "the file is not in the run's recording, which could not be replayed", NAME, value=sorted(new)[0],
-            remedy="an added resist may use images that the scene names; or a shape, a paste, a binding",
-        )  # fmt: skip
-    return replace(changed, file=before.file, lines=before.lines, overrides=before.overrides, path=before.path)
+    """The extended scene under the name of the one that runs."""
+    kept = {name: getattr(before, name) for name in ("file", "lines", "files", "overrides", "path")}
+    return replace(changed, **kept)
 
 
 def resist_around(phi: Float, cells: Cells, before: Float, after: Float) -> Float:

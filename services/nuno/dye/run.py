@@ -231,7 +231,7 @@ class DyeRun:
             raise ValueError("a scene of dye stays one")
         plugin, config = chosen.cloth.plugin, chosen.cloth.config
         try:
-            given = plugin.supplies(config, self.cells, len(dye.dyes))
+            given = plugin.supplies(config, self.cells, self.names)
             parts = plugin.resists(config, self.cells, changed.files)
         except BadInput as error:
             raise changed.at("dye.cloth", error) from None
@@ -260,7 +260,7 @@ class DyeRun:
     def set(self, item: str) -> None:
         """Raises BadInput: what dye spreads in and by does not change."""
         field = item.partition("=")[0]
-        remedy = "stop, and run again with --set; supplies and resists can be added"
+        remedy = "stop, and run again with --set; nuno control RUN add gives supplies and resists"
         raise BadInput("this field cannot change while a run goes on", field=field, value=item, remedy=remedy)
 
 
@@ -277,8 +277,8 @@ def _build_cloth(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[Cells,
         )
         raise loaded.at("dye.cloth", too_much)
     try:
-        plugin, config, dyes = chosen.cloth.plugin, chosen.cloth.config, len(dye.dyes)
-        cells, state = plugin.build(config, loaded.files, loaded.scene.seed, dyes)
+        plugin, config, dyes = chosen.cloth.plugin, chosen.cloth.config, [one.name for one in dye.dyes]
+        cells, state = plugin.build(config, loaded.files, loaded.scene.seed, len(dyes))
         return cells, state, plugin.supplies(config, cells, dyes)
     except BadInput as error:
         raise loaded.at("dye.cloth", error) from None

@@ -191,12 +191,13 @@ class Simulation:
         """Change a field of the running scene, `gravity=[0, -1.6, 0]`. Raises BadInput."""
         field = item.partition("=")[0].split(".")[0].split("[")[0]
         if field not in SETTABLE:
+            dyed = "; nuno control RUN add gives its dye supplies and resists" if self.loaded.dye else ""
             raise BadInput(
                 "this field cannot change while a run goes on",
                 field=field,
                 value=item,
                 limit=", ".join(SETTABLE),
-                remedy="stop, and run again with --set",
+                remedy=f"stop, and run again with --set{dyed}",
             )
         before, kept, step = self.loaded, self.memory.arrays, (self.steps, self.dt)
         data = _copied(before.data)
@@ -222,7 +223,10 @@ class Simulation:
 
     def add(self, item: str) -> str:
         """Raises BadInput: all that a simulation has is there from the start."""
-        problem, remedy = "nothing can be added to cloth that moves", f"set changes {', '.join(SETTABLE)}"
+        problem, remedy = (
+            "nothing can be added to cloth that moves",
+            f"nuno control RUN set KEY=VALUE changes {', '.join(SETTABLE)}",
+        )
         raise BadInput(problem, value=item, remedy=remedy)
 
 
