@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     Length = float
+    Reach = float
     Metres = float
     Mass = float
     LinearDensity = float
@@ -18,6 +19,7 @@ else:
     from nuno_schemas.units import quantity
 
     Length = quantity("m", gt=0)
+    Reach = quantity("m", ge=0)
     Metres = quantity("m")
     Mass = quantity("kg", gt=0)
     LinearDensity = quantity("kg/m", gt=0)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from nuno_schemas.bodies import Geometry, Poses, no_rows
+from nuno_schemas.curves import YarnCurves
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 
 GROUPS: Mapping[str, str] = {
@@ -28,6 +29,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh",
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
+    "nuno.operations": "make something new of a fabric and where it is: repair",
     "nuno.renderers": "draw a picture of a frame",
     "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
     "nuno.dye_solvers": "spread dye in a cloth over time",
@@ -243,6 +245,38 @@ class Collider(Protocol):
 
     def build(self, config: Any, mover: Mover | None, files: Files) -> BodyShape:
         """Primitives; without a mover there is one frame, the world."""
+        ...
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Closed meshes in the world at one time: vertices (n, 3) [m], faces (f, 3) counter-clockwise from outside."""
+
+    vertices: Float
+    faces: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What an operation made.
+
+    `facts` are numbers for a report; `curves` yarns as curves, where it makes any, and `arrays` what more
+    there is to say of each of their points.
+    """
+
+    facts: Mapping[str, float]
+    curves: YarnCurves | None = None
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+
+class Operation(Protocol):
+    """Makes something new of a fabric and where it is."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def apply(self, config: Any, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
+        """`skin` are the bodies that are meshes, None where there is none. Changes none of its arguments."""
         ...
 
 

@@ -1,0 +1,187 @@
+"""Repair: yarns that go round the skin where their straight links would cut through it (the knit paper, section 6.3).
+
+Links between points on different faces can enter the body. Such a link gains points on the edges of the skin, at which
+it bends, so that it lies on the skin where it would be inside and goes straight on where it is outside; over a
+hollow it stays straight. No point moves. How the points are found: nuno_kernels.surface_strings.
+
+Where no plane leads from one end to the other (both ends of a link on opposite sides of an edge, or below an
+overhang) the middle of the link goes to the closest place on the skin, and the halves are repaired by themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field
+
+from nuno_kernels.surface_strings import LIES, LOST, lay_over
+from nuno_knit.paths import Paths, find_paths, mean_length
+from nuno_knit.quantities import Length, Reach
+from nuno_knit.skin import Skin
+from nuno_schemas.curves import YarnCurves
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int, State
+from nuno_schemas.plugin import Config, Outcome, Surface
+
+HALVINGS = 8
+"""How often a link that no plane leads along is halved."""
+CHECKED = 20
+"""Samples of every piece that the check of the result looks at, its ends among them."""
+RADIUS = 0.04
+"""Of a yarn that has no other, as a share of the mean link: links are 25 radii long."""
+
+
+class YarnConfig(Config):
+    """What every operation that makes curves of yarns takes."""
+
+    radius: Reach | None = Field(
+        default=None, description=f"of the yarns [m]; left out: {RADIUS:g} of the mean link's length"
+    )
+    tolerance: Length = Field(default=1e-6, description="how deep a yarn may lie in the skin unchanged [m]")
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """Yarns with the points that they gained.
+
+    points (n, 3)     [m]; ptr (y + 1,) first point of each yarn
+    vertex (n,) int32 the fabric's point, -1 for one that was gained
+    face   (n,) int32 face of the skin at the point, -1 without skin
+    normal (n, 3)     of the skin there, 0 without
+    first  (s + 1,)   place of each link's first point, and of none behind the last
+    status (s,)       what became of each link: LIES, CLEAR or LOST
+    """
+
+    points: Float
+    ptr: NDArray[np.int64]
+    vertex: Int
+    face: Int
+    normal: Float
+    first: NDArray[np.int64]
+    status: NDArray[np.int8]
+
+
+class Repair:
+    """Yarns as straight links, mended where they cut through the skin."""
+
+    name: ClassVar[str] = "repair"
+    Config: ClassVar[type[BaseModel]] = YarnConfig
+
+    def apply(self, config: YarnConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
+        """Raises BadInput for a fabric without yarns."""
+        paths = find_paths(fabric)
+        below = to_skin(skin)
+        found = repair(paths, state.x, below, config.tolerance)
+        radius = radius_of(config, paths, state.x)
+        curves = YarnCurves(
+            found.points, found.ptr, np.full(paths.number, radius), paths.kind, paths.names, found.normal
+        )
+        facts = {
+            "links": float(len(found.status)),
+            "repaired": float((found.status == LIES).sum()),
+            "lost": float((found.status == LOST).sum()),
+            "inserted": float((found.vertex < 0).sum()),
+            **measure(curves, below, 0.0, found.face),
+        }
+        return Outcome(facts, curves, {"vertex": found.vertex, "face": found.face})
+
+
+def to_skin(surface: Surface | None) -> Skin | None:
+    """What to look closest points up in; None where there is nothing."""
+    return None if surface is None or not len(surface.faces) else Skin(surface.vertices, surface.faces)
+
+
+def radius_of(config: YarnConfig, paths: Paths, x: Float) -> float:
+    """Of the yarns [m]."""
+    return RADIUS * mean_length(paths, x) if config.radius is None else config.radius
+
+
+def measure(curves: YarnCurves, skin: Skin | None, off: float, face: Int) -> dict[str, float]:
+    """Where the check looked: how many samples, and how deep the deepest lies below the height `off` [m]."""
+    if skin is None:
+        return {}
+    segments = curves.segments()
+    depth = skin.depths(curves.points, segments, CHECKED, face)
+    return {"samples": float(CHECKED * len(segments)), "deepest": max(0.0, float(depth.max(initial=-off)) + off)}
+
+
+def repair(paths: Paths, x: Float, skin: Skin | None, tolerance: float) -> Repaired:
+    """Yarns of points x (n, 3) [m] with the points they gain, where a link lies deeper than `tolerance` [m].
+
+    Raises BadInput for points that are not finite.
+    """
+    pairs = paths.pairs
+    if skin is None:
+        at = np.concatenate([paths.steps, [len(paths.vertex)]])
+        none = np.full(len(paths.vertex), -1, np.int32)
+        flat = x[paths.vertex]
+        return Repaired(flat, paths.ptr, paths.vertex, none, np.zeros_like(flat), at, np.zeros(len(pairs), np.int8))
+    if not np.isfinite(x[paths.vertex]).all():
+        raise BadInput("yarns that are not finite cannot be laid over a body", field="x")
+    found, normals = skin.look(x)
+    laid = lay_over(skin.joined, x, skin.facing[found.face], found.distance, found.face, pairs, tolerance)
+    status, count = laid.status.copy(), np.diff(laid.ptr)
+    gained, face = laid.points, laid.face
+    halves: dict[int, tuple[Float, Int]] = {}
+    for link in np.flatnonzero(status == LOST):
+        points, on, complete = halve(skin, x[pairs[link]], tolerance, HALVINGS)
+        halves[int(link)], count[link] = (points, on), len(points)
+        status[link] = LIES if complete else LOST
+    if halves:
+        parts = [halves.get(k) for k in range(len(pairs))]
+        split = np.split(np.arange(len(gained)), laid.ptr[1:-1])
+        gained = np.concatenate([p[0] if p else laid.points[s] for p, s in zip(parts, split, strict=True)])
+        face = np.concatenate([p[1] if p else laid.face[s] for p, s in zip(parts, split, strict=True)])
+    return _thread(paths, x, skin, (gained, face, count), found.face, normals, status)
+
+
+def halve(skin: Skin, ends: Float, tolerance: float, times: int) -> tuple[Float, Int, bool]:
+    """Points (m, 3) between two ends (2, 3) on the skin, their faces (m,), and whether a way was found."""
+    middle = ends.mean(axis=0)[None]
+    found, _ = skin.look(middle)
+    middle = np.where(found.distance[:, None] < 0.0, found.point, middle)
+    points = np.concatenate([ends[:1], middle, ends[1:]])
+    at, _ = skin.look(points)
+    pairs = np.array([[0, 1], [1, 2]], np.int32)
+    laid = lay_over(skin.joined, points, skin.facing[at.face], at.distance, at.face, pairs, tolerance)
+    parts: list[Float] = []
+    faces: list[Int] = []
+    complete = True
+    for half in (0, 1):
+        gained = slice(laid.ptr[half], laid.ptr[half + 1])
+        inner, on, done = laid.points[gained], laid.face[gained], laid.status[half] != LOST
+        if not done and times > 1:
+            inner, on, done = halve(skin, points[half : half + 2], tolerance, times - 1)
+        parts += [inner, middle] if half == 0 else [inner]
+        faces += [on, at.face[1:2]] if half == 0 else [on]
+        complete = complete and done
+    return np.concatenate(parts), np.concatenate(faces), complete
+
+
+def _thread(
+    paths: Paths, x: Float, skin: Skin, gained: tuple[Float, Int, NDArray[np.int64]], foot: Int, normals: Float,
+    status: NDArray[np.int8],
+) -> Repaired:  # fmt: skip
+    """Points and gained points along their yarns; `gained` are places, faces, and how many are of each link."""
+    new, face, count = gained
+    steps = paths.steps
+    shift = np.zeros(len(paths.vertex) + 1, np.int64)
+    shift[steps + 1] = count
+    place = np.arange(len(paths.vertex) + 1) + np.cumsum(shift)
+    own = place[:-1]
+    total = int(place[-1])
+    added = np.ones(total, bool)
+    added[own] = False
+    points, vertex = np.empty((total, 3)), np.full(total, -1, np.int32)
+    faces, normal = np.empty(total, np.int32), np.empty((total, 3))
+    points[own], vertex[own], faces[own], normal[own] = (
+        x[paths.vertex], paths.vertex, foot[paths.vertex], normals[paths.vertex],
+    )  # fmt: skip
+    points[added], faces[added] = new, face
+    if len(new):
+        normal[added] = skin.look(new, face)[1]
+    ptr = np.concatenate([own[paths.ptr[:-1]], [total]])
+    return Repaired(points, ptr, vertex, faces, normal, np.concatenate([own[steps], [total]]), status)
