@@ -90,7 +90,7 @@ def order_triangles(centre: Any, capacity: int, order: Any) -> None:
         top += 2
 
 
-def _in_eights(values: Float, fill: float) -> Float:
+def in_eights(values: Float, fill: float) -> Float:
     """(m, c) -> (c ceil(m / 8), 8): rows of eight, c for each group, the last group filled up."""
     groups = -(-len(values) // WIDTH)
     full = np.full((groups * WIDTH, values.shape[1]), fill)
@@ -116,12 +116,12 @@ def build_tree(vertices: Float, faces: Int) -> Tree:
     a, b, c = (corners[filled, k] for k in range(3))
     place = np.empty(len(faces), np.int32)
     place[order] = np.arange(len(order), dtype=np.int32)
-    boxes, child = _stack_boxes(corners[filled], ROUNDING * float(np.abs(x[faces]).max(initial=0.0)))
+    boxes, child = stack_boxes(corners[filled], ROUNDING * float(np.abs(x[faces]).max(initial=0.0)))
     numbers, pairs = edge_numbers(faces)
     return Tree(
         boxes=boxes,
         child=child,
-        corners=_in_eights(np.concatenate([a, b - a, c - a], axis=1), 0.0),
+        corners=in_eights(np.concatenate([a, b - a, c - a], axis=1), 0.0),
         face=filled.astype(np.int32),
         place=place,
         faces=faces,
@@ -131,13 +131,16 @@ def build_tree(vertices: Float, faces: Int) -> Tree:
     )
 
 
-def _stack_boxes(corners: Float, margin: float) -> tuple[Float, NDArray[np.int64]]:
-    """Boxes and children of all nodes, root first, over triangles (8 L, 3, 3) in the order of their leaves."""
+def stack_boxes(corners: Float, margin: float) -> tuple[Float, NDArray[np.int64]]:
+    """Boxes and children of all nodes, root first, over items (8 L, c, 3) in the order of their leaves.
+
+    An item is whatever lies between the lowest and the highest of its c points; boxes are wider by `margin` [m].
+    """
     own = np.concatenate([corners.min(axis=1) - margin, corners.max(axis=1) + margin], axis=1)
-    below = _enclose(_in_eights(own, np.nan))
+    below = _enclose(in_eights(own, np.nan))
     levels: list[Float] = []
     while not levels or len(levels[-1]) > 6:
-        levels.append(_in_eights(below, np.nan))
+        levels.append(in_eights(below, np.nan))
         below = _enclose(levels[-1])
     counts = [len(level) // 6 for level in reversed(levels)]
     starts = np.cumsum([0, *counts])

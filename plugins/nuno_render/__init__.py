@@ -1,1 +1,1 @@
-"""Pictures without a screen or a GPU: the renderer `raster`."""
+"""Pictures without a screen or a GPU: the renderer `raster`, and pictures of yarns by rays."""

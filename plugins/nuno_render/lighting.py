@@ -9,6 +9,7 @@ import numpy as np
 from nuno_render.config import RasterConfig
 from nuno_render.light_maps import draw_depths
 from nuno_render.scene import Scene
+from nuno_render.yarn_config import CastConfig
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Camera
 
@@ -39,7 +40,7 @@ def tangents(direction: Float) -> Float:
     return np.ascontiguousarray(np.stack([u, np.cross(direction, u), direction]))
 
 
-def key_direction(config: RasterConfig, camera: Camera, up: Float) -> Float:
+def key_direction(config: RasterConfig | CastConfig, camera: Camera, up: Float) -> Float:
     """(3,) unit direction toward the key light; auto is 52 degrees left of the camera, 50 high."""
     if config.light != "auto":
         return unit(np.array(config.light, np.float64))

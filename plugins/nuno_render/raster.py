@@ -47,14 +47,13 @@ class Raster:
         if not isinstance(config, RasterConfig):
             raise TypeError(f"expected a RasterConfig, not a {type(config).__name__}")
         light = radiance(config, meshes, camera)
-        picture = np.empty(light.shape, np.uint8)
-        encode(light, _encoding(), picture)
+        picture = encode_picture(light)
         return annotate(picture, config.caption, config.legend)
 
 
 def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
     """(height, width, 3) linear light, before the shoulder and sRGB. Raises as `Raster.render`."""
-    basis = _check(camera)
+    basis = check_camera(camera)
     width, height = camera.size
     up = unit(np.array(config.up))
     # Everything is relative to the target, so that a scene far from the origin keeps its digits.
@@ -82,7 +81,8 @@ def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
     return picture
 
 
-def _check(camera: Camera) -> Axes:
+def check_camera(camera: Camera) -> Axes:
+    """Axes of a camera. Raises BadInput for one without size, field of view or direction."""
     if not (min(camera.size) >= 1 and max(camera.size) <= 16384):
         raise BadInput("no such picture", field="camera.size", value=camera.size, limit="1 to 16384 pixels a side")
     if not 0.0 < camera.fov < math.pi:
@@ -94,6 +94,13 @@ def _project(relative: Float, basis: Axes, focal: float, size: tuple[int, int]) 
     """(n, 3) homogeneous pixels (X w, Y w, w) of points (n, 3) relative to the eye."""
     x, y, w = (relative[:, 0] * axis[0] + relative[:, 1] * axis[1] + relative[:, 2] * axis[2] for axis in basis)
     return np.stack([focal * x + size[0] / 2.0 * w, size[1] / 2.0 * w - focal * y, w], axis=1)
+
+
+def encode_picture(light: Float) -> NDArray[np.uint8]:
+    """(h, w, 3) sRGB of linear light, highlights rolled off."""
+    picture = np.empty(light.shape, np.uint8)
+    encode(np.ascontiguousarray(light), _encoding(), picture)
+    return picture
 
 
 @functools.cache

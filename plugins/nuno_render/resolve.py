@@ -12,7 +12,7 @@ from nuno_render.shade import shade_point, sky
 
 
 @kernel
-def _background(y, height, top, bottom, out):
+def background(y, height, top, bottom, out):
     """Gradient from `top` to `bottom` over the picture's height, level at both ends."""
     s = min(max(y / height, 0.0), 1.0)
     s = s * s * (3.0 - 2.0 * s)
@@ -25,7 +25,7 @@ def ground_point(x, y, height, ground, lights, maps, back, out):
     """Ground seen at pixel (x, y), fading into the background with distance, into out (3,)."""
     active, plane, rays, eye, normal, centre, radius, albedo, grid, grid_u, grid_v, grid_scale = ground
     top, bottom = back
-    _background(y, height, top, bottom, out)
+    background(y, height, top, bottom, out)
     inverse = plane[0] * x + plane[1] * y + plane[2]
     if not active or inverse <= 0.0:
         return

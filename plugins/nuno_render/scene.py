@@ -50,7 +50,7 @@ def gather(meshes: list[Mesh], origin: Float, up: Float) -> Scene:
     Raises BadInput for arrays of the wrong shape and for face indices out of range.
     """
     for number, mesh in enumerate(meshes):
-        _check(mesh, f"meshes[{number}]")
+        check_mesh(mesh, f"meshes[{number}]")
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     positions = _join([np.asarray(m.vertices, np.float64) for m in meshes], 3) - origin
     faces = np.concatenate([np.zeros((0, 3), np.int32), *(m.faces + s for m, s in zip(meshes, starts, strict=False))])
@@ -83,7 +83,8 @@ def _join(parts: list[Float], width: int) -> Float:
     return np.ascontiguousarray(np.concatenate([np.zeros((0, width)), *parts]))
 
 
-def _check(mesh: Mesh, name: str) -> None:
+def check_mesh(mesh: Mesh, name: str) -> None:
+    """Raises BadInput for arrays of the wrong shape and for face indices out of range."""
     count = len(mesh.vertices)
     shapes: dict[str, tuple[NDArray[np.generic] | None, tuple[int, int]]] = {
         "vertices": (mesh.vertices, (count, 3)),

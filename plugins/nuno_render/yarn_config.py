@@ -1,0 +1,78 @@
+"""What a user may choose about a picture of yarns."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from nuno_render.config import Colour, Direction, Height
+from nuno_schemas.plugin import Config
+from nuno_schemas.units import quantity
+
+if TYPE_CHECKING:
+    Thickness = float
+else:
+    Thickness = quantity("m", gt=0)
+
+PALETTE: tuple[Colour, ...] = ("#3a2a24", "#74503c", "#8c5f48", "#3b5b8c", "#5d8a4f", "#7d5ba6")
+SKIN = "#e0b096"
+
+
+class CastConfig(Config):
+    """What all pictures of yarns share."""
+
+    samples: int = Field(default=16, ge=1, le=4096, description="rays per pixel; grain shrinks with its root")
+    seed: int = Field(default=0, ge=0, lt=2**31, description="of the places of the samples")
+    background: tuple[Colour, Colour] = Field(
+        default=("#dfe3e6", "#f4f1ec"), description="sRGB at the picture's top and bottom"
+    )
+    ground: Literal["auto", "none"] | Height = Field(
+        default="auto", description="height of the floor along `up` [m]; auto is the lowest point of the bodies"
+    )
+    ground_colour: Colour = Field(default="#ebe6de", description="of the floor, sRGB")
+    up: Direction = Field(default=(0.0, 0.0, 1.0), description="direction away from the floor, of any length")
+    light: Literal["auto"] | Direction = Field(
+        default="auto", description="direction toward the key light; auto: left of the camera, 50 degrees high"
+    )
+    light_size: float = Field(
+        default=0.12, ge=0.0, le=0.5, description="tangent of the key light's angular radius: how soft shadows are"
+    )
+    shadows: bool = Field(default=True, description="whether the key light casts them")
+    occlusion: bool = Field(default=True, description="whether yarns and bodies hide the sky")
+    skin: Colour = Field(default=SKIN, description="of bodies that bring no colour of their own, sRGB")
+    caption: str = Field(default="", max_length=200, description="written in the lower left corner")
+
+
+class YarnsConfig(CastConfig):
+    """Settings of the pictures `yarns`."""
+
+    radius: Thickness | None = Field(
+        default=None, description="of every yarn [m]; left out: what each yarn has of its own"
+    )
+    colour: Colour | None = Field(default=None, description="of all yarns, sRGB; left out: of each kind its own")
+    colours: tuple[Colour, ...] = Field(
+        default=PALETTE, min_length=1, max_length=100, description="of the kinds in their order, over again if more"
+    )
+    translucency: float = Field(
+        default=0.3, ge=0.0, lt=1.0, description="share of light that a yarn lets through at each crossing"
+    )
+    highlight: float = Field(default=0.35, ge=0.0, le=4.0, description="strength of the highlight along the fibres")
+    sharpness: float = Field(
+        default=24.0, ge=1.0, le=1e4, allow_inf_nan=False, description="exponent of the highlight: larger is narrower"
+    )
+
+
+class LinesConfig(CastConfig):
+    """Settings of the pictures `lines`."""
+
+    width: float = Field(default=1.0, gt=0.0, le=64.0, description="of a line at the camera's target [pixels]")
+    colour: Colour = Field(default="#2b2320", description="of the lines, sRGB")
+    shadows: bool = Field(default=True, description="whether bodies cast them; lines cast none")
+
+
+def grid_of(samples: int) -> tuple[int, int]:
+    """Columns and rows of so many samples a pixel, or a few more: as square as they can be."""
+    columns = math.isqrt(samples)
+    return columns, -(-samples // columns)

@@ -1,0 +1,49 @@
+"""What pictures of knits on bodies are drawn from, and plugins that draw them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from pydantic import BaseModel
+
+from nuno_schemas.curves import YarnCurves
+from nuno_schemas.dye_picture import Picture
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.plugin import Camera, Mesh
+
+Progress = Callable[[int, int], None]
+"""Called with the rows drawn and all rows."""
+
+
+@dataclass(frozen=True)
+class Worn:
+    """Knits and the bodies that wear them, z up.
+
+    bodies          closed where they are one-sided; one that brings no colours is skin
+    yarns           as curves
+    points (n, 3)   where yarns cross, the paper's mass points [m]
+    links  (l, 2)   int32, points that a piece of yarn joins
+    kind   (l,)     int32, of the yarn of each link, as in yarns.kind
+    """
+
+    bodies: tuple[Mesh, ...]
+    yarns: YarnCurves
+    points: Float
+    links: Int
+    kind: Int
+
+
+class YarnPicture(Protocol):
+    """Draws knits on bodies."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def draw(self, config: Any, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
+        """(height, width, 3) uint8 sRGB picture, the same bytes however many threads draw it.
+
+        Raises BadInput for what cannot be drawn: an eye inside a body, yarns without thickness, nothing to draw.
+        """
+        ...
