@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from nuno_cloth.kes import Measures, measure
 from nuno_cloth.presets import PRESETS, Material
-from nuno_schemas.fabric import Measure, Preset
+from nuno_schemas.preset import Measure, Preset
 
 COLUMNS = (
     ("density", "g/m^2", 1e3),

@@ -32,7 +32,9 @@ YARN_KEYS: dict[str, tuple[str, tuple[int, ...], str]] = {
     "yarn_ptr": ("y + 1", (), "iu"),
     "mu": ("y", (), "fiu"),
 }
-"""All or none of these."""
+LOCK_KEYS: dict[str, tuple[str, tuple[int, ...], str]] = {"lock": ("s", (), "fiu"), "k_lock": ("s", (), "fiu")}
+"""All or none of each."""
+ALL_KEYS = KEYS | YARN_KEYS | LOCK_KEYS
 BYTES_PER_VERTEX, BYTES_PER_SPRING = 300, 80
 """What a run takes at most, from peaks of recorded runs of 262,144 and 786,432 vertices in a row,
 springs in random order: 265 bytes a vertex without springs, 653 with 6 springs for each, 1,193
@@ -46,7 +48,8 @@ class NetConfig(Config):
     file: str = Field(
         description="a .npz beside the scene with x (n, 3) [m], v (n, 3) [m/s], m (n,) [kg], pinned (n,) bool, "
         "springs (s, 2), k (s,) [N/m], rest (s,) [m], c (s,) [N*s/m], and, if springs are links of yarns, "
-        "yarn_links (l,), yarn_ptr (y + 1,), mu (y,) < 1/2; no other key"
+        "yarn_links (l,), yarn_ptr (y + 1,), mu (y,) < 1/2, and, if springs lock, lock (s,) strain and "
+        "k_lock (s,) >= k [N/m] from there on; no other key"
     )
 
 
@@ -72,7 +75,8 @@ class Net:
         path = files.resolve(config.file)
         data = load_arrays(path)
         check_values(path, data)
-        springs = Springs.from_pairs(data["springs"], data["k"], data["rest"], data["c"])
+        lock, k_lock = data.get("lock"), data.get("k_lock")
+        springs = Springs.from_pairs(data["springs"], data["k"], data["rest"], data["c"], lock=lock, k_lock=k_lock)
         return Fabric(
             name=self.name,
             position=data["x"],
@@ -103,14 +107,14 @@ def _require_keys(path: Path, names: list[str]) -> None:
     for name in KEYS:
         if name not in names:
             raise BadInput("a key is missing", file=str(path), field=name, remedy=f"the file needs {', '.join(KEYS)}")
-    some = [name for name in YARN_KEYS if name in names]
-    for name in YARN_KEYS if some else ():
-        if name not in names:
-            remedy = f"yarns need {', '.join(YARN_KEYS)}; leave all out for springs alone"
-            raise BadInput("a key is missing", file=str(path), field=name, remedy=remedy)
+    for what, keys in (("yarns", YARN_KEYS), ("springs that lock", LOCK_KEYS)):
+        for name in keys if any(name in names for name in keys) else ():
+            if name not in names:
+                remedy = f"{what} need {', '.join(keys)}; leave all out for plain springs"
+                raise BadInput("a key is missing", file=str(path), field=name, remedy=remedy)
     for name in names:
-        if name not in KEYS | YARN_KEYS:
-            raise BadInput("unknown key", file=str(path), field=name, remedy=nearest(name, KEYS | YARN_KEYS))
+        if name not in ALL_KEYS:
+            raise BadInput("unknown key", file=str(path), field=name, remedy=nearest(name, ALL_KEYS))
 
 
 def read_sizes(path: Path, archive: zipfile.ZipFile) -> dict[str, int]:
@@ -122,7 +126,7 @@ def read_sizes(path: Path, archive: zipfile.ZipFile) -> dict[str, int]:
     names = [name.removesuffix(".npy") for name in archive.namelist()]
     _require_keys(path, names)
     sizes: dict[str, int] = {}
-    for name, (letter, rest, kinds) in (KEYS | YARN_KEYS).items():
+    for name, (letter, rest, kinds) in ALL_KEYS.items():
         if name not in names:
             continue
         shape, dtype, start = _read_header(path, archive, name)
@@ -155,7 +159,7 @@ def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> tuple[tuple
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The eight arrays, and the three of yarns where it has them, C-contiguous, in float64, int32 and bool.
+    """The eight arrays, and those of yarns and locks where it has them, C-contiguous, in float64, int32 and bool.
 
     Pickles are never read.
     """
@@ -163,7 +167,7 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
         sizes = read_sizes(path, archive)
     arrays: dict[str, NDArray[Any]] = {}
     with np.load(path, allow_pickle=False) as file:
-        for name in (*KEYS, *YARN_KEYS):
+        for name in ALL_KEYS:
             if name not in file:
                 continue
             try:
@@ -174,7 +178,7 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
                 _require_indices(path, array, sizes["n"])
             if name in YARN_KEYS:
                 _require_int32(path, name, array)
-            arrays[name] = np.ascontiguousarray(array, DTYPES[(KEYS | YARN_KEYS)[name][2]])
+            arrays[name] = np.ascontiguousarray(array, DTYPES[ALL_KEYS[name][2]])
     return arrays
 
 
@@ -198,11 +202,14 @@ def _require_int32(path: Path, name: str, values: NDArray[Any]) -> None:
 
 def check_values(path: Path, data: dict[str, NDArray[Any]]) -> None:
     """Raises BadInput for the first value out of range, with its key and index."""
-    for name in ("x", "v", "m", "k", "rest", "c"):
+    for name in ("x", "v", "m", "k", "rest", "c", *(name for name in LOCK_KEYS if name in data)):
         _require(path, name, data[name], np.isfinite(data[name]), "finite", "not a finite number")
     _require(path, "m", data["m"], data["m"] > 0, "> 0", "a mass must be positive, of pinned vertices too")
     for name in ("k", "rest", "c"):
         _require(path, name, data[name], data[name] >= 0, ">= 0", "must not be negative")
+    if "lock" in data:
+        _require(path, "lock", data["lock"], data["lock"] >= 0, ">= 0", "a spring locks at a strain that is none")
+        _require(path, "k_lock", data["k_lock"], data["k_lock"] >= data["k"], ">= k", "what locks grows stiffer")
     _require_distinct(path, data["springs"])
     if "mu" in data:
         check_yarns(path, data["springs"], data["yarn_links"], data["yarn_ptr"], data["mu"])

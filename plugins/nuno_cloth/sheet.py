@@ -12,8 +12,9 @@ from nuno_cloth.grid import Grid, build_faces, build_hinges, build_springs
 from nuno_cloth.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.placement import STILL, TEXTURE, VELOCITY, PinName, Point, Rotation, Velocity, find_texture, pin_grid
 from nuno_cloth.quantities import Length
-from nuno_schemas.fabric import Fabric, Float, Preset
+from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.preset import Preset
 
 Vertices = Annotated[int, Field(ge=2, le=16384)]
 

@@ -76,6 +76,13 @@ class XPBD(Compiled):
                 value=self.name,
                 remedy="use an explicit or implicit solver, or set mu to 0",
             )
+        if any(part is not None and part.locks is not None for part in (packed.runs, packed.lists)):
+            raise BadInput(
+                "xpbd has no constraint for springs that lock",
+                field="solver.plugin",
+                value=self.name,
+                remedy="use an explicit or implicit solver, or yarns without lock",
+            )
         if packed.contact is not None:
             from nuno_kernels import contact_projection  # noqa: F401  (makes its kernels known)
         others = None

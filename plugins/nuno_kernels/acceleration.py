@@ -129,9 +129,11 @@ def force_block(
     if particle_wind is not None:
         add_particle_wind(particle_wind, force)
     if runs is not None:
-        add_runs(block, origin, x, v, force, runs.start, runs.task, runs.constants, runs.each, runs.damped)
+        r = runs
+        add_runs(block, origin, x, v, force, r.start, r.task, r.constants, r.each, r.damped, r.locks)
     if lists is not None:
-        add_lists(block, x, v, force, lists.start, lists.ends, lists.constants, lists.damped)
+        s = lists
+        add_lists(block, x, v, force, s.start, s.ends, s.constants, s.damped, s.locks)
     if hinge_runs is not None:
         h = hinge_runs
         add_hinge_runs(block, origin, x, force, h.start, h.task, h.constants, h.curved)

@@ -35,15 +35,18 @@ class Energy(NamedTuple):
 
 
 @inlined
-def measure_spring(x: Any, i: int, j: int, k: float, rest: float, stretch: float, shortest: float) -> Any:
+def measure_spring(x: Any, i: int, j: int, constants: Any, c: int, locks: Any, stretch: float, shortest: float) -> Any:
     """Energy of one spring, and the running stretch, shortest length and zero-length mark."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    length, k, rest = math.sqrt(dx * dx + dy * dy + dz * dz), constants[0, c], constants[1, c]
     if rest > 0.0:
         stretch = max(stretch, length / rest - 1.0)
     if length > 0.0:
         shortest = min(shortest, length)
-    return 0.5 * k * (length - rest) ** 2, stretch, shortest, 1 if length == 0.0 else 0
+    energy = 0.5 * k * (length - rest) ** 2
+    if locks is not None:
+        energy += 0.5 * constants[3, c] * max(length - constants[4, c], 0.0) ** 2
+    return energy, stretch, shortest, 1 if length == 0.0 else 0
 
 
 @kernel
@@ -62,7 +65,7 @@ def measure_springs(x: Any, runs: Any, lists: Any) -> Any:
             for q in range(task[t, 2]):
                 c = at if runs.each is None else at + q
                 e, stretch, shortest, zero = measure_spring(
-                    x, i + q, j + q, constants[0, c], constants[1, c], stretch, shortest
+                    x, i + q, j + q, constants, c, runs.locks, stretch, shortest
                 )
                 energy += e
                 zeros += zero
@@ -73,7 +76,7 @@ def measure_springs(x: Any, runs: Any, lists: Any) -> Any:
             for c in range(start[block], start[block + 1]):
                 if ends[2, c] < width:
                     e, stretch, shortest, zero = measure_spring(
-                        x, ends[0, c], ends[1, c], constants[0, c], constants[1, c], stretch, shortest
+                        x, ends[0, c], ends[1, c], constants, c, lists.locks, stretch, shortest
                     )
                     energy += e
                     zeros += zero

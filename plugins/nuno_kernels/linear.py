@@ -1,6 +1,7 @@
 """Springs and hinges made linear at a state: the symmetric positive matrix that implicit methods solve with.
 
-A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|): without the
+A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|), T / |d| and dT / d|d| for
+one that has locked: without the
 maximum a compressed spring is indefinite across its direction (Choi & Ko 2002, ACM Trans. Graph. 21,
 604-611); that is the `floor` 0, and a lower one leaves the spring's exact derivative. Its damping adds
 c d^ d^T times the rate dv/dx of the method. Both are kept as alpha and w, K = alpha I + w w^T. A hinge is
@@ -30,12 +31,20 @@ from nuno_kernels.hinges import (
 from nuno_kernels.linear_layout import HINGE_ROWS, SPRING_ROWS
 from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.simd_choose import higher, where_greater, where_not_zero
-from nuno_kernels.springs import FAR
+from nuno_kernels.springs import FAR, listed_lock, run_constant, run_lock, tensions
 from nuno_kernels.springs import LONGEST as LONGEST_SPRINGS
 
 
 @kernel
-def spring_rows(d: Any, d0: Any, k: Any, rest: Any, damping: Any, floor: float, follow: float) -> Any:
+def slope_at(length: Any, k: Any, lock: Any, locks: Any) -> Any:
+    """dT / d|d| of eight springs."""
+    return k if locks is None else k + where_greater(length, lock[1], lock[0])
+
+
+@kernel
+def spring_rows(
+    d: Any, d0: Any, k: Any, rest: Any, damping: Any, lock: Any, locks: Any, floor: float, follow: float
+) -> Any:
     """alpha and w of eight springs along d, which were along d0; `damping` is c times the rate. All are 0 at length 0.
 
     alpha is by the tension that is expected, at the length d0.d / |d0|, or |d0| where `follow` is 0.
@@ -46,9 +55,10 @@ def spring_rows(d: Any, d0: Any, k: Any, rest: Any, damping: Any, floor: float, 
     expected = length0 + follow * where_not_zero(square0, dot(d0, d) / length0 - length0)
     # A spring of length 0 has no entries, like its force: with any, vertices that lie together would have
     # different rows, and rounding alone would part them, whereupon the spring throws them apart.
-    across = where_not_zero(square, higher(k * (expected - rest) * inverse, splat(floor)))
-    across = k - higher(k - across, splat(0.0))
-    size = root(k - across + damping) * inverse
+    across = where_not_zero(square, higher(tensions(expected, k, rest, lock, locks) * inverse, splat(floor)))
+    slope = slope_at(root(square), k, lock, locks)
+    across = slope - higher(slope - across, splat(0.0))
+    size = root(slope - across + damping) * inverse
     return across, size * d[0], size * d[1], size * d[2]
 
 
@@ -77,11 +87,12 @@ def fill_spring_runs(
         i, j, count, at = task[t, 0], task[t, 1], task[t, 2], task[t, 3]
         for q in range(0, count, WIDTH):
             m = min(WIDTH, count - q)
-            k = splat(constants[0, at]) if runs.each is None else read(constants, 0, at + q, m)
-            rest = splat(constants[1, at]) if runs.each is None else read(constants, 1, at + q, m)
-            c = splat(constants[2, at]) if runs.each is None else read(constants, 2, at + q, m)
+            place = at if runs.each is None else at + q
+            k, rest = run_constant(0, place, m, constants, runs.each), run_constant(1, place, m, constants, runs.each)
+            c = run_constant(2, place, m, constants, runs.each)
+            lock = run_lock(place, m, constants, runs.each, runs.locks)
             d, d0 = run_difference(x, i + q, j + q, m), run_difference(before, i + q, j + q, m)
-            found = spring_rows(d, d0, k, rest, rate * c, floor, follow)
+            found = spring_rows(d, d0, k, rest, rate * c, lock, runs.locks, floor, follow)
             for row in range(SPRING_ROWS):
                 write(rows, row, linear.column[t] + q, m, found[row])
 
@@ -95,7 +106,8 @@ def fill_spring_lists(
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
         d, d0 = listed_difference(x, ends, p), listed_difference(before, ends, p)
         k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
-        found = spring_rows(d, d0, k, rest, rate * c, floor, follow)
+        lock = listed_lock(p, constants, 3, lists.locks)
+        found = spring_rows(d, d0, k, rest, rate * c, lock, lists.locks, floor, follow)
         for row in range(SPRING_ROWS):
             store(linear.rows, row, p, found[row])
 

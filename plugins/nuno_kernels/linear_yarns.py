@@ -13,12 +13,13 @@ along it G^T k (1 + mu A) G, G taking displacements to elongations and A the pat
 (-2, 2). That is positive for mu < 1/2. Across links, negative alpha are left out as those of springs are, each by
 itself: under tension throughout, nothing is left out.
 
-Where k changes along a yarn no energy exists and the derivative (1 + mu A) K, K the diagonal of all k, is not
-symmetric. Here m is then mu sqrt(k_a k_b), so that yarns have K^(1/2) (1 + mu A) K^(1/2): symmetric, positive for the
-same mu, and of the same eigenvalues. Newton's method converges linearly with it; measured in the norm of K, the step
-from s = sqrt(k_a / k_b) leaves mu (s - 1) / sqrt(s) of the error, 0.013 at k's ratio of 1.3 and 0.3 at 20, both
-at mu = 0.2. The mean (k_a + k_b) / 2 would leave mu (s - 1 / s) / 2 and be indefinite where s is large. Damping acts
-along links like k, by c times the rate dv/dx of the method.
+Where k changes along a yarn, or a link has locked and its neighbour has not, no energy exists and the derivative
+(1 + mu A) K, K the diagonal of all k, is not symmetric. Here m is then mu sqrt(k_a k_b), so that yarns have
+K^(1/2) (1 + mu A) K^(1/2): symmetric, positive for the same mu, and of the same eigenvalues. Newton's method
+converges linearly with it; measured in the norm of K, the step from s = sqrt(k_a / k_b) leaves mu (s - 1) / sqrt(s)
+of the error, 0.013 at k's ratio of 1.3 and 0.3 at 20, both at mu = 0.2. The mean (k_a + k_b) / 2 would leave
+mu (s - 1 / s) / 2 and be indefinite where s is large. Damping acts along links like k, by c times the rate dv/dx
+of the method.
 """
 
 from __future__ import annotations
@@ -30,9 +31,11 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.blocks import BLOCK
 from nuno_kernels.hinges import dot, listed_corner, minus
+from nuno_kernels.linear import slope_at
 from nuno_kernels.linear_layout import LinearLists, linear_lists
 from nuno_kernels.simd import WIDTH, add_at, load, root, splat, store
 from nuno_kernels.simd_choose import higher, where_not_zero
+from nuno_kernels.springs import listed_lock, tensions
 
 YARN_ROWS = 9
 """a^, b^, m, alpha_a and alpha_b of a pair."""
@@ -66,12 +69,16 @@ def fill_yarns(
         k_a, k_b = load(constants, 0, p), load(constants, 3, p)
         # A link of length 0 neither gives nor takes: each factor below has the inverse lengths of both.
         both = where_not_zero(inverse_a, where_not_zero(inverse_b, splat(1.0)))
-        pull_a, pull_b = k_a * (length_a - load(constants, 1, p)), k_b * (length_b - load(constants, 4, p))
-        along = root((k_a + rate * load(constants, 2, p)) * (k_b + rate * load(constants, 5, p)))
+        lock_a = listed_lock(p, constants, 6, yarns.locks)
+        lock_b = listed_lock(p, constants, 8, yarns.locks)
+        pull_a = tensions(length_a, k_a, load(constants, 1, p), lock_a, yarns.locks)
+        pull_b = tensions(length_b, k_b, load(constants, 4, p), lock_b, yarns.locks)
+        slope_a = slope_at(root(dot(a, a)), k_a, lock_a, yarns.locks) + rate * load(constants, 2, p)
+        slope_b = slope_at(root(dot(b, b)), k_b, lock_b, yarns.locks) + rate * load(constants, 5, p)
         for row in range(3):
             store(rows, row, p, inverse_a * a[row])
             store(rows, 3 + row, p, inverse_b * b[row])
-        store(rows, 6, p, both * along)
+        store(rows, 6, p, both * root(slope_a * slope_b))
         store(rows, 7, p, higher(both * pull_b * inverse_a, splat(floor)))
         store(rows, 8, p, higher(both * pull_a * inverse_b, splat(floor)))
 
@@ -165,19 +172,25 @@ def turning_of_yarns(x0: Any, x: Any, d: Any, yarns: Any) -> float:
         for p in range(yarns.start[block], yarns.start[block + 1]):
             if corners[3, p] < width:
                 i, j, k = corners[0, p], corners[1, p], corners[2, p]
-                turned_a, gone_a = turned(x0, x, d, i, j)
-                turned_b, gone_b = turned(x0, x, d, j, k)
-                total += constants[0, p] * turned_a * gone_b + constants[3, p] * turned_b * gone_a
+                length_a, expected_a, gone_a = turned(x0, x, d, i, j)
+                length_b, expected_b, gone_b = turned(x0, x, d, j, k)
+                pull_a = constants[0, p] * (length_a - expected_a)
+                pull_b = constants[3, p] * (length_b - expected_b)
+                if yarns.locks is not None:
+                    locked_a, locked_b = constants[7, p], constants[9, p]
+                    pull_a += constants[6, p] * (max(length_a - locked_a, 0.0) - max(expected_a - locked_a, 0.0))
+                    pull_b += constants[8, p] * (max(length_b - locked_b, 0.0) - max(expected_b - locked_b, 0.0))
+                total += pull_a * gone_b + pull_b * gone_a
     return total
 
 
 @kernel
 def turned(x0: Any, x: Any, d: Any, i: int, j: int) -> Any:
-    """How much longer link b is for having turned from a, |b| - a.b / |a|, and b^.(d_j - d_i)."""
+    """Of a link that turns from a to b: |b|, what it would be without having turned, a.b / |a|, and b^.(d_j - d_i)."""
     ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
     bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
     if a == 0.0 or b == 0.0:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     gone = (bx * (d[0, j] - d[0, i]) + by * (d[1, j] - d[1, i]) + bz * (d[2, j] - d[2, i])) / b
-    return b - (ax * bx + ay * by + az * bz) / a, gone
+    return b, (ax * bx + ay * by + az * bz) / a, gone

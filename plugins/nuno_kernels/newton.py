@@ -86,11 +86,17 @@ def make_stage(packed: Packed, position: Float, size: float, python: bool) -> St
     lumped = python or any(part is not None for part in (packed.contact, packed.air, packed.particle_wind))
     others = silence(silence(silence(packed, "springs"), "hinges"), "yarns") if lumped else None
     stiffest = max(
-        (float(part.constants[0].max(initial=0.0)) for part in (packed.runs, packed.lists) if part is not None),
+        (_stiffest(part.constants) for part in (packed.runs, packed.lists) if part is not None),
         default=0.0,
     )
     x, v, a, residual = np.zeros((4, 3, w.shape[0]))
     return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, others)
+
+
+def _stiffest(constants: Float) -> float:
+    """The greatest stiffness that any spring has [N/m], of rows as in nuno_kernels.springs.SpringRuns."""
+    k = constants[0] if constants.shape[0] == 3 else constants[0] + np.maximum(constants[3], 0.0)
+    return float(k.max(initial=0.0))
 
 
 def solve_stage(

@@ -10,7 +10,7 @@ import numpy as np
 from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.hinges import pack_hinges
-from nuno_kernels.springs import pack_springs
+from nuno_kernels.spring_packing import pack_springs
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import System

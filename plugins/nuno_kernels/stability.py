@@ -122,6 +122,9 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra | None, Float,
     1e-11 R/L, for which positions are taken from their middle where no force depends on the place.
     """
     extra = python_terms(system, state.t, state.t)
+    if system.fabric.springs is not None:
+        # What locks may do so at any time: it counts as if it had.
+        system = replace(system, fabric=replace(system.fabric, springs=system.fabric.springs.stiffest()))
     packed = silence_bodies(pack(system))
     x, v = to_rows(state.x), to_rows(state.v)
     if extra is None and x.shape[1]:

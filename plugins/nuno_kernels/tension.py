@@ -10,21 +10,22 @@ from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK
 from nuno_kernels.linear_yarns import turning_of_yarns
+from nuno_kernels.springs import tension_at
 from nuno_schemas.fabric import Float
 
 
 def largest_tension(x: Float, packed: Packed) -> float:
-    """The largest force k ||d| - L| of a spring [N]."""
+    """The largest force of a spring [N], whichever way."""
     runs = 0.0 if packed.runs is None else tension_of_runs(x, packed.runs)
     lists = 0.0 if packed.lists is None else tension_of_lists(x, packed.lists)
     return float(max(runs, lists))
 
 
 @kernel
-def tension(x: Any, i: int, j: int, k: float, rest: float) -> float:
+def size_of_tension(x: Any, i: int, j: int, constants: Any, c: int, locks: Any) -> float:
     """|k (|d| - L)|."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-    return float(abs(k * (np.sqrt(dx * dx + dy * dy + dz * dz) - rest)))
+    return abs(tension_at(np.sqrt(dx * dx + dy * dy + dz * dz), constants, c, locks))
 
 
 @kernel
@@ -34,7 +35,7 @@ def tension_of_runs(x: Any, runs: Any) -> float:
     for t in range(task.shape[0]):
         for q in range(task[t, 2]):
             c = task[t, 3] if runs.each is None else task[t, 3] + q
-            largest = max(largest, tension(x, task[t, 0] + q, task[t, 1] + q, constants[0, c], constants[1, c]))
+            largest = max(largest, size_of_tension(x, task[t, 0] + q, task[t, 1] + q, constants, c, runs.locks))
     return largest
 
 
@@ -43,7 +44,7 @@ def tension_of_lists(x: Any, lists: Any) -> float:
     """The largest over lists."""
     largest, ends, constants = 0.0, lists.ends, lists.constants
     for c in range(ends.shape[1]):
-        largest = max(largest, tension(x, ends[0, c], ends[1, c], constants[0, c], constants[1, c]))
+        largest = max(largest, size_of_tension(x, ends[0, c], ends[1, c], constants, c, lists.locks))
     return largest
 
 
@@ -60,14 +61,17 @@ def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
 
 
 @kernel
-def turning(x0: Any, x: Any, d: Any, i: int, j: int, k: float) -> float:
-    """k (|b| - a.b / |a|) b.(d_j - d_i) / |b|."""
+def turning(x0: Any, x: Any, d: Any, i: int, j: int, constants: Any, c: int, locks: Any) -> float:
+    """(T(|b|) - T(a.b / |a|)) b.(d_j - d_i) / |b|."""
     ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
     bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
     if a == 0.0 or b == 0.0:
         return 0.0
-    tension = k * (b - (ax * bx + ay * by + az * bz) / a)
+    length = (ax * bx + ay * by + az * bz) / a
+    tension = constants[0, c] * (b - length)
+    if locks is not None:
+        tension += constants[3, c] * (max(b - constants[4, c], 0.0) - max(length - constants[4, c], 0.0))
     return float(tension * (bx * (d[0, j] - d[0, i]) + by * (d[1, j] - d[1, i]) + bz * (d[2, j] - d[2, i])) / b)
 
 
@@ -79,7 +83,7 @@ def turning_of_runs(x0: Any, x: Any, d: Any, runs: Any) -> float:
         if task[t, 4] & 1:
             for q in range(task[t, 2]):
                 c = task[t, 3] if runs.each is None else task[t, 3] + q
-                total += turning(x0, x, d, task[t, 0] + q, task[t, 1] + q, constants[0, c])
+                total += turning(x0, x, d, task[t, 0] + q, task[t, 1] + q, constants, c, runs.locks)
     return total
 
 
@@ -90,5 +94,5 @@ def turning_of_lists(x0: Any, x: Any, d: Any, lists: Any) -> float:
     for block in range(lists.start.shape[0] - 1):
         for c in range(lists.start[block], lists.start[block + 1]):
             if ends[0, c] // BLOCK == block:
-                total += turning(x0, x, d, ends[0, c], ends[1, c], constants[0, c])
+                total += turning(x0, x, d, ends[0, c], ends[1, c], constants, c, lists.locks)
     return total

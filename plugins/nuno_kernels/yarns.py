@@ -26,6 +26,8 @@ from nuno_kernels.acceleration import provide
 from nuno_kernels.blocks import BLOCK, Long, block_count, local_targets, owned_copies, pad_lists
 from nuno_kernels.simd import WIDTH, add_at, gather, load, root
 from nuno_kernels.simd_choose import where_not_zero
+from nuno_kernels.spring_packing import spring_constants
+from nuno_kernels.springs import listed_lock, tensions
 from nuno_schemas.fabric import Float, Int, Springs, Yarns
 
 
@@ -34,14 +36,17 @@ class YarnLists(NamedTuple):
 
     start     (blocks + 1,) int64  places of each block's pairs
     corners   (6, p) int32         vertices i, j, l, then their columns in the block's forces
-    constants (6, p) float64       mu k [N/m], rest [m], mu c [N s/m] of link i-j, then of link j-l
+    constants (6, p) float64       mu k [N/m], rest [m], mu c [N s/m] of link i-j, then of link j-l; where any locks,
+                                   (10, p) with what mu k grows by and the length from which it does, of either
     damped    True where any mu c is not 0, else None
+    locks     True where any locks, else None
     """
 
     start: Long
     corners: Int
     constants: Float
     damped: bool | None
+    locks: bool | None
 
 
 @kernel
@@ -62,8 +67,10 @@ def add_yarns(block: int, x: Any, v: Any, force: Any, yarns: Any) -> None:
         a, b = listed_link(x, corners, 0, p), listed_link(x, corners, 1, p)
         square_a, square_b = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
         long_a, long_b = root(square_a), root(square_b)
-        pull_a = load(constants, 0, p) * (long_a - load(constants, 1, p))
-        pull_b = load(constants, 3, p) * (long_b - load(constants, 4, p))
+        lock_a = listed_lock(p, constants, 6, yarns.locks)
+        lock_b = listed_lock(p, constants, 8, yarns.locks)
+        pull_a = tensions(long_a, load(constants, 0, p), load(constants, 1, p), lock_a, yarns.locks)
+        pull_b = tensions(long_b, load(constants, 3, p), load(constants, 4, p), lock_b, yarns.locks)
         if yarns.damped is not None:
             va, vb = listed_link(v, corners, 0, p), listed_link(v, corners, 1, p)
             pull_a = pull_a + load(constants, 2, p) * ((va[0] * a[0] + va[1] * a[1] + va[2] * a[2]) / long_a)
@@ -84,7 +91,8 @@ provide(add_yarns=add_yarns)
 def measure_yarns(x: Any, yarns: Any) -> float:
     """Sum of mu k e_a e_b over all pairs [J], each counted where its first vertex is at home.
 
-    Where k changes along a yarn there is no energy, and this takes the mean of the two.
+    Where k changes along a yarn, or one of two links has locked, there is no energy, and this takes the mean of
+    mu T_a e_b and mu T_b e_a.
     """
     total, corners, constants = 0.0, yarns.corners, yarns.constants
     for block in range(yarns.start.shape[0] - 1):
@@ -93,7 +101,11 @@ def measure_yarns(x: Any, yarns: Any) -> float:
             if corners[3, p] < width:
                 a = elongation(x, corners[0, p], corners[1, p], constants[1, p])
                 b = elongation(x, corners[1, p], corners[2, p], constants[4, p])
-                total += 0.5 * (constants[0, p] + constants[3, p]) * a * b
+                pull_a, pull_b = constants[0, p] * a, constants[3, p] * b
+                if yarns.locks is not None:
+                    pull_a += constants[6, p] * max(a + constants[1, p] - constants[7, p], 0.0)
+                    pull_b += constants[8, p] * max(b + constants[4, p] - constants[9, p], 0.0)
+                total += 0.5 * (pull_a * b + pull_b * a)
     return total
 
 
@@ -123,8 +135,10 @@ def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | Non
         return None
     neighbours, mu = neighbours[passing], yarns.mu[yarn[passing]]
     corners = pair_corners(springs.pairs(), neighbours).astype(np.int64)
-    k, rest, c = (springs.per_spring(values)[neighbours.T] for values in (springs.k, springs.rest, springs.c))
-    constants = np.stack([mu * k[0], rest[0], mu * c[0], mu * k[1], rest[1], mu * c[1]])
+    named = [springs.per_spring(values)[neighbours.T] for values in spring_constants(springs)]
+    # Of k, rest, c and, where springs lock, what k grows by and from which length, lengths are not shared.
+    scaled = [values if row in (1, 4) else mu * values for row, values in enumerate(named)]
+    constants = np.stack([values[link] for part in (scaled[:3], scaled[3:]) for link in (0, 1) for values in part])
     order = np.lexsort((corners.max(axis=0), corners.min(axis=0)))
     corners, constants = corners[:, order], constants[:, order]
     element, bounds = owned_copies(corners, block_count(vertices))
@@ -134,4 +148,4 @@ def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | Non
     table = np.concatenate([np.where(filled, corners[:, element], 0), target]).astype(np.int32)
     constants = np.ascontiguousarray(np.where(filled, constants[:, element], 0.0))
     damped = True if constants[[2, 5]].any() else None
-    return YarnLists(start, np.ascontiguousarray(table), constants, damped)
+    return YarnLists(start, np.ascontiguousarray(table), constants, damped, True if len(named) > 3 else None)

@@ -94,11 +94,14 @@ def knit_yarns(config: KnitConfig, net: Structure, used: list[Yarn]) -> tuple[Sp
     leg = np.arange(net.links) < net.legs
     rest = np.where(leg, config.spacing[1], config.spacing[0]) * np.array([yarn.length for yarn in used])[which]
     k, c = np.empty(net.links), np.array([yarn.c for yarn in used])[which]
+    lock, k_lock = np.empty((2, net.links)) if any(yarn.lock is not None for yarn in used) else (None, None)
     for index, yarn in enumerate(used):
         for part in (leg, ~leg):
             mine = (which == index) & part
             if mine.any():
                 k[mine] = yarn.stiffness(float(rest[mine][0]))
+                if lock is not None and k_lock is not None:
+                    lock[mine], k_lock[mine] = yarn.locked(float(rest[mine][0]))
     threads = net.threads()
     of = np.array([which[thread[0]] for thread in threads])
     names = tuple(dict.fromkeys(yarn.name for yarn in used))
@@ -107,7 +110,8 @@ def knit_yarns(config: KnitConfig, net: Structure, used: list[Yarn]) -> tuple[Sp
     alone = np.array([borrowed[thread[0]] for thread in threads])
     mu = np.where(alone, 0.0, np.array([yarn.mu for yarn in used])[of])
     ptr = np.concatenate([[0], np.cumsum([len(thread) for thread in threads])]).astype(np.int32)
-    return Springs.from_pairs(net.pairs(), k, rest, c), Yarns(np.concatenate(threads), ptr, mu, kind, names)
+    springs = Springs.from_pairs(net.pairs(), k, rest, c, lock=lock, k_lock=k_lock)
+    return springs, Yarns(np.concatenate(threads), ptr, mu, kind, names)
 
 
 def place(config: KnitConfig, net: Structure) -> Float:

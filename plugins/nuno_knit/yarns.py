@@ -21,11 +21,17 @@ MU = 0.2
 
 
 class Yarn(Config):
-    """A yarn: its stiffness as `ea` of the yarn or `k` of each link, and what it weighs."""
+    """A yarn: its stiffness as `ea` of the yarn or `k` of each link, and what it weighs.
+
+    One that locks, as a covered yarn does, has tension ea e up to the strain e = lock and grows by ea_lock from there.
+    """
 
     name: str = Field(default="yarn", min_length=1, max_length=64, description="for reports and pictures")
     ea: Newtons | None = Field(default=None, description="tensile stiffness, force per strain [N]")
     k: Stiffness | None = Field(default=None, description="of every link instead, whatever its length [N/m]")
+    lock: Ratio | None = Field(default=None, description="strain at which it locks; left out: it never does")
+    ea_lock: Newtons | None = Field(default=None, description="tensile stiffness from there on, instead of ea [N]")
+    k_lock: Stiffness | None = Field(default=None, description="of every link from there on, instead of k [N/m]")
     density: LinearDensity = Field(default=22 * DTEX, description='linear density, for example "22 dtex" [kg/m]')
     mu: Share = Field(default=MU, description="share of its neighbours' tension that a link takes over, below 1/2")
     length: Ratio = Field(default=1.0, description="rest length of its links, as a ratio of the knit's spacing")
@@ -44,12 +50,34 @@ class Yarn(Config):
             raise ValueError("give ea, the yarn's stiffness, or k, that of a link: one of them")
         return self
 
+    @model_validator(mode="after")
+    def _locks(self) -> Yarn:
+        slack, locked, other = (
+            (self.ea, self.ea_lock, self.k_lock) if self.k is None else (self.k, self.k_lock, self.ea_lock)
+        )
+        if other is not None or (self.lock is None) != (locked is None):
+            names = ("ea", "ea_lock") if self.k is None else ("k", "k_lock")
+            raise ValueError(f"a yarn of {names[0]} locks by lock and {names[1]}, both or neither")
+        if slack is not None and locked is not None and locked < slack:
+            raise ValueError("a yarn that locks grows stiffer: below lock its stiffness must not be greater")
+        return self
+
     def stiffness(self, rest: float) -> float:
         """Of a link of rest length [m]: [N/m]."""
-        if self.k is not None:
-            return self.k
-        assert self.ea is not None
-        return self.ea / rest
+        return _of_link(self.ea, self.k, rest)
+
+    def locked(self, rest: float) -> tuple[float, float]:
+        """Strain at which a link of rest length [m] locks, and stiffness from there [N/m]: its own if it never does."""
+        if self.lock is None:
+            return 0.0, self.stiffness(rest)
+        return self.lock, _of_link(self.ea_lock, self.k_lock, rest)
+
+
+def _of_link(ea: float | None, k: float | None, rest: float) -> float:
+    if k is not None:
+        return k
+    assert ea is not None
+    return ea / rest
 
 
 @dataclass(frozen=True)
@@ -75,9 +103,10 @@ PRESETS: dict[str, Known] = {
         "elastane, 22 dtex, 0.011 N/tex: an assumption of the order of spandex filaments, not measured",
     ),
     "support": Known(
-        Yarn(name="support", ea=0.024, density=44 * DTEX),
-        "22 dtex of elastane covered with 22 dtex of nylon, below the strain at which the cover locks: the core alone "
-        "carries; assumed as elastane is",
+        Yarn(name="support", ea=0.024, lock=2.0, ea_lock=6.6, density=44 * DTEX),
+        "22 dtex of elastane covered with 22 dtex of nylon 6.6: the core carries as elastane does until the cover is "
+        "straight and carries as nylon does; that it is at three times the rest length, a covering draft of 3, is "
+        "assumed",
     ),
 }
 

@@ -8,8 +8,8 @@ per element, whichever is shorter, and `pairs()` or `quads()` writes the plain l
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ class Springs:
     rest   (m,) or (s,)  rest length [m]
     c      (m,) or (s,)  damping along the spring [N s/m]
     kind   (m,)   int8   0 structural, 1 shear, 2 bending (for reports only)
+    lock, k_lock (m,) or (s,), both or neither: a spring's tension is k e up to the elongation e = lock * rest and
+           grows by k_lock [N/m] from there: k_lock >= k, as of a covered yarn once its cover is straight
     """
 
     first: Int
@@ -46,10 +48,25 @@ class Springs:
     rest: Float
     c: Float
     kind: NDArray[np.int8]
+    lock: Float | None = None
+    k_lock: Float | None = None
 
     @property
     def number(self) -> int:
         return int(self.count.sum())
+
+    def stiffest(self) -> Springs:
+        """The same springs with the greatest stiffness that each ever has, wherever it is."""
+        if self.k_lock is None:
+            return self
+        k = np.maximum(*(self.per_spring(values) for values in (self.k, self.k_lock)))
+        return replace(self, k=k, lock=None, k_lock=None)
+
+    @property
+    def per_run(self) -> bool:
+        """Whether all constants are given per run."""
+        constants = (self.k, self.rest, self.c, self.lock, self.k_lock)
+        return all(values is None or values.shape == self.count.shape for values in constants)
 
     def pairs(self) -> Int:
         """(s, 2) int32 vertices of every spring, an array of its own."""
@@ -66,26 +83,37 @@ class Springs:
         runs = self.kind == kind
         each = np.repeat(runs, self.count)
 
-        def values(name: str) -> Float:
-            array: Float = getattr(self, name)
-            chosen: Float = array[runs if array.shape == runs.shape else each]
-            return chosen
+        def values(array: Float | None) -> Any:
+            return None if array is None else array[runs if array.shape == runs.shape else each]
 
         first, count, stride = self.first[runs], self.count[runs], self.stride[runs]
-        return Springs(first, count, stride, values("k"), values("rest"), values("c"), self.kind[runs])
+        k, rest, c, lock, k_lock = (values(array) for array in (self.k, self.rest, self.c, self.lock, self.k_lock))
+        return Springs(first, count, stride, k, rest, c, self.kind[runs], lock, k_lock)
 
     @staticmethod
-    def from_pairs(pairs: Int, k: Float, rest: Float, c: Float, kind: int = 0) -> Springs:
+    def from_pairs(
+        pairs: Int,
+        k: Float,
+        rest: Float,
+        c: Float,
+        kind: int = 0,
+        lock: Float | None = None,
+        k_lock: Float | None = None,
+    ) -> Springs:
         """Runs of one spring each, constants per spring."""
         number = pairs.shape[0]
         one = np.broadcast_to(np.int32(1), number)  # no memory: a net may have millions
         kinds = np.broadcast_to(np.int8(kind), number)
-        return Springs(np.ascontiguousarray(pairs, np.int32), one, one, k, rest, c, kinds)
+        return Springs(np.ascontiguousarray(pairs, np.int32), one, one, k, rest, c, kinds, lock, k_lock)
 
     @staticmethod
     def join(parts: list[Springs]) -> Springs:
         """One set from several (at least one), constants per run if all have them so."""
-        per_run = all(p.k.shape == p.rest.shape == p.c.shape == p.count.shape for p in parts)
+        locks = any(p.lock is not None for p in parts)
+        if locks:
+            # A spring that does not lock goes on as it was.
+            parts = [p if p.lock is not None else replace(p, lock=np.zeros_like(p.k), k_lock=p.k) for p in parts]
+        per_run = all(p.per_run for p in parts)
 
         def values(name: str) -> Float:
             arrays = [getattr(p, name) for p in parts]
@@ -99,6 +127,8 @@ class Springs:
             values("rest"),
             values("c"),
             np.concatenate([p.kind for p in parts]),
+            values("lock") if locks else None,
+            values("k_lock") if locks else None,
         )
 
 
@@ -258,27 +288,3 @@ class Memory:
 
     arrays: dict[str, NDArray[np.generic]] = field(default_factory=dict)
     work: object = None
-
-
-@dataclass(frozen=True)
-class Measure:
-    """One property of a fabric.
-
-    unit      of all its values, as a scene may write it; "" for a ratio
-    given     what the fabric's source says
-    measured  what virtual tests find on a mesh, by the test's name
-    """
-
-    name: str
-    unit: str
-    given: float
-    measured: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Preset:
-    """A fabric that a scene can name. A model that knows some lists them by `presets()`."""
-
-    name: str
-    source: str
-    measures: tuple[Measure, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -101,19 +101,7 @@ def _join(fabrics: list[Fabric], name: str) -> Fabric:
         return fabrics[0]
     starts = np.cumsum([0, *(f.number for f in fabrics)])
     moved = list(zip(fabrics, starts, strict=False))
-    springs = [
-        Springs(
-            (f.springs.first + at).astype(np.int32),
-            f.springs.count,
-            f.springs.stride,
-            f.springs.k,
-            f.springs.rest,
-            f.springs.c,
-            f.springs.kind,
-        )
-        for f, at in moved
-        if f.springs
-    ]
+    springs = [replace(f.springs, first=(f.springs.first + at).astype(np.int32)) for f, at in moved if f.springs]
     hinges = [(f.hinges, at) for f, at in moved if f.hinges]
     before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
     yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]

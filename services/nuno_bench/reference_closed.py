@@ -45,6 +45,8 @@ def find_linear(problem: Problem) -> Linear | None:
     state = build.start_state(fabric)
     if fabric.springs is None or fabric.springs.number == 0:
         return _assemble(system, state, np.eye(3), None)
+    if fabric.springs.lock is not None or fabric.yarns is not None:
+        return None
     pairs = fabric.springs.pairs()
     d = state.x[pairs[:, 1]] - state.x[pairs[:, 0]]
     length = np.linalg.norm(d, axis=1)

@@ -130,7 +130,8 @@ def stiffen(fabric: Fabric, factor: float) -> Fabric:
     """All springs and hinges stiffer by a factor; damping by its root, which keeps its share of the critical."""
     springs, hinges = fabric.springs, fabric.hinges
     if springs is not None:
-        springs = replace(springs, k=springs.k * factor, c=springs.c * math.sqrt(factor))
+        k_lock = None if springs.k_lock is None else springs.k_lock * factor
+        springs = replace(springs, k=springs.k * factor, c=springs.c * math.sqrt(factor), k_lock=k_lock)
     return replace(fabric, springs=springs, hinges=hinges and replace(hinges, k=hinges.k * factor))
 
 

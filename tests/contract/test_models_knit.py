@@ -155,3 +155,30 @@ def test_what_cannot_be_knitted_is_refused(files: Folder) -> None:
     ):
         with pytest.raises(ValidationError, match=word):
             KnitConfig.model_validate(bad)
+
+
+def test_a_yarn_that_locks_gives_its_links_both_stiffnesses(files: Folder) -> None:
+    """EA / L each; yarns without a lock beside it go on as they are."""
+    yarns = [{"name": "covered", "ea": 0.5, "lock": 1.5, "ea_lock": 4.0}, {"name": "plain", "k": 7.0}]
+    fabric = knit(files, "panel", 3, 4, yarns=yarns, spacing=[0.5, 0.25])
+    assert fabric.springs is not None and fabric.springs.lock is not None and fabric.springs.k_lock is not None
+    springs, plain = fabric.springs, fabric.springs.k == 7.0
+    assert np.array_equal(springs.k_lock[plain], springs.k[plain])
+    assert (springs.lock[~plain] == 1.5).all()
+    np.testing.assert_allclose(springs.k_lock[~plain] * springs.rest[~plain], 4.0, rtol=1e-15)
+    assert knit(files, "panel", 3, 4).springs.lock is None  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"ea": 1, "lock": 1},
+        {"ea": 1, "ea_lock": 2},
+        {"ea": 1, "lock": 1, "k_lock": 2},
+        {"k": 2, "lock": 1, "k_lock": 1},
+    ],
+    ids=["no stiffness", "no strain", "the other's", "softer"],
+)
+def test_half_a_lock_is_refused(change: dict[str, float], files: Folder) -> None:
+    with pytest.raises(ValidationError, match="lock"):
+        knit(files, "panel", 3, 4, yarns=[change])

@@ -52,6 +52,9 @@ FAULTS: dict[str, tuple[dict[str, Any], str, object]] = {
     "ring of two": ({"yarn_links": np.array([0, 1, 0]), "yarn_ptr": np.array([0, 3]), "mu": np.ones(1) / 4},
                     "yarn_links[2]", 0),
     "one half": ({"mu": np.array([0.2, 0.5])}, "mu[1]", 0.5),
+    "locks without stiffness": ({"lock": np.ones(5)}, "k_lock", None),
+    "locks below rest": ({"lock": np.array([1, 1, -0.1, 1, 1]), "k_lock": np.ones(5)}, "lock[2]", -0.1),
+    "locks and softens": ({"lock": np.ones(5), "k_lock": np.array([1, 1, 1, 0.5, 1])}, "k_lock[3]", 0.5),
     "negative": ({"mu": np.array([-0.1, 0.2])}, "mu[0]", -0.1),
 }  # fmt: skip
 
@@ -94,3 +97,11 @@ def test_a_net_holds_the_files_yarns(files: Folder) -> None:
 def test_a_net_without_the_keys_has_no_yarns(files: Folder) -> None:
     np.savez(files.root / "plain.npz", **net_arrays())  # type: ignore[arg-type]
     assert build(Net(), {"file": "plain.npz"}, files).yarns is None
+
+
+def test_locks_are_the_files(files: Folder) -> None:
+    lock, k_lock = np.linspace(0.0, 1.0, 5), np.linspace(1.0, 3.0, 5)
+    np.savez(files.root / "net.npz", **(arrays() | {"lock": lock, "k_lock": k_lock}))  # type: ignore[arg-type]
+    springs = build(Net(), {"file": "net.npz"}, files).springs
+    assert springs is not None
+    assert np.array_equal(springs.lock, lock) and np.array_equal(springs.k_lock, k_lock)  # type: ignore[arg-type]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from nets import accelerations, make_fabric, make_system, random_net, run, start
-from yarn_nets import balance, chains, line
+from yarn_nets import balance, chains, line, reference
 
 from nuno_integrators.adaptive import Dop853, Dopri5
 from nuno_integrators.implicit import TRBDF2, ImplicitEuler
@@ -22,28 +21,8 @@ from nuno_kernels.energy import measure_energy
 from nuno_kernels.packing import pack, to_rows
 from nuno_kernels.stability import measure_rates
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, Springs, Yarns
+from nuno_schemas.fabric import Float, Springs, Yarns
 from nuno_schemas.plugin import System
-
-
-def reference(fabric: Fabric, x: Float, v: Float) -> Float:
-    """(n, 3) forces by the definition: every link by its own tension and its neighbours'."""
-    assert fabric.springs is not None and fabric.yarns is not None
-    s, yarns, pairs = fabric.springs, fabric.yarns, fabric.springs.pairs()
-    d = x[pairs[:, 1]] - x[pairs[:, 0]]
-    length = np.linalg.norm(d, axis=1)
-    unit = d / length[:, None]
-    tension = s.k * (length - s.rest) + s.c * ((v[pairs[:, 1]] - v[pairs[:, 0]]) * unit).sum(axis=1)
-    whole = tension.copy()
-    for y in range(yarns.number):
-        links = yarns.links[yarns.ptr[y] : yarns.ptr[y + 1]].tolist()
-        for here, after in pairwise(links):
-            whole[here] += yarns.mu[y] * tension[after]
-            whole[after] += yarns.mu[y] * tension[here]
-    force = np.zeros_like(x)
-    np.add.at(force, pairs[:, 0], whole[:, None] * unit)
-    np.add.at(force, pairs[:, 1], -whole[:, None] * unit)
-    return force
 
 
 @pytest.mark.parametrize("c", [0.0, 0.4])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from nets import make_fabric, make_system
@@ -38,6 +39,30 @@ def chains(points: int, yarns: int, seed: int, length: int = 12, c: float = 0.0,
     kind = np.zeros(yarns, np.int8)
     found = Yarns(np.array(links, np.int32), np.array(ptr, np.int32), mu, kind)
     return replace(make_fabric(position, springs, mass=1.0), yarns=found)
+
+
+def reference(fabric: Fabric, x: Float, v: Float) -> Float:
+    """(n, 3) forces by the definition: every link by its own tension and its neighbours'."""
+    assert fabric.springs is not None and fabric.yarns is not None
+    s, yarns, pairs = fabric.springs, fabric.yarns, fabric.springs.pairs()
+    d = x[pairs[:, 1]] - x[pairs[:, 0]]
+    length = np.linalg.norm(d, axis=1)
+    unit = d / length[:, None]
+    tension = s.k * (length - s.rest)
+    if s.lock is not None and s.k_lock is not None:
+        tension = np.where(length > (1.0 + s.lock) * s.rest, s.rest * s.lock * s.k, tension)
+        tension += s.k_lock * np.maximum(length - (1.0 + s.lock) * s.rest, 0.0)
+    tension = tension + s.c * ((v[pairs[:, 1]] - v[pairs[:, 0]]) * unit).sum(axis=1)
+    whole = tension.copy()
+    for y in range(yarns.number):
+        links = yarns.links[yarns.ptr[y] : yarns.ptr[y + 1]].tolist()
+        for here, after in pairwise(links):
+            whole[here] += yarns.mu[y] * tension[after]
+            whole[after] += yarns.mu[y] * tension[here]
+    force = np.zeros_like(x)
+    np.add.at(force, pairs[:, 0], whole[:, None] * unit)
+    np.add.at(force, pairs[:, 1], -whole[:, None] * unit)
+    return force
 
 
 STRETCH = 0.25

@@ -127,14 +127,17 @@ def test_an_mp4_has_even_sides(recording: Path, tmp_path: Path) -> None:
         (["--png", "out.png", "--crop", "2mg", "0", "1mm", "1"], ["--crop", "--crop 2mm 2mm 4mm 3mm"]),
         (["--png", "out.png", "--set", "dye.solver.dt=1"], ["--set", "no matter of pictures"]),
         (["--png", "out.png", "--set", "dye.picture.grund='#ffffff'"], ["dye.picture.grund", "did you mean 'ground'"]),
+        (["--png", "out.jpg"], ["the name must end in .png"]),
+        (["--gif", "out.gif", "--fps", "0"], ["--fps", "1 to 240"]),
+        (["--rrd", "out.mcap"], ["--rrd", "ends in .rrd"]),
     ],
 )
-def test_what_makes_no_sense_is_refused(
+def test_what_makes_no_sense_is_refused_before_any_file_is_written(
     arguments: list[str], words: list[str], recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    assert main(["export", str(recording), *arguments]) == 2
+    assert main(["export", str(recording), "--npz", "out.npz", "--csv", "out.csv", *arguments]) == 2
     said = capsys.readouterr().err
     assert all(word in said for word in words), said
     assert list(tmp_path.iterdir()) == []

@@ -139,6 +139,8 @@ def test_the_viewer_s_file_has_its_textures_and_curves(run: Path) -> None:
     assert not read(run / "run.rrd", "/world/cloth/sheet", "Mesh3D:vertex_colors")
     assert len(read(run / "run.rrd", "/plots/dye/red", "Scalars:scalars")) == 11
     assert len(read(run / "run.rrd", "/plots/energy", "Scalars:scalars")) == 11
+    about = str(read(run / "run.rrd", "/about", "TextDocument:text", static=True)[0])
+    assert "a second here is 1 h of dyeing" in about
     again = run / "again.rrd"
     assert main(["export", str(run / "run.mcap"), "--rrd", str(again)]) == 0
     assert read(again, "/world/cloth/sheet", "Mesh3D:albedo_texture_buffer") == found

@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 from recorded_sheet import RATE, Sheet, write
 
+from nuno.cli import main
 from nuno.export import paint
 from nuno.export.animations import _choose_palette, _write_gif, export_animation
 from nuno.export.pictures import Painter, choose_frames, export_picture
@@ -157,6 +158,29 @@ def test_without_the_encoder_the_extra_is_named(path: Path, tmp_path: Path, monk
 def test_bad_wishes_are_refused(path: Path, tmp_path: Path, name: str, options: dict[str, float]) -> None:
     with pytest.raises(BadInput):
         export_animation(path, tmp_path / name, **options)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("--png a.png --size 5x5", "--size: no such size"),
+        ("--png a.png --size big", "--size: a size is written"),
+        ("--png a.png --frame 999", "no such frame"),
+        ("--glb a.glb --frame 999", "no such frame"),
+        ("--png a.png --glb a.png/x.glb", "no such folder"),
+        ("--png a.png --gif b.gif --start 999", "nothing to show"),
+        ("--png a.png --gif b.gif --fps 0", "--fps: no such rate"),
+        ("--png a.png --rrd b.mcap", "--rrd: a rerun file's name ends in .rrd"),
+    ],
+)
+def test_nothing_is_written_where_one_of_several_files_cannot_be(
+    path: Path, arguments: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", str(path), "--npz", "a.npz", "--csv", "a.csv", *arguments.split()]) == 2
+    assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -52,9 +52,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def feed(folder: Path, target: Path, **picture: Any) -> Path:
+def feed(folder: Path, target: Path, speed: float = 1.0, **picture: Any) -> Path:
     """A recording's messages, shown as a scene that differs in its picture would be."""
-    scene = scene_file.read(write_scene(folder, picture=picture))
+    scene = scene_file.read(write_scene(folder, picture=picture, speed=speed))
     file = RerunFile(target, "run", painter=painter_of(scene, most=dyed.MOST_PIXELS))
     with nuno.open(folder / "run.mcap") as recording:
         marks = recording.marks()
@@ -121,6 +121,22 @@ def test_what_looks_as_before_is_not_logged_again(run: Path, tmp_path: Path) -> 
 def test_pictures_are_as_rare_as_the_scene_asks_and_the_last_is_there(run: Path, tmp_path: Path) -> None:
     assert sorted(pictures(feed(run, tmp_path / "a.rrd", every="5.4 s"))) == [0, 3, 6, 9, 10]
     assert sorted(pictures(feed(run, tmp_path / "b.rrd", every="1 h"))) == [0, 10]
+
+
+def test_the_time_of_a_cloth_by_itself_is_that_of_the_dyeing(run: Path, tmp_path: Path) -> None:
+    """For which the run's messages are shown as those of a scene of a minute a second."""
+    import rerun.chunk
+
+    target = feed(run, tmp_path / "a.rrd", speed=60.0)
+    seen: dict[str, list[float]] = {}
+    for chunk in rerun.chunk.RrdReader(target).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        assert "sim_time" not in batch.schema.names
+        if not chunk.is_static and chunk.entity_path in (PICTURE, CURVES):
+            times = zip(batch["frame"].to_pylist(), batch["dye_time"].to_pylist(), strict=True)
+            seen.setdefault(chunk.entity_path, []).extend(t.total_seconds() / frame for frame, t in times if frame)
+    for entity in (PICTURE, CURVES):
+        assert seen[entity] == pytest.approx([60.0 * 1.8] * 10, rel=1e-9)
 
 
 def test_a_live_view_skips_pictures_but_not_the_last(

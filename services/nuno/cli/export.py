@@ -89,6 +89,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     from nuno.export import meshes, tables
 
     _check_kinds(recording, args)
+    _check_wishes(recording, args)
     written: list[Path] = []
     if args.npz:
         written.append(tables.export_npz(recording, args.npz))
@@ -103,9 +104,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
             written += meshes.export_meshes(recording, path, suffix, _progress)
     if args.rrd:
         from nuno.viewer.convert import convert
-        from nuno.viewer.require import require
 
-        require(None, args.rrd)
         written.append(convert(recording, args.rrd))
     return written
 
@@ -162,6 +161,50 @@ def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
             flag = "set" if name == "overrides" else name
             problem = "for pictures of dyed cloth; the recording is of cloth that moves"
             raise BadInput(problem, str(recording.path), field=f"--{flag}", remedy="leave it out")
+
+
+def _check_wishes(recording: Recording, args: argparse.Namespace) -> None:
+    """Raises BadInput for what cannot be written as it is asked for: before the first file is."""
+    from nuno.export.animations import check_animation
+    from nuno.export.target import check_target
+    from nuno.viewer.require import require
+
+    size, changes, files = _size(args.size), _changes(args), (".npz", ".csv", ".png", *MESHES)
+    wanted = [(getattr(args, suffix[1:]), suffix) for suffix in files]
+    for path, suffix in wanted:
+        # A mesh of every frame goes into a folder.
+        if path and (suffix not in MESHES or path.suffix.lower() == suffix):
+            check_target(path, suffix)
+    for path in filter(None, (args.gif, args.mp4)):
+        check_animation(path, args.fps, size)
+    require(None, args.rrd, "--rrd")
+    check = _check_dyed_pictures if recording.dyed_alone else _check_pictures
+    check(recording, args, changes)
+
+
+def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
+    from nuno.export import cloth, dyed_object, pictures
+
+    if args.png or any(getattr(args, suffix[1:]) for suffix in MESHES):
+        cloth.read_frame(recording, args.frame)
+    if args.png:
+        pictures.check_sides(_size(args.size))
+    if args.gif or args.mp4:
+        pictures.choose_frames(recording, args.fps, args.start, args.end)
+    if (args.png or args.gif or args.mp4) and args.colour != "stretch":
+        dyed_object.read_dyed_object(recording, changes)
+
+
+def _check_dyed_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
+    from nuno.export import dyed_pictures
+
+    if args.png:
+        dyed_pictures.find_amounts(recording, args.frame)
+    if args.gif or args.mp4:
+        dyed_pictures.choose_amounts(recording, args.start, args.end)
+    if args.png or args.gif or args.mp4:
+        with dyed_pictures.dyed_pictures(recording, changes):
+            pass
 
 
 def _changes(args: argparse.Namespace) -> Changes:

@@ -7,7 +7,7 @@ import textwrap
 
 from nuno import registry
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Measure, Preset
+from nuno_schemas.preset import Measure, Preset
 
 GROUP = "nuno.models"
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from nuno.export.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
-from nuno.export.pictures import Colour, Picture, check_colour, choose_frames, draw_frames
+from nuno.export.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput, RunFailed
@@ -46,10 +46,8 @@ def export_animation(
     that ends otherwise, a size, rate or colour out of range, nothing to show, or (MP4) where
     imageio-ffmpeg is not installed; RunFailed where the encoder fails.
     """
-    encoder = _check(path, fps)
+    encoder = check_animation(path, fps, size)
     width, height = size or SIZE
-    if not (16 <= width <= 8192 and 16 <= height <= 8192):
-        raise BadInput("no such size", field="--size", value=size, limit="16 to 8192 pixels a side")
     check_colour(colour)
     with opened(source) as recording:
         rate = fps if encoder is not None else _gif_rate(fps)
@@ -77,7 +75,7 @@ def export_dyed_animation(
 
     As the scene says but for what is given. Raises as `export_animation`.
     """
-    encoder = _check(path, fps)
+    encoder = check_animation(path, fps)
     with opened(source) as recording, dyed_pictures(recording, changes, DYED_SIDE) as pictures:
         rate = fps if encoder is not None else _gif_rate(fps)
         frames = choose_amounts(recording, start, end)
@@ -88,8 +86,9 @@ def export_dyed_animation(
     return path
 
 
-def _check(path: Path, fps: float) -> Any:
+def check_animation(path: Path, fps: float, size: tuple[int, int] | None = None) -> Any:
     """The MP4 encoder, None for a GIF. Raises BadInput."""
+    check_sides(size)
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
         remedy = "change the ending"

@@ -32,6 +32,7 @@ class DyePainter:
     side           pixels of the longer side that `scale: auto` aims at
     most           pixels of a picture at most, for which a given scale is made smaller; None: as given
     duration       of the scene [s]
+    speed          seconds of dyeing in one of the scene
     object         the object whose texture is drawn; None: a cloth by itself
     """
 
@@ -45,8 +46,9 @@ class DyePainter:
         most: int | None = None,
         duration: float = 0.0,
         object: str | None = None,
+        speed: float = 1.0,
     ) -> None:
-        self.duration, self.object = duration, object
+        self.duration, self.object, self.speed = duration, object, speed
         self.chosen, self.look, self.colours, self.files = chosen, look, tuple(colours), files
         self.side, self.most = side, most
         self.size = self.pixel = 0.0
@@ -114,8 +116,8 @@ def painter_of(loaded: Loaded, side: int = PICTURE_SIDE, most: int | None = None
     dye, chosen = loaded.scene.dye, loaded.dye
     if dye is None or chosen is None:
         raise BadInput("the scene has no dye", loaded.file)
-    colours = [one.colour for one in dye.dyes]
-    return DyePainter(chosen.picture, dye.picture, colours, loaded.files, side, most, loaded.scene.duration, dye.object)
+    colours, duration = [one.colour for one in dye.dyes], loaded.scene.duration
+    return DyePainter(chosen.picture, dye.picture, colours, loaded.files, side, most, duration, dye.object, dye.speed)
 
 
 def check_picture(loaded: Loaded, cells: Cells) -> None:

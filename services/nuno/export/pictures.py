@@ -102,6 +102,12 @@ class Painter:
         return float(heights.min()) if len(heights) else "none"
 
 
+def check_sides(size: tuple[int, int] | None) -> None:
+    """Raises BadInput for a picture's width and height beyond what a scene may ask for; None is fitted."""
+    if size is not None and not all(16 <= side <= 8192 for side in size):
+        raise BadInput("no such size", field="--size", value=size, limit="16 to 8192 pixels a side")
+
+
 def check_colour(colour: str) -> None:
     """Raises BadInput for what is no Colour."""
     if colour not in get_args(Colour):
@@ -131,6 +137,7 @@ def export_picture(
 
     with opened(source) as recording:
         check_target(path, ".png")
+        check_sides(size)
         shown = read_frame(recording, frame)
         picture = Painter(recording, [shown], size, colour=colour, changes=changes).draw(shown)
         with writing(path, ".png") as new:

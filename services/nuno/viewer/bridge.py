@@ -18,6 +18,7 @@ from nuno.viewer import layout
 from nuno.viewer.bodies import INSET, Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth, DyedTexture
+from nuno.words import duration
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -71,6 +72,7 @@ class Bridge:
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
         self._bodies: Bodies | None = None
+        self._speed = painter.speed if painter is not None else None
         self._dyed_object = painter.object if painter is not None else None
         self._dyed = self._dye(painter) if painter is not None else None
         self._energy: list[str] = []
@@ -114,8 +116,10 @@ class Bridge:
             raise BadMessage(f"frame {frame} at {t} s")
         if frame >= 0:
             self._latest = (frame, t)
-        self.recording.set_time("frame", sequence=self._latest[0])
-        self.recording.set_time(layout.TIMELINE, duration=self._latest[1])
+        if self._dyed is not None:
+            self._dyed.set_time(*self._latest)
+        else:
+            layout.set_time(self.recording, *self._latest)
         try:
             handler(payload)
         except (KeyError, TypeError, IndexError, AttributeError, ValidationError, ValueError, BadInput) as error:
@@ -163,7 +167,7 @@ class Bridge:
         self._log(
             "/about",
             rr.TextDocument(
-                about(str(text.get("scene", "")), number, len(arrays["faces"])), media_type="text/markdown"
+                about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed), media_type="text/markdown"
             ),
             static=True,
         )
@@ -250,8 +254,9 @@ def number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def about(scene: str, vertices: int, faces: int) -> str:
-    """What a user should know about the picture, as Markdown."""
+def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> str:
+    """What a user should know about the picture, as Markdown; `speed` is that of the dye, where there is any."""
+    dyed = f"\n**Dye**: a second here is {duration(speed)} of dyeing.\n" if speed is not None else ""
     return f"""# {scene}
 {vertices:,} vertices, {faces:,} triangles.
 
@@ -267,4 +272,4 @@ def about(scene: str, vertices: int, faces: int) -> str:
 
 Pieces with a texture or a colour of their own show that instead.
 Bodies are drawn {1000 * INSET:g} mm thinner than they are, so that cloth resting on them shows.
-"""
+{dyed}"""

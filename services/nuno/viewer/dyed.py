@@ -50,6 +50,11 @@ class DyedCloth:
         self._last = -math.inf
         """Of which time [s] it was."""
 
+    def set_time(self, frame: int, t: float) -> None:
+        """What is logged next belongs to a frame at t [s] of the scene."""
+        self.recording.set_time("frame", sequence=frame)
+        self.recording.set_time(layout.DYE_TIMELINE, duration=t * self.painter.speed)
+
     def take_cloth(self, payload: bytes) -> None:
         """Raises BadMessage, and BadInput for a cloth that cannot be drawn."""
         self.painter.take_cloth(payload)
@@ -94,7 +99,8 @@ class DyedCloth:
     def arrange(self) -> None:
         """Arrange the window, when the dyes are known."""
         self.log("/plots/time", layout.names(["computing the frame"]), static=True)
-        blueprint = layout.arrange_dyed(self.names, self.painter.shape, self.painter.duration, self.live)
+        duration = self.painter.duration * self.painter.speed
+        blueprint = layout.arrange_dyed(self.names, self.painter.shape, duration, self.live)
         self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def time_frame(self, seconds: float) -> None:
@@ -114,8 +120,7 @@ class DyedCloth:
         self._drawn, self._last = time.monotonic(), t
         if self.shown is not None and np.array_equal(picture, self.shown):
             return
-        self.recording.set_time("frame", sequence=frame)
-        self.recording.set_time(layout.TIMELINE, duration=t)
+        self.set_time(frame, t)
         self.show(picture)
         self.shown = picture
 
@@ -138,6 +143,10 @@ class DyedTexture(DyedCloth):
         super().__init__(recording, painter, live)
         self.every = painter.look.every or painter.duration / TEXTURES
         self._wear, self._arranged = wear, arranged
+
+    def set_time(self, frame: int, t: float) -> None:
+        """In the scene's time, in which the object moves."""
+        layout.set_time(self.recording, frame, t)
 
     def show(self, picture: Picture) -> None:
         """Dye the object."""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from nuno_schemas.fabric import Float
 from nuno_schemas.scene import View
 
-TIMELINE, PICTURE = "sim_time", "/dye/picture"
+TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "/dye/picture"
+"""Time of the scene; that of the dyeing, where there is nothing but a cloth that is dyed."""
 HALF_VIEW = 0.5 * np.radians(58.0)
 """About half of rerun's vertical field of view."""
 
@@ -89,7 +90,7 @@ def arrange(eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None) -
 def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live: bool) -> Any:
     """The blueprint of a dyed cloth: its picture large on the left; curves of each dye beside it.
 
-    `shape` is that of the picture [pixels]. Curves show all of the scene's `duration` [s], which is played within
+    `shape` is that of the picture [pixels]. Curves show all of the dyeing's `duration` [s], which is played within
     PLAY_SECONDS: by themselves they would show a minute, and play hours.
     """
     amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True, duration=duration) for name in dyes]
@@ -101,7 +102,9 @@ def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live:
         background=rrb.Background(color=BACKGROUND),
         visual_bounds=rrb.VisualBounds2D(x_range=(0, shape[1]), y_range=(0, shape[0])),
     )
-    return _blueprint(picture, [rrb.Vertical(*plots, name="Curves")], live, max(1.0, duration / PLAY_SECONDS))
+    return _blueprint(
+        picture, [rrb.Vertical(*plots, name="Curves")], live, DYE_TIMELINE, max(1.0, duration / PLAY_SECONDS)
+    )
 
 
 def curves(name: str, what: str, legend: bool = False, duration: float | None = None) -> Any:
@@ -118,7 +121,7 @@ def curves(name: str, what: str, legend: bool = False, duration: float | None = 
     )
 
 
-def _blueprint(main: Any, plots: list[Any], live: bool, speed: float = 1.0) -> Any:
+def _blueprint(main: Any, plots: list[Any], live: bool, timeline: str = TIMELINE, speed: float = 1.0) -> Any:
     side = rrb.Tabs(
         *plots,
         rrb.TextDocumentView(name="About", origin="/about"),
@@ -132,13 +135,19 @@ def _blueprint(main: Any, plots: list[Any], live: bool, speed: float = 1.0) -> A
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(
             state="collapsed",
-            timeline=TIMELINE,
+            timeline=timeline,
             playback_speed=speed,
             play_state="following" if live else "playing",
         ),
         auto_views=False,
         auto_layout=False,
     )
+
+
+def set_time(recording: Any, frame: int, t: float) -> None:
+    """What is logged next belongs to a frame at t [s] of the scene."""
+    recording.set_time("frame", sequence=frame)
+    recording.set_time(TIMELINE, duration=t)
 
 
 def entity(*parts: str) -> str:

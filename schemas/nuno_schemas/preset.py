@@ -1,0 +1,30 @@
+"""Fabrics that a scene can name, with what their sources say and virtual tests find."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One property of a fabric.
+
+    unit      of all its values, as a scene may write it; "" for a ratio
+    given     what the fabric's source says
+    measured  what virtual tests find on a mesh, by the test's name
+    """
+
+    name: str
+    unit: str
+    given: float
+    measured: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A fabric that a scene can name. A model that knows some lists them by `presets()`."""
+
+    name: str
+    source: str
+    measures: tuple[Measure, ...]
