@@ -8,8 +8,12 @@ pseudonormal. IEEE Transactions on Visualization and Computer Graphics 11(3), 20
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
+from nuno_kernels import kernel
 from nuno_schemas.fabric import Float, Int
 
 
@@ -47,3 +51,17 @@ def vertex_normals(x: Float, faces: Int) -> Float:
     weighted = (angle[:, :, None] * face_normals(x, faces)[:, None]).reshape(-1, 3)
     flat = faces.reshape(-1)
     return np.stack([np.bincount(flat, weighted[:, k], len(x)) for k in range(3)], axis=1)
+
+
+@kernel
+def blend_normals(normals: Any, faces: Any, face: Any, weights: Any, out: Any) -> None:
+    """Unit normals (m, 3) at barycentric coordinates weights (m, 3) in triangles face (m,), from vertices' (n, 3)."""
+    for i in range(face.shape[0]):
+        a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
+        size = 0.0
+        for k in range(3):
+            out[i, k] = weights[i, 0] * normals[a, k] + weights[i, 1] * normals[b, k] + weights[i, 2] * normals[c, k]
+            size += out[i, k] * out[i, k]
+        if size > 0.0:
+            for k in range(3):
+                out[i, k] /= math.sqrt(size)

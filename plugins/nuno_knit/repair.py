@@ -99,13 +99,12 @@ def radius_of(config: YarnConfig, paths: Paths, x: Float) -> float:
     return RADIUS * mean_length(paths, x) if config.radius is None else config.radius
 
 
-def measure(curves: YarnCurves, skin: Skin | None, off: float, face: Int) -> dict[str, float]:
-    """Where the check looked: how many samples, and how deep the deepest lies below the height `off` [m]."""
+def measure(curves: YarnCurves, skin: Skin | None, off: float, face: Int, samples: int = CHECKED) -> dict[str, float]:
+    """How many places were looked at, `samples` a piece, and how far below the height `off` [m] the deepest is."""
     if skin is None:
         return {}
-    segments = curves.segments()
-    depth = skin.depths(curves.points, segments, CHECKED, face)
-    return {"samples": float(CHECKED * len(segments)), "deepest": max(0.0, float(depth.max(initial=-off)) + off)}
+    number, depth = skin.deepest(curves.points, curves.ptr, samples, face)
+    return {"samples": float(number), "deepest": max(0.0, depth + off)}
 
 
 def repair(paths: Paths, x: Float, skin: Skin | None, tolerance: float) -> Repaired:

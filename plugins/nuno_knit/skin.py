@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_kernels.closest_point import Closest, closest_points
-from nuno_kernels.surface_normals import face_normals
+from nuno_kernels.surface_normals import blend_normals, face_normals
 from nuno_kernels.surface_section import Joined, join_faces
 from nuno_kernels.surface_tree import Tree, build_tree
 from nuno_schemas.fabric import Float, Int
 
 CHUNK = 1 << 16
 """Segments whose samples are held at once."""
+RAISES = 8
+"""How often a point is raised that in a hollow comes too near to the skin on its other side."""
 
 
 @dataclass(frozen=True)
@@ -41,40 +43,42 @@ class Skin:
     def look(self, points: Float, start: Int | None = None) -> tuple[Closest, Float]:
         """Closest points of the skin to points (n, 3) [m], and unit normals (n, 3) there, interpolated over faces."""
         found = closest_points(self.tree, points, start)
-        normal = np.einsum("nk,nki->ni", found.weights, self.tree.vertex_normals[self.faces[found.face]])
-        return found, to_unit(normal)
+        normal = np.empty_like(found.point)
+        blend_normals(self.tree.vertex_normals, self.tree.faces, found.face, found.weights, normal)
+        return found, normal
 
-    def raise_to(self, points: Float, height: Float, start: Int | None = None) -> tuple[Float, Closest]:
-        """Points moved away from the skin to at least `height` (n,) [m] above it, and what is closest to them."""
-        for _ in range(3):
-            found, normal = self.look(points, start)
-            low = found.distance < height * (1.0 - 1e-9)
-            if not low.any():
+    def raise_to(self, points: Float, height: Float, start: Int | None = None) -> tuple[Float, Int]:
+        """Points moved away from the skin to at least `height` (n,) [m] above it, and faces (n,) closest to them."""
+        points, found = points.copy(), closest_points(self.tree, points, start)
+        foot, face, distance = found.point, found.face, found.distance
+        for _ in range(RAISES):
+            low = np.flatnonzero(distance < height * (1.0 - 1e-9))
+            if not len(low):
                 break
-            away = points - found.point
-            # Off the surface the way away from it is the distance's own gradient, on it there is only the normal.
-            size = np.abs(found.distance)
-            clear = (size > 1e-3 * height)[:, None]
-            sign = np.sign(found.distance)[:, None]
-            normal = np.where(clear, sign * to_unit(away), normal)
-            points = np.where(low[:, None], found.point + height[:, None] * normal, points)
-            start = found.face
-        return points, found
+            # Off the surface the way away is the distance's own gradient, on it there is only the face's normal.
+            away = np.sign(distance[low])[:, None] * to_unit(points[low] - foot[low])
+            clear = np.abs(distance[low]) > 1e-3 * height[low]
+            points[low] = foot[low] + height[low, None] * np.where(clear[:, None], away, self.facing[face[low]])
+            found = closest_points(self.tree, points[low], face[low])
+            foot[low], face[low], distance[low] = found.point, found.face, found.distance
+        return points, face
 
-    def depths(self, points: Float, segments: NDArray[np.int64], samples: int, face: Int | None = None) -> Float:
-        """(s,) how deep the deepest of `samples` points of each piece from points[s] to points[s + 1] lies in the
-        skin [m], both ends included; negative outside. `face` (n,) are faces near the points, where they are known.
+    def deepest(self, points: Float, ptr: NDArray[np.int64], samples: int, face: Int) -> tuple[int, float]:
+        """How many places of polylines were looked at, `samples` (at least two) of every piece with both its ends,
+        and how deep the deepest lies in the skin [m], negative outside. `face` (n,) are faces near the points.
         """
-        share = np.linspace(0.0, 1.0, samples)[:, None]
-        deepest = np.empty(len(segments))
-        for at in range(0, len(segments), CHUNK):
-            part = segments[at : at + CHUNK]
+        last = np.zeros(len(points), bool)
+        last[ptr[1:] - 1] = True
+        first = np.flatnonzero(~last)
+        share = np.linspace(0.0, 1.0, samples)[:-1, None]
+        depth = -float(closest_points(self.tree, points[last], face[last]).distance.min(initial=np.inf))
+        for at in range(0, len(first), CHUNK):
+            part = first[at : at + CHUNK]
             a, b = points[part][:, None], points[part + 1][:, None]
-            placed = (a + share * (b - a)).reshape(-1, 3)
-            near = None if face is None else np.repeat(face[part], samples)
-            found = closest_points(self.tree, placed, near)
-            deepest[at : at + CHUNK] = -found.distance.reshape(-1, samples).min(axis=1)
-        return deepest
+            near = np.repeat(face[part], samples - 1)
+            found = closest_points(self.tree, (a + share * (b - a)).reshape(-1, 3), near)
+            depth = max(depth, -float(found.distance.min()))
+        return (samples - 1) * len(first) + len(ptr) - 1, depth
 
 
 def to_unit(vectors: Float) -> Float:

@@ -1,0 +1,148 @@
+"""Loops of plain knit: where a course's yarn passes between and beside the points of the net.
+
+A point of the net stands for the place where two loops hook into each other. There the yarn of the lower course turns
+from a leg into a head, or back, and that of the upper course from a sinker into a leg, or back. Each turns
+beyond the other, so that they cross twice (drawn for the left side of a loop, legs going up and arcs to the right):
+
+          leg of the upper course              At distance delta from the point along both axes:
+              |                                 x  turns, each displaced away from its own links
+      x-------+------ head of the lower          +  crossings, where a leg passes over an arc
+      |   o   |
+    --+-------x                                 Legs lie in front of heads and sinkers, as on the face of plain knit,
+      |  sinker of the upper                    a turn half way between; so heads reach beyond the legs that they
+    leg of the lower                            hold, sinkers likewise, and loops narrow at their feet, as real ones do.
+
+Of each link come four points: its turn, the crossing near its start, its middle and the crossing near its end. In its
+middle an arc is bowed outwards by `BOW` of its ends' displacement. This is a stated shape, not the result of bending:
+the elastica of Leaf (1960) gives the like for knit at rest, and this net is stretched far beyond that.
+
+Which corner is which follows from a course's links, as the model `knit` makes them: up a leg, along a head, down a leg,
+along a sinker, over and over. Links of no course are arcs: heads below the first course, sinkers above the last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_knit.paths import Paths
+from nuno_knit.skin import to_unit
+from nuno_schemas.fabric import Bool, Float, Int
+
+ROUND, BOW = 0.75, 1.3
+"""How far out turns are, and how far out an arc's middle is, as ratios of how far out crossings are: so arcs are
+round."""
+WIDEST = 0.3
+"""Most of the shortest link at a point that a turn is displaced by: crossings of one link keep apart."""
+LEVELS = 3
+"""Heights of a loop's points: 0 for an arc, 1 for a turn, 2 for a leg; a radius lies between two."""
+
+
+@dataclass(frozen=True)
+class Net:
+    """Links of yarns in the directions of their yarns.
+
+    start, end (s,)   int32 points
+    leg        (s,)   whether it is a leg, else an arc
+    role       (s, 2) at start and end: 1 where the yarn is the lower one, whose head is there, else -1
+    onward     (s - 1,) whether the yarn goes on with the next link
+    """
+
+    start: Int
+    end: Int
+    leg: Bool
+    role: Float
+    onward: Bool
+
+    @property
+    def points(self) -> Int:
+        """(2 s,) points of all starts, then of all ends."""
+        return np.concatenate([self.start, self.end])
+
+    def sums(self, values: Float, count: int) -> Float:
+        """(count, 3) sums by point of values (2 s, 3), those of starts first."""
+        return np.stack([np.bincount(self.points, values[:, c], count) for c in range(3)], axis=1)
+
+
+def find_net(paths: Paths, count: int) -> Net:
+    """Links and what they are; `count` is the number of the fabric's points."""
+    pairs, phase = paths.pairs, paths.order % 4
+    alone = np.repeat(np.diff(paths.ptr) == 2, np.diff(paths.ptr) - 1)
+    role = np.stack([np.where((phase == 1) | (phase == 2), 1.0, -1.0), np.where(phase < 2, 1.0, -1.0)], axis=1)
+    role[alone] = 0.0
+    balance = np.bincount(pairs.T.reshape(-1), role.T.reshape(-1), count)
+    role[alone] = np.where(balance[pairs[alone]].sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
+    return Net(pairs[:, 0], pairs[:, 1], (phase % 2 == 0) & ~alone, role, paths.order[1:] > 0)
+
+
+def face_of_knit(net: Net, x: Float) -> Float:
+    """(n, 3) unit normals towards the knit's face: to its right, then up, then out; 0 at points without any turn.
+
+    At a turn a yarn comes from one link and leaves by the next; at a head it turns clockwise, seen from the face.
+    """
+    along = to_unit(x[net.end] - x[net.start])
+    on = net.onward
+    turn = np.zeros_like(along)
+    turn[:-1][on] = -net.role[:-1, 1][on, None] * np.cross(along[:-1], along[1:])[on]
+    return to_unit(net.sums(np.concatenate([np.zeros_like(turn), turn]), len(x)))
+
+
+def find_axes(net: Net, x: Float, normal: Float) -> tuple[Float, Float]:
+    """(n, 3) unit directions, across the normal, in which the lower course's legs and arcs leave each point.
+
+    Those of the upper course leave the other way: both have a say.
+    """
+    along = to_unit(x[net.end] - x[net.start])
+    away = np.concatenate([net.role[:, :1] * along, -net.role[:, 1:] * along])
+    leg = np.concatenate([net.leg, net.leg])[:, None]
+    axes = []
+    for mine in (leg, ~leg):
+        axis = net.sums(np.where(mine, away, 0.0), len(x))
+        axes.append(to_unit(axis - (axis * normal).sum(axis=1, keepdims=True) * normal))
+    return axes[0], axes[1]
+
+
+def find_widths(net: Net, x: Float, curl: float, radius: float) -> Float:
+    """(n,) how far turns are displaced along each axis [m]: a share `curl` of the shortest link, the yarn's radius at
+    least, and never more than WIDEST.
+    """
+    length = np.linalg.norm(x[net.end] - x[net.start], axis=1)
+    shortest = np.full(len(x), np.inf)
+    np.minimum.at(shortest, net.points, np.concatenate([length, length]))
+    shortest = np.where(np.isfinite(shortest), shortest, 0.0)
+    wanted = np.maximum(curl * shortest, radius if curl > 0.0 else 0.0)
+    return np.asarray(np.minimum(wanted, WIDEST * shortest))
+
+
+def lay_loops(
+    paths: Paths, net: Net, x: Float, middle: Float, axes: tuple[Float, Float], width: Float
+) -> tuple[Float, NDArray[np.int8], NDArray[np.int64]]:
+    """Points (c, 3) that curves go through, their levels (c,), and the first of each yarn, ptr (y + 1,).
+
+    middle (s, 3) are the middles of the links [m], width (n,) as find_widths has it.
+    """
+    leg = net.leg[:, None]
+    ends = []
+    for k, point in enumerate((net.start, net.end)):
+        own, other = (np.where(leg, axes[i][point], axes[1 - i][point]) for i in (0, 1))
+        scale = (net.role[:, k] * width[point])[:, None]
+        ends.append((x[point], scale * own, scale * other))
+    (a, along_a, beside_a), (b, along_b, beside_b) = ends
+    bowed = middle - 0.5 * BOW * (beside_a + beside_b)
+    of_link = np.stack(
+        [a - ROUND * (along_a + beside_a), a + along_a - beside_a, bowed, b + along_b - beside_b], axis=1
+    )
+    level = np.where(leg, np.array([1, 2, 2, 2]), np.array([1, 0, 0, 0])).astype(np.int8)
+    steps = paths.steps
+    count = np.zeros(len(paths.vertex), np.int64)
+    count[steps] = 4
+    count[paths.ptr[1:] - 1] = 1
+    place = np.concatenate([[0], np.cumsum(count)])
+    points, levels = np.empty((place[-1], 3)), np.ones(place[-1], np.int8)
+    at = place[steps][:, None] + np.arange(4)
+    points[at], levels[at] = of_link, level
+    final = np.flatnonzero(np.append(steps[1:] != steps[:-1] + 1, True))
+    points[place[paths.ptr[1:] - 1]] = (b - ROUND * (along_b + beside_b))[final]
+    return points, levels, place[paths.ptr]

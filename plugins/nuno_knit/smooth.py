@@ -1,0 +1,172 @@
+"""Yarns of a knit as smooth curves: loops that hook into each other, on the skin or by themselves.
+
+Curves go through the points that nuno_knit.loops lays, each raised off the skin by its level: an arc's centre lies
+a radius above the skin (or as high as the net does where that is farther off), a turn one radius higher, a leg two.
+Samples of the curve that would still lie too low are raised, and pieces that dip between their ends are divided.
+Without skin the net itself is the middle level, and its own face the way up.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from nuno_kernels.surface_strings import LIES, LOST
+from nuno_knit.loops import WIDEST, Net, face_of_knit, find_axes, find_net, find_widths, lay_loops
+from nuno_knit.paths import Paths, find_paths
+from nuno_knit.quantities import Share
+from nuno_knit.repair import CHECKED, Repaired, YarnConfig, measure, radius_of, repair, to_skin
+from nuno_knit.skin import Skin, to_unit
+from nuno_knit.spline import sample_curves
+from nuno_schemas.curves import YarnCurves
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int, State
+from nuno_schemas.plugin import Outcome, Surface
+
+PIECES = 4
+"""Of a link: between its turn, its crossings, its middle and the next turn."""
+DIVISIONS = 6
+"""How often a piece that dips is divided."""
+INNER = 4
+"""Places between the ends of a piece that are looked at."""
+
+
+class SmoothConfig(YarnConfig):
+    """Smooth yarns."""
+
+    samples: int = Field(default=8, ge=PIECES, le=256, description="points a link, rounded up to fours")
+    curl: Share = Field(
+        default=0.15, le=WIDEST, description="how far loops reach beyond each other, as a share of the shortest link"
+    )
+
+
+class Smooth:
+    """Yarns as curves that bend as the loops of plain knit do, outside of the skin."""
+
+    name: ClassVar[str] = "smooth"
+    Config: ClassVar[type[SmoothConfig]] = SmoothConfig
+
+    def apply(self, config: SmoothConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
+        """Raises BadInput for a fabric without yarns, and for points that are not finite."""
+        paths, below = find_paths(fabric), to_skin(skin)
+        laid = repair(paths, state.x, below, config.tolerance)
+        radius = radius_of(config, paths, state.x)
+        number = -(-config.samples // PIECES)
+        points, ptr, face = smooth(paths, laid, state.x, below, radius, config.curl, number)
+        normal = np.zeros_like(points)
+        if below is not None:
+            points, ptr, face = keep_off(points, ptr, face, below, radius, config.tolerance)
+            normal = below.look(points, face)[1]
+        curves = YarnCurves(points, ptr, np.full(paths.number, radius), paths.kind, paths.names, normal)
+        facts = {
+            "links": float(len(laid.status)),
+            "repaired": float((laid.status == LIES).sum()),
+            "lost": float((laid.status == LOST).sum()),
+            "points": float(len(points)),
+            **measure(curves, below, radius, face, max(3, 1 + -(-CHECKED // (PIECES * number)))),
+        }
+        return Outcome(facts, curves, {"face": face})
+
+
+def smooth(
+    paths: Paths, laid: Repaired, x: Float, skin: Skin | None, radius: float, curl: float, number: int
+) -> tuple[Float, NDArray[np.int64], Int]:
+    """Curves as points (m, 3) and ptr (y + 1,), every link in PIECES of `number` points; and faces near them (m,)."""
+    net = find_net(paths, len(x))
+    normal = vertex_normals(net, x) if skin is None else skin.look(x)[1]
+    width = find_widths(net, x, curl, radius)
+    points, level, ptr = lay_loops(paths, net, x, middles(laid), find_axes(net, x, normal), width)
+    near = spread(laid.face[laid.vertex >= 0], paths.ptr, PIECES)
+    if skin is None:
+        points = points + radius * (level - 1.0)[:, None] * _between(paths, ptr, normal)
+    else:
+        points, near = lift(points, level, near, skin, radius)
+    sampled, first = sample_curves(points, ptr, paths.rings, number)
+    return sampled, first, spread(near, ptr, number)
+
+
+def spread(values: Int, ptr: NDArray[np.int64], number: int) -> Int:
+    """Every value of a yarn's points `number` times, but for that of its last point."""
+    count = np.full(len(values), number)
+    count[ptr[1:] - 1] = 1
+    return np.repeat(values, count)
+
+
+def vertex_normals(net: Net, x: Float) -> Float:
+    """(n, 3) unit normals of the knit's face; where a point has no turn that of its neighbours.
+
+    Raises BadInput for a net that is not finite.
+    """
+    if not np.isfinite(x[net.points]).all():
+        raise BadInput("yarns that are not finite have no curves", field="x")
+    normal = face_of_knit(net, x)
+    beside = net.sums(normal[np.concatenate([net.end, net.start])], len(x))
+    return to_unit(np.where(normal.any(axis=1, keepdims=True), normal, beside))
+
+
+def middles(laid: Repaired) -> Float:
+    """(s, 3) places half way along every link [m]."""
+    step = np.linalg.norm(np.diff(laid.points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    first = laid.first[:-1]
+    owner = np.flatnonzero(laid.vertex >= 0)
+    end = owner[np.searchsorted(owner, first) + 1]
+    half = 0.5 * (along[first] + along[end])
+    piece = np.clip(np.searchsorted(along, half, side="right") - 1, first, end - 1)
+    share = np.divide(half - along[piece], step[piece], out=np.zeros_like(half), where=step[piece] > 0.0)
+    share = np.clip(share, 0.0, 1.0)[:, None]
+    return np.asarray(laid.points[piece] + share * (laid.points[piece + 1] - laid.points[piece]))
+
+
+def _between(paths: Paths, ptr: NDArray[np.int64], normal: Float) -> Float:
+    """(c, 3) normals at the points of loops: those of turns at the net's points, and between these in between."""
+    own = normal[paths.vertex]
+    steps = paths.steps
+    near, far = own[steps], own[steps + 1]
+    found = np.empty((int(ptr[-1]), 3))
+    inside = np.ones(len(found), bool)
+    inside[ptr[1:] - 1] = False
+    found[inside] = np.stack([near, near, to_unit(near + far), far], axis=1).reshape(-1, 3)
+    found[~inside] = own[paths.ptr[1:] - 1]
+    return found
+
+
+def lift(points: Float, level: NDArray[np.int8], near: Int, skin: Skin, radius: float) -> tuple[Float, Int]:
+    """Points of loops at their heights above the skin, and the faces below them; `near` are faces near them."""
+    found, normal = skin.look(points, near)
+    height = np.maximum(found.distance, radius) + radius * level
+    raised = points + (height - found.distance)[:, None] * normal
+    return skin.raise_to(raised, radius * (1.0 + level.astype(np.float64)), found.face)
+
+
+def keep_off(
+    points: Float, ptr: NDArray[np.int64], near: Int, skin: Skin, radius: float, tolerance: float
+) -> tuple[Float, NDArray[np.int64], Int]:
+    """Polylines whose samples are at least `radius` [m] off the skin, to `tolerance` [m], and the faces below (m,).
+
+    A piece whose ends lie as high above the plane of one face cannot dip: that height is linear along it.
+    """
+    points, face = skin.raise_to(points, np.full(len(points), radius), near)
+    last = np.zeros(len(points), bool)
+    last[ptr[1:] - 1] = True
+    low = np.einsum("ni,ni->n", points - skin.vertices[skin.faces[face, 0]], skin.facing[face]) < radius - tolerance
+    doubtful = np.flatnonzero(~last[:-1] & ((face[1:] != face[:-1]) | low[1:] | low[:-1]))
+    share = (np.arange(INNER) + 1.0) / (INNER + 1.0)
+    for _ in range(DIVISIONS):
+        a, b = points[doubtful][:, None], points[doubtful + 1][:, None]
+        inner = a + share[:, None] * (b - a)
+        height = skin.look(inner.reshape(-1, 3), np.repeat(face[doubtful], INNER))[0].distance.reshape(-1, INNER)
+        low = height.min(axis=1) < radius - tolerance
+        if not low.any():
+            break
+        at = doubtful[low]
+        new = inner[low, height[low].argmin(axis=1)]
+        new, below = skin.raise_to(new, np.full(len(new), radius), face[at])
+        points, face = np.insert(points, at + 1, new, axis=0), np.insert(face, at + 1, below)
+        ptr = ptr + np.searchsorted(at, ptr, side="left")
+        grown = at + np.arange(len(at))
+        doubtful = np.sort(np.concatenate([grown, grown + 1]))
+    return points, ptr, face

@@ -1,0 +1,199 @@
+"""Yarns as smooth curves: through their points without kinks, legs over arcs, apart from each other, off the skin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from knit_bodies import brute_depths, knit, samples, wrapped
+
+from nuno_kernels.closest_point import closest_points
+from nuno_kernels.leg import leg_mesh
+from nuno_kernels.mesh_file import read_closed
+from nuno_kernels.surface_tree import build_tree
+from nuno_knit.paths import find_paths
+from nuno_knit.repair import CHECKED
+from nuno_knit.smooth import PIECES, Smooth, SmoothConfig
+from nuno_knit.spline import sample_curves
+from nuno_schemas.curves import YarnCurves
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int, State
+from nuno_schemas.plugin import Surface
+
+DEEPEST = 1e-5
+"""The bar [m]."""
+RADIUS = 4e-5
+ASIDE = np.array([1.3e-8, 0.7e-8, 0.0])
+RNG = np.random.default_rng(5)
+
+
+def smooth(fabric: Fabric, x: Float, skin: Surface | None = None, **config: Any) -> YarnCurves:
+    made = Smooth().apply(
+        SmoothConfig.model_validate({"radius": RADIUS} | config), fabric, State(x, 0.0 * x, 0.0), skin
+    )
+    assert made.curves is not None
+    return made.curves
+
+
+def stretched(form: str, wales: int, courses: int, across: float, up: float) -> tuple[Fabric, Float]:
+    fabric = knit(form, wales, courses)
+    return fabric, fabric.position * np.array([across, up, across if form == "tube" else 1.0])
+
+
+def one_curve(points: Float, ring: bool, number: int) -> Float:
+    return sample_curves(points, np.array([0, len(points)]), np.array([ring]), number)[0]
+
+
+@pytest.mark.parametrize("ring", [False, True])
+def test_curves_pass_through_their_points(ring: bool) -> None:
+    points = RNG.normal(size=(9, 3))
+    points[-1] = points[0] if ring else points[-1]
+    assert np.array_equal(one_curve(points, ring, 5)[::5], points)
+
+
+@pytest.mark.parametrize("ring", [False, True])
+def test_directions_are_continuous_also_where_a_ring_closes(ring: bool) -> None:
+    """The angle between pieces at a point vanishes as pieces grow short: of first order, by bounded curvature."""
+    points = RNG.normal(size=(8, 3))
+    points[-1] = points[0] if ring else points[-1]
+    worst = []
+    for number in (256, 1024, 4096, 16384):
+        step = np.diff(one_curve(points, ring, number), axis=0)
+        step /= np.linalg.norm(step, axis=1)[:, None]
+        at = number * np.arange(1, len(points) - 1)
+        before, after = step[at - 1], step[at]
+        if ring:
+            before, after = np.concatenate([before, step[-1:]]), np.concatenate([after, step[:1]])
+        worst.append(float(np.linalg.norm(after - before, axis=1).max()))
+    order = np.polyfit(np.log([256, 1024, 4096, 16384]), np.log(worst), 1)[0]
+    assert order == pytest.approx(-1.0, abs=0.1)
+
+
+def test_curves_turn_and_grow_with_their_points() -> None:
+    points, turn = RNG.normal(size=(7, 3)), np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    moved = 3.0 * points @ turn.T + np.array([1.0, -2.0, 0.5])
+    expected = 3.0 * one_curve(points, False, 6) @ turn.T + np.array([1.0, -2.0, 0.5])
+    assert np.allclose(one_curve(moved, False, 6), expected, atol=1e-12)
+
+
+def test_points_on_a_line_make_a_straight_curve_that_never_turns_back() -> None:
+    share = np.array([0.0, 0.01, 0.02, 0.5, 0.51, 1.0])
+    along = np.array([1.0, 2.0, -2.0])
+    curve = one_curve(share[:, None] * along, False, 20)
+    assert np.allclose(np.cross(curve, along), 0.0, atol=1e-14)
+    assert (np.diff(curve @ along) > 0.0).all()
+
+
+def crossings(curves: YarnCurves, number: int) -> list[tuple[bool, bool, bool, float]]:
+    """Every crossing of two courses seen from +z: whether the upper piece is a leg's, whether the lower is, whether the
+    lower course's is above, and the height between them [m].
+
+    Yarns cross where both have a point: one is moved aside by a little, so that pieces cross between their ends.
+    """
+    first, yarn = curves.segments(), curves.yarn()
+    a, b = curves.points[first], curves.points[first + 1]
+    link = (first - curves.ptr[yarn[first]]) // number
+    courses = np.diff(curves.ptr) > number + 1
+    found = []
+    for i in np.flatnonzero(courses[yarn[first]]):
+        after = np.flatnonzero((yarn[first] == yarn[first[i]] + 1) & courses[yarn[first]])
+        d, e, f = b[i] - a[i], b[after] - a[after], a[after] + ASIDE - a[i]
+        cross = d[0] * e[:, 1] - d[1] * e[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = (f[:, 0] * e[:, 1] - f[:, 1] * e[:, 0]) / cross
+            t = (f[:, 0] * d[1] - f[:, 1] * d[0]) / cross
+        for k in np.flatnonzero((s >= 0.0) & (s < 1.0) & (t >= 0.0) & (t < 1.0)):
+            height = (a[i] + s[k] * d - a[after[k]] - t[k] * e[k])[2]
+            low, high = bool(link[i] % 2 == 0), bool(link[after[k]] % 2 == 0)
+            found.append((low if height > 0.0 else high, high if height > 0.0 else low, height > 0.0, abs(height)))
+    return found
+
+
+@pytest.mark.parametrize("stretch", [(1.0, 1.0), (0.8, 1.4), (1.5, 0.9)])
+def test_legs_lie_over_heads_and_sinkers(stretch: tuple[float, float]) -> None:
+    """The face of plain knit. Every point of two courses is two crossings; at a panel's edges, where the upper course's
+    yarn begins and ends, it is one.
+    """
+    wales, courses = 3, 4
+    fabric, x = stretched("panel", wales, courses, *stretch)
+    found = crossings(smooth(fabric, x, samples=16), 16)
+    assert len(found) == (courses - 1) * (2 * (2 * wales - 2) + 2)
+    assert all(upper and not lower for upper, lower, _, _ in found)
+    # The lower course's legs pass over sinkers, the upper course's over heads: half each, but at the edges.
+    assert sum(below for _, _, below, _ in found) == (courses - 1) * (2 * wales - 2)
+    assert min(height for _, _, _, height in found) == pytest.approx(2.0 * RADIUS, rel=0.05)
+
+
+@pytest.mark.parametrize("stretch", [(1.0, 1.0), (0.8, 1.4), (1.5, 0.9)])
+def test_yarns_touch_but_do_not_pass_through_each_other(stretch: tuple[float, float]) -> None:
+    fabric, x = stretched("panel", 3, 4, *stretch)
+    curves = smooth(fabric, x, samples=32)
+    yarn, nearest = curves.yarn(), np.inf
+    for y in range(4):
+        own, others = curves.points[yarn == y], curves.points[yarn != y]
+        nearest = min(nearest, np.linalg.norm(own[:, None] - others, axis=-1).min())
+    assert nearest > 1.95 * RADIUS
+
+
+def test_on_a_tube_legs_are_outside() -> None:
+    fabric, x = stretched("tube", 12, 4, 1.0, 1.0)
+    curves = smooth(fabric, x, samples=16)
+    paths = find_paths(fabric)
+    course = curves.points[curves.ptr[0] : curves.ptr[1]]
+    assert np.array_equal(course[0], course[-1]) and paths.rings[0]
+    out = np.hypot(course[:-1, 0], course[:-1, 2]).reshape(-1, 2, 16)
+    assert (out[:, 0, 8] > out[:, 1, 8] + 1.9 * RADIUS).all()
+
+
+def test_without_curl_curves_pass_through_the_net() -> None:
+    fabric, x = stretched("panel", 3, 3, 1.0, 1.0)
+    curves, paths = smooth(fabric, x, samples=8, curl=0.0), find_paths(fabric)
+    step = curves.points[:, None] - x[paths.vertex]
+    assert np.linalg.norm(step, axis=-1).min(axis=0).max() < 1e-15
+
+
+@pytest.mark.parametrize("wanted", [4, 9, 12])
+def test_links_have_as_many_points_as_asked_for(wanted: int) -> None:
+    fabric, x = stretched("tube", 4, 3, 1.0, 1.0)
+    assert fabric.springs is not None and fabric.yarns is not None
+    points = PIECES * int(np.ceil(wanted / PIECES))
+    assert len(smooth(fabric, x, samples=wanted).points) == points * fabric.springs.number + fabric.yarns.number
+
+
+def off_skin(curves: YarnCurves, x: Float, faces: Int) -> float:
+    """How far the deepest sample lies below a radius above the skin [m]."""
+    found = closest_points(build_tree(x, faces), samples(curves.points, curves.ptr, 6))
+    return float(curves.radius[0] - found.distance.min())
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.12, 0.7), (0.01, 0.7)])
+def test_no_sample_lies_in_the_leg(low: float, high: float) -> None:
+    """Yarns of a radius, not lines: what is in the way is the skin moved out by it."""
+    x, faces = leg_mesh(96)
+    points = wrapped(x, faces, 100, 100, low, high, 0.13)
+    assert off_skin(smooth(knit("tube", 50, 99), points, Surface(x, faces)), x, faces) < DEEPEST
+
+
+@pytest.mark.parametrize("name", ["leg.obj", "body.obj"])
+def test_no_sample_lies_in_a_real_leg(name: str, shared_data: Path) -> None:
+    x, faces = read_closed(shared_data / name)
+    points = wrapped(x, faces, 60, 60, 0.1, 0.7, 0.09, x[x[:, 0] > 0.0])
+    assert off_skin(smooth(knit("tube", 30, 59), points, Surface(x, faces)), x, faces) < DEEPEST
+
+
+def test_no_sample_lies_in_the_leg_by_brute_force() -> None:
+    x, faces = leg_mesh(12)
+    points = wrapped(x, faces, 4, 4, 0.1, 0.7, 0.13)
+    curves = smooth(knit("tube", 2, 3), points, Surface(x, faces), samples=CHECKED)
+    assert brute_depths(samples(curves.points, curves.ptr, 3), x, faces).max() < -RADIUS + DEEPEST
+
+
+def test_a_net_that_is_not_finite_is_refused() -> None:
+    fabric, x = stretched("panel", 2, 2, 1.0, 1.0)
+    x[3, 1] = np.nan
+    skin = Surface(*leg_mesh(12))
+    for below in (None, skin):
+        with pytest.raises(BadInput, match="finite"):
+            smooth(fabric, x, below)
