@@ -45,9 +45,10 @@ class Threads(NamedTuple):
     colour: Float
 
 
-def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str) -> Skin:
-    """All bodies as one, in `colour` where they bring none; faces with a vertex that is not finite are left out.
+def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces: bool = False) -> Skin:
+    """All bodies as one, in `colour` where they bring none.
 
+    Faces with a vertex that is not finite are left out, or, to `keep_faces` as they are numbered, are points.
     Raises BadInput for arrays of the wrong shape and for face indices out of range.
     """
     for number, mesh in enumerate(bodies):
@@ -57,7 +58,8 @@ def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str) -> Skin:
     moved = [mesh.faces + start for mesh, start in zip(bodies, starts, strict=False)]
     faces = np.concatenate([np.zeros((0, 3), np.int32), *moved]).astype(np.int32)
     finite: Bool = np.logical_and.reduce(np.isfinite(x), axis=1)
-    faces = np.ascontiguousarray(faces[finite[faces].all(axis=1)])
+    drawn: Bool = np.logical_and.reduce(finite[faces], axis=1)
+    faces = np.where(drawn[:, None], faces, 0) if keep_faces else np.ascontiguousarray(faces[drawn])
     x = np.where(finite[:, None], x, 0.0)
     plain = parse_hex(colour)
     own = [np.tile(plain, (len(m.vertices), 1)) if m.colours is None else np.asarray(m.colours) for m in bodies]
@@ -77,7 +79,7 @@ def gather_threads(yarns: YarnCurves, origin: Float, radius: float | None, colou
         first = int(np.argmax(bad))
         raise BadInput(
             "a yarn without thickness cannot be seen", field=f"yarns.radius[{first}]", value=float(thick[first]),
-            limit="more than 0 m", remedy="give all yarns a radius, for example --radius 0.1mm",
+            limit="more than 0 m", remedy="give yarns a radius, or the picture one for all: radius: 0.1 mm",
         )  # fmt: skip
     points = np.asarray(yarns.points, np.float64) - origin
     pieces = yarns.segments()

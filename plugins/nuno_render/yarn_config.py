@@ -42,7 +42,9 @@ class CastConfig(Config):
     shadows: bool = Field(default=True, description="whether the key light casts them")
     occlusion: bool = Field(default=True, description="whether yarns and bodies hide the sky")
     skin: Colour = Field(default=SKIN, description="of bodies that bring no colour of their own, sRGB")
-    caption: str = Field(default="", max_length=200, description="written in the lower left corner")
+    caption: str | None = Field(
+        default=None, max_length=200, description="in the lower left corner; left out: the scene's name and the time"
+    )
 
 
 class YarnsConfig(CastConfig):
@@ -70,6 +72,22 @@ class LinesConfig(CastConfig):
     width: float = Field(default=1.0, gt=0.0, le=64.0, description="of a line at the camera's target [pixels]")
     colour: Colour = Field(default="#2b2320", description="of the lines, sRGB")
     shadows: bool = Field(default=True, description="whether bodies cast them; lines cast none")
+
+
+class MapConfig(CastConfig):
+    """Settings of the pictures `map`."""
+
+    low: float | None = Field(
+        default=None, allow_inf_nan=False, description="value of the dark end; left out: the least that is seen"
+    )
+    high: float | None = Field(
+        default=None, allow_inf_nan=False, description="value of the bright end; left out: the largest that is seen"
+    )
+    radius: Thickness | None = Field(
+        default=None,
+        description="how near points count at a place of the surface [m]; left out: five times the mean link",
+    )
+    samples: int = Field(default=4, ge=1, le=64, description="rays per pixel")
 
 
 def grid_of(samples: int) -> tuple[int, int]:

@@ -37,11 +37,12 @@ class Yarns:
 
     name: ClassVar[str] = "yarns"
     Config: ClassVar[type[BaseModel]] = YarnsConfig
+    curves: ClassVar[bool] = True
 
     def draw(self, config: YarnsConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB, the same bytes with any number of threads. Raises as `radiance`."""
         light = radiance(config, worn, camera, progress)
-        return annotate(encode_picture(light[..., :3]), config.caption, None)
+        return annotate(encode_picture(light[..., :3]), config.caption or "", None)
 
 
 class Lines:
@@ -49,6 +50,7 @@ class Lines:
 
     name: ClassVar[str] = "lines"
     Config: ClassVar[type[BaseModel]] = LinesConfig
+    curves: ClassVar[bool] = False
 
     def draw(self, config: LinesConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB, the same bytes with any number of threads. Raises BadInput."""
@@ -59,7 +61,7 @@ class Lines:
         shared = config.model_dump(include=set(CastConfig.model_fields))
         plain = YarnsConfig(**shared, colour=config.colour, translucency=0.0)
         light = radiance(plain, flat, camera, progress, flat=True)
-        return annotate(encode_picture(light[..., :3]), config.caption, None)
+        return annotate(encode_picture(light[..., :3]), config.caption or "", None)
 
 
 def straight(worn: Worn, radius: float) -> YarnCurves:
@@ -67,8 +69,8 @@ def straight(worn: Worn, radius: float) -> YarnCurves:
     count = len(worn.links)
     points = worn.points[worn.links].reshape(-1, 3)
     ptr = 2 * np.arange(count + 1, dtype=np.int64)
-    kind = np.asarray(worn.kind, np.int32)
-    return YarnCurves(points, ptr, np.full(count, radius), kind, worn.yarns.names, np.zeros_like(points))
+    kind = np.zeros(count, np.int32)
+    return YarnCurves(points, ptr, np.full(count, radius), kind, ("yarn",), np.zeros_like(points))
 
 
 def radiance(
@@ -86,7 +88,7 @@ def radiance(
     thickness, arrays of the wrong shape, and where there are no yarns.
     """
     basis = check_camera(camera)
-    if not worn.yarns.number:
+    if worn.yarns is None or not len(worn.yarns.points):
         raise BadInput("there are no yarns to draw", remedy="draw a knit, or leave the style out")
     check_eye(worn.bodies, camera)
     # Everything is relative to the target, so that a scene far from the origin keeps its digits.

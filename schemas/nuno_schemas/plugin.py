@@ -34,7 +34,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
     "nuno.dye_solvers": "spread dye in a cloth over time",
     "nuno.dye_pictures": "draw dyed cloth: yarns, photograph",
-    "nuno.yarn_pictures": "draw knits on bodies: yarns, lines",
+    "nuno.yarn_pictures": "draw knits on bodies: yarns, lines, density, map",
     "nuno.isotherms": "how much dye fibre fixes: partition, freundlich, langmuir",
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 from pydantic import BaseModel
 
@@ -18,21 +18,34 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
+class SurfaceValues:
+    """Numbers to be shown as colours on bodies.
+
+    values (n,)  of the points that are worn, of the vertices, or of the faces of all bodies in their order; NaN: none
+    label        what they are, with their unit
+    """
+
+    on: Literal["points", "vertices", "faces"]
+    values: Float
+    label: str
+
+
+@dataclass(frozen=True)
 class Worn:
     """Knits and the bodies that wear them, z up.
 
     bodies          closed where they are one-sided; one that brings no colours is skin
-    yarns           as curves
     points (n, 3)   where yarns cross, the paper's mass points [m]
     links  (l, 2)   int32, points that a piece of yarn joins
-    kind   (l,)     int32, of the yarn of each link, as in yarns.kind
+    yarns           as curves; None for a plugin that draws none
+    values          None for a plugin that shows none
     """
 
     bodies: tuple[Mesh, ...]
-    yarns: YarnCurves
     points: Float
     links: Int
-    kind: Int
+    yarns: YarnCurves | None = None
+    values: SurfaceValues | None = None
 
 
 class YarnPicture(Protocol):
@@ -40,6 +53,8 @@ class YarnPicture(Protocol):
 
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
+    curves: ClassVar[bool]
+    """Whether it draws yarns as curves; to make them takes time."""
 
     def draw(self, config: Any, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB picture, the same bytes however many threads draw it.

@@ -26,7 +26,7 @@ def worn(yarns, *bodies):
     """Yarns on bodies, whose links are the pieces of the curves."""
     first = yarns.segments()
     links = np.stack([first, first + 1], axis=1).astype(np.int32)
-    return Worn(bodies, yarns, yarns.points, links, yarns.kind[yarns.yarn()[first]])
+    return Worn(bodies, yarns.points, links, yarns)
 
 
 def parallel(spacing, radius, half=2.0, height=0.0, axis=1, pieces=7):
