@@ -17,6 +17,7 @@ from numba import prange
 
 from nuno_dye.adsorption import adsorb_both
 from nuno_dye.diffusion import LEFT, Rows, renew_ghosts, slide
+from nuno_dye.potential import potentials
 from nuno_dye.upkeep import keep_both
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.simd import WIDTH, load, splat, store
@@ -51,15 +52,17 @@ class DyeBands(NamedTuple):
 
 
 @kernel
-def flux_row(phi: Any, along: Any, down: Any, across: Any, rolling: Any, base: int, row: int) -> None:
+def flux_row(phi: Any, along: Any, down: Any, across: Any, curve: Any, rolling: Any, base: int, row: int) -> None:
     """Fluxes of a row's faces into its slot: to the right and down in either layer, and between them."""
     other, slot = row + across.shape[0], base + SLOT * (row % 4)
     for c in range(LEFT, phi.shape[1] - WIDTH, WIDTH):
-        phi_0, phi_1 = load(phi, row, c), load(phi, other, c)
-        store(rolling, slot, c, load(along, row, c) * (load(phi, row, c + 1) - phi_0))
-        store(rolling, slot + 1, c, load(along, other, c) * (load(phi, other, c + 1) - phi_1))
-        store(rolling, slot + 2, c, load(down, row, c) * (load(phi, row + 1, c) - phi_0))
-        store(rolling, slot + 3, c, load(down, other, c) * (load(phi, other + 1, c) - phi_1))
+        phi_0, phi_1 = potentials(load(phi, row, c), curve), potentials(load(phi, other, c), curve)
+        right_0, right_1 = potentials(load(phi, row, c + 1), curve), potentials(load(phi, other, c + 1), curve)
+        down_0, down_1 = potentials(load(phi, row + 1, c), curve), potentials(load(phi, other + 1, c), curve)
+        store(rolling, slot, c, load(along, row, c) * (right_0 - phi_0))
+        store(rolling, slot + 1, c, load(along, other, c) * (right_1 - phi_1))
+        store(rolling, slot + 2, c, load(down, row, c) * (down_0 - phi_0))
+        store(rolling, slot + 3, c, load(down, other, c) * (down_1 - phi_1))
         store(rolling, slot + 4, c, load(across, row, c) * (phi_1 - phi_0))
 
 
@@ -136,7 +139,7 @@ def move_row(phi: Any, rolling: Any, base: int, row: int, r: int) -> None:
 @kernel
 def pass_over_dye(
     levels: int, phi: Any, along: Any, down: Any, across: Any, mobile: Any, rolling: Any,
-    first: int, last: int, up: int, low: int, uptake: Any, upkeep: Any, n: int,
+    first: int, last: int, up: int, low: int, uptake: Any, upkeep: Any, curve: Any, n: int,
 ) -> None:  # fmt: skip
     """`levels` steps of band `n`: rows are adsorbed two ahead, their fluxes and factors known one ahead."""
     r = across.shape[0]
@@ -149,7 +152,7 @@ def pass_over_dye(
                 if uptake is not None:
                     adsorb_both(phi, uptake, n, LEFT, ahead, r)
                 if ahead > start - 2:
-                    flux_row(phi, along, down, across, rolling, base, ahead - 1)
+                    flux_row(phi, along, down, across, curve, rolling, base, ahead - 1)
                 if ahead >= start:
                     factor_row(phi, mobile, rolling, base, ahead - 1, r)
             if start - 1 <= row <= stop:
@@ -161,21 +164,21 @@ def pass_over_dye(
 
 
 @parallel_kernel
-def pass_dye_bands(levels: int, bands: Any, uptake: Any, upkeep: Any) -> None:
+def pass_dye_bands(levels: int, bands: Any, uptake: Any, upkeep: Any, curve: Any) -> None:
     """`levels` steps of all bands."""
     for n in prange(bands.phi.shape[0]):
         pass_over_dye(
             levels, bands.phi[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n], bands.rolling[n],
             bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1],
-            uptake, upkeep, n,
+            uptake, upkeep, curve, n,
         )  # fmt: skip
 
 
 @kernel
-def dye(steps: int, bands: Any, uptake: Any, upkeep: Any) -> None:
-    """`steps` steps, LEVELS of them in a pass; `uptake` and `upkeep` may be None."""
+def dye(steps: int, bands: Any, uptake: Any, upkeep: Any, curve: Any) -> None:
+    """`steps` steps, LEVELS of them in a pass; `uptake`, `upkeep` and `curve` may be None."""
     for done in range(0, steps, LEVELS):
-        pass_dye_bands(min(LEVELS, steps - done), bands, uptake, upkeep)
+        pass_dye_bands(min(LEVELS, steps - done), bands, uptake, upkeep, curve)
         renew_ghosts(bands, bands.phi, 2 * LEVELS)
         if uptake is not None:
             renew_ghosts(bands, uptake.fixed, 2 * LEVELS)

@@ -23,6 +23,7 @@ from nuno_dye.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.diffusion import GHOST, Bands, diffuse
 from nuno_dye.dyeing import LEVELS, DyeBands, dye
 from nuno_dye.faces import face_sums, face_values
+from nuno_dye.potential import curve_of
 from nuno_dye.solving import (
     Known,
     adsorbs,
@@ -75,8 +76,8 @@ class Explicit:
         return Memory({"highest": largest_amounts(state)}, Work(know(system)))
 
     def limit(self, config: ExplicitConfig, system: DyeSystem) -> float:
-        """D0 dt / size^2 times the largest sum of P T over a cell's faces is 1 there."""
-        most = float(face_sums(face_values(system.cells)).max()) * max(one.D0 for one in system.dyes)
+        """The most that D0 g comes to, times dt / size^2 and the largest sum of P T over a cell's faces, is 1 there."""
+        most = float(face_sums(face_values(system.cells)).max()) * max(one.D0 * one.steepest for one in system.dyes)
         return system.cells.size**2 / most if most > 0.0 else float(np.inf)
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
@@ -130,8 +131,8 @@ def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, hig
     """
     system, phi, fixed = work.known.system, state.phi[k], state.fixed[k]
     one, cells = system.dyes[k], system.cells
-    scale = one.D0 * dt / cells.size**2
-    limited = not highest <= work.known.room or scale * work.known.most > 1.0
+    scale, curve = one.D0 * dt / cells.size**2, curve_of(one)
+    limited = not highest <= work.known.room or scale * work.known.most > 1.0 or curve is not None
     cut = Cut(phi.shape, count_bands(system), 2 * LEVELS if limited else GHOST)
     bands = _layout(work, k, limited, dt, scale, cut.number)
     uptake, upkeep = _uptake(work, k, cut, scale), _upkeep(work, k, cut)
@@ -141,7 +142,10 @@ def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, hig
             _adsorb(phi, fixed, cells, one.adsorption * scale, function)
         bands = bands._replace(phi=cut.fill(phi)[0])
         uptake = uptake and uptake._replace(fixed=cut.fill(fixed)[0])
-        (dye if limited else diffuse)(count, bands, uptake, upkeep)
+        if limited:
+            dye(count, bands, uptake, upkeep, curve)
+        else:
+            diffuse(count, bands, uptake, upkeep)
         read_bands(bands, bands.phi, phi)
         if uptake is not None:
             read_bands(bands, uptake.fixed, fixed)

@@ -28,6 +28,7 @@ from nuno_dye.bands import Cut
 from nuno_dye.diffusion import LEFT, Rows
 from nuno_dye.implicit_cell import Fibre, hold_back
 from nuno_dye.implicit_sweep import Stage, relax, settle
+from nuno_dye.potential import Curve, curve_of, raise_levels
 from nuno_dye.repair import repair
 from nuno_dye.rkl2_stage import Weights
 from nuno_dye.solving import (
@@ -84,12 +85,13 @@ class Work:
 
 @dataclass
 class Spread:
-    """One dye while it is advanced: its floor, whether limits may bind, and the residual allowed [amounts]."""
+    """One dye while it is advanced: its floor, whether limits may bind, and how its D falls with it."""
 
     one: Dye
     floor: Float | None
     limited: bool
     totals: dict[str, int]
+    curve: Curve | None = None
     given: list[float] = field(default_factory=list)
     residual: float = 0.0
     """The last that was too large."""
@@ -120,7 +122,7 @@ class Implicit:
         totals, given, message = {"steps": steps, "sweeps": 0, "damped": 0, "halvings": 0}, [], ""
         for k, one in enumerate(system.dyes):
             limited = not float(highest[k]) <= work.known.room
-            spread = Spread(one, _floor(work, k), limited, totals)
+            spread = Spread(one, _floor(work, k), limited, totals, curve_of(one))
             failed = _advance_one(work, spread, state.phi[k], state.fixed[k], steps, dt, fresh)
             given.append(math.fsum(spread.given))
             message = message or failed
@@ -176,7 +178,7 @@ def _advance_one(work: Work, spread: Spread, phi: Float, fixed: Float, steps: in
     amounts = cut.fill(phi)[0][0], cut.fill(fixed)[0][0]
     failed, shares = "", np.ones(steps)
     if fresh:
-        doublings = max(0, math.ceil(math.log2(max(scale * work.known.most, 1.0))))
+        doublings = max(0, math.ceil(math.log2(max(scale * work.known.most * spread.one.steepest, 1.0))))
         shares = np.concatenate([[0.5**doublings], 0.5 ** np.arange(doublings, 0, -1.0), shares[1:]])
     for share in shares:
         after = _step(work, spread, amounts, float(share) * scale, 0)
@@ -245,24 +247,25 @@ def _stage(
     given: list[float] | None,
 ) -> tuple[Float, Float] | None:  # fmt: skip
     """Mobile and fixed dye after a stage, None where it fails; `start` is what the step starts from."""
-    weights, most, cut = _weights(work, scale), np.maximum(work.mobile, start[0]), work.cut
+    weights, most, cut, curve = _weights(work, scale), np.maximum(work.mobile, start[0]), work.cut, spread.curve
     kind, first, second = law_of(spread.one)
     fibre = Fibre(start[1], begun[1], work.fibre, spread.one.adsorption * scale, kind, first, second) if kind else None
     guess = np.clip(begun[0], 0.0, most)
     if spread.floor is not None:
         np.maximum(guess, spread.floor, out=guess)
-    stage = Stage(guess, np.ones_like(guess), begun[0])
-    ways = scale * work.known.most
-    largest = float(guess.max())
+    largest, ways = float(guess.max()), scale * work.known.most * spread.one.steepest
+    floor = spread.floor if spread.floor is None else _levels(spread.floor, curve)
+    limits = _levels(most, curve) if spread.limited else None
+    stage = Stage(_levels(guess, curve), np.ones_like(guess), begun[0])
     bound = max(work.config.residual, ROUNDING * (1.0 + ways)) * largest
-    sweeps, limits = int(SWEEPS + SWEEPS_MORE * math.sqrt(ways)), most if spread.limited else None
+    sweeps, steepest = int(SWEEPS + SWEEPS_MORE * math.sqrt(ways)), ways * _steepest(guess, work, curve)
     count, residual = relax(
-        sweeps, ways / (1.0 + ways), bound, work.cuts, stage, weights, fibre, spread.floor, limits, cut.nx
+        sweeps, steepest / (1.0 + steepest), bound, work.cuts, stage, weights, curve, fibre, floor, limits, cut.nx
     )
     if given is not None:
         spread.totals["sweeps"] += count
     out, held = np.zeros_like(guess), begun[1] if fibre is None else np.zeros_like(guess)
-    settle(out, held, work.cuts, stage, weights, fibre, spread.limited, cut.nx)
+    settle(out, held, work.cuts, stage, weights, curve, fibre, spread.limited, cut.nx)
     if not residual <= bound:
         spread.residual = residual / (largest or 1.0)
         return None
@@ -278,3 +281,19 @@ def _stage(
     elif given is not None:
         given.append(0.0)
     return out, held
+
+
+def _steepest(guess: Float, work: Work, curve: Curve | None) -> float:
+    """The largest D of the cells that can hold dye, as a share of the largest that there can be."""
+    if curve is None:
+        return 1.0
+    return min(1.0, curve.knee / max(float(guess[work.mobile > 0.0].min(initial=np.inf)), curve.knee))
+
+
+def _levels(values: Float, curve: Curve | None) -> Float:
+    """G of amounts in the kernel's layout; the amounts themselves where D is constant."""
+    if curve is None:
+        return values
+    levels = np.empty_like(values)
+    raise_levels(values, curve, levels)
+    return levels

@@ -1,8 +1,8 @@
 """A cell's own equation in an implicit stage: its neighbours are given, its fibre and its limits are not split off.
 
-    phi + (A - A_b) = b + sum over faces g w (phi_j - phi)
+    phi + (A - A_b) = b + sum over faces f w (phi_j - phi)
 
-with weights w, g the factor of the face's receiver, and A what fibre holds at phi:
+with weights w, f the factor of the face's receiver, and A what fibre holds at phi:
 
     A(phi) = max(A_0, min(V_d, A_d(phi), max(A_b, (A_b + rho phi) / (1 + rho))))
 
@@ -20,12 +20,15 @@ import numpy as np
 
 from nuno_dye.adsorption import FREUNDLICH, LANGMUIR, PARTITION
 from nuno_dye.fixing import limit_beside
+from nuno_dye.potential import amount, potential
 from nuno_dye.sums import sum_compensated
 from nuno_kernels import kernel
 from nuno_schemas.fabric import Float
 
 ROUNDS = 40
 """Newton steps for Freundlich's limit at most; four or five do."""
+BENDS = 60
+"""Newton steps at most where D falls with dye; one to eight do."""
 
 
 class Fibre(NamedTuple):
@@ -99,6 +102,26 @@ def solve_cell(total: float, ways: float, fibre: Any, at: int, c: int) -> Any:
     if x > 0.0 and limit_beside(fibre.isotherm, fibre.first, fibre.second, x, room) >= room:
         return x
     return solve_limit(fibre.isotherm, fibre.first, fibre.second, total, ways, room)
+
+
+@kernel
+def solve_level(total: float, ways: float, near: float, curve: Any, fibre: Any, at: int, c: int) -> Any:
+    """The level G(x) with x + (ways - 1) G(x) + A(x) - A_b = total, `near` being a level close to it.
+
+    G is concave and lies below its tangent at any x, of which `solve_cell` knows the root: that root is
+    no greater than the one sought, and from below it each of Newton's steps comes nearer.
+    """
+    if curve is None:
+        return solve_cell(total, ways, fibre, at, c)
+    x, level, through = amount(near, curve), near, ways - 1.0
+    for _ in range(BENDS):
+        slope = curve.cap if not x > curve.knee else curve.phi0 / x
+        before, x = x, solve_cell(total - through * (level - slope * x), 1.0 + through * slope, fibre, at, c)
+        level = potential(x, curve)
+        # What is left is of the order of the step's square.
+        if not abs(x - before) > 1e-8 * abs(x) or max(before, x) <= curve.knee:
+            break
+    return level
 
 
 def hold_back(law: tuple[int, float, float], floor: Float, least: Float, fixed: Float, room: Float) -> float:

@@ -39,6 +39,7 @@ from nuno_dye.solving import (
     law_of,
     make_report,
     require_compiled_laws,
+    require_constant,
     same_cells,
 )
 from nuno_dye.sums import sum_compensated
@@ -105,6 +106,7 @@ class Rkl2:
         the floors that the last step met. Raises BadInput.
         """
         require_compiled_laws(system, self.name)
+        require_constant(system, self.name)
         return Memory({"highest": largest_amounts(state), "met": np.full(2, np.nan)}, _make_work(config, system))
 
     def limit(self, config: Rkl2Config, system: DyeSystem) -> float:

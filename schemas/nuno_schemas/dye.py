@@ -10,10 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from nuno_schemas.dye_picture import Photograph
 from nuno_schemas.fabric import Bool, Float, Int, Memory
+from nuno_schemas.parts import Part
 from nuno_schemas.plugin import Files
 
 
@@ -96,17 +98,42 @@ class Isotherm:
     function: Callable[[Float, Float], Float] | None = None
 
 
+class WeiszZollinger(Part):
+    """Diffusion that is slower where there is more dye: D = D0 P T min(cap, phi0 / phi) (dye paper, equation 4).
+
+    What passes a face follows from the integral of D over phi between its two amounts.
+    """
+
+    phi0: float = Field(gt=0, le=1e6, description="mobile dye at equilibrium; where there is as much, D = D0 P T")
+    cap: float = Field(gt=0, le=1e6, description="the most that phi0 / phi counts as, which has no bound without dye")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _capped(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "cap" not in data:
+            problem = "phi0 / phi has no bound where there is no dye; add a cap, for example cap: 10"
+            raise PydanticCustomError("no_cap", problem)
+        return data
+
+
 @dataclass(frozen=True)
 class Dye:
     """One dye: D0 [m^2/s], its diffusion coefficient in water, and how fibre fixes it.
 
-    `adsorption` is D_ab / D0; where it is 0, or without an isotherm, nothing is fixed.
+    `adsorption` is D_ab / D0; where it is 0, or without an isotherm, nothing is fixed. Without `weisz_zollinger`
+    D = D0 P T; a solver that does not know it refuses it.
     """
 
     name: str
     D0: float
     adsorption: float = 0.0
     isotherm: Isotherm | None = None
+    weisz_zollinger: WeiszZollinger | None = None
+
+    @property
+    def steepest(self) -> float:
+        """The most that D comes to, over D0 P T."""
+        return 1.0 if self.weisz_zollinger is None else self.weisz_zollinger.cap
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from nuno_schemas.dye import WeiszZollinger
 from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Colour, Name, Part
@@ -39,7 +40,6 @@ else:
 
 Vector = tuple[Metres, Metres, Metres]
 Pixels = Annotated[int, Field(ge=16, le=8192)]
-
 
 AUTO = "auto"
 """The solver that is chosen for the scene, with its step."""
@@ -145,6 +145,7 @@ class Dyestuff(Part):
         default=0.0, ge=0, le=1e6, description="D_ab / D0, how fast fibre fixes dye; 0: it fixes none"
     )
     isotherm: Choice | None = Field(default=None, description="how much fibre fixes at most: a plugin and its fields")
+    weisz_zollinger: WeiszZollinger | None = Field(default=None, description="how D falls with dye; else D = D0 P T")
     colour: DyeColour = Field(default=DyeColour(), description="on cloth, in pictures")
 
     @model_validator(mode="after")

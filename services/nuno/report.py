@@ -183,6 +183,8 @@ def _dye(report: Report) -> list[tuple[str, str]]:
             ("" if name != first else "dye", f"{name}: {supplied:.6g} supplied, {mobile} mobile, {fixed} fixed")
         )
         rows += [("", f"  {text}") for text in _given(dye, name)]
+        if slower := dye["weisz_zollinger"].get(name):
+            rows.append(("", f"  D = D0 P T min({slower['cap']:g}, {slower['phi0']:g} / phi)"))
     late = [f"{name} begins at {duration(start)} of the dyeing, after the end" for name, start in dye["ahead"].items()]
     rows += [("not given" if i == 0 else "", text) for i, text in enumerate(late)]
     text = "not finite" if dye["balance"] is None else f"off by at most {dye['balance']:.2g} of what was supplied"

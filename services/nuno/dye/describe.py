@@ -28,7 +28,9 @@ def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
 
 def _dye(one: Dye) -> str:
     law = one.isotherm.kind if one.isotherm is not None and one.adsorption else "nothing is fixed"
-    return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h, {law})"
+    slower = one.weisz_zollinger
+    factor = f" x min({slower.cap:g}, {slower.phi0:g} / phi)" if slower is not None else ""
+    return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h{factor}, {law})"
 
 
 def _object(loaded: Loaded) -> str:

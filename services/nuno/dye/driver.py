@@ -128,6 +128,9 @@ class Driver(Lockstep):
                 "baths": self.baths(),
                 "ahead": dyeing.supplies.ahead(dyeing.frame * dyeing.steps),
                 "seconds": dyeing.time,
+                "weisz_zollinger": {
+                    one.name: one.weisz_zollinger.model_dump() for one in dyeing.system.dyes if one.weisz_zollinger
+                },
             },
         }
 

@@ -68,7 +68,10 @@ class DyeRun:
         self.resisted = False
         """Whether B has changed since the start."""
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
-        dyes = (Dye(one.name, one.D0, one.adsorption, law) for one, law in zip(dye.dyes, laws, strict=True))
+        dyes = (
+            Dye(one.name, one.D0, one.adsorption, law, one.weisz_zollinger)
+            for one, law in zip(dye.dyes, laws, strict=True)
+        )
         self.system = DyeSystem(self.cells, tuple(dyes), self.threads)
         self._keeping = self.system
         """With what is kept up at present. Solvers hold what follows from a system as long as it is the same."""
@@ -91,11 +94,12 @@ class DyeRun:
         self.supplies.begin(self.state.phi, 0)
 
     def _resolved(self, given: Sequence[Supply]) -> float:
-        """Longest step [s] in which cells in a finite bath hand on no more than they hold, d^2 / (2 D0); inf without.
+        """Longest step [s] in which cells in a finite bath hand on no more than they hold, d^2 / (2 D0 g); inf without.
 
         Such a bath meets its cells between steps only: over longer ones it would give too slowly.
         """
-        fastest = max((self.system.dyes[one.dye].D0 for one in given if one.liquor is not None), default=0.0)
+        dyes = [self.system.dyes[one.dye] for one in given if one.liquor is not None]
+        fastest = max((one.D0 * one.steepest for one in dyes), default=0.0)
         return self.cells.size**2 / (2.0 * fastest) if fastest > 0.0 else np.inf
 
     def _prepare(self, supplies: Supplies) -> Memory:

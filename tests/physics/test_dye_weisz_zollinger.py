@@ -1,0 +1,189 @@
+"""Diffusion that falls with dye: closed forms, order, dye kept and in its bounds, D0 cap below the bend."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import fsum
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from test_dye_diffusion import random_cells
+from test_dye_explicit import LAWS, dyed
+from test_dye_step import face_flows, resisted, start
+from test_dye_upkeep import kept
+
+from nuno_dye.explicit import Explicit
+from nuno_dye.implicit import Implicit
+from nuno_dye.potential import Curve, amount, curve_of, potential, potentials
+from nuno_kernels import kernel
+from nuno_kernels.simd import WIDTH, load, store
+from nuno_kernels.simd_log import log
+from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Tortuosity, WeiszZollinger
+from nuno_schemas.fabric import Float
+
+LAW = WeiszZollinger(phi0=0.1, cap=20.0)
+SOLVERS = {"explicit": (Explicit, 1, {}), "sdirk2": (Implicit, 2, {}), "backward_euler": (Implicit, 1, {})}
+
+
+def falling(system: DyeSystem, law: WeiszZollinger = LAW) -> DyeSystem:
+    return replace(system, dyes=tuple(replace(one, weisz_zollinger=law) for one in system.dyes))
+
+
+def run(system: DyeSystem, phi: Float, t: float, steps: int, name: str) -> tuple[DyeState, DyeReport]:
+    """`steps` steps to `t` [s] by a solver; implicit ones are solved nearly to rounding."""
+    kind = SOLVERS[name][0]
+    config: Any = kind.Config() if kind is Explicit else kind.Config(scheme=name, residual=1e-11)
+    solver, state = kind(), DyeState(phi[None].copy(), 0.0 * phi[None])
+    return state, solver.advance(system, state, solver.prepare(config, system, state), steps, t / steps)
+
+
+def limit(system: DyeSystem) -> float:
+    return Explicit().limit(Explicit.Config(), system)  # type: ignore[arg-type]
+
+
+def chain(n: int, law: WeiszZollinger) -> DyeSystem:
+    """Two yarns of n cells, apart."""
+    ones, apart = np.ones((2, 1, n)), Tortuosity(0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    cells = Cells(ones > 0, ones > 0, ones, ones, 0 * ones, 1.0, apart, 10.0)
+    return DyeSystem(cells, (Dye("blue", 1.0, weisz_zollinger=law),))
+
+
+def sources(n: int, mean: float, theta: float) -> Float:
+    """Mean over each of n cells of mean sinh(theta) / (cosh(theta) - cos(pi x / n)); see nuno_bench.laws.dye_spread."""
+    half = 0.5 * np.pi * np.arange(n + 1) / n
+    whole = 2.0 * mean * n / np.pi * np.arctan2(np.sin(half), np.cos(half) * np.tanh(0.5 * theta))
+    return np.broadcast_to(np.diff(whole), (2, 1, n))
+
+
+@kernel
+def find_logs(values: Float, out: Float) -> None:
+    for c in range(0, values.shape[1], WIDTH):
+        store(out, 0, c, log(load(values, 0, c)))
+
+
+def test_logarithms_are_within_two_units_in_the_last_place() -> None:
+    for decades in ((-307.0, 308.0), (-0.2, 0.2), (-1e-9, 1e-9)):
+        values = 10.0 ** np.random.default_rng(1).uniform(*decades, (1, 80_000))
+        out, exact = np.empty_like(values), np.log(values.astype(np.longdouble))
+        find_logs(values, out)
+        error = np.abs(out - exact) / np.spacing(np.abs(exact.astype(np.float64)))
+        assert float(error.max()) <= (2.0 if np.finfo(np.longdouble).nmant > 52 else 3.0)
+
+
+@kernel
+def find_potentials(values: Float, curve: Any, out: Float) -> None:
+    for c in range(0, values.shape[1], WIDTH):
+        store(out, 0, c, potentials(load(values, 0, c), curve))
+
+
+def test_the_potential_is_the_integral_of_the_factor() -> None:
+    curve = curve_of(chain(2, LAW).dyes[0])
+    assert curve == Curve(0.1, 20.0, 0.005)
+    phi = np.concatenate([[-1e-3, 0.0, 0.005], np.linspace(0.0, 0.8, 8001)[1:], np.full(5, np.nan)])
+    levels, vectors = np.array([potential(one, curve) for one in phi]), np.empty((1, phi.size))
+    find_potentials(phi[None], curve, vectors)
+    assert vectors[0] == pytest.approx(levels, rel=1e-15, nan_ok=True)
+    assert [amount(one, curve) for one in levels] == pytest.approx(phi, rel=1e-14, nan_ok=True)
+    middle, rise = 0.5 * (phi[3:-6] + phi[4:-5]), np.diff(levels[3:-5]) / np.diff(phi[3:-5])
+    assert rise == pytest.approx(np.minimum(20.0, 0.1 / middle), rel=2e-3)
+
+
+def test_explicit_steps_equal_a_plain_loop() -> None:
+    cells = replace(random_cells(9, 11), v_max=1e3)
+    phi = np.random.default_rng(2).random(cells.fibre.shape) * (cells.porosity > 0.0)
+    system = falling(dyed(cells, None))
+    ours, _ = run(system, phi, 3 * 0.9 * limit(system), 3, "explicit")
+    scale = 0.9 * limit(system) * system.dyes[0].D0 / cells.size**2
+    for _ in range(3):
+        levels = np.where(phi > 0.005, 0.1 * (1.0 + np.log(np.maximum(phi, 0.005) / 0.005)), 20.0 * phi)
+        for (donor, receiver), flow in face_flows(levels, cells, scale).items():
+            phi[donor] -= flow
+            phi[receiver] += flow
+    assert np.abs(ours.phi[0] - phi).max() < 1e-12
+
+
+@pytest.mark.parametrize(("name", "density"), [("explicit", 0), ("sdirk2", 100)])
+def test_sources_spread_as_the_closed_form_says(name: str, density: int) -> None:
+    """The error falls with the square of the cells' size."""
+    law, mean, errors = WeiszZollinger(phi0=0.1, cap=2.0), 0.5, []
+    for n in (16, 32):
+        duration = 0.9 * mean / (0.1 * (np.pi / n) ** 2)
+        system = chain(n, law)
+        steps = density or int(np.ceil(duration / (0.5 * limit(system))))
+        end, report = run(system, sources(n, mean, 0.3), duration, steps, name)
+        exact = sources(n, mean, 1.2)
+        assert report.status == "ok"
+        errors.append(float(np.abs(end.phi[0] - exact).max() / exact.max()))
+    assert errors[0] < 6e-3 and errors[0] / errors[1] > 3.0
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_it_is_of_the_solvers_order(name: str) -> None:
+    """Against classical Runge-Kutta steps, on the same cells."""
+    n, law = 10, WeiszZollinger(phi0=0.1, cap=2.0)
+    system = chain(n, law)
+    begun, t = sources(n, 0.5, 0.4), 80.0 * limit(system)
+    phi, count = begun[0, 0].copy(), 800
+
+    def rate(u: Float) -> Float:
+        flux = np.diff(0.1 * np.log(u))
+        return np.diff(flux, prepend=0.0, append=0.0)
+
+    for _ in range(count):
+        h = t / count
+        a = rate(phi)
+        b = rate(phi + 0.5 * h * a)
+        c = rate(phi + 0.5 * h * b)
+        phi = phi + h / 6.0 * (a + 2.0 * b + 2.0 * c + rate(phi + h * c))
+    counts = (100, 200, 400) if name == "explicit" else (20, 40, 80, 160)
+    errors = [float(np.abs(run(system, begun, t, steps, name)[0].phi[0, 0, 0] - phi).max()) for steps in counts]
+    assert np.log2(errors[-2] / errors[-1]) == pytest.approx(SOLVERS[name][1], abs=0.15)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_below_the_bend_it_is_the_capped_coefficient(name: str) -> None:
+    cells = resisted(9, 11)
+    system = falling(dyed(cells, LAWS["langmuir"]), WeiszZollinger(phi0=20.0, cap=10.0))
+    plain = dyed(cells, LAWS["langmuir"])
+    plain = replace(plain, dyes=(replace(plain.dyes[0], D0=10.0 * plain.dyes[0].D0, adsorption=0.006),))
+    phi, t = start(cells)[0], 30.0 * limit(system)
+    assert limit(system) == pytest.approx(limit(plain), rel=1e-15)
+    (ours, _), (other, _) = (run(one, phi, t, 40, name) for one in (system, plain))
+    assert np.abs(ours.phi - other.phi).max() < 1e-9 and np.abs(ours.fixed - other.fixed).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("law", [None, "langmuir"])
+def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(name: str, law: str | None) -> None:
+    cells = resisted(12, 13)
+    phi = start(cells)[0]
+    system = replace(falling(dyed(cells, LAWS.get(law or ""), adsorption=0.3)), supply=kept(cells, 0.8))
+    steps = 400 if name == "explicit" else 20
+    end, report = run(system, phi, 300.0 * limit(system), steps, name)
+    total = fsum(phi.reshape(-1)) + fsum(report.supplied)
+    assert report.status == "ok" and report.supplied[0] > 0.0
+    assert abs(report.mobile[0] + report.fixed[0] - total) <= 1e-13 * np.sqrt(steps) * total
+    assert end.phi.min() >= 0.0 and (end.phi[0] <= cells.mobile_room).all()
+    assert end.fixed.min() >= 0.0 and (end.fixed[0] <= cells.fixed_room).all()
+    assert (end.phi >= system.supply).all() and (end.fixed.max() > 0.0) == (law is not None)
+
+
+def test_implicit_steps_come_to_the_explicit_solvers_amounts() -> None:
+    """Limits, supply and fibre all at once, from amounts that jump from cell to cell."""
+    cells = resisted(9, 11)
+    phi = start(cells)[0]
+    system = replace(falling(dyed(cells, LAWS["langmuir"])), supply=kept(cells))
+    t = 120.0 * limit(system)
+    other, _ = run(system, phi, t, 4800, "explicit")
+    gaps = []
+    for steps in (24, 96, 384):
+        ours, _ = run(system, phi, t, steps, "backward_euler")
+        gaps.append(max(np.abs(ours.phi - other.phi).max(), np.abs(ours.fixed - other.fixed).max()))
+    assert gaps[2] < 2e-3 and gaps[0] > 2.0 * gaps[1] > 4.0 * gaps[2]
+
+
+def test_without_a_cap_it_is_refused() -> None:
+    with pytest.raises(ValidationError, match="add a cap"):
+        WeiszZollinger(phi0=0.1)  # type: ignore[call-arg]
