@@ -116,6 +116,11 @@ class Record(Part):
     checkpoint_every: Interval | None = Field(
         default=None, description="interval of float64 checkpoints [s]; the last state is always kept"
     )
+    dye_every: Interval | None = Field(
+        default=None,
+        description="interval of the amounts of dye that are recorded and shown [s], of all frames unless given; "
+        "beside the first, the last and those of checkpoints",
+    )
 
 
 class View(Part):

@@ -242,8 +242,12 @@ class Lockstep(ABC):
             and frame < self.scene.frames
         ):
             self.keep()
-        self.wait_for(frame - WINDOW)
+        self.wait_for(self.shown_until(frame - WINDOW))
         return report
+
+    def shown_until(self, frame: int) -> int:
+        """The last frame up to `frame` that was published whole, and is acknowledged; below 0 for none."""
+        return frame
 
     def wait_for(self, frame: int) -> None:
         """Wait until every service that must see `frame` has. Raises RunFailed for a hung one."""

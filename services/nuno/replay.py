@@ -13,7 +13,18 @@ from nuno.recording.recorded import Recorded
 from nuno.recording.writer import topic_of
 from nuno.service import ack_topic
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import BODIES, CHECKPOINTS, CLOTH, DYE_STATUS, FABRIC, FRAMES, GEOMETRY, STATUSES, Topic
+from nuno_schemas.messages import (
+    BODIES,
+    CHECKPOINTS,
+    CLOTH,
+    CONCENTRATION,
+    DYE_STATUS,
+    FABRIC,
+    FRAMES,
+    GEOMETRY,
+    STATUSES,
+    Topic,
+)
 
 WINDOW = 4
 """Frames that may be out before they are acknowledged."""
@@ -106,7 +117,8 @@ class Replay:
 def _from(recording: Recording, start: float) -> Iterator[Recorded]:
     """All messages from `start` [s] on, after the last of each kind that a viewer needs."""
     if start > recording.span[0]:
-        for name in (FABRIC.name, GEOMETRY.name, BODIES.name, CLOTH.name):
+        rare = recording.scene.get("record", {}).get("dye_every") is not None
+        for name in (FABRIC.name, GEOMETRY.name, BODIES.name, CLOTH.name, *([CONCENTRATION.name] if rare else [])):
             message = recording.last(name, before=start - 1e-9)
             if message is not None:
                 yield message

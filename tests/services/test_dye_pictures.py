@@ -23,6 +23,7 @@ from nuno_dye.picture import YarnsPicture
 from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import DyeColour
+from nuno_schemas.messages import CONCENTRATION
 from nuno_schemas.plugin import Config
 
 NY, NX = 9, 11
@@ -98,7 +99,9 @@ def test_an_animation_has_a_picture_of_every_frame_between_its_ends(recording: P
 
 def test_the_end_of_an_animation_may_be_the_time_of_a_frame() -> None:
     """Times are recorded in nanoseconds, of which 3e7 times 1e-9 is more than 0.03."""
-    frames: Any = SimpleNamespace(path="", marks=lambda: {k * 10_000_000: (k, "") for k in range(2000)})
+    frames: Any = SimpleNamespace(
+        path="", marks=lambda: {k * 10_000_000: (k, "") for k in range(2000)}, counts={CONCENTRATION.name: 2000}
+    )
     for k in range(0, 2000, 3):
         assert choose_amounts(frames, k / 100, k / 100) == [k / 100]
 

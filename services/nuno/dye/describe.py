@@ -67,7 +67,9 @@ def _cost(dyeing: DyeRun, loaded: Loaded) -> list[tuple[str, str]]:
     scene, dye, chosen = loaded.scene, loaded.scene.dye, loaded.dye
     every = scene.record.checkpoint_every
     checkpoints = 1 + (int(scene.duration / every) if every else 0)
-    size = (8 * (scene.frames + 1) + 16 * checkpoints) * dyeing.state.phi.size
+    rare = scene.record.dye_every
+    shown = scene.frames if rare is None else min(scene.frames, int(scene.duration / rare) + checkpoints)
+    size = (8 * (shown + 1) + 16 * checkpoints) * dyeing.state.phi.size
     memory = estimate_memory(loaded, dye, chosen)[1] if dye is not None and chosen is not None else 0
     seconds = _time_frame(dyeing)
     return [

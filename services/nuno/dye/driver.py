@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nuno.arrays import encode_arrays
 from nuno.dye.run import DyeRun, Frame
-from nuno.lockstep import Lockstep
+from nuno.lockstep import WINDOW, Lockstep
 from nuno.service import Context
 from nuno_schemas.dye import DyeReport
 from nuno_schemas.messages import CLOTH, CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, STATUS, DyeStatus
@@ -23,6 +23,11 @@ class Driver(Lockstep):
     def __init__(self, context: Context, dyeing: DyeRun) -> None:
         super().__init__(context, dyeing, STATUS if context.loaded.scene.moves else None)
         self.dyeing = dyeing
+        every = self.scene.record.dye_every
+        self.every = 1 if every is None else max(1, round(every * self.scene.frame_rate))
+        """Frames from one whose amounts are published to the next."""
+        self.shown: list[int] = []
+        """Frames whose amounts were."""
         self.balance = 0.0
         self.amounts: dict[str, dict[str, float | None]] = {}
 
@@ -30,7 +35,9 @@ class Driver(Lockstep):
         """The cloth, and the amounts before the first step."""
         self.publish_cloth()
         dyeing = self.dyeing
-        self.publish(Frame(dyeing.frame, dyeing.measure(), 0.0, dyeing.digest()), "running")
+        frame = Frame(dyeing.frame, dyeing.measure(), 0.0, dyeing.digest())
+        self.publish_amounts(frame.digest)
+        self.publish(frame, "running")
 
     def publish_cloth(self) -> None:
         """What viewers and recordings need to know about the cloth: at the start, and when it has changed."""
@@ -58,11 +65,26 @@ class Driver(Lockstep):
         """Spread, publish."""
         frame = self.dyeing.advance()
         self.seconds["steps"] += frame.seconds
+        if frame.number % self.every == 0 or frame.report.status != "ok":
+            self.publish_amounts(frame.digest)
         self.publish(frame, "running" if frame.report.status == "ok" else frame.report.status)
         return frame.report
 
+    def shown_until(self, frame: int) -> int:
+        """See `Lockstep`."""
+        return next((shown for shown in reversed(self.shown) if shown <= frame), -1)
+
+    def publish_amounts(self, digest: str) -> None:
+        """What the cells hold, as float32."""
+        start, dyeing = time.perf_counter(), self.dyeing
+        arrays = {name: getattr(dyeing.state, name).astype(np.float32) for name in ("phi", "fixed")}
+        amounts = encode_arrays(arrays, self._text(dyeing.frame))
+        self.shown = [*self.shown[-WINDOW:], dyeing.frame]
+        self.seconds["encoding"] += time.perf_counter() - start
+        self.context.bus.publisher(CONCENTRATION).put(amounts, dyeing.frame, dyeing.t, digest)
+
     def publish(self, frame: Frame, state: str) -> None:
-        """The amounts as float32, and their totals."""
+        """The totals of the amounts."""
         start = time.perf_counter()
         dyeing, bus, report = self.dyeing, self.context.bus, frame.report
         balance = dyeing.balance(report)
@@ -72,8 +94,6 @@ class Driver(Lockstep):
             name: {one: _finite(value) for one, value in zip(dyeing.names, values, strict=True)}
             for name, values in totals.items()
         }
-        arrays = {name: getattr(dyeing.state, name).astype(np.float32) for name in ("phi", "fixed")}
-        amounts = encode_arrays(arrays, self._text(frame.number))
         status = DyeStatus.model_validate(
             {
                 "frame": frame.number,
@@ -89,20 +109,24 @@ class Driver(Lockstep):
             }
         )
         self.seconds["encoding"] += time.perf_counter() - start
-        bus.publisher(CONCENTRATION).put(amounts, frame.number, dyeing.t, frame.digest)
         bus.publisher(DYE_STATUS).put(status.model_dump_json().encode(), frame.number, dyeing.t, frame.digest)
 
     def _text(self, frame: int) -> dict[str, Any]:
         return {"t": self.dyeing.t, "time": self.dyeing.time, "frame": frame, "dyes": self.dyeing.names}
 
     def publish_checkpoint(self) -> None:
-        """The float64 amounts and the solver's memory, enough to go on from in the same bits."""
+        """The float64 amounts and the solver's memory, enough to go on from in the same bits.
+
+        The amounts of this frame are shown, too: a resumed run then shows what an unbroken one does.
+        """
         dyeing = self.dyeing
+        digest = dyeing.digest()
+        if self.shown[-1] != dyeing.frame:
+            self.publish_amounts(digest)
         arrays: dict[str, NDArray[Any]] = {"phi": dyeing.state.phi, "fixed": dyeing.state.fixed}
         arrays |= {f"memory/{name}": values for name, values in dyeing.memory.arrays.items()}
         if dyeing.resisted:
             arrays["resist"] = dyeing.cells.resist
-        digest = dyeing.digest()
         text = self._text(dyeing.frame) | {
             "digest": digest,
             "dt": dyeing.dt,

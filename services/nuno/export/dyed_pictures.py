@@ -120,6 +120,11 @@ def find_amounts(recording: Recording, number: int | None) -> Recorded:
         start = times[number] / 1e9 if number in times else np.inf
         found = recording.messages([CONCENTRATION.name], start, start + 1e-9) if number in times else iter(())
         message = next(found, None)
+    if message is None and number in times:
+        shown = [recording.marks()[at][0] for at in _recorded(recording)]
+        limit = f"the nearest is frame {min(shown, key=lambda one: abs(one - number))}" if shown else "it holds none"
+        problem, remedy = "the amounts of this frame are not in the recording", "name a frame that is"
+        raise BadInput(problem, str(recording.path), field="--frame", value=number, limit=limit, remedy=remedy)
     if message is None:
         limit = f"frames {min(times)} to {max(times)}" if times else "it holds none"
         problem = "no such frame in the recording"
@@ -127,9 +132,16 @@ def find_amounts(recording: Recording, number: int | None) -> Recorded:
     return message
 
 
+def _recorded(recording: Recording) -> list[int]:
+    """Log times [ns] of the frames whose amounts are in the recording, which may be fewer than all."""
+    if recording.counts.get(CONCENTRATION.name, 0) == len(recording.marks()):
+        return sorted(recording.marks())
+    return [message.log_time for message in recording.messages([CONCENTRATION.name])]
+
+
 def choose_amounts(recording: Recording, start: float | None, end: float | None) -> list[float]:
-    """Times of the frames from `start` to `end` [s]. Raises BadInput where there is none."""
-    times = [time / 1e9 for time in sorted(recording.marks())]
+    """Times of the recorded amounts from `start` to `end` [s]. Raises BadInput where there is none."""
+    times = [time / 1e9 for time in _recorded(recording)]
     first, last = (-np.inf if start is None else start), (np.inf if end is None else end)
     chosen = [time for time in times if first <= time <= last]
     if not chosen:
