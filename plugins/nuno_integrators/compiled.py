@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -20,6 +21,7 @@ from nuno_kernels.acceleration import Packed, evaluate
 from nuno_kernels.energy import measure_energy
 from nuno_kernels.packing import pack, python_terms, silence_bodies, thread_count, to_rows
 from nuno_kernels.stability import measure_rates, stable_step
+from nuno_kernels.tension import mean_tension
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Memory, State
 from nuno_schemas.plugin import StepLimit, StepReport, System
@@ -103,6 +105,8 @@ class Compiled(ABC):
         """Advance `state` in place by `steps` steps of `dt` [s]; see nuno_schemas.plugin.Integrator."""
         began = time.perf_counter()
         work: Work = memory.work  # type: ignore[assignment]
+        if work.packed.damping != 0.0:  # it may change from frame to frame
+            work.packed = work.packed._replace(damping=float(system.damping))
         packed = _set_poses(work.packed, poses)
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t + steps * dt)
@@ -130,6 +134,25 @@ class Compiled(ABC):
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t)
         return profile_steps(self.step_at_rest(work, extra), packed, work.x, work.v, work.stages, extra)
+
+    def unbalance(
+        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
+    ) -> tuple[float, int]:
+        """See nuno_schemas.plugin.Integrator."""
+        work: Work = memory.work  # type: ignore[assignment]
+        packed = _set_poses(work.packed, poses)
+        extra = _enter(system, state, work, state.t)
+        force = np.empty_like(work.x)
+        evaluate(work.x, np.zeros_like(work.v), 1.0, force, packed, extra)
+        force *= np.where(system.fabric.pinned, 0.0, system.fabric.mass)
+        if packed.slides is not None:
+            from nuno_kernels.balance import hold_forces
+
+            hold_forces(work.x, force, packed.slides)
+        left = np.sqrt((force * force).sum(axis=0))
+        tension = mean_tension(system.fabric, state.x)
+        worst = int(np.argmax(left)) if len(left) else 0
+        return (float(left[worst]) / tension if tension > 0.0 else math.inf), worst
 
     def slopes(self, memory: Memory) -> Callable[[Float, Float, Float], None]:
         """The compiled acceleration by itself, bodies left out: a function (x, v, out) of rows (3, n).

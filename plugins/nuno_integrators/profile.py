@@ -18,6 +18,10 @@ REPEATS = 5
 LONG = 2e-3
 """Steps are run together until they take this long [s], so that entering the kernel does not show."""
 
+BRIEF = 1e-200
+"""Duration of a step [s] that moves nothing by more than rounding hides, and yet is none of no duration, in which
+loops of one pass leave forces where positions go."""
+
 MOST = 64
 """Steps run together at most."""
 
@@ -26,7 +30,7 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
     """Seconds per step by part: those of PARTS that the system has, "python" where a force is written
     in Python, and "rest": attachments, gravity, the update. Together they are a whole step.
 
-    Steps of no duration leave x and v (3, n) where they are, and the loop is the one that the run
+    Steps of hardly any duration leave x and v (3, n) where they are, and the loop is the one that the run
     compiled, over tuples of the same types, so nothing is compiled for it. A part's cost is what a
     step saves without it. Anchors are those of a copy.
     """
@@ -36,7 +40,7 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
 
     def run(variant: Packed, force: Any, steps: int) -> float:
         began = time.perf_counter()
-        loop(place, speed, stages, steps, 0.0, variant, force)
+        loop(place, speed, stages, steps, BRIEF, variant, force)
         return (time.perf_counter() - began) / steps
 
     steps = max(1, min(MOST, int(LONG / max(run(own, extra, 1), 1e-9))))

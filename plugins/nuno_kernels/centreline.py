@@ -106,7 +106,7 @@ def find_axis(x: Float, faces: Int, start: Float, end: Float, count: int = 64) -
     check_inside(x, faces, ends, tree)
     if count < 4 or np.array_equal(ends[0], ends[1]):
         raise BadInput("an axis needs two ends and points between them", field="axis", value=count, limit=">= 4 points")
-    value = _way_from(x, faces, ends[0])
+    value = way_from(x, faces, ends[0])
     last = float(value[faces[closest_points(tree, ends[1:]).face[0]]].mean())
     if not 0.0 < last < np.inf:
         raise BadInput("the ends of the axis are not joined by the surface", field="axis", value=last, limit="> 0 m")
@@ -125,7 +125,7 @@ def find_axis(x: Float, faces: Int, start: Float, end: Float, count: int = 64) -
     return follow_axis(x, faces, line, tree)
 
 
-def _way_from(x: Float, faces: Int, start: Float) -> Float:
+def way_from(x: Float, faces: Int, start: Float) -> Float:
     """(n,) length over edges [m] from the vertices about `start` as near to it as the surface is wide there.
 
     All that lie nearer than the farthest corner of the nearest triangles count as the start: a ring, if the

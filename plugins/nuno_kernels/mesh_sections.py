@@ -11,9 +11,14 @@ from nuno_schemas.fabric import Float, Int
 
 @dataclass(frozen=True)
 class Loop:
-    """A closed polygon in a section: its corners (k, 3) [m], each on an edge of the mesh."""
+    """A closed polygon in a section: its corners (k, 3) [m], each on an edge of the mesh.
+
+    edges (k, 2) vertices of those edges; share (k,) how far from the first to the second the corner lies
+    """
 
     points: Float
+    edges: Int
+    share: Float
 
     @property
     def girth(self) -> float:
@@ -54,7 +59,8 @@ def cut_mesh(x: Float, faces: Int, value: Float) -> list[Loop]:
     low, high = np.divmod(keys, len(x))
     share = value[low] / (value[low] - value[high])
     place = x[low] + share[:, None] * (x[high] - x[low])
-    return [Loop(place[order]) for order in _chain(number.reshape(-1, 2))]
+    edges = np.stack([low, high], axis=1)
+    return [Loop(place[order], edges[order], share[order]) for order in _chain(number.reshape(-1, 2))]
 
 
 def _chain(links: Int) -> list[list[int]]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
-from nuno_knit.quantities import Length, Mass, Metres, Ratio
+from nuno_knit.over import Over, draw_over
+from nuno_knit.quantities import Length, Mass, Metres, Rate, Ratio
 from nuno_knit.structure import Knit as Structure
 from nuno_knit.yarns import Yarn, YarnName, resolve
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Fabric, Float, Springs, Yarns
+from nuno_schemas.fabric import Bool, Fabric, Float, Int, Springs, Yarns
 from nuno_schemas.plugin import Config, Files
 
 Number = Annotated[int, Field(ge=1, le=8192)]
@@ -38,8 +39,27 @@ class KnitConfig(Config):
         default=("nylon", "support"), min_length=1, max_length=64, description="of the courses, in turn from the bottom"
     )
     mass: Mass | None = Field(default=None, description="of every point; left out: the yarns' own [kg]")
-    pin: tuple[PinName, ...] = Field(default=(), description="points that are held, by name")
+    frequency: Rate | None = Field(
+        default=None,
+        description="or one for every point: its mass is the stiffness about it, over the square of this "
+        "[1/s]; where only rest matters",
+    )
+    pin: tuple[PinName, ...] = Field(
+        default=(), description="points that are held, by name; both end rows, of a tube over a body"
+    )
     centre: tuple[Metres, Metres, Metres] = Field(default=(0.0, 0.0, 0.0), description="of the knit [m]")
+    over: Over | None = Field(default=None, description="a body that a tube is drawn over; its size follows from it")
+
+    @model_validator(mode="after")
+    def _fits_over(self) -> KnitConfig:
+        if self.mass is not None and self.frequency is not None:
+            raise ValueError("give mass or frequency, not both")
+        given = {"stretch", "centre", "pin"} & self.model_fields_set
+        if self.over is not None and given:
+            raise ValueError(f"a knit over a body takes its place from it: leave {', '.join(sorted(given))} out")
+        if self.over is not None and self.form != "tube":
+            raise ValueError("only a tube can be drawn over a body: write form: tube")
+        return self
 
 
 class Knit:
@@ -55,28 +75,62 @@ class Knit:
         """What a run takes at most [bytes]."""
         return vertices * BYTES_PER_POINT
 
+    def over(self, config: KnitConfig) -> str | None:
+        """Name of the body that it is drawn over."""
+        return None if config.over is None else config.over.body
+
     def build(self, config: KnitConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a tube of fewer than two wales, and for edges of a tube."""
         net = structure(config)
-        position = place(config, net)
+        legs, arcs = np.full(net.courses, config.spacing[1]), np.full(net.courses + 1, config.spacing[0])
+        return self._knit(config, net, place(config, net), net.spread(legs, arcs), _pin(config, net))
+
+    def build_over(self, config: KnitConfig, files: Files, seed: int, x: Float, faces: Int) -> Fabric:
+        """The knit over a body's mesh x (v, 3) [m], faces (f, 3). Raises BadInput where it does not fit there."""
+        assert config.over is not None
+        net = structure(config)
+        spacing = config.spacing if "spacing" in config.model_fields_set else None
+        fitted = draw_over(config.over, net, spacing, x, faces)
+        pinned = np.zeros((net.courses + 1, net.columns), bool)
+        pinned[[0, -1]] = True
+        return self._knit(config, net, fitted.position, net.spread(fitted.legs, fitted.arcs), pinned.reshape(-1))
+
+    def _knit(self, config: KnitConfig, net: Structure, position: Float, spacing: Float, pinned: Bool) -> Fabric:
+        """Links of rest lengths (s,) [m], times their yarns' own ratio, between points at `position` (n, 3) [m]."""
         used = [resolve(choice) for choice in config.yarns]
-        pairs, springs, yarns = net.pairs(), *knit_yarns(config, net, used)
-        if config.mass is not None:
+        pairs, springs, yarns = net.pairs(), *knit_yarns(net, used, spacing)
+        if config.frequency is not None:
+            mass = stiffness_about(net.points, pairs, springs, yarns) / config.frequency**2
+        elif config.mass is not None:
             mass = np.full(net.points, config.mass)
         else:
             course, _ = net.course()
             density = np.array([yarn.density for yarn in used])[course % len(used)]
-            mass = np.bincount(pairs.reshape(-1), np.repeat(0.5 * density * springs.rest, 2), net.points)
+            mass = add_to_ends(net.points, pairs, 0.5 * density * springs.rest)
         return Fabric(
             name=self.name,
             position=position,
             velocity=np.zeros((net.points, 3)),
             mass=mass,
-            pinned=_pin(config, net),
+            pinned=pinned,
             faces=np.zeros((0, 3), np.int32),
             springs=springs,
             yarns=yarns,
         )
+
+
+def stiffness_about(points: int, pairs: Int, springs: Springs, yarns: Yarns) -> Float:
+    """(points,) sum of k (1 + 2 mu) over each point's links (s, 2) [N/m]: no point's frequency squared is above twice
+    this over its mass.
+    """
+    mu = np.zeros(springs.number)
+    mu[yarns.links] = np.repeat(yarns.mu, np.diff(yarns.ptr))
+    return add_to_ends(points, pairs, springs.per_spring(springs.stiffest().k) * (1.0 + 2.0 * mu))
+
+
+def add_to_ends(points: int, pairs: Int, value: Float) -> Float:
+    """(points,) sums of the values (s,) of each point's links (s, 2)."""
+    return np.asarray(np.bincount(pairs.reshape(-1), np.repeat(value, 2), points), np.float64)
 
 
 def structure(config: KnitConfig) -> Structure:
@@ -87,21 +141,19 @@ def structure(config: KnitConfig) -> Structure:
     return Structure(config.courses, 2 * config.wales, config.form == "tube")
 
 
-def knit_yarns(config: KnitConfig, net: Structure, used: list[Yarn]) -> tuple[Springs, Yarns]:
-    """Links with their yarns' constants, and the yarns they are links of."""
+def knit_yarns(net: Structure, used: list[Yarn], spacing: Float) -> tuple[Springs, Yarns]:
+    """Links with their yarns' constants, and the yarns they are links of; `spacing` (s,) [m]."""
     course, borrowed = net.course()
     which = course % len(used)
-    leg = np.arange(net.links) < net.legs
-    rest = np.where(leg, config.spacing[1], config.spacing[0]) * np.array([yarn.length for yarn in used])[which]
+    rest = spacing * np.array([yarn.length for yarn in used])[which]
     k, c = np.empty(net.links), np.array([yarn.c for yarn in used])[which]
     lock, k_lock = np.empty((2, net.links)) if any(yarn.lock is not None for yarn in used) else (None, None)
     for index, yarn in enumerate(used):
-        for part in (leg, ~leg):
-            mine = (which == index) & part
-            if mine.any():
-                k[mine] = yarn.stiffness(float(rest[mine][0]))
-                if lock is not None and k_lock is not None:
-                    lock[mine], k_lock[mine] = yarn.locked(float(rest[mine][0]))
+        mine = which == index
+        lengths, of = np.unique(rest[mine], return_inverse=True)
+        k[mine] = np.array([yarn.stiffness(float(length)) for length in lengths])[of]
+        if lock is not None and k_lock is not None:
+            lock[mine], k_lock[mine] = np.array([yarn.locked(float(length)) for length in lengths])[of].T
     threads = net.threads()
     of = np.array([which[thread[0]] for thread in threads])
     names = tuple(dict.fromkeys(yarn.name for yarn in used))

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     SpringDamping = float
     Ratio = float
     Share = float
+    Rate = float
+    Point = tuple[float, float, float]
 else:
     from nuno_schemas.units import quantity
 
@@ -28,3 +30,5 @@ else:
     SpringDamping = quantity("N*s/m", ge=0)
     Ratio = quantity("", gt=0)
     Share = quantity("", ge=0)
+    Rate = quantity("1/s", gt=0)
+    Point = tuple[Metres, Metres, Metres]

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_schemas.fabric import Bool, Int
+from nuno_schemas.fabric import Bool, Float, Int
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,10 @@ class Knit:
         right = np.roll(number, -1, axis=1)
         arcs = np.stack([number, right], axis=-1)[:, : self.across].reshape(-1, 2)
         return np.ascontiguousarray(np.concatenate([legs, arcs]), np.int32)
+
+    def spread(self, legs: Float, arcs: Float) -> Float:
+        """(s,) values of every link from those of each course's legs (courses,) and of each row's arcs (rows,)."""
+        return np.concatenate([np.repeat(legs, self.columns), np.repeat(arcs, self.across)])
 
     def course(self) -> tuple[Int, Bool]:
         """(s,) course of every link, and which are borrowed from it: the first's heads below, the last's above."""

@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 
 def _written(pattern: str, problem: str) -> Any:
@@ -44,3 +45,17 @@ class Choice(BaseModel):
     @property
     def config(self) -> dict[str, Any]:
         return dict(self.__pydantic_extra__ or {})
+
+
+def require_distinct(parts: list[Any]) -> list[Any]:
+    """Refuse a list of parts two of which have the same name."""
+    first: dict[str, int] = {}
+    for i, part in enumerate(parts):
+        if first.setdefault(part.name, i) != i:
+            # pydantic places an error of a list at the list; `inside` says where in it.
+            raise PydanticCustomError(
+                "same_name",
+                "the name '{name}' is used twice; rename one of them",
+                {"name": part.name, "inside": (i, "name")},
+            )
+    return parts

@@ -120,6 +120,8 @@ class StepReport:
     """Largest |d| / rest - 1 over the springs at the end."""
     totals: Mapping[str, int] = field(default_factory=dict)
     """What adds up over a run: rejected steps, evaluations, iterations of a solver."""
+    unbalance: float = math.inf
+    """Of a scene until balance: the largest force left on a vertex, as a share of the springs' mean tension."""
 
 
 class Model(Protocol):
@@ -132,6 +134,18 @@ class Model(Protocol):
 
     def count(self, config: Any, files: Files) -> int:
         """Vertices it will have, found without building it."""
+        ...
+
+
+class Drawn(Model, Protocol):
+    """A model that can be drawn over a body: it is then built with the body's mesh, where that is at the start."""
+
+    def over(self, config: Any) -> str | None:
+        """Name of the body; None for one that is built by itself."""
+        ...
+
+    def build_over(self, config: Any, files: Files, seed: int, x: Float, faces: NDArray[np.int32]) -> Fabric:
+        """Built over a closed mesh: vertices (v, 3) [m] in the world, triangles (f, 3)."""
         ...
 
 
@@ -187,6 +201,14 @@ class Integrator(Protocol):
 
         Changes neither state nor memory; poses as in `advance`. Meant for the end of a run: a run's
         own steps are not slowed down by it.
+        """
+        ...
+
+    def unbalance(
+        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
+    ) -> tuple[float, int]:
+        """The largest force that surfaces and friction leave on a vertex at rest, as a share of the springs' mean
+        tension (inf where there is none), and the vertex. Changes neither state nor memory; poses as in `advance`.
         """
         ...
 

@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from nuno_schemas.dye import WeiszZollinger
 from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
-from nuno_schemas.parts import Choice, Colour, Name, Part
+from nuno_schemas.parts import Choice, Colour, Name, Part, require_distinct
 from nuno_schemas.units import quantity
 
 if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
@@ -73,20 +73,6 @@ class Solver(Choice):
     def _auto_alone(self) -> Solver:
         _require_auto_alone(self)
         return self
-
-
-def require_distinct(parts: list[Any]) -> list[Any]:
-    """Refuse a list of parts two of which have the same name."""
-    first: dict[str, int] = {}
-    for i, part in enumerate(parts):
-        if first.setdefault(part.name, i) != i:
-            # pydantic places an error of a list at the list; `inside` says where in it.
-            raise PydanticCustomError(
-                "same_name",
-                "the name '{name}' is used twice; rename one of them",
-                {"name": part.name, "inside": (i, "name")},
-            )
-    return parts
 
 
 class Object(Part):
@@ -211,10 +197,11 @@ class Scene(Part):
     name: Name = Field(description="of the scene, and of its recordings")
     description: str = Field(default="", description="what it shows, in a sentence")
     duration: Duration = Field(description="simulated time [s]")
-    until: Literal["duration", "rest"] = Field(
+    until: Literal["duration", "rest", "balance"] = Field(
         "duration",
         description="rest: end before `duration` where the cloth has come to rest, no vertex faster than a thousandth "
-        "of the cloth's size a second for a tenth of a second",
+        "of the cloth's size a second for a tenth of a second; balance: end where surfaces and friction leave no "
+        "vertex more force than a thousandth of the springs' mean tension, and fail where `duration` is too short",
     )
     frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")
     solver: Solver = Field(
@@ -230,7 +217,9 @@ class Scene(Part):
     gravity: tuple[Acceleration, Acceleration, Acceleration] = Field(
         default=(0.0, -9.81, 0.0), description="x, y, z [m/s^2]; y is up"
     )
-    damping: Damping = Field(default=0.0, description="viscous, per unit mass [1/s]")
+    damping: Damping | Literal["auto"] = Field(
+        default=0.0, description="viscous, per unit mass [1/s]; auto, with until: balance: what leads to rest soonest"
+    )
     seed: int = Field(default=0, ge=0, lt=2**63, description="of all that plugins choose at random")
     objects: list[Object] = Field(default_factory=list, max_length=1000, description="pieces of cloth")
     bodies: list[Body] = Field(default_factory=list, max_length=1000, description="what the cloth meets")
@@ -282,6 +271,13 @@ class Scene(Part):
                 "accuracy chooses the solver of the dye, and dye.solver names it; leave one of them out",
                 {"inside": ("accuracy",)},
             )
+        return self
+
+    @model_validator(mode="after")
+    def _damped_to_rest(self) -> Scene:
+        if self.damping == "auto" and self.until != "balance":
+            problem = "auto leads to rest, and changes how the cloth moves; give a number, or until: balance"
+            raise PydanticCustomError("damped_to_rest", problem, {"inside": ("damping",)})
         return self
 
     @property

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from nuno.join import join_fabrics
 from nuno.scene_file import Chosen, Loaded
+from nuno.simulation.relax import start_damping
 from nuno.worn import check_worn
-from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import MESH, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Binding, Fabric, Float, Hinges, Int, Springs, State, Yarns
+from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.plugin import BodyShape, Mover, System, Term
 
 BYTES_PER_VERTEX = 400
@@ -67,13 +70,25 @@ def check_memory(loaded: Loaded) -> None:
         raise loaded.at("objects", too_much)
 
 
-def build_fabric(loaded: Loaded) -> tuple[Fabric, list[Piece]]:
-    """All objects as one fabric, and where each lies. Raises BadInput."""
+def build_fabric(
+    loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None
+) -> tuple[Fabric, list[Piece]]:
+    """All objects as one fabric, and where each lies. Raises BadInput.
+
+    Bodies, with their poses at the start, are built for objects drawn over one, unless they are given.
+    """
     check_memory(loaded)
+    over = [drawn_over(model) for model in loaded.models]
+    if geometry is None and loaded.colliders and any(over):
+        bodies = build_bodies(loaded)
+        geometry, poses = bodies.geometry, bodies.poses(0.0)
     fabrics, pieces, start = [], [], 0
     for i, (model, spec) in enumerate(zip(loaded.models, loaded.scene.objects, strict=True)):
         try:
-            fabric = model.plugin.build(model.config, loaded.files, loaded.scene.seed + i)
+            given: tuple[Any, ...] = (model.config, loaded.files, loaded.scene.seed + i)
+            name = over[i]
+            build = model.plugin.build if name is None else model.plugin.build_over
+            fabric = build(*given, *(() if name is None else mesh_of(name, geometry, poses)))
             if loaded.scene.dye is not None and loaded.scene.dye.object == spec.name:
                 check_texture(fabric, spec.name)
         except BadInput as error:
@@ -81,7 +96,27 @@ def build_fabric(loaded: Loaded) -> tuple[Fabric, list[Piece]]:
         fabrics.append(fabric)
         pieces.append(Piece(spec.name, start, start + fabric.number, fabric.texture, spec.colour))
         start += fabric.number
-    return _join(fabrics, loaded.scene.name), pieces
+    return join_fabrics(fabrics, loaded.scene.name), pieces
+
+
+def drawn_over(model: Chosen) -> str | None:
+    """Name of the body that a model is drawn over, None for one that is built by itself."""
+    over = getattr(model.plugin, "over", None)
+    return over(model.config) if over else None
+
+
+def mesh_of(name: str, geometry: Geometry | None, poses: Poses | None) -> tuple[Float, Int]:
+    """Vertices (v, 3) [m] in the world and faces (f, 3) of a body that is one mesh. Raises BadInput."""
+    if geometry is None or poses is None or name not in geometry.bodies:
+        remedy = nearest(name, geometry.bodies if geometry else ())
+        raise BadInput("there is no such body to draw it over", field="over.body", value=name, remedy=remedy)
+    own = np.flatnonzero(geometry.body == geometry.bodies.index(name))
+    if len(own) != 1 or geometry.kind[own[0]] != MESH:
+        remedy = "give the body collider: {plugin: mesh, ...}"
+        raise BadInput("only a mesh can be drawn over", field="over.body", value=name, remedy=remedy)
+    x, faces = geometry.mesh(int(own[0]))
+    frame = int(geometry.frame[own[0]])
+    return x @ rotation_matrices(poses.rotation[frame][None])[0].T + poses.translation[frame], faces
 
 
 def check_texture(fabric: Fabric, name: str) -> None:
@@ -94,48 +129,6 @@ def check_texture(fabric: Fabric, name: str) -> None:
         problem = "texture coordinates leave the cloth that is dyed"
         remedy = "lay the mesh's texture out without repeating it"
         raise BadInput(problem, value=f"{low:g} to {high:g}", limit="0 to 1", remedy=remedy)
-
-
-def _join(fabrics: list[Fabric], name: str) -> Fabric:
-    if len(fabrics) == 1:
-        return fabrics[0]
-    starts = np.cumsum([0, *(f.number for f in fabrics)])
-    moved = list(zip(fabrics, starts, strict=False))
-    springs = [replace(f.springs, first=(f.springs.first + at).astype(np.int32)) for f, at in moved if f.springs]
-    hinges = [(f.hinges, at) for f, at in moved if f.hinges]
-    before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
-    yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]
-    empty = np.zeros((0, 3))
-    return Fabric(
-        name,
-        np.concatenate([empty, *(f.position for f in fabrics)]),
-        np.concatenate([empty, *(f.velocity for f in fabrics)]),
-        np.concatenate([np.zeros(0), *(f.mass for f in fabrics)]),
-        np.concatenate([np.zeros(0, bool), *(f.pinned for f in fabrics)]),
-        np.concatenate([np.zeros((0, 3), np.int32), *((f.faces + at).astype(np.int32) for f, at in moved)]),
-        Springs.join(springs) if springs else None,
-        _join_hinges(hinges) if hinges else None,
-        np.concatenate(
-            [
-                np.zeros((0, 2), np.float32),
-                *(f.uv if f.uv is not None else np.zeros((f.number, 2), np.float32) for f in fabrics),
-            ]
-        ),
-        tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
-        yarns=Yarns.join(yarns) if yarns else None,
-    )
-
-
-def _join_hinges(parts: list[tuple[Hinges, int]]) -> Hinges:
-    per_run = all(h.k.shape == h.rest.shape == h.count.shape for h, _ in parts)
-    values = [(h.k, h.rest) if per_run else (h.per_hinge(h.k), h.per_hinge(h.rest)) for h, _ in parts]
-    return Hinges(
-        np.concatenate([(h.first + at).astype(np.int32) for h, at in parts]),
-        np.concatenate([h.count for h, _ in parts]),
-        np.concatenate([h.stride for h, _ in parts]),
-        np.concatenate([k for k, _ in values]),
-        np.concatenate([rest for _, rest in values]),
-    )
 
 
 @dataclass(frozen=True)
@@ -236,7 +229,7 @@ def build_system(
         terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
     if geometry is not None and loaded.contact is not None and len(geometry.kind):
         terms.append(_prepared(loaded, "contact", loaded.contact, fabric, geometry, gravity))
-    return System(fabric, gravity, loaded.scene.damping, tuple(terms), threads)
+    return System(fabric, gravity, start_damping(loaded.scene), tuple(terms), threads)
 
 
 def _prepared(loaded: Loaded, field: str, chosen: Chosen, *args: object) -> Term:

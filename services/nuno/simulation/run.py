@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nuno import build
 from nuno.choose import decide
 from nuno.scene_file import Loaded, apply_override, load, overridden
+from nuno.simulation.relax import BALANCED, Relaxation, unsettled
 from nuno.step import choose_step
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
@@ -44,10 +45,12 @@ class Simulation:
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
         self.fabric: Fabric
-        self.fabric, self.pieces = build.build_fabric(loaded)
+        self.fabric, self.pieces = build.build_fabric(loaded, geometry, poses)
         self.start_poses = poses
         self.state: State = build.start_state(self.fabric)
         self.frame = 0
+        self.balanced = False
+        """Whether a scene until balance has come to it."""
         self.idle = 0
         """Frames that were not stepped, since nothing would have changed."""
         self._still = False
@@ -72,6 +75,11 @@ class Simulation:
         self.slow_frames = np.zeros(1, np.int64)
         if self.loaded.scene.until == "rest":
             self.memory.arrays["slow_frames"] = self.slow_frames
+        self.relaxation = None
+        if self.loaded.scene.damping == "auto":
+            inertia = np.where(self.fabric.pinned, 0.0, self.fabric.mass)
+            self.relaxation = Relaxation(self.loaded.scene.frame_rate, inertia)
+            self.memory.arrays["relaxation"] = self.relaxation.memory
         self._restore(arrays)
 
     def _find_limit(self) -> StepLimit:
@@ -119,6 +127,8 @@ class Simulation:
             # What has any velocity moves: only standing cloth is worth a hash.
             before = self._content() if unmoved and not self.state.v.any() else ""
             plugin = self.loaded.integrator.plugin
+            if self.relaxation is not None:
+                self.system = replace(self.system, damping=self.relaxation.damping)
             report = plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
             # A frame that changes nothing is followed by frames that change nothing.
             timeless = all(term.kind != "python" for term in self.system.terms)
@@ -129,14 +139,29 @@ class Simulation:
         if self.loaded.scene.until == "rest":
             slow = self._size > 0.0 and float(np.abs(self.state.v).max(initial=0.0)) <= REST_SPEED * self._size
             self.slow_frames[0] = self.slow_frames[0] + 1 if slow else 0
+        if self.relaxation is not None:
+            self.relaxation.after(self.state)
+        if self.loaded.scene.until == "balance" and report.status == "ok":
+            report = self._weigh(report, (end, end) if end is not None else None)
         return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
+
+    def _weigh(self, report: StepReport, poses: tuple[Poses, Poses] | None) -> StepReport:
+        """The report of a frame after which the cloth is in balance, or must be, with what is left to it."""
+        plugin = self.loaded.integrator.plugin
+        share, vertex = plugin.unbalance(self.system, self.state, self.memory, poses)
+        self.balanced = share <= BALANCED
+        if self.balanced or self.frame < self.loaded.scene.frames:
+            return replace(report, unbalance=share)
+        piece = next(piece.name for piece in self.pieces if vertex < piece.stop)
+        problem = unsettled(share, vertex, self.state, piece)
+        return replace(report, unbalance=share, status="unconverged", message=problem)
 
     @property
     def finished(self) -> bool:
         """Whether the scene's last frame is done, or its cloth rests and that is its end."""
         scene = self.loaded.scene
         rests = scene.until == "rest" and self.slow_frames[0] >= REST_TIME * scene.frame_rate
-        return bool(rests) or self.frame >= scene.frames
+        return bool(rests) or self.balanced or self.frame >= scene.frames
 
     def _content(self) -> str:
         """Hash of all that the next frame follows from."""

@@ -1,0 +1,59 @@
+"""How far cloth is from rest: the force that is left on a vertex once surfaces and friction have held against it.
+
+On a vertex that touches a body the surface takes what points into it, and friction up to mu times that of the rest:
+what nuno_kernels.slide_planes does to a movement, here it does to the force. The planes are those that a short
+movement along the force would meet, so that a vertex in a groove of the mesh is held by both its sides.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import prange
+
+from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.closest_point import DEPTH
+from nuno_kernels.slide_planes import hold_off
+from nuno_kernels.slide_vertex import slide, to_body
+from nuno_kernels.slides import BLOCK, pose_slides
+
+TRIAL = 0.1
+"""Length of the movement that is tried, as a share of the gap: well above slides.NEAR_ENOUGH."""
+
+
+@kernel
+def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
+    """Hold the forces (3, n) on a block's vertices off all bodies, in place."""
+    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    length = TRIAL * s.gap[0]
+    for body in range(s.root.shape[0]):
+        f = s.frame[body]
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+            g = (force[0, i], force[1, i], force[2, i])
+            size = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+            if s.mass[i] == 0.0 or s.clear[body, i] > s.gap[0] + length or not 0.0 < size < math.inf:
+                continue
+            px, py, pz = to_body(x[0, i], x[1, i], x[2, i], s.frames, f)
+            ex, ey, ez = s.frames[f, 9] + g[0], s.frames[f, 10] + g[1], s.frames[f, 11] + g[2]
+            g = to_body(ex, ey, ez, s.frames, f)
+            m = (length / size * g[0], length / size * g[1], length / size * g[2])
+            _, n1, n2, planes, _, _, _ = slide(
+                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], s.gap[0], 0.0, s.boxes, s.child,
+                s.corners, s.face, s.faces, s.edges, s.vertex_normals, s.edge_normals, waiting, bound,
+            )  # fmt: skip
+            if planes == 0:
+                continue
+            g = hold_off(g, n1, 0.0, n2, 0.0, planes == 2, s.friction[body])
+            for c in range(3):
+                row = 3 * c
+                force[c, i] = s.frames[f, row] * g[0] + s.frames[f, row + 1] * g[1] + s.frames[f, row + 2] * g[2]
+
+
+@parallel_kernel
+def hold_forces(x: Any, force: Any, s: Any) -> None:
+    """Hold the forces (3, n) on vertices x (3, n) off the bodies as they are at the end of the interval, in place."""
+    pose_slides(1.0, s)
+    for block in prange(s.tally.shape[0]):
+        hold_block(block, x, force, s)

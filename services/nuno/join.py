@@ -1,0 +1,52 @@
+"""Several fabrics as one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from nuno_schemas.fabric import Binding, Fabric, Hinges, Springs, Yarns
+
+
+def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
+    """One fabric of all, in their order; a single one as it is."""
+    if len(fabrics) == 1:
+        return fabrics[0]
+    starts = np.cumsum([0, *(f.number for f in fabrics)])
+    moved = list(zip(fabrics, starts, strict=False))
+    springs = [replace(f.springs, first=(f.springs.first + at).astype(np.int32)) for f, at in moved if f.springs]
+    hinges = [(f.hinges, at) for f, at in moved if f.hinges]
+    before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
+    yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]
+    empty = np.zeros((0, 3))
+    return Fabric(
+        name,
+        np.concatenate([empty, *(f.position for f in fabrics)]),
+        np.concatenate([empty, *(f.velocity for f in fabrics)]),
+        np.concatenate([np.zeros(0), *(f.mass for f in fabrics)]),
+        np.concatenate([np.zeros(0, bool), *(f.pinned for f in fabrics)]),
+        np.concatenate([np.zeros((0, 3), np.int32), *((f.faces + at).astype(np.int32) for f, at in moved)]),
+        Springs.join(springs) if springs else None,
+        _join_hinges(hinges) if hinges else None,
+        np.concatenate(
+            [
+                np.zeros((0, 2), np.float32),
+                *(f.uv if f.uv is not None else np.zeros((f.number, 2), np.float32) for f in fabrics),
+            ]
+        ),
+        tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
+        yarns=Yarns.join(yarns) if yarns else None,
+    )
+
+
+def _join_hinges(parts: list[tuple[Hinges, int]]) -> Hinges:
+    per_run = all(h.k.shape == h.rest.shape == h.count.shape for h, _ in parts)
+    values = [(h.k, h.rest) if per_run else (h.per_hinge(h.k), h.per_hinge(h.rest)) for h, _ in parts]
+    return Hinges(
+        np.concatenate([(h.first + at).astype(np.int32) for h, at in parts]),
+        np.concatenate([h.count for h, _ in parts]),
+        np.concatenate([h.stride for h, _ in parts]),
+        np.concatenate([k for k, _ in values]),
+        np.concatenate([rest for _, rest in values]),
+    )

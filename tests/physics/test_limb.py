@@ -1,0 +1,77 @@
+"""Rows round limbs: planes on a straight tube, radii on a bent one, loops that never cross on a leg."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_centreline import bent, straight, tube
+
+from nuno_kernels.closest_point import closest_points
+from nuno_kernels.harmonic import solve_harmonic
+from nuno_kernels.leg import leg_mesh
+from nuno_kernels.limb import find_limb, lay_rows
+from nuno_kernels.surface_tree import build_tree
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+
+def link_lengths(points: Float) -> tuple[Float, Float]:
+    """Lengths of rows' links (r, q), round them, and of those between rows (r - 1, q)."""
+    round_it = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=-1)
+    return round_it, np.linalg.norm(np.diff(points, axis=0), axis=-1)
+
+
+def test_a_field_between_two_ends_of_a_tube_is_its_height() -> None:
+    x, faces = tube(21, 24, straight, lambda s: 0.1)
+    given = (x[:, 1] < 0.11) | (x[:, 1] > 0.89)
+    field = solve_harmonic(x, faces, given, x[:, 1])
+    assert np.abs(field - x[:, 1]).max() < 1e-7
+
+
+def test_rows_of_a_straight_tube_are_level_and_equal() -> None:
+    x, faces = tube(21, 32, straight, lambda s: 0.1)
+    line = np.linspace([0.0, 0.2, 0.0], [0.0, 0.8, 0.0], 9)
+    rows = lay_rows(x, faces, line, 13, 32, False)
+    assert rows.height == pytest.approx(0.6, rel=1e-3)
+    assert np.abs(rows.points[..., 1] - np.linspace(0.2, 0.8, 13)[:, None]).max() < 1e-4
+    polygon = 2 * 32 * 0.1 * np.sin(np.pi / 32)
+    assert rows.girth == pytest.approx(np.full(13, polygon), rel=1e-6)
+    round_it, between = link_lengths(rows.points)
+    assert np.ptp(round_it) < 1e-2 * round_it.mean() and between == pytest.approx(np.full((12, 32), 0.05), rel=2e-3)
+    # To the right as seen from outside: with the end up, from the seam at -z towards -x.
+    assert rows.points[0, 0, 2] < 0.0 and abs(rows.points[0, 0, 0]) < 1e-6 and rows.points[0, 8, 0] < -0.09
+
+
+def test_rows_of_a_bent_tube_are_radii() -> None:
+    """By symmetry levels of a torus are its radial planes, and their heights equal angles."""
+    x, faces = tube(61, 32, bent, lambda s: 0.1)
+    angle = 0.5 * np.pi * np.linspace(0.15, 0.85, 65)
+    line = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    points = lay_rows(x, faces, line, 15, 24, False).points
+    turn = np.arctan2(points[..., 1], points[..., 0])
+    assert np.abs(turn - np.linspace(angle[0], angle[-1], 15)[:, None]).max() < 0.02
+
+
+@pytest.mark.parametrize("to_tip", [False, True])
+def test_rows_of_a_leg_lie_on_it_and_never_cross(to_tip: bool) -> None:
+    x, faces = leg_mesh(32)
+    axis = find_limb(x, faces)
+    assert axis.points[0][2] > 0.1 > axis.points[0][1] and axis.points[-1][1] > 0.65  # from the toes to the thigh
+    rows = lay_rows(x, faces, axis.at(np.linspace(0.1, 0.93, 65)), 40, 30, to_tip)
+    assert np.abs(closest_points(build_tree(x, faces), rows.points.reshape(-1, 3)).distance).max() < 1e-12
+    outside = rows.points + 1e-3 * rows.normal
+    assert closest_points(build_tree(x, faces), outside.reshape(-1, 3)).distance.min() > 5e-4
+    # Every quad of the net is seen from the same side from outside: no row is past the next.
+    across = np.roll(rows.points, -1, axis=1) - rows.points
+    up = np.diff(rows.points, axis=0)
+    assert ((np.cross(across[:-1], up) * rows.normal[:-1]).sum(axis=-1) > 0.0).all()
+    assert (rows.girth[0] < 0.1 * rows.girth.mean()) == to_tip
+    round_it, _ = link_lengths(rows.points)
+    assert (round_it.max(axis=1) < 1.2 * rows.girth / 30).all()
+
+
+def test_ends_that_take_no_tube_out_of_the_mesh_are_refused() -> None:
+    x, faces = tube(21, 24, straight, lambda s: 0.1)
+    turned_back = np.array([[0.0, 0.3, 0.0], [0.0, 0.2, 0.0], [0.0, 0.8, 0.0]])
+    with pytest.raises(BadInput, match="do not take one tube"):
+        lay_rows(x, faces, turned_back, 8, 8, False)
