@@ -117,6 +117,9 @@ class View(Part):
     target: Vector | None = Field(default=None, description="what is looked at: x, y, z [m]; fitted unless given")
     distance: Distance | None = Field(default=None, description="of the eye from the target [m]; fitted unless given")
     size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
+    yarns: Choice | None = Field(
+        default=None, description="how `nuno export --style` draws yarns: a plugin and its fields"
+    )
 
 
 class DyeSolver(Solver):

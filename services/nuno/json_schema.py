@@ -19,6 +19,7 @@ _PLACES = {
     ("Dyeing", "solver"): "nuno.dye_solvers",
     ("Dyeing", "picture"): "nuno.dye_pictures",
     ("Dyestuff", "isotherm"): "nuno.isotherms",
+    ("View", "yarns"): "nuno.yarn_pictures",
 }
 """Where a scene names a plugin of which group."""
 _BESIDE = {"nuno.integrators": "Solver", "nuno.dye_solvers": "DyeSolver", "nuno.dye_pictures": "DyePicture"}
@@ -43,7 +44,7 @@ def scene_schema() -> dict[str, Any]:
             for key in ("$ref", "anyOf", "default"):
                 place.pop(key, None)
             place["oneOf"] = [*choices, *(_short(group) if field == "solver" else ())]
-            if field == "isotherm":
+            if field in ("isotherm", "yarns"):
                 place["oneOf"].append({"type": "null"})
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 

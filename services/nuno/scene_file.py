@@ -70,6 +70,8 @@ class Loaded:
     forces: list[Chosen]
     contact: Chosen | None
     dye: ChosenDye | None = None
+    yarn_picture: Chosen | None = None
+    """How pictures of yarns are drawn, where the scene says."""
     overrides: tuple[str, ...] = ()
     path: Path = Path()
     """Where it can be read again, meanwhile: a scene given as a mapping lies in a temporary folder."""
@@ -264,4 +266,5 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
         contact=chosen("nuno.contacts", scene.contact, ("contact",)) if scene.bodies else None,
         dye=_chosen_dye(scene.dye, chosen) if scene.dye is not None else None,
+        yarn_picture=chosen("nuno.yarn_pictures", scene.view.yarns, ("view", "yarns")) if scene.view.yarns else None,
     )

@@ -55,6 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pictures and animations: cloth in its own texture or colour, or by its stretch "
         "(default: its own where the scene gives one)",
     )
+    which.add_argument(
+        "--style",
+        metavar="NAME",
+        help="--png of a knit by rays: yarns, lines (straight links) or density (of stitches); --set "
+        "view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera",
+    )
     dye = parser.add_argument_group("pictures and animations of dyed cloth (default: as the scene says)")
     dye.add_argument(
         "--view", choices=get_args(DyeView), help="all dye, what fibre has fixed of it, or what is still mobile"
@@ -69,7 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="KEY=VALUE",
         dest="overrides",
-        help="change how dye is drawn, e.g. dye.dyes.0.colour.full=0.1 or dye.picture.ground=#f0ead8",
+        help="change how dye is drawn, e.g. dye.dyes.0.colour.full=0.1, dye.picture.ground=#f0ead8; with --style how "
+        "yarns are, e.g. view.yarns.radius=0.1mm",
     )
 
 
@@ -115,7 +122,13 @@ def _draw(recording: Recording, args: argparse.Namespace) -> list[Path]:
 
     size, changes = _size(args.size), _changes(args)
     written: list[Path] = []
-    if args.png:
+    if args.png and args.style:
+        from nuno.export.yarns import export_yarn_picture
+
+        written.append(
+            export_yarn_picture(recording, args.png, args.style, args.frame, size, tuple(args.overrides), _progress)
+        )
+    elif args.png:
         written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour, changes))
     for path in (args.gif, args.mp4):
         if path:
@@ -145,6 +158,9 @@ def _draw_dyed(recording: Recording, args: argparse.Namespace) -> list[Path]:
 
 def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
     """Raises BadInput where something is asked for that a recording of its kind does not have."""
+    if args.style and (recording.dyed_alone or not args.png):
+        problem = "a style is for --png of a knit"
+        raise BadInput(problem, str(recording.path), field="--style", value=args.style, remedy="leave it out")
     if recording.dyed_alone:
         meshes = [name for name in (m[1:] for m in MESHES) if getattr(args, name)]
         if meshes:
@@ -156,7 +172,8 @@ def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
                 raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)
         return
     dyed = recording.scene.get("dye") is not None
-    for name in ("crop",) if dyed else ("view", "scale", "crop", "overrides"):
+    dyeing = ("crop",) if dyed else ("view", "scale", "crop", "overrides")
+    for name in (name for name in dyeing if not (args.style and name == "overrides")):
         if getattr(args, name) not in (None, []):
             flag = "set" if name == "overrides" else name
             problem = "for pictures of dyed cloth; the recording is of cloth that moves"
@@ -189,9 +206,14 @@ def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Cha
         cloth.read_frame(recording, args.frame)
     if args.png:
         pictures.check_sides(_size(args.size))
+    if args.style:
+        from nuno.export import yarns
+
+        with yarns.styled(recording, args.style, tuple(args.overrides)):
+            pass
     if args.gif or args.mp4:
         pictures.choose_frames(recording, args.fps, args.start, args.end)
-    if (args.png or args.gif or args.mp4) and args.colour != "stretch":
+    if (args.png or args.gif or args.mp4) and args.colour != "stretch" and not args.style:
         dyed_object.read_dyed_object(recording, changes)
 
 

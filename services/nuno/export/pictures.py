@@ -11,9 +11,10 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from nuno import registry
+from nuno.export.camera import place_camera, read_view, z_up
 from nuno.export.cloth import Bodies, Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.dyed_pictures import Changes
@@ -22,12 +23,10 @@ from nuno.export.target import Progress, check_target, opened, writing
 from nuno.export.tubes import SIDES, tubes
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno_schemas.camera import frame as fit_camera
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera, Mesh
-from nuno_schemas.scene import View
+from nuno_schemas.plugin import Mesh
 
 Picture = NDArray[np.uint8]
 Colour = Literal["auto", "cloth", "stretch"]
@@ -62,9 +61,9 @@ class Painter:
         self.bodies: Bodies | None = read_bodies(self.recording)
         self.dyed = read_dyed_object(self.recording, self.changes) if self.colour != "stretch" else None
         self.renderer = registry.load("nuno.renderers", RENDERER)
-        view = _view(self.recording)
+        view = read_view(self.recording)
         meshes = [mesh for frame in self.shown for mesh in self.meshes(frame)]
-        self.camera = _camera(view, meshes, self.size or view.size)
+        self.camera = place_camera(view, meshes, self.size or view.size)
         self.ground = self._ground(meshes)
         dyed = "" if self.dyed is None else self.dyed.name
         plain = [p for p in self.pieces if p.image is None and p.colour is None and p.name != dyed]
@@ -91,7 +90,7 @@ class Painter:
         if self.bodies is not None and len(points):
             grey = np.tile(parse_hex(BODY), (len(points), 1))
             meshes.append(Mesh(points, self.bodies.faces, grey, two_sided=False))
-        return [replace(mesh, vertices=_z_up(mesh.vertices)) for mesh in meshes]
+        return [replace(mesh, vertices=z_up(mesh.vertices)) for mesh in meshes]
 
     def _ground(self, meshes: list[Mesh]) -> float | str:
         """Height of the scene's floor [m], else of the lowest point that any frame shows."""
@@ -208,27 +207,3 @@ def _paint(piece: Piece, x: Float) -> Float:
     if piece.colour is not None or not len(piece.edges):
         return np.tile(parse_hex(piece.colour or PLAIN), (len(x), 1))
     return paint_stretch(piece.stretch(x))
-
-
-def _z_up(points: Float) -> Float:
-    """Scenes have y up and look along -z; this turns y to z and -z to y."""
-    return np.ascontiguousarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
-
-
-def _view(recording: Recording) -> View:
-    try:
-        return View.model_validate(recording.scene.get("view", {}))
-    except ValidationError as error:
-        first = error.errors()[0]["msg"]
-        raise BadInput(f"the recording's view is damaged: {first}", str(recording.path), field="view") from None
-
-
-def _camera(view: View, meshes: list[Mesh], size: tuple[int, int]) -> Camera:
-    """Fitted to the meshes; target and distance of the view win."""
-    fitted = fit_camera(meshes, view.azimuth, view.elevation, size)
-    if view.target is None and view.distance is None:
-        return fitted
-    toward = fitted.eye - fitted.target
-    distance = float(np.linalg.norm(toward)) if view.distance is None else view.distance
-    target = fitted.target if view.target is None else _z_up(np.array([view.target]))[0]
-    return replace(fitted, eye=target + toward / np.linalg.norm(toward) * distance, target=target)

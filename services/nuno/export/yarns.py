@@ -1,0 +1,162 @@
+"""Pictures of knits by rays: yarns as curves on skin, straight lines, the density of stitches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from nuno import registry
+from nuno.build import build_bodies, build_fabric, structural_edges
+from nuno.export.camera import place_camera, read_view, z_up
+from nuno.export.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.target import Progress, check_target, opened, writing
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Frame
+from nuno.recording.restore import restored_scene
+from nuno.scene_file import Chosen, Loaded
+from nuno_schemas.bodies import MESH, rotation_matrices
+from nuno_schemas.curves import YarnCurves
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, State
+from nuno_schemas.plugin import Camera, Mesh, Surface
+from nuno_schemas.scene import View
+from nuno_schemas.yarn_picture import Worn
+
+GROUP = "nuno.yarn_pictures"
+STYLE = "yarns"
+"""The style of a scene that names none."""
+CURVES = "smooth"
+"""The operation that makes curves of yarns."""
+
+
+def export_yarn_picture(
+    source: Recording | Path | str,
+    path: Path,
+    style: str | None = None,
+    frame: int | None = None,
+    size: tuple[int, int] | None = None,
+    overrides: tuple[str, ...] = (),
+    progress: Progress | None = None,
+) -> Path:
+    """Draw one frame (default: the last) of a knit as PNG, in the style that is given, else the scene's, else `yarns`.
+
+    `overrides` are key=value of the scene's `view`. Raises BadInput for a recording without yarns, another style or
+    field, a frame that is not there, and for what the style cannot draw.
+    """
+    from PIL import Image
+
+    with opened(source) as recording, styled(recording, style, overrides) as (loaded, chosen):
+        check_target(path, ".png")
+        shown = read_frame(recording, frame)
+        worn = read_worn(recording, loaded, shown, chosen)
+        view = loaded.scene.view
+        picture = chosen.plugin.draw(
+            with_caption(chosen, recording, shown), worn, find_camera(view, worn, size), progress
+        )
+        with writing(path, ".png") as new:
+            Image.fromarray(picture).save(new, optimize=True)
+    return path
+
+
+@contextmanager
+def styled(recording: Recording, style: str | None, overrides: tuple[str, ...]) -> Iterator[tuple[Loaded, Chosen]]:
+    """A recording's scene, and what draws its yarns, while the scene's files are there. Raises BadInput."""
+    for item in overrides:
+        if not item.startswith("view."):
+            problem, limit = "this field is no matter of pictures", "fields of `view`"
+            raise BadInput(problem, field="--set", value=item, limit=limit, remedy="e.g. --set view.yarns.radius=0.1mm")
+    if style is not None:
+        try:
+            registry.load(GROUP, style)
+        except BadInput as error:
+            raise BadInput(error.problem, field="--style", value=style, remedy=error.remedy) from None
+    own = read_view(recording).yarns
+    named = own.plugin if own is not None else None
+    chosen = style or named or STYLE
+    start = () if chosen == named else (f"view.yarns={{plugin: {chosen}}}",)
+    with restored_scene(recording, (*start, *overrides)) as loaded:
+        if loaded.yarn_picture is None:
+            raise BadInput("the scene says no style for its yarns", field="--style", remedy="give one")
+        yield loaded, loaded.yarn_picture
+
+
+def read_worn(recording: Recording, loaded: Loaded, frame: Frame, chosen: Chosen) -> Worn:
+    """What a frame shows, z up. Raises BadInput for a scene without yarns, or yarns of which no curves can be made."""
+    pieces = read_pieces(recording)
+    check_size(recording, pieces, frame)
+    fabric, _ = build_fabric(loaded)
+    if fabric.yarns is None:
+        raise BadInput(
+            "the recording has no yarns to draw", str(recording.path), field="--style", remedy="leave --style out"
+        )
+    yarns = make_curves(loaded, fabric, frame, chosen.config) if chosen.plugin.curves else None
+    edges = np.asarray(structural_edges(fabric)[0], np.int32)
+    drawn = recorded_bodies(recording, frame.t)
+    cloth = [Mesh(z_up(frame.x[p.start : p.stop]), p.faces) for p in pieces if len(p.faces)]
+    return Worn((*drawn, *cloth), z_up(np.asarray(frame.x, np.float64)), edges, yarns)
+
+
+def recorded_bodies(recording: Recording, t: float) -> list[Mesh]:
+    """All bodies at t [s] as one mesh, z up."""
+    bodies = read_bodies(recording)
+    points = body_vertices(recording, bodies, t)
+    return [] if bodies is None or not len(points) else [Mesh(z_up(points), bodies.faces, two_sided=False)]
+
+
+def make_curves(loaded: Loaded, fabric: Fabric, frame: Frame, config: BaseModel) -> YarnCurves | None:
+    """Yarns as smooth curves, z up; as thick as `config` says, where it does."""
+    plugin = registry.load("nuno.operations", CURVES)
+    radius = getattr(config, "radius", None)
+    options: dict[str, Any] = {} if radius is None else {"radius": radius}
+    x = np.ascontiguousarray(frame.x, np.float64)
+    state = State(x, np.zeros_like(x), frame.t)
+    curves: YarnCurves | None = plugin.apply(
+        plugin.Config.model_validate(options), fabric, state, body_surface(loaded, frame.t)
+    ).curves
+    if curves is None:
+        return None
+    return YarnCurves(z_up(curves.points), curves.ptr, curves.radius, curves.kind, curves.names, z_up(curves.normal))
+
+
+def body_surface(loaded: Loaded, t: float) -> Surface | None:
+    """The bodies that are meshes at t [s], None where there is none."""
+    if not loaded.scene.bodies:
+        return None
+    bodies = build_bodies(loaded)
+    geometry, poses = bodies.geometry, bodies.poses(t)
+    turn = rotation_matrices(poses.rotation)
+    vertices, faces, count = [], [], 0
+    for primitive in np.flatnonzero(geometry.kind == MESH).tolist():
+        own, triangles = geometry.mesh(primitive)
+        at = geometry.frame[primitive]
+        vertices.append(own @ turn[at].T + poses.translation[at])
+        faces.append(triangles + count)
+        count += len(own)
+    return Surface(np.concatenate(vertices), np.concatenate(faces).astype(np.int32)) if vertices else None
+
+
+def find_camera(view: View, worn: Worn, size: tuple[int, int] | None) -> Camera:
+    """As the scene's view says; what it leaves out is fitted to bodies and yarns."""
+    everything = [*worn.bodies, Mesh(worn.points, np.zeros((0, 3), np.int32))]
+    return place_camera(view, everything, size or view.size)
+
+
+def with_caption(chosen: Chosen, recording: Recording, frame: Frame) -> BaseModel:
+    """The style's settings, with the scene's name and the time for a caption unless they have one; yarns in the
+    colour of their object, where that has one and they have none.
+    """
+    config: Any = chosen.config
+    name = recording.metadata.get("run", {}).get("scene") or str(recording.scene.get("name", ""))
+    update: dict[str, Any] = {}
+    if config.caption is None:
+        update["caption"] = f"{name}   t = {frame.t:.2f} s"[:200]
+    colours = [piece.colour for piece in read_pieces(recording) if piece.yarns is not None and piece.colour]
+    if colours and "colour" in type(config).model_fields and "colour" not in config.model_fields_set:
+        update["colour"] = colours[0]
+    result: BaseModel = config.model_copy(update=update)
+    return result
