@@ -12,7 +12,7 @@ from nuno_contact.quantities import Angle, Direction, Point, Size
 from nuno_contact.rotations import from_axis_angle
 from nuno_contact.shapes import ORIGIN, OnJoint, find_frame
 from nuno_kernels.closest_point import Closest, closest_points
-from nuno_kernels.leg import leg_mesh
+from nuno_kernels.leg import LANDMARKS, leg_mesh
 from nuno_kernels.mesh_file import read_closed
 from nuno_kernels.surface_tree import build_tree
 from nuno_schemas.bodies import MESH, rotation_matrices
@@ -63,6 +63,12 @@ class MeshCollider:
             return closest_points(tree, points, start)
 
         return ask
+
+    def heights(self, config: BaseModel) -> dict[str, float]:
+        """Heights in the joint's frame [m] of places that have a name: of a leg that stands as it comes, else none."""
+        c = cast(MeshConfig, config)
+        upright = c.rotate is None or c.rotate.axis[0] == c.rotate.axis[2] == 0.0
+        return {name: c.centre[1] + c.scale * y for name, y in LANDMARKS.items()} if c.shape and upright else {}
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         """Raises BadInput for a mesh that is not closed, passes through itself, or cannot be read."""

@@ -57,6 +57,8 @@ RINGS = (
     Ring(0.023, 0.187, 0.002, 0.176, 0.033, 2.4, 0.0),
 )
 """From thigh to toes."""
+LANDMARKS = {"thigh": 0.700, "knee": 0.455, "calf": 0.320, "ankle": 0.1125}
+"""Heights of the measured girths [m]."""
 TOE, RIM = 0.012, 0.012
 """How far the toes reach beyond the last ring, and the radius of the thigh's rounded rim [m]."""
 CAP = 6

@@ -116,6 +116,7 @@ class Knit:
             faces=np.zeros((0, 3), np.int32),
             springs=springs,
             yarns=yarns,
+            cells=net.cells(),
         )
 
 

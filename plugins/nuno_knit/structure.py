@@ -60,6 +60,13 @@ class Knit:
         """(s,) values of every link from those of each course's legs (courses,) and of each row's arcs (rows,)."""
         return np.concatenate([np.repeat(legs, self.columns), np.repeat(arcs, self.across)])
 
+    def cells(self) -> Int:
+        """(c, 4) points of every quad between two rows, counter-clockwise seen from outside."""
+        number = np.arange(self.points, dtype=np.int32).reshape(-1, self.columns)
+        right = np.roll(number, -1, axis=1)
+        corners = (number[:-1], right[:-1], right[1:], number[1:])
+        return np.ascontiguousarray(np.stack(corners, axis=-1)[:, : self.across].reshape(-1, 4), np.int32)
+
     def course(self) -> tuple[Int, Bool]:
         """(s,) course of every link, and which are borrowed from it: the first's heads below, the last's above."""
         rows, columns = np.divmod(np.arange((self.courses + 1) * self.across), self.across)

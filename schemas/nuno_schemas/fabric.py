@@ -196,9 +196,11 @@ class Yarns:
         same = yarn[1:] == yarn[:-1]
         return np.stack([self.links[:-1], self.links[1:]], axis=1)[same], yarn[1:][same]
 
-    def lengths(self, springs: Springs) -> Float:
-        """(y,) rest length of every yarn [m], each link of a ring counted once."""
-        rest = springs.per_spring(springs.rest)[self.links]
+    def lengths(self, springs: Springs, each: Float | None = None) -> Float:
+        """(y,) rest length of every yarn [m], each link of a ring counted once; or its length by that of each
+        spring (s,) [m].
+        """
+        rest = (springs.per_spring(springs.rest) if each is None else each)[self.links]
         total = np.add.reduceat(rest, self.ptr[:-1]) if self.number else np.zeros(0)
         first, last = self.ptr[:-1], self.ptr[1:] - 1
         ring = (last > first) & (self.links[first] == self.links[last])
@@ -244,6 +246,8 @@ class Fabric:
                              plugin.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
     springs, hinges          or None where there are none
     yarns                    springs that are links of yarns, or None
+    cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: what it has
+                             areas and normals of where it has no faces
     bindings                 pinned vertices that follow a body
     texture                  path of an image, or None
     """
@@ -260,6 +264,7 @@ class Fabric:
     bindings: tuple[Binding, ...] = ()
     texture: str | None = None
     yarns: Yarns | None = None
+    cells: Int | None = None
 
     @property
     def number(self) -> int:

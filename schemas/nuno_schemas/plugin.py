@@ -29,7 +29,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh",
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
-    "nuno.operations": "make something new of a fabric and where it is: repair, smooth",
+    "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure",
     "nuno.renderers": "draw a picture of a frame",
     "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
     "nuno.dye_solvers": "spread dye in a cloth over time",
@@ -284,7 +284,7 @@ class Outcome:
     """What an operation made.
 
     `facts` are numbers for a report; `curves` yarns as curves, where it makes any, and `arrays` what more
-    there is to say of each of their points.
+    there is to say of each of their points, or of the fabric's where it makes no curves.
     """
 
     facts: Mapping[str, float]

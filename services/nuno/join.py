@@ -18,6 +18,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
     springs = [replace(f.springs, first=(f.springs.first + at).astype(np.int32)) for f, at in moved if f.springs]
     hinges = [(f.hinges, at) for f, at in moved if f.hinges]
     before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
+    cells = [f.cells + at for f, at in moved if f.cells is not None]
     yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]
     empty = np.zeros((0, 3))
     return Fabric(
@@ -37,6 +38,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
         ),
         tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
         yarns=Yarns.join(yarns) if yarns else None,
+        cells=np.concatenate(cells).astype(np.int32) if cells else None,
     )
 
 

@@ -12,6 +12,7 @@ from nuno_schemas.messages import FRAMES
 Report = dict[str, Any]
 SIZES, DYE_SIZES = ("vertices", "springs", "hinges"), ("cells",)
 
+ENDS = (("min", "shortest"), ("max", "longest"))
 MOST_STRETCH = 1.0
 """No woven or knitted thread is twice as long as it was and still cloth."""
 MOST_DEPTHS, SEEN_DEPTH = 5.0, 0.005
@@ -66,6 +67,8 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
         "counts": summary.get("counts", {}),
         "yarns": summary.get("yarns", {}),
+        "courses": summary.get("courses", {}),
+        "pressure": summary.get("pressure", {}),
         "dye": dyer.get("dye"),
         "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,
         "frames": {
@@ -222,6 +225,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("balance", _balance(first, last) + since))
     stretch = report["stretch"]
     rows.append(("stretch", _percent(stretch)))
+    rows += _knit(report)
     if report["penetration"] is not None:
         text = f"at most {_millimetres(report['penetration'])}, {_millimetres(report['last_penetration'])} at the end"
         if report["rest_depth"] is not None:
@@ -232,6 +236,19 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))
     rows += _dye(report) if report.get("dye") else []
     return rows + [("warning", text) for text in _warnings(report)]
+
+
+def _knit(report: Report) -> list[tuple[str, str]]:
+    """How long courses are against their rest, and what a knit presses with."""
+    courses, pressure, rows = report["courses"], dict(report["pressure"]), []
+    if courses:
+        number, ends = len(courses["rest"]), [f"{courses[end]:.4g} (course {courses[which]})" for end, which in ENDS]
+        rows.append(("courses", f"{number:,} of {courses['mean']:.4g} times their rest length, {' to '.join(ends)}"))
+    if pressure:
+        low, mean, high = (pressure.pop(name) for name in ("min", "mean", "max"))
+        places = "".join(f", {name} {value:.4g} Pa" for name, value in pressure.items())
+        rows.append(("pressure", f"{mean:.4g} Pa on average, {low:.4g} to {high:.4g} Pa{places}"))
+    return rows
 
 
 def _warnings(report: Report) -> list[str]:

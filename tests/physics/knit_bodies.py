@@ -21,7 +21,8 @@ def knit(form: str, wales: int, courses: int, spacing: float = 1e-3) -> Fabric:
     springs, yarns = knit_yarns(config, net, [PRESETS["nylon"].yarn])
     x = place(config, net)
     none = np.zeros((0, 3), np.int32)
-    return Fabric("knit", x, 0.0 * x, np.ones(len(x)), np.zeros(len(x), bool), none, springs, yarns=yarns)
+    still, free, cells = 0.0 * x, np.zeros(len(x), bool), net.cells()
+    return Fabric("knit", x, still, np.ones(len(x)), free, none, springs, yarns=yarns, cells=cells)
 
 
 def wrapped(

@@ -23,7 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RECORDING")
     what = parser.add_argument_group("what to write (any number of these)")
     what.add_argument(
-        "--npz", type=Path, metavar="FILE", help="float64 x, v, t (dye: phi, fixed, t) of the last checkpoint"
+        "--npz",
+        type=Path,
+        metavar="FILE",
+        help="float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint",
     )
     what.add_argument(
         "--csv", type=Path, metavar="FILE", help="energy, stretch, penetration, dye and step time of every frame"
@@ -50,9 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--size", metavar="WxH", help="of pictures of moving cloth, e.g. 960x720")
     which.add_argument(
         "--colour",
-        choices=["auto", "cloth", "stretch"],
+        choices=["auto", "cloth", "stretch", "pressure"],
         default="auto",
-        help="pictures and animations: cloth in its own texture or colour, or by its stretch "
+        help="pictures and animations: cloth in its own texture or colour, by its stretch, or by a knit's pressure "
         "(default: its own where the scene gives one)",
     )
     which.add_argument(

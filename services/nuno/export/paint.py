@@ -24,6 +24,11 @@ def paint_yarns(kinds: NDArray[np.int8]) -> NDArray[np.float64]:
     return np.asarray(table[np.where(kinds < 0, len(YARNS), kinds % len(YARNS))])
 
 
+def paint_pressure(pressure: Float, high: float) -> NDArray[np.float64]:
+    """(n, 3) linear light of n pressures [Pa] from 0 to `high`; below 0 as 0, NaN grey."""
+    return colours(np.maximum(pressure, 0.0), 0.0, high)
+
+
 def paint_stretch(stretch: Float) -> NDArray[np.float64]:
     """(n, 3) linear light of n stretches; NaN is grey."""
     low, high = (math.log10(end) for end in STRETCH)

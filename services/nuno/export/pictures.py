@@ -18,7 +18,8 @@ from nuno.export.camera import place_camera, read_view, z_up
 from nuno.export.cloth import Bodies, Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.dyed_pictures import Changes
-from nuno.export.paint import BODY, PLAIN, STRETCH, paint_stretch, paint_yarns
+from nuno.export.paint import BODY, PLAIN, STRETCH, paint_pressure, paint_stretch, paint_yarns
+from nuno.export.pressure import Pressures, read_pressure
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.export.tubes import SIDES, tubes
 from nuno.recording.reader import Recording
@@ -29,9 +30,10 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Mesh
 
 Picture = NDArray[np.uint8]
-Colour = Literal["auto", "cloth", "stretch"]
+Colour = Literal["auto", "cloth", "stretch", "pressure"]
 """What cloth is painted with. cloth: its texture, else its colour, else the colours of its kinds of yarn, else plain;
-stretch: how far its threads are stretched; auto: cloth where a texture or colour is given, else stretch."""
+stretch: how far its threads are stretched; pressure: what a knit presses with; auto: cloth where a texture or colour
+is given, else stretch."""
 RENDERER = "raster"
 LOOKS = 16
 """Frames that the camera of an animation is fitted to."""
@@ -59,7 +61,10 @@ class Painter:
         check_colour(self.colour)
         self.pieces: list[Piece] = [_coloured(piece, self.colour) for piece in read_pieces(self.recording)]
         self.bodies: Bodies | None = read_bodies(self.recording)
-        self.dyed = read_dyed_object(self.recording, self.changes) if self.colour != "stretch" else None
+        measured = self.colour in ("stretch", "pressure")
+        self.dyed = None if measured else read_dyed_object(self.recording, self.changes)
+        self.pressure = _pressure(self.recording) if self.colour == "pressure" else None
+        self.most = 1.0 if self.pressure is None else _most(self.pressure, self.shown)
         self.renderer = registry.load("nuno.renderers", RENDERER)
         view = read_view(self.recording)
         meshes = [mesh for frame in self.shown for mesh in self.meshes(frame)]
@@ -70,6 +75,8 @@ class Painter:
         by_stretch = any(len(piece.edges) and piece.yarns is None for piece in plain)
         legend = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1], "format": "percent"}
         self.legend = legend if by_stretch else None
+        if self.pressure is not None:
+            self.legend = {"label": "pressure [Pa]", "low": 0.0, "high": self.most}
 
     def draw(self, frame: Frame) -> Picture:
         """(h, w, 3) uint8 sRGB."""
@@ -85,7 +92,11 @@ class Painter:
         """Everything at one frame, turned so that z is up, as renderer and camera have it."""
         check_size(self.recording, self.pieces, frame)
         pieces = self.pieces if self.dyed is None else self.dyed.dress(self.pieces, frame.t)
-        meshes = [_cloth_mesh(piece, frame.x[piece.start : piece.stop]) for piece in pieces]
+        if self.pressure is None:
+            meshes = [_cloth_mesh(piece, frame.x[piece.start : piece.stop]) for piece in pieces]
+        else:
+            by_point = paint_pressure(self.pressure(frame.x), self.most)
+            meshes = [_painted(piece, frame.x, by_point) for piece in pieces]
         points = body_vertices(self.recording, self.bodies, frame.t)
         if self.bodies is not None and len(points):
             grey = np.tile(parse_hex(BODY), (len(points), 1))
@@ -116,7 +127,7 @@ def check_colour(colour: str) -> None:
 
 def _coloured(piece: Piece, colour: Colour) -> Piece:
     """The piece as it is to be painted: by its texture, else its colour, else its yarns, else its stretch."""
-    if colour == "stretch":
+    if colour in ("stretch", "pressure"):
         return replace(piece, image=None, colour=None, yarns=None)
     if colour == "auto" or piece.colour is not None or len(piece.faces):
         piece = replace(piece, yarns=None)
@@ -201,6 +212,29 @@ def _cloth_mesh(piece: Piece, x: Float) -> Mesh:
         uv = piece.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
         return Mesh(x, piece.faces, uv=uv, image=piece.image)
     return Mesh(x, piece.faces, _paint(piece, x))
+
+
+def _painted(piece: Piece, x: Float, by_point: Float) -> Mesh:
+    """A piece of all points x (n, 3) in their colours (n, 3)."""
+    own = slice(piece.start, piece.stop)
+    if len(piece.faces):
+        return Mesh(x[own], piece.faces, by_point[own])
+    vertices, faces, owner = tubes(x[own], piece.edges)
+    return Mesh(vertices, faces, by_point[own][owner], two_sided=False)
+
+
+def _pressure(recording: Recording) -> Pressures:
+    found = read_pressure(recording)
+    if found is None:
+        problem, remedy = "the recording has no knit, which alone has a pressure", "leave --colour out"
+        raise BadInput(problem, str(recording.path), field="--colour", value="pressure", remedy=remedy)
+    return found
+
+
+def _most(pressure: Pressures, shown: list[Frame]) -> float:
+    """What 99 of 100 points are below in each of these frames [Pa]: edges and single stitches have more."""
+    found = [np.percentile(pressure(frame.x), 99.0) for frame in shown if np.isfinite(frame.x).all()]
+    return float(max(found, default=0.0)) or 1.0
 
 
 def _paint(piece: Piece, x: Float) -> Float:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.export.pressure import read_pressure
 from nuno.export.target import opened, writing
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput
@@ -18,7 +19,7 @@ UNITS = {"balance": "1", "t": "s", "time": "s", "step_seconds": "s", "depth": "m
 
 
 def export_npz(source: Recording | Path | str, path: Path, t: float | None = None) -> Path:
-    """Write the last checkpoint (not after t [s]): x, v (n, 3) and t, all float64, and no more.
+    """Write the last checkpoint (not after t [s]): x, v (n, 3) and t, of a knit `pressure` (n,) [Pa], all float64.
 
     Of a cloth that is dyed: phi, fixed and t; the amounts are (2, ny, nx), or (dyes, 2, ny, nx) for
     several dyes, as in the file of the cloth `cells`. Of a garment that is dyed all of these.
@@ -36,7 +37,9 @@ def export_npz(source: Recording | Path | str, path: Path, t: float | None = Non
 
 def _cloth(recording: Recording, t: float | None) -> dict[str, NDArray[Any]]:
     point = recording.last_checkpoint(before=t)
-    return {"x": point.x, "v": point.v, "t": np.array(point.t)}
+    arrays = {"x": point.x, "v": point.v, "t": np.array(point.t)}
+    measured = read_pressure(recording)
+    return arrays if measured is None else arrays | {"pressure": measured(point.x)}
 
 
 def _dye(recording: Recording, t: float | None) -> dict[str, NDArray[Any]]:

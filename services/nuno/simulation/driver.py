@@ -13,11 +13,12 @@ from nuno.arrays import encode_arrays, encode_points
 from nuno.build import edge_yarns, structural_edges
 from nuno.collision.ask import ask_poses
 from nuno.lockstep import CONTROL, Lockstep
+from nuno.pressure import find_pressure, has_pressure
 from nuno.service import Context
 from nuno.simulation.run import Frame, Simulation
+from nuno.yarns import measure_courses, measure_yarns
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.fabric import Fabric
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status
 from nuno_schemas.plugin import StepReport
 
@@ -142,6 +143,13 @@ class Driver(Lockstep):
         }
         self.context.bus.publisher(CHECKPOINT).put(encode_arrays(arrays, text), simulation.frame, simulation.t, digest)
 
+    def pressure(self) -> dict[str, float]:
+        """Of the cloth on its bodies at the end [Pa]; nothing where there is none."""
+        simulation = self.simulation
+        if not has_pressure(simulation.fabric) or not self.scene.bodies or not np.isfinite(simulation.state.x).all():
+            return {}
+        return dict(find_pressure(simulation.loaded, simulation.fabric, simulation.state.x).facts)
+
     def facts(self, ended: str) -> dict[str, Any]:
         """Energies, limits and sizes for the report."""
         simulation, fabric = self.simulation, self.simulation.fabric
@@ -161,20 +169,10 @@ class Driver(Lockstep):
             "counts": self.counts,
             "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
             "yarns": measure_yarns(fabric),
+            "courses": measure_courses(fabric, simulation.state.x),
+            "pressure": self.pressure(),
             "threads": simulation.about(),
             "vertices": fabric.number,
             "springs": fabric.springs.number if fabric.springs else 0,
             "hinges": fabric.hinges.number if fabric.hinges else 0,
         }
-
-
-def measure_yarns(fabric: Fabric) -> dict[str, dict[str, float]]:
-    """Rest lengths [m] by name of yarn: of all of that name, and of the longest, which in a knit is a course."""
-    if fabric.yarns is None or fabric.springs is None:
-        return {}
-    lengths = fabric.yarns.lengths(fabric.springs)
-    found: dict[str, dict[str, float]] = {}
-    for index, name in enumerate(fabric.yarns.names):
-        own = lengths[fabric.yarns.kind == index]
-        found[name] = {"length": float(own.sum()), "longest": float(own.max(initial=0.0))}
-    return found

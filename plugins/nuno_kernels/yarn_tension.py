@@ -1,0 +1,50 @@
+"""What pulls along the links of yarns at rest, and on their points, in plain NumPy: looked at, never stepped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_schemas.fabric import Fabric, Float
+
+
+def link_tensions(fabric: Fabric, x: Float) -> Float:
+    """(s,) tension [N] of every spring at x (n, 3) [m]: its own, and what it takes over along its yarn.
+
+    T'_n = T_n + mu (T_(n-1) + T_(n+1)), T = k (|d| - L) and beyond a lock as in nuno_kernels.springs; without
+    damping. As in nuno_kernels.yarns a link of no length neither gives nor takes.
+    """
+    springs = fabric.springs
+    if springs is None:
+        return np.zeros(0)
+    pairs, rest = springs.pairs(), springs.per_spring(springs.rest)
+    d = x[pairs[:, 1]] - x[pairs[:, 0]]
+    length = np.sqrt((d * d).sum(axis=1))
+    own = springs.per_spring(springs.k) * (length - rest)
+    if springs.lock is not None and springs.k_lock is not None:
+        more = springs.per_spring(springs.k_lock) - springs.per_spring(springs.k)
+        own += more * np.maximum(length - (1.0 + springs.per_spring(springs.lock)) * rest, 0.0)
+    own[length == 0.0] = 0.0
+    if fabric.yarns is None:
+        return np.asarray(own)
+    neighbours, yarn = fabric.yarns.neighbours()
+    both = (length[neighbours] > 0.0).all(axis=1)
+    share = np.where(both, fabric.yarns.mu[yarn], 0.0)
+    whole = own.copy()
+    for here, there in ((0, 1), (1, 0)):
+        whole += np.bincount(neighbours[:, here], share * own[neighbours[:, there]], len(own))
+    return np.asarray(whole)
+
+
+def point_forces(fabric: Fabric, x: Float) -> Float:
+    """(n, 3) force [N] of all links on every point at x (n, 3) [m]."""
+    if fabric.springs is None:
+        return np.zeros_like(x)
+    pairs = fabric.springs.pairs()
+    d = x[pairs[:, 1]] - x[pairs[:, 0]]
+    length = np.sqrt((d * d).sum(axis=1))
+    pull = np.divide(link_tensions(fabric, x), length, out=np.zeros_like(length), where=length > 0.0)
+    force = np.empty_like(x)
+    for axis in range(3):
+        along = pull * d[:, axis]
+        force[:, axis] = np.bincount(pairs[:, 0], along, len(x)) - np.bincount(pairs[:, 1], along, len(x))
+    return force

@@ -1,0 +1,30 @@
+"""Pressure of knits on bodies, by the operation `pressure`: for reports, tables and pictures."""
+
+from __future__ import annotations
+
+from nuno import registry
+from nuno.scene_file import Loaded
+from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.plugin import Outcome
+
+OPERATION = "pressure"
+
+
+def has_pressure(fabric: Fabric) -> bool:
+    """Whether the fabric is a net of yarns with areas, as knits are."""
+    return fabric.yarns is not None and fabric.cells is not None and len(fabric.cells) > 0
+
+
+def find_pressure(loaded: Loaded, fabric: Fabric, x: Float) -> Outcome:
+    """What the operation finds at x (n, 3) [m]: array `pressure` (n,) [Pa], and facts, also for heights with a name.
+
+    Heights are those of bodies that stand still and know some; of several such bodies the first has the word.
+    """
+    heights: dict[str, float] = {}
+    for collider, motion in zip(loaded.colliders, loaded.motions, strict=True):
+        if motion is None and hasattr(collider.plugin, "heights"):
+            heights = collider.plugin.heights(collider.config) | heights
+    operation = registry.load("nuno.operations", OPERATION)
+    config = operation.Config.model_validate({"heights": heights})
+    outcome: Outcome = operation.apply(config, fabric, State(x, 0.0 * x), None)
+    return outcome
