@@ -69,6 +69,7 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     several kinds, pydantic has an error for each; they are told as one.
     """
     found = [(_place(e["loc"], data, e["type"]), e) for e in error.errors(include_url=False)]
+    found = [item for item in found if not _beside_the_point(*item, found)]
     place, first = min(found, key=lambda item: (item[1]["type"] == "missing", len(item[0])))
     if first["type"] == "extra_forbidden":
         known = [*_fields_at(model, first["loc"][:-1]), *(beside if len(place) == 1 else ())]
@@ -80,6 +81,18 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     full = (*prefix, *place, *context.get("inside", inside))
     problem, value, limit, remedy = words
     return located(BadInput(problem, None, None, None, value, limit, remedy), file, lines, dotted(full))
+
+
+def _beside_the_point(place: Path, error: Any, found: Sequence[tuple[Path, Any]]) -> bool:
+    """Whether an error follows from another inside of the same value, which its author wants to know.
+
+    It says that a list or mapping is no name or number, as another kind of value would be; or that a list is too
+    short, of which wrong items are not counted.
+    """
+    kind = str(error["type"])
+    plain = kind in ("literal_error", "too_short") or kind.removesuffix("_type") in ("int", "float", "bool", "string")
+    inside = any(len(other) > len(place) and other[: len(place)] == place for other, _ in found)
+    return plain and inside and isinstance(error.get("input"), (dict, list))
 
 
 def _place(loc: Path, data: Any, kind: str) -> Path:

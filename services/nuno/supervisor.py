@@ -20,8 +20,9 @@ from nuno.sessions import hub_at, spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
 
-START_TIMEOUT = 120.0
-"""Longest that services may take to be ready [s]; the first run on a machine compiles kernels."""
+START_TIMEOUT, COMPILE_TIMEOUT = 120.0, 1800.0
+"""Longest that services may take to be ready [s]: started by hand, which may have been forgotten; and started here,
+which are seen to be alive, and on a slow machine's first run compile kernels for minutes."""
 CONNECT_PATIENCE = 20.0
 FOLLOWERS = ("dye", "collision", "viewer", "recorder")
 """Services in the order in which they finish, after the one that leads."""
@@ -86,6 +87,7 @@ class Supervisor:
         self.bad_input: BadInput | None = None
         self.blamed = ""
         self.ended: dict[str, Any] | None = None
+        self.patience = START_TIMEOUT
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
 
@@ -105,8 +107,8 @@ class Supervisor:
             if progress is not None and not told and waited > COMPILING_AFTER:
                 told = True
                 progress(COMPILING)
-            if waited > START_TIMEOUT:
-                raise RunFailed(f"not ready within {START_TIMEOUT:g} s: {', '.join(sorted(missing))}")
+            if waited > self.patience:
+                raise RunFailed(f"not ready within {self.patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
 
     def _hear(self, name: str, progress: Progress | None) -> None:
@@ -232,6 +234,8 @@ def supervise(
             session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config))
         supervisor = Supervisor(loaded, options, plan, session, run)
         stack.enter_context(runs.announced(run, endpoint))
+        if not deployment.connect:
+            supervisor.patience = COMPILE_TIMEOUT
         if deployment.processes:
             supervisor.exited = stack.enter_context(
                 launch.processes(loaded, options, plan, endpoint, run, deployment.config)

@@ -58,6 +58,11 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
     "mistyped auto": ({"solver": {"plugin": "atuo"}}, "solver.plugin", "no plugin 'atuo'", "did you mean 'auto'?"),
     "unknown model": (with_model(plugin="shet"), "objects[0].model.plugin", "no plugin 'shet'", "'sheet'"),
     "unknown force": ({"forces": [{"plugin": "wnd"}]}, "forces[0].plugin", "no plugin 'wnd'", "'wind'"),
+    "field of what may be a name or a mapping": (
+        {"objects": [{"name": "knit", "model": {"plugin": "knit", "wales": 4, "courses": 4,
+                                                "yarns": [{"k": 1, "denity": "22 dtex"}]}}]},
+        "objects[0].model.yarns[0].denity", "no such field", "did you mean 'density'",
+    ),
     "pin of a mesh by name": (
         with_model(plugin="mesh", file="m.obj", pin=[0, "top-row"]), "objects[0].model.pin[1]",
         "a mesh has no pins with names", "give vertex numbers, such as pin: [0, 7], or boxes",

@@ -20,7 +20,9 @@ from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.recording.writer import RecordingWriter
 from nuno.service import Options
+from nuno.sessions import hub_at
 from nuno.simulation.run import Simulation
+from nuno.supervisor import Deployment
 from nuno.verify import Verification, verify
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import Header
@@ -36,6 +38,16 @@ def test_threads_and_processes_end_in_the_same_bits(tmp_path: Path) -> None:
     for result in (threads, processes):
         assert result.report["missing"] == result.report["refused"] == 0
         assert result.report["frames"]["sent"] == result.report["frames"]["recorded"] == 26
+
+
+def test_only_services_that_were_started_by_hand_are_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those started here are alive, and may compile their kernels for as long as a slow machine takes."""
+    monkeypatch.setattr(supervisor, "START_TIMEOUT", 0.0)
+    scene = scene_file.read(write_scene(tmp_path, duration=0.1))
+    assert supervisor.supervise(scene, Options()).state == "done"
+    with hub_at(None, None) as (_, endpoint):
+        outcome = supervisor.supervise(scene, Options(), Deployment(connect=endpoint))
+    assert outcome.state == "failed" and "not ready within 0 s: simulation" in outcome.error
 
 
 def test_a_scene_starts_only_the_services_it_needs(tmp_path: Path) -> None:
