@@ -10,8 +10,7 @@ A first step over a jump would ring: the first one, and one after cloth or suppl
 that double from a quarter of an explicit step on.
 
 An explicit stage can overshoot where amounts jump. What a step leaves below nothing or above capacity goes to or
-comes from the neighbours (nuno_dye.repair). Where they cannot take it, the step is taken again as two halves, ten
-times over; then the run ends as unconverged.
+comes from the nearest cells that can take or give it (nuno_dye.repair).
 """
 
 from __future__ import annotations
@@ -21,14 +20,15 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 
 from nuno_dye.bands import Cut
 from nuno_dye.diffusion import LEFT, Rows
 from nuno_dye.fixing import Taking, bound_fixed, settle_bands
 from nuno_dye.legendre import find_coefficients, find_stages
 from nuno_dye.repair import repair
-from nuno_dye.rkl2_stage import RATES, Amounts, Planes, Weights, super_step
+from nuno_dye.rkl2_rows import ROWS
+from nuno_dye.rkl2_stage import LEVELS, Amounts, Law, Weights, super_step
 from nuno_dye.solving import (
     Known,
     begin_frame,
@@ -56,19 +56,17 @@ PACE = 0.25
 STIFFER = 1.25
 """By how much limits may raise the largest eigenvalue: PACE of them."""
 QUARTERS = 4
-"""Parts of each of a fresh step's doublings: fibre takes most where amounts jump, and keeps it."""
-HALVINGS = 10
-"""Times at most that a step which leaves its bounds is halved."""
+"""Parts of each of a fresh step's first doublings: fibre takes most where amounts jump, and keeps it."""
+QUARTERED = 4
+"""Doublings that are taken in parts, to eight explicit steps. All of them took a third more stages for the same."""
+SCALES = 10
+"""Steps at most whose weights are kept."""
 BEYOND = 1e3
 """What a kept-up cell may hold beyond its capacity while others' excess is moved."""
 
 
 class Rkl2Config(Config):
-    """What is done with a step that leaves its bounds."""
-
-    halvings: int = Field(
-        default=HALVINGS, ge=0, le=HALVINGS, description="times at most that a step that leaves its bounds is halved"
-    )
+    """The solver has no fields of its own."""
 
 
 @dataclass
@@ -87,7 +85,6 @@ class Room:
 class Work:
     """What was made from a system; rooms by dye and whether limits may bind."""
 
-    config: Rkl2Config
     known: Known
     cut: Cut
     cuts: Rows
@@ -107,7 +104,7 @@ class Rkl2:
         """
         require_compiled_laws(system, self.name)
         require_constant(system, self.name)
-        return Memory({"highest": largest_amounts(state), "met": np.full(2, np.nan)}, _make_work(config, system))
+        return Memory({"highest": largest_amounts(state), "met": np.full(2, np.nan)}, _make_work(system))
 
     def limit(self, config: Rkl2Config, system: DyeSystem) -> float:
         """None: stages follow from the step."""
@@ -117,7 +114,7 @@ class Rkl2:
         """See nuno_schemas.dye.DyeSolver."""
         work = memory.work = _renew_work(memory.work, system)  # type: ignore[arg-type]
         highest, fresh = memory.arrays["highest"], begin_frame(memory.arrays, work.known, steps)
-        totals, given, message = {"steps": steps, "stages": 0, "halvings": 0}, [], ""
+        totals, given, message = {"steps": steps, "stages": 0}, [], ""
         for k in range(len(system.dyes)):
             limited = not float(highest[k]) <= work.known.room
             added, failed = _advance_one(work, k, state, steps, dt, limited, fresh, totals)
@@ -130,11 +127,11 @@ class Rkl2:
         return describe_threads(system)
 
 
-def _make_work(config: Rkl2Config, system: DyeSystem) -> Work:
+def _make_work(system: DyeSystem) -> Work:
     known = know(system)
     cut = Cut(system.cells.fibre.shape, 1, MARGIN)
     cuts = cut.top + np.linspace(0, cut.ny, count_bands(system) + 1).astype(np.int64)
-    return Work(config, known, cut, cuts)
+    return Work(known, cut, cuts)
 
 
 def _renew_work(work: Work, system: DyeSystem) -> Work:
@@ -142,7 +139,7 @@ def _renew_work(work: Work, system: DyeSystem) -> Work:
     if system is work.known.system:
         return work
     if not same_cells(system, work.known.system):
-        return _make_work(work.config, system)
+        return _make_work(system)
     if system.supply is not work.known.system.supply:
         work.rooms.clear()
     work.known = know(system)
@@ -163,15 +160,17 @@ def _room(work: Work, k: int, limited: bool) -> Room:
     floor = _planes(work, floors[k]) if floors is not None and floors[k].any() else None
     kind, first, second = law_of(system.dyes[k])
 
-    def planes() -> Planes:
-        return Planes(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+    def planes() -> Float:
+        return np.zeros((3 * shape[0], shape[1]))
 
     own = planes()
     held, seen = planes() if kind else own, own if floor is None else planes()
-    scratch = np.zeros((len(work.cuts) - 1, RATES + 4, shape[1]))
+    # Bands shrink by a row or two a stage at either end, and must keep one: what lies between them stays apart then.
+    levels = int(min(LEVELS, max(1, np.diff(work.cuts).min() // 4)))
+    scratch = np.zeros((len(work.cuts) - 1, levels * ROWS, shape[1]))
     amounts = Amounts(own, np.zeros(shape), seen, held, planes() if limited else own, scratch)
     fibre = _planes(work, system.cells.fixed_room)
-    taking = Taking(held.start, np.zeros(shape), fibre, 0.0, kind, first, second) if kind else None
+    taking = Taking(held[: shape[0]], np.zeros(shape), fibre, 0.0, kind, first, second) if kind else None
     found = Room(amounts, _planes(work, system.cells.mobile_room), taking, floor, limited)
     work.rooms[k, limited] = found
     return found
@@ -192,17 +191,16 @@ def _advance_one(
     if fresh:
         doublings = max(0, math.ceil(math.log2(max(_reach(work, room, one, scale / parts), 1.0))))
         doubling = np.concatenate([[0.5**doublings], 0.5 ** np.arange(doublings, 0, -1.0)])
-        shares = np.concatenate([np.repeat(doubling / QUARTERS, QUARTERS), shares[1:]])
+        quartered = np.repeat(doubling[:QUARTERED] / QUARTERS, QUARTERS)
+        shares = np.concatenate([quartered, doubling[QUARTERED:], shares[1:]])
     for share in shares:
-        after, added = _step(work, room, one, amounts, float(share) * scale / parts, totals, 0)
+        after, added = _step(work, room, one, amounts, float(share) * scale / parts, totals)
         if after is None:
-            return math.fsum(
-                given
-            ), f"no step of {dt / parts / 2**work.config.halvings:g} s keeps amounts within capacity"
+            return math.fsum(given), f"a step of {float(share) * dt / parts:g} s leaves amounts beyond capacity"
         amounts = after
         given.append(added)
     if steps == 0:
-        _step(work, room, one, amounts, 0.0, dict(totals), work.config.halvings)
+        _step(work, room, one, amounts, 0.0, dict(totals))
     for values, out in zip(amounts, (state.phi[k], state.fixed[k]), strict=True):
         for layer in range(2):
             at = work.cut.top + layer * work.cut.height
@@ -217,7 +215,7 @@ def _reach(work: Work, room: Room, one: Dye, scale: float) -> float:
 
 
 def _step(
-    work: Work, room: Room, one: Dye, start: tuple[Float, Float], scale: float, totals: dict[str, int], halved: int
+    work: Work, room: Room, one: Dye, start: tuple[Float, Float], scale: float, totals: dict[str, int]
 ) -> tuple[tuple[Float, Float] | None, float]:
     """One step; mobile and fixed dye at its end, None where that fails, and what was given."""
     phi = start[0]
@@ -232,22 +230,13 @@ def _step(
     most = np.maximum(room.mobile, phi)
     # Kept-up cells take any excess of their neighbours': it is given back to the supply that fed them.
     bound_for = most if room.floor is None else np.where(room.floor > 0.0, most + BEYOND, most)
-    if repair(found, bound_for, room.floor, weights, first, first + work.cut.ny - 1, work.cut.nx) == 0:
-        given = _keep(room, found, most)
-        if taking is not None:
-            settle_bands(work.cuts, found, phi, bound, taking, room.floor, work.cut.nx, pace)
-            given += _keep(room, found, most)
-        return (found, bound), given
-    if halved == work.config.halvings:
+    if repair(found, bound_for, room.floor, weights, first, first + work.cut.ny - 1, work.cut.nx) > 0:
         return None, 0.0
-    totals["halvings"] += 1
-    total, after = 0.0, start
-    for _ in range(2):
-        half, added = _step(work, room, one, after, 0.5 * scale, totals, halved + 1)
-        if half is None:
-            return None, 0.0
-        after, total = half, total + added
-    return after, total
+    given = _keep(room, found, most)
+    if taking is not None:
+        settle_bands(work.cuts, found, phi, bound, taking, room.floor, work.cut.nx, pace)
+        given += _keep(room, found, most)
+    return (found, bound), given
 
 
 def _keep(room: Room, phi: Float, most: Float) -> float:
@@ -262,7 +251,7 @@ def _keep(room: Room, phi: Float, most: Float) -> float:
 
 def _weights(work: Work, room: Room, scale: float) -> Weights:
     if scale not in room.weights:
-        if len(room.weights) > HALVINGS:
+        if len(room.weights) >= SCALES:
             room.weights.clear()
         along, down, across = (plane[0] for plane in work.cut.fill_faces(work.known.faces, scale))
         room.weights[scale] = Weights(along, down, across)
@@ -273,15 +262,18 @@ def _run(
     work: Work, room: Room, start: tuple[Float, Float], taking: Taking | None, scale: float, reach: float, pace: float
 ) -> tuple[Float, Float]:
     """All stages; raw mobile and fixed amounts at their end."""
-    amounts = room.amounts
-    for plane in amounts.mobile:
-        np.copyto(plane, start[0])
+    amounts, height = room.amounts, len(start[0])
+    amounts.mobile.reshape(3, height, -1)[:] = start[0]
     if taking is not None:
-        for plane in amounts.held:
-            np.copyto(plane, start[1])
+        amounts.held.reshape(3, height, -1)[:] = start[1]
     if room.floor is not None:
-        np.maximum(start[0], room.floor, out=amounts.seen.start)
+        np.maximum(start[0], room.floor, out=amounts.seen[:height])
     weights, mobile = _weights(work, room, scale), room.mobile if room.limited else None
     coefficients = find_coefficients(find_stages(reach))
-    super_step(coefficients, pace, work.cuts, weights, amounts, taking, room.floor, mobile)
-    return amounts.mobile.even.copy(), amounts.held.even.copy() if taking is not None else start[1]
+    bite, fibre, law = None, None, Law(0.0, 0, 0.0, 0.0, pace)
+    if taking is not None:
+        bite, fibre = taking.slope, taking.fibre
+        law = Law(taking.rate, taking.isotherm, taking.first, taking.second, pace)
+    super_step(coefficients, law, work.cuts, weights, amounts, bite, fibre, room.floor, mobile)
+    even = slice(height, 2 * height)
+    return amounts.mobile[even].copy(), amounts.held[even].copy() if taking is not None else start[1]
