@@ -35,7 +35,7 @@ def block_count(vertices: int) -> int:
     return -(-vertices // BLOCK)
 
 
-def owned_copies(indices: Long, blocks: int) -> tuple[Long, Long]:
+def owned_copies(indices: Long | Int, blocks: int) -> tuple[Long, Long]:
     """Elements each block has to compute, for (w, m) vertices of m elements.
 
     Returns (p,) element numbers, grouped by block, and (blocks + 1,) bounds: an element appears
@@ -63,7 +63,7 @@ def pad_lists(element: Long, bounds: Long, width: int) -> tuple[Long, Long]:
     return out, start
 
 
-def local_targets(indices: Long, start: Long, vertices: int) -> Int:
+def local_targets(indices: Long | Int, start: Long, vertices: int) -> Int:
     """(w, p) columns in the block's own forces; others' vertices, and -1, go to the padding."""
     origin = BLOCK * np.repeat(np.arange(start.shape[0] - 1), np.diff(start))
     width = np.minimum(BLOCK, vertices - origin)

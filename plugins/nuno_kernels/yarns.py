@@ -133,19 +133,24 @@ def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | Non
     passing = yarns.mu[yarn] > 0.0
     if not passing.any():
         return None
-    neighbours, mu = neighbours[passing], yarns.mu[yarn[passing]]
-    corners = pair_corners(springs.pairs(), neighbours).astype(np.int64)
-    named = [springs.per_spring(values)[neighbours.T] for values in spring_constants(springs)]
-    # Of k, rest, c and, where springs lock, what k grows by and from which length, lengths are not shared.
-    scaled = [values if row in (1, 4) else mu * values for row, values in enumerate(named)]
-    constants = np.stack([values[link] for part in (scaled[:3], scaled[3:]) for link in (0, 1) for values in part])
+    neighbours, yarn = neighbours[passing], yarn[passing]
+    corners = pair_corners(springs.pairs(), neighbours)
     order = np.lexsort((corners.max(axis=0), corners.min(axis=0)))
-    corners, constants = corners[:, order], constants[:, order]
-    element, bounds = owned_copies(corners, block_count(vertices))
-    element, start = pad_lists(element, bounds, WIDTH)
+    corners = corners[:, order]
+    element, start = pad_lists(*owned_copies(corners, block_count(vertices)), WIDTH)
     filled = element >= 0
     target = local_targets(np.where(filled, corners[:, element], -1), start, vertices)
-    table = np.concatenate([np.where(filled, corners[:, element], 0), target]).astype(np.int32)
-    constants = np.ascontiguousarray(np.where(filled, constants[:, element], 0.0))
+    table = np.concatenate([np.where(filled, corners[:, element], 0).astype(np.int32), target])
+    del corners, target
+    # Constants are most of a knit's memory: each row is written once, in its place.
+    named = spring_constants(springs)
+    constants = np.zeros((2 * len(named), element.shape[0]))
+    pair, mu = order[element[filled]], yarns.mu[yarn]
+    for row, values in enumerate(named):
+        for link in (0, 1):
+            own = springs.per_spring(values)[neighbours[pair, link]]
+            # Of k, rest, c and, where springs lock, what k grows by and from which length, lengths are not shared.
+            at = 3 * link + row if row < 3 else 3 + 2 * link + row
+            constants[at, filled] = own if row in (1, 4) else mu[pair] * own
     damped = True if constants[[2, 5]].any() else None
-    return YarnLists(start, np.ascontiguousarray(table), constants, damped, True if len(named) > 3 else None)
+    return YarnLists(start, table, constants, damped, True if len(named) > 3 else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +21,7 @@ from nuno_kernels.blocks import BLOCK
 from nuno_kernels.energy import measure_energy
 from nuno_kernels.packing import pack, to_rows
 from nuno_kernels.stability import measure_rates
+from nuno_kernels.yarns import pack_yarns
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Springs, Yarns
 from nuno_schemas.plugin import System
@@ -175,3 +177,21 @@ def test_random_nets_without_yarns_have_no_part_of_them() -> None:
     position, springs = random_net(30, 60, 1)
     packed = pack(make_system(make_fabric(position, springs)))
     assert packed.yarns is None
+
+
+def test_packing_takes_little_more_than_what_it_makes() -> None:
+    """Constants and temporaries of pairs would otherwise be most of a knit's memory: 740 bytes a point at the peak."""
+    points = 20_000
+    index = np.arange(points - 1, dtype=np.int32)
+    one, x = np.ones(points - 1), np.zeros((points, 3))
+    x[:, 0] = np.arange(points)
+    springs = Springs.from_pairs(np.stack([index, index + 1], 1), one, one, 0 * one)
+    yarns = Yarns(index, np.array([0, points - 1], np.int32), np.array([0.2]), np.zeros(1, np.int8))
+    tracemalloc.start()
+    packed = pack_yarns(yarns, springs, points)
+    held, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert packed is not None
+    # One pair a point here, two in a knit: six indices of 4 bytes and six constants of 8.
+    assert 72 * points <= held < 75 * points
+    assert peak < 2.3 * held
