@@ -57,7 +57,9 @@ def _bar(
     row = np.rint(to_srgb(colours(np.linspace(0.0, 1.0, width), 0.0, 1.0)) * 255.0).astype(np.uint8)
     image.paste(Image.fromarray(np.tile(row, (height, 1, 1))), (left, top))
     draw.rectangle((left - 1, top - 1, right, top + height), outline=INK)
-    _text(draw, (left, top - line // 3), legend.label, font, "ls")
+    # A label longer than the bar ends where the bar does.
+    wide = draw.textlength(legend.label, font) > width
+    _text(draw, (right if wide else left, top - line // 3), legend.label, font, "rs" if wide else "ls")
     _text(draw, (left, bottom), _number(legend.low, legend.format), font, "ls")
     _text(draw, (right, bottom), _number(legend.high, legend.format), font, "rs")
 

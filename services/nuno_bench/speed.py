@@ -21,6 +21,7 @@ CASES = {
     "scipy": ("nuno_bench.scipy_peer", "scipy_peer"),
     "stiffness": ("nuno_bench.stiffness", "stiffness"),
     "closest": ("nuno_bench.closest", "closest"),
+    "render": ("nuno_bench.render_speed", "render"),
     "dye": ("nuno_bench.dye_speed", "dye"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),
     "start": ("nuno_bench.processes", "start"),

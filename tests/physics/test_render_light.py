@@ -202,6 +202,15 @@ def test_colour_bar_shows_the_map_itself():
     assert not changed[:, :300].any()
 
 
+def test_label_longer_than_the_bar_ends_where_the_bar_does():
+    legend = Legend(label="points within 15.9 mm, or so", low=0.0, high=1.0)
+    camera = above(size=(240, 320))
+    changed = Raster().render(RasterConfig(legend=legend), [], camera) != Raster().render(RasterConfig(), [], camera)
+    columns = np.flatnonzero(changed.any(axis=(0, 2)))
+    assert columns.max() <= 240 - 320 // 30 + 1
+    assert columns.min() < 240 - 320 // 30 - 60
+
+
 @pytest.mark.parametrize("rows", [10, 24, 60])
 def test_convex_body_neither_shadows_nor_hides_itself(rows):
     # Its flat faces would, along the terminator, where the smooth normals still see the light:
