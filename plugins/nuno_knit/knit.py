@@ -10,10 +10,11 @@ from pydantic import BaseModel, Field, model_validator
 from nuno_knit.over import Over, draw_over
 from nuno_knit.quantities import Length, Mass, Metres, Rate, Ratio
 from nuno_knit.structure import Knit as Structure
-from nuno_knit.yarns import Yarn, YarnName, resolve
+from nuno_knit.yarns import Yarn, YarnName, list_yarns, resolve
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, Springs, Yarns
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.preset import Preset
 
 Number = Annotated[int, Field(ge=1, le=8192)]
 PinName = Literal["top-row", "bottom-row", "left-edge", "right-edge", "all-rim"]
@@ -75,6 +76,10 @@ class Knit:
     def memory(self, config: KnitConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
         return vertices * BYTES_PER_POINT
+
+    def yarns(self) -> tuple[Preset, ...]:
+        """Yarns known by name."""
+        return list_yarns()
 
     def over(self, config: KnitConfig) -> str | None:
         """Name of the body that it is drawn over."""

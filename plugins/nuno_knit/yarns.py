@@ -13,6 +13,7 @@ from pydantic import Field, field_validator, model_validator
 
 from nuno_knit.quantities import LinearDensity, Newtons, Ratio, Share, SpringDamping, Stiffness
 from nuno_schemas.plugin import Config
+from nuno_schemas.preset import Measure, Preset
 
 DTEX = 1e-7
 """kg/m in one dtex."""
@@ -111,6 +112,23 @@ PRESETS: dict[str, Known] = {
 }
 
 YarnName = Literal["nylon", "nylon-6", "elastane", "support"]
+
+
+def list_yarns() -> tuple[Preset, ...]:
+    """Every preset, in units that a scene may write."""
+    return tuple(_preset(name, known) for name, known in PRESETS.items())
+
+
+def _preset(name: str, known: Known) -> Preset:
+    yarn = known.yarn
+    measures = (
+        Measure("EA", "N", yarn.ea),
+        Measure("lock", "", yarn.lock),
+        Measure("EA_lock", "N", yarn.ea_lock),
+        Measure("density", "dtex", yarn.density / DTEX),
+        Measure("mu", "", yarn.mu),
+    )
+    return Preset(name, known.source, measures)
 
 
 def resolve(choice: YarnName | Yarn) -> Yarn:

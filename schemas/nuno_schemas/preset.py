@@ -1,4 +1,4 @@
-"""Fabrics that a scene can name, with what their sources say and virtual tests find."""
+"""Fabrics and yarns that a scene can name, with what their sources say and virtual tests find."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Measure:
-    """One property of a fabric.
+    """One property of a fabric or a yarn.
 
     unit      of all its values, as a scene may write it; "" for a ratio
-    given     what the fabric's source says
+    given     what the source says, None where it says nothing
     measured  what virtual tests find on a mesh, by the test's name
     """
 
     name: str
     unit: str
-    given: float
+    given: float | None
     measured: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Preset:
-    """A fabric that a scene can name. A model that knows some lists them by `presets()`."""
+    """A fabric or a yarn that a scene can name. A model that knows some lists them by `presets()` and by `yarns()`."""
 
     name: str
     source: str

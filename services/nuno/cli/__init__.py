@@ -29,6 +29,7 @@ COMMANDS = {
     "plugins": ("nuno.cli.plugins", "which plugins are installed"),
     "scenes": ("nuno.cli.scenes", "the scenes that come with nuno"),
     "fabrics": ("nuno.cli.fabrics", "the fabrics that scenes can name, in measured units, with sources"),
+    "yarns": ("nuno.cli.yarns", "the yarns that knits can name, with sources"),
     "schema": ("nuno.cli.schema", "JSON Schema of scenes, for editors"),
     "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
 }

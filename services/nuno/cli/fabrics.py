@@ -53,10 +53,14 @@ def table(presets: list[Preset]) -> list[str]:
     rows = [["", *(column.name for column in columns)], ["", *(f"[{column.unit or '1'}]" for column in columns)]]
     for preset in presets:
         tests = list(dict.fromkeys(test for measure in preset.measures for test in measure.measured))
-        rows.append([preset.name, *(_digits(measure.given) for measure in preset.measures)])
+        rows.append([preset.name, *(_given(measure) for measure in preset.measures)])
         rows += [[f"  {test}", *(_measured(measure, test) for measure in preset.measures)] for test in tests]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]
+
+
+def _given(measure: Measure) -> str:
+    return "" if measure.given is None else _digits(measure.given)
 
 
 def _measured(measure: Measure, test: str) -> str:
