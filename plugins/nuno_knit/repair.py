@@ -79,13 +79,7 @@ class Repair:
         curves = YarnCurves(
             found.points, found.ptr, np.full(paths.number, radius), paths.kind, paths.names, found.normal
         )
-        facts = {
-            "links": float(len(found.status)),
-            "repaired": float((found.status == LIES).sum()),
-            "lost": float((found.status == LOST).sum()),
-            "inserted": float((found.vertex < 0).sum()),
-            **measure(curves, below, 0.0, found.face),
-        }
+        facts = count_links(found, curves) | measure(curves, below, 0.0, found.face)
         return Outcome(facts, curves, {"vertex": found.vertex, "face": found.face})
 
 
@@ -97,6 +91,17 @@ def to_skin(surface: Surface | None) -> Skin | None:
 def radius_of(config: YarnConfig, paths: Paths, x: Float) -> float:
     """Of the yarns [m]."""
     return RADIUS * mean_length(paths, x) if config.radius is None else config.radius
+
+
+def count_links(found: Repaired, curves: YarnCurves) -> dict[str, float]:
+    """Links, those repaired and those that no way was found for, points that repair inserted, and points there are."""
+    return {
+        "links": float(len(found.status)),
+        "repaired": float((found.status == LIES).sum()),
+        "lost": float((found.status == LOST).sum()),
+        "inserted": float((found.vertex < 0).sum()),
+        "points": float(len(curves.points)),
+    }
 
 
 def measure(curves: YarnCurves, skin: Skin | None, off: float, face: Int, samples: int = CHECKED) -> dict[str, float]:

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nuno_kernels.surface_strings import LIES, LOST
 from nuno_knit.loops import WIDEST, Net, face_of_knit, find_axes, find_net, find_widths, lay_loops
 from nuno_knit.paths import Paths, find_paths
 from nuno_knit.quantities import Share
-from nuno_knit.repair import CHECKED, Repaired, YarnConfig, measure, radius_of, repair, to_skin
+from nuno_knit.repair import CHECKED, Repaired, YarnConfig, count_links, measure, radius_of, repair, to_skin
 from nuno_knit.skin import Skin, to_unit
 from nuno_knit.spline import sample_curves
 from nuno_schemas.curves import YarnCurves
@@ -61,13 +60,8 @@ class Smooth:
             points, ptr, face = keep_off(points, ptr, face, below, radius, config.tolerance)
             normal = below.look(points, face)[1]
         curves = YarnCurves(points, ptr, np.full(paths.number, radius), paths.kind, paths.names, normal)
-        facts = {
-            "links": float(len(laid.status)),
-            "repaired": float((laid.status == LIES).sum()),
-            "lost": float((laid.status == LOST).sum()),
-            "points": float(len(points)),
-            **measure(curves, below, radius, face, max(3, 1 + -(-CHECKED // (PIECES * number)))),
-        }
+        checked = max(3, 1 + -(-CHECKED // (PIECES * number)))
+        facts = count_links(laid, curves) | measure(curves, below, radius, face, checked)
         return Outcome(facts, curves, {"face": face})
 
 

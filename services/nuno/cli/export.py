@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, get_args
 
 from pydantic import ValidationError
 
+from nuno.cli.export_yarns import add_yarns, check_wish, write_yarns
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView
@@ -43,8 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f"the cloth{' and bodies' if suffix == '.glb' else ''} in a frame{text}",
         )
     what.add_argument("--rrd", type=Path, metavar="FILE", help="a file for the rerun viewer (needs nuno[view])")
+    add_yarns(parser, what)
     which = parser.add_argument_group("which part")
-    which.add_argument("--frame", type=int, metavar="N", help="frame for --png and meshes (default: the last)")
+    which.add_argument("--frame", type=int, metavar="N", help="frame for --png, meshes and yarns (default: the last)")
     which.add_argument("--start", type=float, metavar="SECONDS", help="animations: from here")
     which.add_argument("--end", type=float, metavar="SECONDS", help="animations: to here")
     which.add_argument(
@@ -112,6 +114,8 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
             written.append(meshes.export_mesh(recording, path, args.frame))
         elif path:
             written += meshes.export_meshes(recording, path, suffix, _progress)
+    if args.yarns:
+        written.append(write_yarns(recording, args))
     if args.rrd:
         from nuno.viewer.convert import convert
 
@@ -198,6 +202,7 @@ def _check_wishes(recording: Recording, args: argparse.Namespace) -> None:
     for path in filter(None, (args.gif, args.mp4)):
         check_animation(path, args.fps, size)
     require(None, args.rrd, "--rrd")
+    check_wish(recording, args)
     check = _check_dyed_pictures if recording.dyed_alone else _check_pictures
     check(recording, args, changes)
 

@@ -1,0 +1,116 @@
+"""Yarns of a recording as curves, for renderers and other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from nuno import build, registry
+from nuno.export.cloth import read_frame
+from nuno.export.target import check_target, opened, writing
+from nuno.export.yarns import body_surface
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Frame
+from nuno.recording.restore import restored_scene
+from nuno_schemas.curves import YarnCurves
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import State
+from nuno_schemas.plugin import Operation, Outcome
+
+Form = Literal["straight", "smooth"]
+"""straight: the knit's links, repaired where they would cut through a body; smooth: loops as curves."""
+OPERATIONS: dict[str, str] = {"straight": "repair", "smooth": "smooth"}
+KINDS = (".npz", ".obj")
+
+
+def make_yarns(
+    recording: Recording, frame: Frame, form: Form = "smooth", settings: dict[str, Any] | None = None
+) -> Outcome:
+    """The yarns of one frame of a recording; `settings` are those of the operation, by name.
+
+    Raises BadInput for a recording whose cloth has no yarns, a frame that is not of it or not finite, and
+    for settings that are refused.
+    """
+    operation, config = find_operation(form, settings or {})
+    path = str(recording.path)
+    with restored_scene(recording) as loaded:
+        fabric, skin = build.build_fabric(loaded)[0], body_surface(loaded, frame.t)
+    if frame.x.shape != fabric.position.shape:
+        raise BadInput(f"frame {frame.number} has {len(frame.x)} points, and the scene {fabric.number}", path)
+    if not np.isfinite(frame.x).all():
+        remedy = "name an earlier one with --frame"
+        raise BadInput("the frame's positions are not finite", path, value=frame.number, remedy=remedy)
+    x = np.ascontiguousarray(frame.x, np.float64)
+    made: Outcome = operation.apply(config, fabric, State(x, np.zeros_like(x), frame.t), skin)
+    return made
+
+
+def find_operation(form: Form, settings: dict[str, Any]) -> tuple[Operation, BaseModel]:
+    """The operation that makes yarns of a form, and its configuration. Raises BadInput for settings it refuses."""
+    operation: Operation = registry.load("nuno.operations", OPERATIONS[form])
+    try:
+        return operation, operation.Config.model_validate(settings)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = str(first["loc"][0]) if first["loc"] else ""
+        problem = str(first["msg"]).removeprefix("Value error, ")
+        if first["type"] == "extra_forbidden":
+            problem = f"{form} yarns have no such setting"
+        raise BadInput(problem, field=f"--{name}", value=settings.get(name)) from None
+
+
+def check_yarns(path: Path) -> str:
+    """The ending of a file of yarns. Raises BadInput for one that cannot be written."""
+    suffix = path.suffix.lower()
+    if suffix not in KINDS:
+        limit = ", ".join(KINDS)
+        raise BadInput("no such kind of file of yarns", field="--yarns", value=path.name, limit=limit)
+    check_target(path, suffix)
+    return suffix
+
+
+def export_yarns(
+    source: Recording | Path | str,
+    path: Path,
+    frame: int | None = None,
+    form: Form = "smooth",
+    settings: dict[str, Any] | None = None,
+) -> Outcome:
+    """Write the yarns of one frame (default: the last) as curves; the name's ending says how.
+
+    .npz holds the arrays of YarnCurves, the operation's own of each point, and frame and t [s]; .obj polylines [m],
+    one object a kind of yarn. Returns what was made. Raises BadInput as make_yarns does.
+    """
+    suffix = check_yarns(path)
+    with opened(source) as recording:
+        shown = read_frame(recording, frame)
+        made = make_yarns(recording, shown, form, settings)
+        if made.curves is None:
+            raise BadInput("the operation made no curves", value=OPERATIONS[form])
+        with writing(path, suffix) as new, new.open("wb") as stream:
+            if suffix == ".npz":
+                curves = {name: np.asarray(values) for name, values in vars(made.curves).items()}
+                np.savez(stream, allow_pickle=False, **curves, **made.arrays, frame=shown.number, t=shown.t)
+            else:
+                _write_obj(stream, made.curves, shown)
+    return made
+
+
+def _write_obj(stream: BinaryIO, curves: YarnCurves, frame: Frame) -> None:
+    """Nine digits, as other OBJ exports have; points count from 1."""
+    stream.write(f"# nuno yarns of frame {frame.number} at {frame.t!r} s\n".encode())
+    number = 0
+    for kind, name in enumerate(curves.names):
+        mine = np.flatnonzero(curves.kind == kind)
+        if not len(mine):
+            continue
+        stream.write(f"# radius {float(curves.radius[mine].max())!r} m\no {name}\n".encode())
+        for yarn in mine:
+            points = curves.points[curves.ptr[yarn] : curves.ptr[yarn + 1]]
+            lines = ["v {:.9g} {:.9g} {:.9g}".format(*row) for row in points.tolist()]
+            lines.append("l " + " ".join(map(str, range(number + 1, number + 1 + len(points)))))
+            stream.write(("\n".join(lines) + "\n").encode())
+            number += len(points)
