@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from closed_meshes import brute_distance, winding_number
 
 from nuno_kernels.closest_point import closest_points
 from nuno_kernels.surface_tree import build_tree
-from nuno_knit.knit import KnitConfig, knit_yarns, place, structure
-from nuno_knit.yarns import PRESETS
+from nuno_knit.knit import Knit, KnitConfig
 from nuno_schemas.fabric import Fabric, Float, Int
+
+
+class NoFiles:
+    """A knit needs none."""
+
+    def resolve(self, name: str) -> Path:
+        raise AssertionError(name)
 
 
 def knit(form: str, wales: int, courses: int, spacing: float = 1e-3) -> Fabric:
     """A knit of nylon."""
-    config = KnitConfig.model_validate(
-        {"form": form, "wales": wales, "courses": courses, "spacing": (spacing, spacing), "yarns": ("nylon",)}
-    )
-    net = structure(config)
-    springs, yarns = knit_yarns(config, net, [PRESETS["nylon"].yarn])
-    x = place(config, net)
-    none = np.zeros((0, 3), np.int32)
-    still, free, cells = 0.0 * x, np.zeros(len(x), bool), net.cells()
-    return Fabric("knit", x, still, np.ones(len(x)), free, none, springs, yarns=yarns, cells=cells)
+    fields = {"form": form, "wales": wales, "courses": courses, "spacing": (spacing, spacing), "yarns": ("nylon",)}
+    return Knit().build(KnitConfig.model_validate(fields), NoFiles(), 0)
 
 
 def wrapped(
