@@ -254,7 +254,8 @@ def _knit(report: Report) -> list[tuple[str, str]]:
 def _warnings(report: Report) -> list[str]:
     """What makes a result doubtful though the run went through."""
     found = []
-    if (report["stretch"] or 0.0) > MOST_STRETCH:
+    # Elastic yarns are made to be drawn out further than any woven cloth bears.
+    if (report["stretch"] or 0.0) > MOST_STRETCH and not report.get("yarns"):
         found.append(f"threads were stretched by more than {MOST_STRETCH:.0%}: a stiffer fabric, or less load?")
     depth, expected = report["penetration"], report["rest_depth"]
     if depth is not None and expected is not None and depth > max(MOST_DEPTHS * expected, SEEN_DEPTH):

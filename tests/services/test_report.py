@@ -39,6 +39,7 @@ def test_penetration_is_the_peak_and_the_last_frames(result: nuno.Result) -> Non
     [
         ({"stretch": MOST_STRETCH}, ""),
         ({"stretch": 1.001 * MOST_STRETCH}, "stretched by more than 100%"),
+        ({"stretch": 1.5 * MOST_STRETCH, "yarns": {"elastane": {"length": 1.0, "longest": 1.0}}}, ""),
         ({"stretch": None}, ""),
         ({"penetration": 1.001 * SEEN_DEPTH, "rest_depth": 1e-4}, "50 times as deep"),
         ({"penetration": 0.999 * SEEN_DEPTH, "rest_depth": 1e-4}, ""),
