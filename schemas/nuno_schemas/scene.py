@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -12,6 +12,7 @@ from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Colour, Name, Part, require_distinct
 from nuno_schemas.units import quantity
+from nuno_schemas.view import View
 
 if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
     Interval = float
@@ -20,9 +21,6 @@ if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
     Stiffness = float
     Acceleration = float
     Damping = float
-    Angle = float
-    Distance = float
-    Metres = float
     Diffusion = float
     Speed = float
 else:
@@ -32,14 +30,8 @@ else:
     Stiffness = quantity("N/m", gt=0)
     Acceleration = quantity("m/s^2")
     Damping = quantity("1/s", ge=0)
-    Angle = quantity("rad")
-    Distance = quantity("m", gt=0)
-    Metres = quantity("m")
     Diffusion = quantity("m^2/s", ge=0)
     Speed = quantity("", gt=0, le=1e9)
-
-Vector = tuple[Metres, Metres, Metres]
-Pixels = Annotated[int, Field(ge=16, le=8192)]
 
 AUTO = "auto"
 """The solver that is chosen for the scene, with its step."""
@@ -106,19 +98,6 @@ class Record(Part):
         default=None,
         description="interval of the amounts of dye that are recorded and shown [s], of all frames unless given; "
         "beside the first, the last and those of checkpoints",
-    )
-
-
-class View(Part):
-    """How pictures are taken; what is left out is fitted to the scene."""
-
-    azimuth: Angle = Field(default=0.6, description="[rad] round the vertical, 0 looks along -z")
-    elevation: Angle = Field(default=0.2, description="[rad] of the eye above the horizon")
-    target: Vector | None = Field(default=None, description="what is looked at: x, y, z [m]; fitted unless given")
-    distance: Distance | None = Field(default=None, description="of the eye from the target [m]; fitted unless given")
-    size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
-    yarns: Choice | None = Field(
-        default=None, description="how `nuno export --style` draws yarns: a plugin and its fields"
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
-from nuno.arrays import BadMessage, decode_points, encode_arrays, encode_points
+from nuno.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, STATE
@@ -22,12 +22,14 @@ from nuno_schemas.surface import surface
 
 pytest.importorskip("rerun", reason="needs nuno[view]")
 
+from nuno.export.paint import paint_yarns
 from nuno.viewer.bodies import INSET
+from nuno.viewer.cloth import pack
 from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.kernels import vertex_normals, vertex_stretch
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.require import part_of, require
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 CLOTH = "/world/cloth/sheet"
 
@@ -172,6 +174,22 @@ def test_a_net_without_faces_shows_masses_and_springs(tmp_path: Path) -> None:
     x = decode_points(points).astype(np.float32)
     assert np.array_equal(np.float32(read(path, f"{CLOTH}/masses", "Points3D:positions")[0]), x)
     assert np.array_equal(np.float32(read(path, f"{CLOTH}/springs", "LineStrips3D:strips")[0]), x[edges])
+
+
+def test_links_show_their_yarns_where_the_view_says_so(tmp_path: Path) -> None:
+    """Colours once, by kind, as in pictures; by stretch they come with every frame."""
+    uv, _, edges = sheet(5, 4)
+    kinds = (np.arange(len(edges)) % 3 - 1).astype(np.int8)
+    arrays, text = decode_arrays(fabric(uv, np.zeros((0, 3), np.int32), edges))
+    told = encode_arrays(arrays | {"edge_yarn": kinds}, text)
+    fed = [(FABRIC.name, 0, 0.0, told), (STATE.name, 0, 0.0, encode_points(wave(uv, 0.0), 0.0))]
+    expected = pack(paint_yarns(kinds)).tolist()
+    by_yarn = write_all(RerunFile(tmp_path / "yarn.rrd", "run", View(links="yarn")), fed)
+    assert read(by_yarn, f"{CLOTH}/springs", "LineStrips3D:colors", static=True)[0] == expected
+    assert not read(by_yarn, f"{CLOTH}/springs", "LineStrips3D:colors")
+    by_stretch = write(tmp_path / "stretch.rrd", fed)
+    assert len(read(by_stretch, f"{CLOTH}/springs", "LineStrips3D:colors")[0]) == len(edges)
+    assert len(set(expected)) == 3
 
 
 def broken(uv: NDArray[np.float64]) -> dict[str, Fed]:

@@ -24,7 +24,7 @@ from nuno.service import Options, ack_topic, run_service
 from nuno.sessions import free_port, hub
 from nuno.viewer.live import LiveView, Ring
 from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 pytest.importorskip("rerun", reason="needs nuno[view]")
 

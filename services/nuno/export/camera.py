@@ -13,7 +13,7 @@ from nuno_schemas.camera import frame as fit_camera
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Camera, Mesh
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 
 def z_up(points: Float) -> Float:

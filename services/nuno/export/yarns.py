@@ -24,7 +24,7 @@ from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.plugin import Camera, Mesh, Surface
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 from nuno_schemas.yarn_picture import Worn
 
 GROUP = "nuno.yarn_pictures"

@@ -38,7 +38,7 @@ from nuno_schemas.messages import (
     Penetration,
     Status,
 )
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 APPLICATION = "nuno"
 BATCH = 32
@@ -150,13 +150,15 @@ class Bridge:
             len(arrays["pinned"]) != number
             or len(arrays["edge_rest"]) != len(arrays["edges"])
             or len(arrays.get("uv", arrays["pinned"])) != number
+            or len(arrays.get("edge_yarn", arrays["edges"])) != len(arrays["edges"])
         ):
             raise BadMessage("a fabric's arrays differ in length")
         self._vertices, self._pinned = number, arrays["pinned"].astype(bool)
         self._cloths = []
         for spec in text["objects"]:
             path = layout.entity("world", "cloth", str(spec["name"]))
-            cloth = Cloth(self.recording, path, spec, arrays, self.images, spec["name"] == self._dyed_object)
+            dyed = spec["name"] == self._dyed_object
+            cloth = Cloth(self.recording, path, spec, arrays, self.images, dyed, self.view.links == "yarn")
             self._cloths.append(cloth)
             if cloth.untextured:
                 self._log(
@@ -270,6 +272,7 @@ def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> 
 | yellow | 100 % and more |
 | grey | not a number |
 
-Pieces with a texture or a colour of their own show that instead.
+Pieces with a texture or a colour of their own show that instead, and nets of yarns, where the scene's view has
+`links: yarn`, the yarn that each link is of.
 Bodies are drawn {1000 * INSET:g} mm thinner than they are, so that cloth resting on them shows.
 {dyed}"""

@@ -13,6 +13,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nuno.arrays import BadMessage
+from nuno.export.paint import paint_yarns
 from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 
@@ -57,6 +58,7 @@ class Cloth:
     spec       the object as in the fabric message: name, start, stop, texture, colour
     arrays     the fabric message's arrays, of all objects
     dyed       its texture comes with the frames
+    by_yarn    links of a net without triangles have the colours of their kinds of yarn, as in pictures
 
     Raises BadMessage where the arrays do not fit together.
     """
@@ -69,6 +71,7 @@ class Cloth:
         arrays: dict[str, NDArray[Any]],
         images: ReadImage,
         dyed: bool = False,
+        by_yarn: bool = False,
     ) -> None:
         self.recording, self.path = recording, path
         self.start, self.stop = int(spec["start"]), int(spec["stop"])
@@ -84,6 +87,10 @@ class Cloth:
         image = images(named) if named and "uv" in arrays else None
         self.untextured = bool(named) and image is None
         self.coloured = image is None and not self.dyed and not spec.get("colour") and len(self.edges) > 0
+        self.yarns = None
+        if by_yarn and "edge_yarn" in arrays and not len(self.faces) and not spec.get("colour"):
+            self.yarns = pack(paint_yarns(arrays["edge_yarn"][self._inside(arrays["edges"])].astype(np.int8)))
+            self.coloured = False
         self._log_static(spec, arrays, image)
 
     def _inside(self, indices: NDArray[Any]) -> NDArray[np.bool_]:
@@ -103,7 +110,8 @@ class Cloth:
             pinned = arrays["pinned"][self.start : self.stop]
             points = np.where(pinned, pack(parse_hex("#c0392b")), pack(parse_hex("#34495e")))
             self._log("masses", rr.Points3D.from_fields(colors=points.astype(np.uint32), radii=MASS_SIZE), static=True)
-            springs = rr.LineStrips3D.from_fields(radii=SPRING_WIDTH, colors=None if self.coloured else colour)
+            once = colour if self.yarns is None else self.yarns
+            springs = rr.LineStrips3D.from_fields(radii=SPRING_WIDTH, colors=None if self.coloured else once)
             self._log("springs", springs, static=True)
             return
         self._log("", rr.Mesh3D.from_fields(triangle_indices=self.faces.astype(np.uint32)), static=True)

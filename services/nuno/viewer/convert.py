@@ -16,7 +16,7 @@ from nuno.recording.restore import restored_scene
 from nuno.viewer.dyed import viewer_painter
 from nuno.viewer.file import RerunFile
 from nuno_schemas.errors import BadInput
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 
 def convert(recording: Recording, path: Path) -> Path:

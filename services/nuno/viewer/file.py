@@ -14,7 +14,7 @@ from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.cloth import ReadImage, read_image
 from nuno.viewer.require import part_of
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 FLUSH_SECONDS = 60.0
 BLOCK = 2**20

@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "/dye/picture"
 """Time of the scene; that of the dyeing, where there is nothing but a cloth that is dyed."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import psutil
 
 from nuno_schemas.messages import FRAMES, STATE
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 RING_BYTES = 64 * 2**20
 """Frames on their way to the viewer; when they take more, the oldest are skipped. A window takes

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from nuno_schemas.scene import View
+from nuno_schemas.view import View
 
 if TYPE_CHECKING:
     from nuno.export.dyed import DyePainter

@@ -1,0 +1,38 @@
+"""How a scene wants to be looked at."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from nuno_schemas.parts import Choice, Part
+from nuno_schemas.units import quantity
+
+if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
+    Angle = float
+    Distance = float
+    Metres = float
+else:
+    Angle = quantity("rad")
+    Distance = quantity("m", gt=0)
+    Metres = quantity("m")
+
+Vector = tuple[Metres, Metres, Metres]
+Pixels = Annotated[int, Field(ge=16, le=8192)]
+
+
+class View(Part):
+    """How pictures are taken; what is left out is fitted to the scene."""
+
+    azimuth: Angle = Field(default=0.6, description="[rad] round the vertical, 0 looks along -z")
+    elevation: Angle = Field(default=0.2, description="[rad] of the eye above the horizon")
+    target: Vector | None = Field(default=None, description="what is looked at: x, y, z [m]; fitted unless given")
+    distance: Distance | None = Field(default=None, description="of the eye from the target [m]; fitted unless given")
+    size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
+    links: Literal["stretch", "yarn"] = Field(
+        default="stretch", description="what colours the links of a net in the viewer: stretch, or the yarn they are of"
+    )
+    yarns: Choice | None = Field(
+        default=None, description="how `nuno export --style` draws yarns: a plugin and its fields"
+    )
