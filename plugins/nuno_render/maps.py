@@ -34,6 +34,7 @@ class Map:
     name: ClassVar[str] = "map"
     Config: ClassVar[type[BaseModel]] = MapConfig
     curves: ClassVar[bool] = False
+    shows: ClassVar[bool] = True
 
     def draw(self, config: MapConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB. Raises BadInput for nothing to show, too, and values of another number."""
@@ -48,6 +49,7 @@ class Density:
     name: ClassVar[str] = "density"
     Config: ClassVar[type[BaseModel]] = MapConfig
     curves: ClassVar[bool] = False
+    shows: ClassVar[bool] = False
 
     def draw(self, config: MapConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB. Raises BadInput."""

@@ -38,6 +38,7 @@ class Yarns:
     name: ClassVar[str] = "yarns"
     Config: ClassVar[type[BaseModel]] = YarnsConfig
     curves: ClassVar[bool] = True
+    shows: ClassVar[bool] = False
 
     def draw(self, config: YarnsConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB, the same bytes with any number of threads. Raises as `radiance`."""
@@ -51,6 +52,7 @@ class Lines:
     name: ClassVar[str] = "lines"
     Config: ClassVar[type[BaseModel]] = LinesConfig
     curves: ClassVar[bool] = False
+    shows: ClassVar[bool] = False
 
     def draw(self, config: LinesConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB, the same bytes with any number of threads. Raises BadInput."""

@@ -55,6 +55,8 @@ class YarnPicture(Protocol):
     Config: ClassVar[type[BaseModel]]
     curves: ClassVar[bool]
     """Whether it draws yarns as curves; to make them takes time."""
+    shows: ClassVar[bool]
+    """Whether it shows values that its caller brings: of knits in recordings, their pressure."""
 
     def draw(self, config: Any, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB picture, the same bytes however many threads draw it.

@@ -12,6 +12,7 @@ from PIL import Image
 from nuno import api
 from nuno.cli import main
 from nuno.export.cloth import read_frame
+from nuno.export.pressure import read_pressure
 from nuno.export.yarns import export_yarn_picture, find_camera, read_worn, styled
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
@@ -26,7 +27,8 @@ gravity: [0, 0, 0]
 objects:
   - name: hose
     colour: "#2030a0"
-    model: {plugin: knit, form: tube, wales: 20, courses: 12, spacing: [22 mm, 25 mm], yarns: [nylon, support],
+    model: {plugin: knit, form: tube, wales: 20, courses: 12, spacing: [22 mm, 25 mm], stretch: [1.2, 1.0],
+            yarns: [{name: nylon, k: 1 N/m}, {name: support, k: 10 N/m}], mass: 1 g,
             centre: [0, 0.5, 0]}
 bodies:
   - name: leg
@@ -79,8 +81,6 @@ def test_lines_and_density_are_drawn_and_other_styles_refused(recorded: Path, tm
     with pytest.raises(BadInput, match="no plugin 'linse'") as refused:
         draw(recorded, tmp_path, "linse")
     assert refused.value.field == "--style"
-    with pytest.raises(BadInput, match="no values"):
-        draw(recorded, tmp_path, "map")
 
 
 def test_a_scene_says_how_its_yarns_are_drawn(tmp_path: Path) -> None:
@@ -105,11 +105,22 @@ def test_curves_lie_off_the_leg_and_points_are_the_frames(recorded: Path) -> Non
         assert lines.yarns is None and len(yarns.yarns.points) > len(yarns.points)
         x = read_frame(recording).x
         assert np.array_equal(yarns.points[:, 2], x[:, 1]) and np.array_equal(yarns.points[:, 1], -x[:, 2])
-        assert np.abs(np.linalg.norm(yarns.yarns.points[:, :2], axis=1) - 0.14).max() < 0.03
+        assert np.abs(np.linalg.norm(yarns.yarns.points[:, :2], axis=1) - 1.2 * 0.14).max() < 0.01
         with styled(recording, "yarns", ("view.distance=0.7", "view.target=[0,0.5,0]")) as (loaded, _):
             camera = find_camera(loaded.scene.view, yarns, None)
             assert np.linalg.norm(camera.eye - [0, 0, 0.5]) == pytest.approx(0.7)
             assert camera.size == (96, 128)
+
+
+def test_a_map_shows_the_pressure_of_the_frame(recorded: Path, tmp_path: Path) -> None:
+    with open_recording(recorded) as recording, styled(recording, "map", ()) as (loaded, chosen):
+        frame = read_frame(recording)
+        values = read_worn(recording, loaded, frame, chosen).values
+        expected = read_pressure(recording)
+        assert values is not None and expected is not None and values.label == "pressure [Pa]"
+        assert np.array_equal(values.values, expected(frame.x)) and values.values.mean() > 1.0
+    shown = draw(recorded, tmp_path, "map", "view.yarns.radius=60mm")
+    assert len(np.unique(shown.reshape(-1, 3), axis=0)) > 100
 
 
 def test_an_eye_inside_the_leg_is_refused(recorded: Path, tmp_path: Path) -> None:

@@ -63,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--style",
         metavar="NAME",
-        help="--png of a knit by rays: yarns, lines (straight links) or density (of stitches); --set "
-        "view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera",
+        help="--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of pressure "
+        "on skin); --set view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera",
     )
     dye = parser.add_argument_group("pictures and animations of dyed cloth (default: as the scene says)")
     dye.add_argument(

@@ -15,6 +15,7 @@ from nuno.build import build_bodies, build_fabric, structural_edges
 from nuno.export.camera import place_camera, read_view, z_up
 from nuno.export.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.target import Progress, check_target, opened, writing
+from nuno.pressure import find_pressure, has_pressure
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
@@ -25,7 +26,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.plugin import Camera, Mesh, Surface
 from nuno_schemas.view import View
-from nuno_schemas.yarn_picture import Worn
+from nuno_schemas.yarn_picture import SurfaceValues, Worn
 
 GROUP = "nuno.yarn_pictures"
 STYLE = "yarns"
@@ -97,8 +98,17 @@ def read_worn(recording: Recording, loaded: Loaded, frame: Frame, chosen: Chosen
     yarns = make_curves(loaded, fabric, frame, chosen.config) if chosen.plugin.curves else None
     edges = np.asarray(structural_edges(fabric)[0], np.int32)
     drawn = recorded_bodies(recording, frame.t)
+    pressure = find_values(loaded, fabric, frame) if chosen.plugin.shows else None
     cloth = [Mesh(z_up(frame.x[p.start : p.stop]), p.faces) for p in pieces if len(p.faces)]
-    return Worn((*drawn, *cloth), z_up(np.asarray(frame.x, np.float64)), edges, yarns)
+    return Worn((*drawn, *cloth), z_up(np.asarray(frame.x, np.float64)), edges, yarns, pressure)
+
+
+def find_values(loaded: Loaded, fabric: Fabric, frame: Frame) -> SurfaceValues:
+    """The pressure at the points. Raises BadInput for a net of yarns that is no knit."""
+    if not has_pressure(fabric):
+        raise BadInput("only a knit has pressure", field="--style", remedy="take yarns, lines or density")
+    pressure = find_pressure(loaded, fabric, np.asarray(frame.x, np.float64)).arrays["pressure"]
+    return SurfaceValues("points", np.asarray(pressure, np.float64), "pressure [Pa]")
 
 
 def recorded_bodies(recording: Recording, t: float) -> list[Mesh]:
