@@ -26,6 +26,7 @@ from nuno_dye.bands import Cut
 from nuno_dye.diffusion import LEFT, Rows
 from nuno_dye.fixing import Taking, bound_fixed, settle_bands
 from nuno_dye.legendre import find_coefficients, find_stages
+from nuno_dye.potential import Curve, curve_of
 from nuno_dye.repair import repair
 from nuno_dye.rkl2_rows import ROWS
 from nuno_dye.rkl2_stage import LEVELS, Amounts, Law, Weights, super_step
@@ -39,7 +40,6 @@ from nuno_dye.solving import (
     law_of,
     make_report,
     require_compiled_laws,
-    require_constant,
     same_cells,
 )
 from nuno_dye.sums import sum_compensated
@@ -78,6 +78,7 @@ class Room:
     taking: Taking | None
     floor: Float | None
     limited: bool
+    curve: Curve | None
     weights: dict[float, Weights] = field(default_factory=dict)
 
 
@@ -103,7 +104,6 @@ class Rkl2:
         the floors that the last step met. Raises BadInput.
         """
         require_compiled_laws(system, self.name)
-        require_constant(system, self.name)
         return Memory({"highest": largest_amounts(state), "met": np.full(2, np.nan)}, _make_work(system))
 
     def limit(self, config: Rkl2Config, system: DyeSystem) -> float:
@@ -171,7 +171,7 @@ def _room(work: Work, k: int, limited: bool) -> Room:
     amounts = Amounts(own, np.zeros(shape), seen, held, planes() if limited else own, scratch)
     fibre = _planes(work, system.cells.fixed_room)
     taking = Taking(held[: shape[0]], np.zeros(shape), fibre, 0.0, kind, first, second) if kind else None
-    found = Room(amounts, _planes(work, system.cells.mobile_room), taking, floor, limited)
+    found = Room(amounts, _planes(work, system.cells.mobile_room), taking, floor, limited, curve_of(system.dyes[k]))
     work.rooms[k, limited] = found
     return found
 
@@ -211,7 +211,7 @@ def _advance_one(
 def _reach(work: Work, room: Room, one: Dye, scale: float) -> float:
     """Explicit limits in a step."""
     stiffer = STIFFER if room.limited or room.taking is not None else 1.0
-    return scale * (work.known.most * stiffer + (one.adsorption if room.taking is not None else 0.0))
+    return scale * (work.known.most * one.steepest * stiffer + (one.adsorption if room.taking is not None else 0.0))
 
 
 def _step(
@@ -274,6 +274,6 @@ def _run(
     if taking is not None:
         bite, fibre = taking.slope, taking.fibre
         law = Law(taking.rate, taking.isotherm, taking.first, taking.second, pace)
-    super_step(coefficients, law, work.cuts, weights, amounts, bite, fibre, room.floor, mobile)
+    super_step(coefficients, law, work.cuts, weights, room.curve, amounts, bite, fibre, room.floor, mobile)
     even = slice(height, 2 * height)
     return amounts.mobile[even].copy(), amounts.held[even].copy() if taking is not None else start[1]

@@ -12,6 +12,7 @@ from typing import Any
 
 from nuno_dye.diffusion import LEFT, slide
 from nuno_dye.fixing import taken_at
+from nuno_dye.potential import potentials
 from nuno_kernels import kernel
 from nuno_kernels.simd import WIDTH, load, splat, store
 from nuno_kernels.simd_choose import higher, lower, where_greater
@@ -25,18 +26,20 @@ ROWS = RATES + 4
 
 
 @kernel
-def spread_row(seen: Any, along: Any, down: Any, across: Any, scratch: Any, slots: int, row: int, base: int) -> None:
+def spread_row(
+    seen: Any, along: Any, down: Any, across: Any, curve: Any, scratch: Any, slots: int, row: int, base: int
+) -> None:
     """M of a row's cells where no limit can bind."""
     other = row + across.shape[0]
     here_0, here_1, left_0, left_1, rates = base + row, base + other, splat(0.0), splat(0.0), slots + RATES
     for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
-        phi_0, phi_1 = load(seen, here_0, c), load(seen, here_1, c)
-        right_0 = load(along, row, c) * (load(seen, here_0, c + 1) - phi_0)
-        right_1 = load(along, other, c) * (load(seen, here_1, c + 1) - phi_1)
-        down_0 = load(down, row, c) * (load(seen, here_0 + 1, c) - phi_0)
-        down_1 = load(down, other, c) * (load(seen, here_1 + 1, c) - phi_1)
-        up_0 = load(down, row - 1, c) * (phi_0 - load(seen, here_0 - 1, c))
-        up_1 = load(down, other - 1, c) * (phi_1 - load(seen, here_1 - 1, c))
+        phi_0, phi_1 = potentials(load(seen, here_0, c), curve), potentials(load(seen, here_1, c), curve)
+        right_0 = load(along, row, c) * (potentials(load(seen, here_0, c + 1), curve) - phi_0)
+        right_1 = load(along, other, c) * (potentials(load(seen, here_1, c + 1), curve) - phi_1)
+        down_0 = load(down, row, c) * (potentials(load(seen, here_0 + 1, c), curve) - phi_0)
+        down_1 = load(down, other, c) * (potentials(load(seen, here_1 + 1, c), curve) - phi_1)
+        up_0 = load(down, row - 1, c) * (phi_0 - potentials(load(seen, here_0 - 1, c), curve))
+        up_1 = load(down, other - 1, c) * (phi_1 - potentials(load(seen, here_1 - 1, c), curve))
         through = load(across, row, c) * (phi_1 - phi_0)
         store(scratch, rates, c, (right_0 - slide(left_0, right_0)) + (down_0 - up_0) + through)
         store(scratch, rates + 1, c, (right_1 - slide(left_1, right_1)) + (down_1 - up_1) - through)
@@ -85,16 +88,18 @@ def advance_row(
 
 
 @kernel
-def flux_row(seen: Any, along: Any, down: Any, across: Any, scratch: Any, slots: int, row: int, base: int) -> None:
+def flux_row(
+    seen: Any, along: Any, down: Any, across: Any, curve: Any, scratch: Any, slots: int, row: int, base: int
+) -> None:
     """Fluxes of a row's faces into its slot."""
     other, slot = row + across.shape[0], slots + SLOT * (row % 4)
     here_0, here_1 = base + row, base + other
     for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
-        phi_0, phi_1 = load(seen, here_0, c), load(seen, here_1, c)
-        store(scratch, slot, c, load(along, row, c) * (load(seen, here_0, c + 1) - phi_0))
-        store(scratch, slot + 1, c, load(along, other, c) * (load(seen, here_1, c + 1) - phi_1))
-        store(scratch, slot + 2, c, load(down, row, c) * (load(seen, here_0 + 1, c) - phi_0))
-        store(scratch, slot + 3, c, load(down, other, c) * (load(seen, here_1 + 1, c) - phi_1))
+        phi_0, phi_1 = potentials(load(seen, here_0, c), curve), potentials(load(seen, here_1, c), curve)
+        store(scratch, slot, c, load(along, row, c) * (potentials(load(seen, here_0, c + 1), curve) - phi_0))
+        store(scratch, slot + 1, c, load(along, other, c) * (potentials(load(seen, here_1, c + 1), curve) - phi_1))
+        store(scratch, slot + 2, c, load(down, row, c) * (potentials(load(seen, here_0 + 1, c), curve) - phi_0))
+        store(scratch, slot + 3, c, load(down, other, c) * (potentials(load(seen, here_1 + 1, c), curve) - phi_1))
         store(scratch, slot + 4, c, load(across, row, c) * (phi_1 - phi_0))
 
 

@@ -110,8 +110,8 @@ def end_row(
 @kernel
 def pass_rows(
     top: int, bottom: int, up: int, low: int, stages: Any, law: Any, coefs: Any, along: Any, down: Any, across: Any,
-    mobile: Any, slope: Any, seen: Any, held: Any, bite: Any, fibre: Any, floor: Any, most: Any, factors: Any,
-    scratch: Any,
+    curve: Any, mobile: Any, slope: Any, seen: Any, held: Any, bite: Any, fibre: Any, floor: Any, most: Any,
+    factors: Any, scratch: Any,
 ) -> None:  # fmt: skip
     """All stages of a pass, the first of rows `top` to `bottom`, and each `up` and `low` rows further.
 
@@ -126,13 +126,13 @@ def pass_rows(
             into = 2 * r * (1 + j % 2)
             here = 0 if j <= 0 else 6 * r - into
             if most is None:
-                spread_row(seen, along, down, across, scratch, slots, row, here)
+                spread_row(seen, along, down, across, curve, scratch, slots, row, here)
             else:
                 turn = stages.turn if j < 0 else j % 2
                 if row == begin:
-                    flux_row(seen, along, down, across, scratch, slots, row - 2, here)
+                    flux_row(seen, along, down, across, curve, scratch, slots, row - 2, here)
                 for ahead in range(row - 1 if row == begin else row + 1, row + 2):
-                    flux_row(seen, along, down, across, scratch, slots, ahead, here)
+                    flux_row(seen, along, down, across, curve, scratch, slots, ahead, here)
                     open_row(
                         seen, held, fibre, most, floor, factors, scratch, law, slots, ahead, r, here, 2 * r * (1 + turn)
                     )
@@ -148,51 +148,60 @@ def pass_rows(
 
 @parallel_kernel
 def pass_bands(
-    stages: Any, law: Any, coefs: Any, cuts: Any, weights: Any, amounts: Any, bite: Any, fibre: Any, floor: Any,
-    most: Any,
+    stages: Any, law: Any, coefs: Any, cuts: Any, weights: Any, curve: Any, amounts: Any, bite: Any, fibre: Any,
+    floor: Any, most: Any,
 ) -> None:  # fmt: skip
     """What of a pass the bands can take without each other."""
     bands, depth = cuts.shape[0] - 1, 1 if most is None else 2
     for b in prange(bands):
         pass_rows(
             cuts[b], cuts[b + 1] - 1, depth if b > 0 else 0, -depth if b < bands - 1 else 0, stages, law, coefs,
-            weights.along, weights.down, weights.across, amounts.mobile, amounts.slope, amounts.seen, amounts.held,
-            bite, fibre, floor, most, amounts.factors, amounts.scratch[b],
+            weights.along, weights.down, weights.across, curve, amounts.mobile, amounts.slope, amounts.seen,
+            amounts.held, bite, fibre, floor, most, amounts.factors, amounts.scratch[b],
         )  # fmt: skip
 
 
 @parallel_kernel
 def pass_between(
-    stages: Any, law: Any, coefs: Any, cuts: Any, weights: Any, amounts: Any, bite: Any, fibre: Any, floor: Any,
-    most: Any,
+    stages: Any, law: Any, coefs: Any, cuts: Any, weights: Any, curve: Any, amounts: Any, bite: Any, fibre: Any,
+    floor: Any, most: Any,
 ) -> None:  # fmt: skip
     """The rest of a pass, between the bands. A loop of its own: numba would fuse it."""
     depth = 1 if most is None else 2
     for b in prange(1, cuts.shape[0] - 1):
         pass_rows(
             cuts[b], cuts[b] - 1, -depth, depth, stages, law, coefs,
-            weights.along, weights.down, weights.across, amounts.mobile, amounts.slope, amounts.seen, amounts.held,
-            bite, fibre, floor, most, amounts.factors, amounts.scratch[b],
+            weights.along, weights.down, weights.across, curve, amounts.mobile, amounts.slope, amounts.seen,
+            amounts.held, bite, fibre, floor, most, amounts.factors, amounts.scratch[b],
         )  # fmt: skip
 
 
 @kernel
 def super_step(
-    coefs: Any, law: Any, cuts: Any, weights: Any, amounts: Any, bite: Any, fibre: Any, floor: Any, most: Any
+    coefs: Any,
+    law: Any,
+    cuts: Any,
+    weights: Any,
+    curve: Any,
+    amounts: Any,
+    bite: Any,
+    fibre: Any,
+    floor: Any,
+    most: Any,
 ) -> None:
     """All stages, (s, 4) coefficients mu, nu, mu', gamma'; the last, as s is odd, is in the even plane.
 
-    cuts (b + 1,) are first rows of the bands, and the one after the last. `bite`, what fibre takes at first, and
-    `fibre`, V_d, are None where nothing is adsorbed, `floor` where nothing is kept up, `most` (V_u) where nothing can
-    be limited.
+    cuts (b + 1,) are first rows of the bands, and the one after the last. `curve` is None where D is constant, `bite`,
+    what fibre takes at first, and `fibre`, V_d, where nothing is adsorbed, `floor` where nothing is kept up, `most`
+    (V_u) where nothing can be limited.
     """
     levels = amounts.scratch.shape[1] // ROWS
     if most is not None:
         amounts.factors[:] = 0.0
         for n in range(SETTLING):
-            pass_bands(Stages(-1, 1, n % 2), law, coefs, cuts, weights, amounts, bite, fibre, floor, most)
+            pass_bands(Stages(-1, 1, n % 2), law, coefs, cuts, weights, curve, amounts, bite, fibre, floor, most)
     for first in range(0, coefs.shape[0], levels):
         stages = Stages(first, min(levels, coefs.shape[0] - first), 0)
-        pass_bands(stages, law, coefs, cuts, weights, amounts, bite, fibre, floor, most)
+        pass_bands(stages, law, coefs, cuts, weights, curve, amounts, bite, fibre, floor, most)
         if cuts.shape[0] > 2 and stages.number > 1:
-            pass_between(stages, law, coefs, cuts, weights, amounts, bite, fibre, floor, most)
+            pass_between(stages, law, coefs, cuts, weights, curve, amounts, bite, fibre, floor, most)

@@ -97,14 +97,6 @@ def require_compiled_laws(system: DyeSystem, solver: str) -> None:
             raise BadInput(f"{solver} knows no isotherm in Python", value=one.name, remedy=remedy)
 
 
-def require_constant(system: DyeSystem, solver: str) -> None:
-    """Raises BadInput for a dye whose D falls with it."""
-    for one in system.dyes:
-        if one.weisz_zollinger is not None:
-            remedy = "solver: implicit or explicit, or leave weisz_zollinger out"
-            raise BadInput(f"{solver} knows no D that falls with dye", value=one.name, remedy=remedy)
-
-
 def largest_amounts(state: DyeState) -> Float:
     """(dyes,) largest mobile amounts, a solver's memory of what any cell can have had."""
     largest: Float = state.phi.reshape(state.phi.shape[0], -1).max(axis=1)
