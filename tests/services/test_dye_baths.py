@@ -115,6 +115,17 @@ def test_a_finite_bath_ends_at_its_share(solver: str, tmp_path: Path) -> None:
     assert dyeing.state.phi == pytest.approx(0.15 * np.ones((1, 2, 1, 6)), rel=1e-12)
 
 
+def test_what_goes_back_into_a_bath_counts_below_0_and_the_balance_is_a_share_of_what_was_given(tmp_path: Path) -> None:
+    """All cells full, in fifty times as much of nearly pure water: one part in fifty-one of the dye is left."""
+    bath = WHOLE | {"liquor": 50.0, "amount": 1e-9, "start": CELL**2 / D0}
+    dyeing = slab(tmp_path, 6, [{"kind": "bath", "amount": 1.0}, bath])
+    report = dyeing.advance().report
+    (account,), (gross,), (net,) = dyeing.supplies.given, dyeing.supplies.gross, dyeing.supplied
+    assert account["supply[0] bath"] == gross == pytest.approx(6.0) and account["supply[1] bath"] < 0.0
+    assert net == pytest.approx(6.0 / 51.0, rel=1e-6) == report.mobile[0]
+    assert dyeing.balance(report) == abs(math.fsum((report.mobile[0], report.fixed[0], -net))) / 6.0 < 1e-14
+
+
 @pytest.mark.parametrize("parts", [1, 2, 4, 8])
 def test_fibre_that_fixes_dye_exhausts_a_bath_further(parts: int, tmp_path: Path) -> None:
     """a L / (L + 1 + k) by the partition isotherm. What is fixed stays: where the last step took r (1 - k) of the

@@ -164,9 +164,12 @@ class DyeRun:
         return self.supplies.total
 
     def balance(self, report: DyeReport) -> float:
-        """Largest |mobile + fixed - supplied| / supplied of the dyes; nan where an amount is not finite."""
-        amounts = zip(report.mobile, report.fixed, self.supplied, strict=True)
-        shares = [abs(fsum((mobile, fixed, -supplied))) / (supplied or 1.0) for mobile, fixed, supplied in amounts]
+        """Largest |mobile + fixed - supplied| of the dyes, over what was supplied before baths took any back.
+
+        nan where an amount is not finite.
+        """
+        amounts = zip(report.mobile, report.fixed, self.supplied, self.supplies.gross, strict=True)
+        shares = [abs(fsum((mobile, fixed, -net))) / (gross or 1.0) for mobile, fixed, net, gross in amounts]
         return float(np.max(shares))
 
     def about(self) -> str:

@@ -201,6 +201,11 @@ class Supplies:
         """What was supplied in all, by dye."""
         return tuple(math.fsum(account.values()) for account in self.given)
 
+    @property
+    def gross(self) -> tuple[float, ...]:
+        """The same without what has gone back into finite baths, the only way out of a cloth."""
+        return tuple(math.fsum(amount for amount in account.values() if amount > 0.0) for account in self.given)
+
     def change_room(self, room: Float) -> None:
         """Go on with cells of another room (2, ny, nx); baths keep their volume."""
         self.room, self._kept = room, ((), None)
