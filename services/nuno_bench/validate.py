@@ -11,13 +11,14 @@ from typing import Any
 from nuno import registry
 from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
-from nuno_bench.laws import contacts, dye_amounts, dye_spread, nets, oscillator, statics
+from nuno_bench.laws import contacts, dye_amounts, dye_fast, dye_spread, nets, oscillator, statics
 from nuno_bench.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_bench.options import require_known
 from nuno_schemas.errors import BadInput, nearest
 
 CASES: tuple[Case, ...] = (
-    *oscillator.CASES, *nets.CASES, *statics.CASES, *contacts.CASES, *dye_spread.CASES, *dye_amounts.CASES,
+    *oscillator.CASES, *nets.CASES, *statics.CASES, *contacts.CASES, *dye_spread.CASES, *dye_fast.CASES,
+    *dye_amounts.CASES,
 )  # fmt: skip
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
 """What the solvers of each group solve."""
@@ -131,6 +132,9 @@ def summary(parts: Sequence[Part], outcomes: Sequence[Outcome]) -> str:
     text = f"{found['passed']} passed, {found['failed']} failed, {found['unsupported']} unsupported"
     if found["slip"]:
         text += f", {found['slip']} slips of {', '.join(sorted({o.solver for o in outcomes if o.verdict == 'slip'}))}"
+    for part in parts:
+        numbers = count_posed(part, outcomes).values()
+        text += f"; each case of {part.of} posed by {min(numbers)} to {max(numbers)} solvers"
     if rare := [name for part in parts for name in rarely_posed(part, outcomes)]:
         text += f"; posed by fewer than {FEWEST} solvers: {', '.join(rare)}"
     return text
@@ -140,6 +144,10 @@ def rarely_posed(part: Part, outcomes: Sequence[Outcome]) -> list[str]:
     """Cases that fewer than FEWEST solvers support, where that many were asked."""
     if len(part.solvers) < FEWEST:
         return []
-    names = dict.fromkeys(outcome.case for outcome in part.own(outcomes))
-    posed = {name: sum(o.case == name and o.verdict != "unsupported" for o in outcomes) for name in names}
-    return [name for name, number in posed.items() if number < FEWEST]
+    return [name for name, number in count_posed(part, outcomes).items() if number < FEWEST]
+
+
+def count_posed(part: Part, outcomes: Sequence[Outcome]) -> dict[str, int]:
+    """How many solvers support each case."""
+    own = part.own(outcomes)
+    return {case.name: sum(o.case == case.name and o.verdict != "unsupported" for o in own) for case in part.cases}

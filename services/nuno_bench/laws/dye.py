@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from nuno_bench.laws.base import ACCURATE, MOST_STEPS, Broken, Unsupported
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Tortuosity
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
 GROUP = "nuno.dye_solvers"
@@ -55,7 +56,7 @@ class DyeRun:
         supply: Float | None = None,
         settings: Mapping[str, Any] = ACCURATE,
     ) -> None:
-        """Raises Unsupported where the solver's configuration cannot be guessed."""
+        """Raises Unsupported where the solver refuses it, or its configuration cannot be guessed."""
         self.plugin = plugin
         kept = None if supply is None else np.ascontiguousarray(supply, np.float64)[None]
         self.system = DyeSystem(cells, (dye or Dye("dye", D0),), 1, kept)
@@ -67,7 +68,10 @@ class DyeRun:
             raise Unsupported(f"its configuration has no defaults ({missing})") from None
         start = np.ascontiguousarray(phi, np.float64)[None]
         self.state = DyeState(start.copy(), np.zeros_like(start))
-        self.memory = plugin.prepare(self.config, self.system, self.state)
+        try:
+            self.memory = plugin.prepare(self.config, self.system, self.state)
+        except BadInput as refused:
+            raise Unsupported(refused.problem) from None
         self.report: DyeReport
         self.supplied, self.steps = 0.0, 0
         self.start = self.measure()

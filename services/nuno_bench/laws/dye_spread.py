@@ -1,4 +1,4 @@
-"""Laws of dye that spreads: a point source, a wave's decay, two layers, a bath, and diffusion that slows with dye."""
+"""Laws of dye that spreads: a point source, a wave's decay, two layers, a bath."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from nuno_bench.laws.base import ACCURATE, Case, Found, Unsupported, fit_order, order_slack
+from nuno_bench.laws.base import Case, Found, fit_order, order_slack
 from nuno_bench.laws.dye import GROUP, POROSITY, RATE, DyeRun, make_cells
 from nuno_schemas.fabric import Float
 
@@ -57,7 +56,7 @@ def measure_variance(plugin: Any, ratio: float) -> Found:
     return Found(along / across, ratio, error, 1e-4)
 
 
-def _wave(n: int, mean: float, height: float, times: int) -> tuple[Float, Callable[[float], float]]:
+def make_wave(n: int, mean: float, height: float, times: int) -> tuple[Float, Callable[[float], float]]:
     """cos of half waves across n cells, twice in each direction, and its decay: exp(-4 sin^2 D t / d^2) each.
 
     Cosines at the middles of cells are eigenvectors of differences without flux at the ends.
@@ -74,7 +73,7 @@ def measure_order(plugin: Any) -> Found:
     A solver may state its `order`; of one that does not at least 1 is expected.
     """
     n, height = 16, 0.1
-    start, decay = _wave(n, 0.25, height, 2)
+    start, decay = make_wave(n, 0.25, height, 2)
     cells, stated = make_cells(n, n), getattr(plugin, "order", None)
     limit = DyeRun(plugin, cells, start).limit
     duration = 1.0 / (8.0 * math.sin(math.pi / n) ** 2 * RATE)
@@ -121,25 +120,6 @@ def measure_bath(plugin: Any) -> Found:
     return Found(measured, expected, abs(measured / expected - 1.0), 3e-3)
 
 
-def measure_fast(plugin: Any) -> Found:
-    """A small wave on even dye u decays with D = D0 phi0 / u: what is left of u_t = div(grad u / u) for small waves."""
-    n, mean, phi0 = 16, 0.25, 0.1
-    factor = {"weisz_zollinger": {"phi0": phi0, "cap": 10.0}}
-    if "g" not in plugin.Config.model_fields:
-        raise Unsupported("its coefficient of diffusion is constant")
-    try:
-        plugin.Config(g=factor)
-    except ValidationError:
-        raise Unsupported("its g has no Weisz-Zollinger factor with a cap") from None
-    start, decay = _wave(n, mean, 1e-4, 2)
-    duration = mean / phi0 / (8.0 * math.sin(math.pi / n) ** 2 * RATE)
-    run = DyeRun(plugin, make_cells(n, n), start, settings={**ACCURATE, "g": factor})
-    run.go(duration, duration / 2000.0)
-    measured = float(np.ptp(run.phi[0]) / np.ptp(start[0]))
-    expected = decay(duration * phi0 / mean)
-    return Found(measured, expected, abs(measured / expected - 1.0), 2e-3)
-
-
 SOURCE = "M / (4 pi t sqrt(Dx Dy)) exp(-x^2 / 4 Dx t - y^2 / 4 Dy t)"
 CASES = (
     *(
@@ -154,6 +134,4 @@ CASES = (
          measure_order, GROUP),
     Case("two layers", "the difference of two layers decays as exp(-2 w t)", "closed form", measure_exchange, GROUP),
     Case("bath", "a sheet in a fixed bath takes up M_t / M_inf", "Crank 1975, equation 4.18", measure_bath, GROUP),
-    Case("fast diffusion", "with D = D0 phi0 / phi a small wave on dye u decays with D0 phi0 / u",
-         "linearised u_t = div(grad u / u)", measure_fast, GROUP),
 )  # fmt: skip
