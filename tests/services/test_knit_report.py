@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nuno import api, build, scene_file
+from nuno.cli import main
 from nuno.export.pictures import Painter
 from nuno.export.tables import export_npz
 from nuno.export.tubes import SIDES
@@ -98,3 +99,6 @@ def test_what_is_no_knit_has_no_pressure_to_be_painted_by(tmp_path: Path) -> Non
     api.run("net", "duration=0.1", record=tmp_path / "net.mcap")
     with open_recording(tmp_path / "net.mcap") as recording, pytest.raises(BadInput, match="no knit"):
         Painter(recording, list(recording.frames())[-1:], colour="pressure")
+    wanted = ["--npz", str(tmp_path / "a.npz"), "--png", str(tmp_path / "a.png"), "--colour", "pressure"]
+    assert main(["export", str(tmp_path / "net.mcap"), *wanted]) == 2
+    assert not (tmp_path / "a.npz").exists()

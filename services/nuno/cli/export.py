@@ -221,8 +221,11 @@ def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Cha
             pass
     if args.gif or args.mp4:
         pictures.choose_frames(recording, args.fps, args.start, args.end)
-    if (args.png or args.gif or args.mp4) and args.colour != "stretch" and not args.style:
-        dyed_object.read_dyed_object(recording, changes)
+    if (args.png or args.gif or args.mp4) and not args.style:
+        if args.colour == "pressure":
+            pictures.require_pressure(recording)
+        elif args.colour != "stretch":
+            dyed_object.read_dyed_object(recording, changes)
 
 
 def _check_dyed_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
