@@ -1,8 +1,8 @@
 """How far cloth is from rest: the force that is left on a vertex once surfaces and friction have held against it.
 
 On a vertex that touches a body the surface takes what points into it, and friction up to mu times that of the rest:
-what nuno_kernels.slide_planes does to a movement, here it does to the force. The planes are those that a short
-movement along the force would meet, so that a vertex in a groove of the mesh is held by both its sides.
+what nuno_kernels.slides does to a movement, here it does to a short one along the force. So the force that is left is
+that share of it by which a vertex at rest would begin to move, whatever grooves and edges of the mesh it lies at.
 """
 
 from __future__ import annotations
@@ -15,12 +15,27 @@ from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.closest_point import DEPTH
-from nuno_kernels.slide_planes import hold_off
+from nuno_kernels.slide_planes import PARALLEL
 from nuno_kernels.slide_vertex import slide, to_body
 from nuno_kernels.slides import BLOCK, pose_slides
 
-TRIAL = 0.1
-"""Length of the movement that is tried, as a share of the gap: well above slides.NEAR_ENOUGH."""
+TRIAL = 0.02
+"""Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge."""
+ENOUGH = 1.0 - 1e-6
+"""It ends no nearer to the surface than this share of the gap: a plane that it is nearly along is met as well."""
+
+
+@kernel
+def along_planes(m: Any, n1: Any, n2: Any, planes: int) -> tuple[float, float, float]:
+    """The part of a movement along one plane, or along the line where two meet."""
+    if planes == 2:
+        x, y, z = n1[1] * n2[2] - n1[2] * n2[1], n1[2] * n2[0] - n1[0] * n2[2], n1[0] * n2[1] - n1[1] * n2[0]
+        square = x * x + y * y + z * z
+        if square > PARALLEL:
+            share = (m[0] * x + m[1] * y + m[2] * z) / square
+            return share * x, share * y, share * z
+    share = m[0] * n1[0] + m[1] * n1[1] + m[2] * n1[2]
+    return m[0] - share * n1[0], m[1] - share * n1[1], m[2] - share * n1[2]
 
 
 @kernel
@@ -39,16 +54,19 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
             ex, ey, ez = s.frames[f, 9] + g[0], s.frames[f, 10] + g[1], s.frames[f, 11] + g[2]
             g = to_body(ex, ey, ez, s.frames, f)
             m = (length / size * g[0], length / size * g[1], length / size * g[2])
-            _, n1, n2, planes, _, _, _ = slide(
-                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], s.gap[0], 0.0, s.boxes, s.child,
-                s.corners, s.face, s.faces, s.edges, s.vertex_normals, s.edge_normals, waiting, bound,
+            made, n1, n2, planes, _, _, _ = slide(
+                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], s.gap[0], ENOUGH,
+                s.friction[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals,
+                s.edge_normals, waiting, bound,
             )  # fmt: skip
             if planes == 0:
                 continue
-            g = hold_off(g, n1, 0.0, n2, 0.0, planes == 2, s.friction[body])
+            # Vertices rest at the gap but for NEAR_ENOUGH of it: what they are put back by is no movement.
+            g = along_planes(made, n1, n2, planes)
             for c in range(3):
                 row = 3 * c
-                force[c, i] = s.frames[f, row] * g[0] + s.frames[f, row + 1] * g[1] + s.frames[f, row + 2] * g[2]
+                turned = s.frames[f, row] * g[0] + s.frames[f, row + 1] * g[1] + s.frames[f, row + 2] * g[2]
+                force[c, i] = size / length * turned
 
 
 @parallel_kernel

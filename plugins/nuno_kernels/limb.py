@@ -1,9 +1,10 @@
-"""Rows round a limb: loops on a closed mesh from one end to the other that follow it round any bend.
+"""Rows round a limb: rings about a closed mesh from one end to the other that follow it round any bend and cover it.
 
-They are levels of a harmonic field (nuno_kernels.harmonic) between plane sections across the limb's axis at both
-ends, or the limb's tip, where the rows draw together. So neighbouring rows never cross, not at a heel either, where
-planes across the axis do; and every row lies on the surface to begin with. Rows are the same height apart: between
-neighbouring levels lies an area dA, and dA / girth is their distance, taken round the limb.
+A row is what a band would be, drawn tight round a level of a field on the surface: the convex hull of the level, seen
+along the limb, so that it spans hollows and gaps between toes. The field is harmonic (nuno_kernels.harmonic) between
+plane sections across the limb's axis at both ends, so that its levels never cross, not at a heel either, where planes
+across the axis do. Beyond the first section, towards the limb's tip, levels are planes: all toes come under the same
+rows, where a harmonic field would go round one of them. Rows are the same mean distance apart.
 """
 
 from __future__ import annotations
@@ -16,27 +17,28 @@ from nuno_kernels.centreline import Centreline, find_axis, way_from
 from nuno_kernels.closest_point import closest_points
 from nuno_kernels.harmonic import solve_harmonic
 from nuno_kernels.mesh_sections import Loop, cut_mesh, section_about
-from nuno_kernels.surface_normals import edge_numbers, vertex_normals
+from nuno_kernels.surface_normals import edge_numbers
 from nuno_kernels.surface_tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 
-SAMPLES = 240
-"""Levels from whose girths heights are found."""
+SAMPLES, AROUND = 160, 32
+"""Rings, and points of each, from which heights are found."""
 ENDS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)
 """Shares of the limb's length over the surface at which the automatic axis may begin and end."""
 DEEP = 0.4
 """It does so where the limb is round: its middle so many radii, girth / (2 pi), below the surface at least."""
-TIP = 0.15
-"""The row at the tip is so many rows' heights away from it."""
+TIP, DRAWN = 0.02, 0.2
+"""The first ring towards a tip is that of a level so near to it, as a share of the way to the first section, drawn
+together to this share and moved beyond the tip, by as much as the tip lies beyond the level."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """r rows of q points on a limb's surface, from its start to its end, in equal steps round it.
+    """r rows of q points round a limb, from its start to its end, in equal steps round it.
 
-    points (r, q, 3) [m], to the right seen from outside with the end up; normal (r, q, 3) unit, outwards;
-    girth (r,) [m]; height [m] from the first row to the last, over the surface
+    points (r, q, 3) [m], to the right seen from outside with the end up; normal (r, q, 3) unit, outwards in the row's
+    plane; girth (r,) [m]; height [m] from the first row to the last
     """
 
     points: Float
@@ -82,22 +84,35 @@ def lay_rows(x: Float, faces: Int, line: Float, rows: int, columns: int, to_tip:
 
     Raises BadInput where the surface between the two ends is not one tube.
     """
-    field = _find_field(x, faces, line, to_tip)
-    levels, height = _find_levels(x, faces, field, line_length(line), rows, to_tip)
-    normals = vertex_normals(x, faces)
-    loops = [_one_loop(x, faces, field - level) for level in levels]
-    centres = np.array([loop.centroid() for loop in loops])
-    points, normal = np.empty((rows, columns, 3)), np.empty((rows, columns, 3))
+    field, lowest = _find_field(x, faces, line, to_tip)
+    levels = np.linspace(lowest, line_length(line), SAMPLES)
+    points, _, _ = _lay_rings(x, faces, field, levels, AROUND, lowest if to_tip else -np.inf)
+    height = np.linalg.norm(np.diff(points, axis=0), axis=-1).mean(axis=1)
+    along = np.concatenate([[0.0], np.cumsum(height)])
+    chosen = np.interp(np.linspace(0.0, along[-1], rows), along, levels)
+    points, normal, girth = _lay_rings(x, faces, field, chosen, columns, lowest if to_tip else -np.inf)
+    return Rows(points, normal, girth, float(along[-1]))
+
+
+def _lay_rings(
+    x: Float, faces: Int, field: Float, levels: Float, columns: int, tip: float
+) -> tuple[Float, Float, Float]:
+    """Points and outward normals (r, columns, 3) and girths (r,) of rings at levels (r,); at the level `tip` the ring
+    is drawn together, and lies twice as far out as the surface reaches.
+    """
+    loops = [_loops_at(x, faces, field - level) for level in levels]
+    centres = np.array([max(found, key=lambda loop: loop.girth).centroid() for found in loops])
+    points, normal, girth = np.empty((len(levels), columns, 3)), np.empty((len(levels), columns, 3)), []
     for row, (seam, tangent) in enumerate(_carry_seam(centres)):
-        loop = loops[row]
-        outward = (1.0 - loop.share[:, None]) * normals[loop.edges[:, 0]] + loop.share[:, None] * normals[
-            loop.edges[:, 1]
-        ]
-        both = np.concatenate([loop.points, outward / np.linalg.norm(outward, axis=1, keepdims=True)], axis=1)
-        spread = _spread(both, centres[row], seam, tangent, columns)
-        points[row], normal[row] = spread[:, :3], spread[:, 3:]
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    return Rows(points, normal, np.array([loop.girth for loop in loops]), height)
+        around = np.concatenate([loop.points for loop in loops[row]])
+        points[row], normal[row], length = spread_hull(around, centres[row], seam, np.cross(tangent, seam), columns)
+        if levels[row] == tip:
+            middle = points[row].mean(axis=0)
+            reach = float(((x[field < tip] - middle) @ tangent).min(initial=0.0))
+            points[row] = middle + DRAWN * (points[row] - middle) + 2.0 * reach * tangent
+            length *= DRAWN
+        girth.append(length)
+    return points, normal, np.array(girth)
 
 
 def line_length(line: Float) -> float:
@@ -105,9 +120,9 @@ def line_length(line: Float) -> float:
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
-def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> Float:
-    """The field (n,): 0 at the plane through the line's first point, or at the tip, and the line's length at that
-    through its last.
+def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> tuple[Float, float]:
+    """The field (n,), and its value at the first ring: 0 at the plane through the line's first point, and the line's
+    length at that through its last; beyond the first plane the distance from it, towards the tip.
 
     Vertices beyond the ends get values beyond those.
     """
@@ -120,16 +135,13 @@ def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> Float:
     if loops[0] is None or loops[1] is None:
         raise BadInput("the axis does not lie in the limb", field="between", remedy="give places inside of the mesh")
     start, end = _split(x, faces, [loops[0], loops[1]], planes)
-    given, value = end.copy(), np.where(end, 2.0 * length, 0.0)
+    given, value = start | end, np.where(end, 2.0 * length, np.where(start, -length, 0.0))
     _give(given, value, loops[1], length + planes[1])
-    if to_tip:
-        tip = int(np.flatnonzero(start)[np.argmin(planes[0][start])])
-        given[tip] = True
-    else:
-        given |= start
-        value = np.where(start, -length, value)
-        _give(given, value, loops[0], planes[0])
-    return solve_harmonic(x, faces, given, value)
+    _give(given, value, loops[0], planes[0])
+    field = solve_harmonic(x, faces, given, value)
+    if not to_tip:
+        return field, 0.0
+    return np.where(start, planes[0], field), (1.0 - TIP) * float(planes[0][start].min())
 
 
 def _give(given: Bool, value: Float, loop: Loop, own: Float) -> None:
@@ -173,48 +185,11 @@ def _components(n: int, pairs: Int) -> Int:
             return np.asarray(part)
 
 
-def _find_levels(x: Float, faces: Int, field: Float, high: float, rows: int, to_tip: bool) -> tuple[Float, float]:
-    """(rows,) levels in equal steps of height, and the height from the first to the last [m]."""
-    within = np.sort(field[(field > 0.0) & (field < high)])
-    sample = np.quantile(np.concatenate([[0.0], within, [high]]), np.linspace(0.0, 1.0, SAMPLES + 1))
-    area = _areas_below(x, faces, field, sample)
-    girth = np.array([_one_loop(x, faces, field - level).girth for level in (sample[1:] if to_tip else sample)])
-    steps = np.diff(area)
-    if to_tip:
-        # Round the tip the rows are circles of girth 2 pi r about an area of pi r^2: r = 2 A / girth.
-        steps *= np.concatenate([2.0 / girth[:1], 0.5 * (1.0 / girth[1:] + 1.0 / girth[:-1])])
-    else:
-        steps *= 0.5 * (1.0 / girth[1:] + 1.0 / girth[:-1])
-    height = np.concatenate([[0.0], np.cumsum(steps)])
-    first = TIP * height[-1] / (rows - 1) if to_tip else 0.0
-    levels = np.interp(np.linspace(first, height[-1], rows), height, sample)
-    return levels, float(height[-1] - first)
-
-
-def _areas_below(x: Float, faces: Int, field: Float, levels: Float) -> Float:
-    """(k,) area of the surface on which a linear field lies between levels[0] and each of levels (k,) [m^2].
-
-    With a <= b <= c at a triangle's corners the share below t is (t - a)^2 / ((b - a)(c - a)) up to b, and 1 less
-    (c - t)^2 / ((c - a)(c - b)) from there.
-    """
-    a, b, c = np.sort(field[faces], axis=1).T
-    met = (c > levels[0]) & (a < levels[-1])
-    corner, a, b, c = x[faces[met]], a[met], b[met], c[met]
-    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    found = np.empty(len(levels))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for k, t in enumerate(levels):
-            low, top = (t - a) ** 2 / ((b - a) * (c - a)), 1.0 - (c - t) ** 2 / ((c - a) * (c - b))
-            share = np.where(t <= a, 0.0, np.where(t >= c, 1.0, np.where(t < b, low, top)))
-            found[k] = (area * share).sum()
-    return np.asarray(found - found[0])
-
-
-def _one_loop(x: Float, faces: Int, value: Float) -> Loop:
+def _loops_at(x: Float, faces: Int, value: Float) -> list[Loop]:
     loops = cut_mesh(x, faces, value)
     if not loops:
         raise BadInput("no row goes round the limb there", field="between", remedy="move the ends of the axis inwards")
-    return max(loops, key=lambda loop: loop.girth)
+    return loops
 
 
 def _carry_seam(centres: Float) -> list[tuple[Float, Float]]:
@@ -235,23 +210,43 @@ def _carry_seam(centres: Float) -> list[tuple[Float, Float]]:
     return found[::-1]
 
 
-def _spread(corners: Float, centre: Float, seam: Float, tangent: Float, columns: int) -> Float:
-    """(columns, c) points in equal steps round a loop of corners (k, c), whose first three values are places, from
-    where it meets the seam, to the right.
+def spread_hull(around: Float, centre: Float, seam: Float, side: Float, columns: int) -> tuple[Float, Float, float]:
+    """(columns, 3) points in equal steps along the convex hull of places (k, 3), as seen across the unit directions
+    `seam` and `side`, from the seam on towards the side; the hull's normals there, and its length.
     """
-    away = corners[:, :3] - centre
-    side = np.cross(tangent, seam)
-    if float((np.cross(away, np.roll(away, -1, axis=0)) @ tangent).sum()) < 0.0:
-        corners, away = corners[::-1], away[::-1]
-    u, v = away @ seam, away @ side
-    after_u, after_v = np.roll(u, -1), np.roll(v, -1)
-    meets = (v < 0.0) != (after_v < 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.where(meets, v / (v - after_v), 0.0)
-    reach = np.where(meets, u + share * (after_u - u), -np.inf)
-    k = int(np.argmax(reach))
-    first = corners[k] + share[k] * (np.roll(corners, -1, axis=0)[k] - corners[k])
+    flat = np.stack([(around - centre) @ seam, (around - centre) @ side], axis=1)
+    hull = convex_hull(flat)
+    corners = np.concatenate([around[hull], flat[hull]], axis=1)
+    edge = np.roll(corners[:, 3:], -1, axis=0) - corners[:, 3:]
+    edge /= np.linalg.norm(edge, axis=1, keepdims=True)
+    out = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    corners = np.concatenate([corners[:, :3], out + np.roll(out, 1, axis=0), corners[:, 3:]], axis=1)
+    v, after = corners[:, 6], np.roll(corners[:, 6], -1)
+    k = int(np.argmax((v < 0.0) & (after >= 0.0)))
+    first = corners[k] + v[k] / (v[k] - after[k]) * (np.roll(corners, -1, axis=0)[k] - corners[k])
     line = np.concatenate([first[None], np.roll(corners, -(k + 1), axis=0), first[None]])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line[:, :3], axis=0), axis=1))])
     at = along[-1] * np.arange(columns) / columns
-    return np.stack([np.interp(at, along, line[:, c]) for c in range(line.shape[1])], axis=1)
+    found = np.stack([np.interp(at, along, line[:, c]) for c in range(5)], axis=1)
+    normal = found[:, 3:4] * seam + found[:, 4:] * side
+    return found[:, :3], normal / np.linalg.norm(normal, axis=1, keepdims=True), float(along[-1])
+
+
+def convex_hull(points: Float) -> list[int]:
+    """Numbers of the corners of the convex hull of points (k, 2), counter-clockwise (A. M. Andrew, Information
+    Processing Letters 9(5), 1979).
+    """
+    order = np.lexsort((points[:, 1], points[:, 0])).tolist()
+    x, y = points.T.tolist()
+    halves = []
+    for way in (order, order[::-1]):
+        chain: list[int] = []
+        for i in way:
+            while len(chain) > 1:
+                a, b = chain[-2], chain[-1]
+                if (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a]) > 0.0:
+                    break
+                chain.pop()
+            chain.append(i)
+        halves.append(chain[:-1])
+    return halves[0] + halves[1]

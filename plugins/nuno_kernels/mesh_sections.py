@@ -13,12 +13,11 @@ from nuno_schemas.fabric import Float, Int
 class Loop:
     """A closed polygon in a section: its corners (k, 3) [m], each on an edge of the mesh.
 
-    edges (k, 2) vertices of those edges; share (k,) how far from the first to the second the corner lies
+    edges (k, 2) vertices of those edges
     """
 
     points: Float
     edges: Int
-    share: Float
 
     @property
     def girth(self) -> float:
@@ -60,7 +59,7 @@ def cut_mesh(x: Float, faces: Int, value: Float) -> list[Loop]:
     share = value[low] / (value[low] - value[high])
     place = x[low] + share[:, None] * (x[high] - x[low])
     edges = np.stack([low, high], axis=1)
-    return [Loop(place[order], edges[order], share[order]) for order in _chain(number.reshape(-1, 2))]
+    return [Loop(place[order], edges[order]) for order in _chain(number.reshape(-1, 2))]
 
 
 def _chain(links: Int) -> list[list[int]]:

@@ -52,11 +52,12 @@ def outward(p: Any, near: Any, distance: float, normal: Any) -> tuple[float, flo
 
 @kernel
 def slide(
-    start: Any, m: Any, clear: float, place: int, root: int, gap: float, mu: float, boxes: Any, child: Any,
-    corners: Any, face: Any, faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any,
+    start: Any, m: Any, clear: float, place: int, root: int, gap: float, enough: float, mu: float, boxes: Any,
+    child: Any, corners: Any, face: Any, faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any,
     waiting: Any, bound: Any,
 ) -> Any:  # fmt: skip
-    """A vertex's movement m from `start`, in the body's frame, where it would enter or come nearer than `gap`.
+    """A vertex's movement m from `start`, in the body's frame, where it would enter or come nearer than `gap`;
+    a distance of the share `enough` of that will do.
 
     `clear` is the distance at the start, or less. Returns the movement it makes, the planes' normals n1 and n2,
     how many of them there are, the distance left, the nearest triangle's place, and whether it was put back.
@@ -88,7 +89,7 @@ def slide(
                 p[0], p[1], p[2], place, root, boxes, child, corners, face, faces, edges, vertex_normals,
                 edge_normals, waiting, bound,
             )  # fmt: skip
-            if distance >= (1.0 - NEAR_ENOUGH) * gap:
+            if distance >= enough * gap:
                 return made, n1, n2, planes, distance, place, False
             n2 = outward(p, (x, y, z), distance, (nx, ny, nz))
             h2 = gap + (x - start[0]) * n2[0] + (y - start[1]) * n2[1] + (z - start[2]) * n2[2]

@@ -24,8 +24,10 @@ SKIN = 5e-5
 """The end rows are held so far off the surface [m]: the gap at which sliding contact rests unless told otherwise."""
 NARROW = 0.9
 """A row's girth at rest is this share of the limb's there at most: rows narrow towards a toe."""
-ROOM = 1e-4
+ROOM = 4e-5
 """Least distance from the surface at which points start [m]."""
+ROUNDS = 8
+"""Times that points too near to the surface are moved off it."""
 
 
 class Over(Config):
@@ -90,23 +92,23 @@ def _line(over: Over, x: Float, faces: Int) -> Float:
 
 
 def _clear(over: Over, rows: Rows, x: Float, faces: Int) -> Float:
-    """(n, 3) points off the surface: the end rows on it, the others by the clearance, or less where the limb is
+    """(n, 3) points off the surface: the end rows about on it, the others by the clearance, or less where the limb is
     nearer to itself. Raises BadInput where there is no room at all.
     """
     tree = build_tree(x, faces)
     away = np.full(rows.points.shape[:2], over.clearance)
     away[[0, -1]] = SKIN
-    while True:
-        position = rows.points + away[..., None] * rows.normal
-        distance = closest_points(tree, position.reshape(-1, 3)).distance.reshape(away.shape)
-        tight = distance < np.minimum(0.5 * away, ROOM)
-        tight[[0, -1]] = False
-        if not tight.any():
-            return np.ascontiguousarray(position.reshape(-1, 3))
-        if float(away[tight].min()) < ROOM:
-            row = int(np.argmax(tight.any(axis=1)))
-            raise BadInput(
-                "the limb leaves no room for the knit", field="over", value=f"row {row} of {len(away)}",
-                limit=f"{ROOM:g} m beside the surface", remedy="take the mesh apart where it nearly touches itself",
-            )  # fmt: skip
-        away = np.where(tight, 0.5 * away, away)
+    position = (rows.points + away[..., None] * rows.normal).reshape(-1, 3)
+    for _ in range(ROUNDS):
+        found = closest_points(tree, position)
+        near = found.distance < ROOM
+        if not near.any():
+            return np.ascontiguousarray(position)
+        # Where a row that is not level cuts through a swelling: out by the shortest way.
+        out = (position - found.point)[near] / found.distance[near, None]
+        position[near] = found.point[near] + 2.0 * ROOM * out
+    row = int(np.argmax(near)) // rows.points.shape[1]
+    raise BadInput(
+        "the limb leaves no room for the knit", field="over", value=f"row {row} of {len(away)}",
+        limit=f"{ROOM:g} m beside the surface", remedy="take the mesh apart where it nearly touches itself",
+    )  # fmt: skip

@@ -207,8 +207,9 @@ class Integrator(Protocol):
     def unbalance(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
     ) -> tuple[float, int]:
-        """The largest force that surfaces and friction leave on a vertex at rest, as a share of the springs' mean
-        tension (inf where there is none), and the vertex. Changes neither state nor memory; poses as in `advance`.
+        """The largest force that surfaces and friction leave on a vertex at rest, but for one vertex in 200, as a
+        share of the springs' mean tension (inf where there is none), and that vertex. Changes neither state nor
+        memory; poses as in `advance`.
         """
         ...
 
