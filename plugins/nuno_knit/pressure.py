@@ -20,7 +20,8 @@ from nuno_kernels.yarn_tension import point_forces
 from nuno_knit.quantities import Length, Metres
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
-from nuno_schemas.plugin import Config, Outcome, Surface
+from nuno_schemas.operation import Outcome, Surface
+from nuno_schemas.plugin import Config
 
 
 class PressureConfig(Config):

@@ -24,7 +24,8 @@ from nuno_knit.skin import Skin
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.plugin import Config, Outcome, Surface
+from nuno_schemas.operation import Outcome, Surface
+from nuno_schemas.plugin import Config
 
 HALVINGS = 8
 """How often a link that no plane leads along is halved."""

@@ -23,7 +23,7 @@ from nuno_knit.spline import sample_curves
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.plugin import Outcome, Surface
+from nuno_schemas.operation import Outcome, Surface
 
 PIECES = 4
 """Of a link: between its turn, its crossings, its middle and the next turn."""

@@ -11,8 +11,8 @@ from nuno_render.lighting import tangents
 from nuno_render.scene import Scene
 from nuno_schemas.camera import Axes
 from nuno_schemas.colour import parse_hex
+from nuno_schemas.drawing import Camera
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera
 
 GRID, REACH = 96, 3.0
 """Points along each side of the grid of openness, and half its width in radii of the scene."""

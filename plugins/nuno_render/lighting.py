@@ -10,8 +10,8 @@ from nuno_render.config import RasterConfig
 from nuno_render.light_maps import draw_depths
 from nuno_render.scene import Scene
 from nuno_render.yarn_config import CastConfig
+from nuno_schemas.drawing import Camera
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera
 
 KEY = np.array([0.86, 0.82, 0.765])
 """Radiance of a white diffuse surface that faces the key light."""

@@ -18,10 +18,10 @@ from nuno_render.worn import check_eye, gather_skin
 from nuno_render.yarn_config import MapConfig, grid_of
 from nuno_render.yarns import in_parts
 from nuno_schemas.colour import colours, parse_hex
+from nuno_schemas.drawing import Camera
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera
 from nuno_schemas.yarn_picture import Progress, SurfaceValues, Worn
 
 LINKS = 5.0

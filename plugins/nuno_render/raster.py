@@ -19,9 +19,9 @@ from nuno_render.scene import gather
 from nuno_render.visibility import rasterise, sample_offsets
 from nuno_schemas.camera import Axes, axes
 from nuno_schemas.colour import parse_hex, to_srgb
+from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera, Mesh
 
 NEAR = 1e-3
 """Distance of the near plane, relative to that of the target."""

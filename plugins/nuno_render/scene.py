@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from nuno_render.compiled import kernel
 from nuno_render.texture import Textures, gather_textures
 from nuno_schemas.colour import parse_hex
+from nuno_schemas.drawing import Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
-from nuno_schemas.plugin import Mesh
 
 CLOTH, BODY = "#3a5a8c", "#cfc8bd"
 """Colours of meshes that bring none: indigo for cloth, warm plaster for closed bodies."""

@@ -15,9 +15,9 @@ from nuno_render.scene import check_mesh, vertex_normals
 from nuno_schemas.camera import axes
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.curves import YarnCurves
+from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
-from nuno_schemas.plugin import Camera, Mesh
 
 
 class Skin(NamedTuple):

@@ -20,10 +20,10 @@ from nuno_render.worn import Skin, Threads, check_eye, gather_skin, gather_threa
 from nuno_render.yarn_config import CastConfig, LinesConfig, YarnsConfig, grid_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.curves import YarnCurves
+from nuno_schemas.drawing import Camera
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera
 from nuno_schemas.yarn_picture import Progress, Worn
 
 OFF = 1e-9

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera, Mesh
 
 Axes = tuple[Float, Float, Float]
 

@@ -10,12 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
 
-from pydantic import BaseModel, Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel
 
+from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.dye_picture import Photograph
 from nuno_schemas.fabric import Bool, Float, Int, Memory
-from nuno_schemas.parts import Part
 from nuno_schemas.plugin import Files
 
 
@@ -96,24 +95,6 @@ class Isotherm:
     first: float = 0.0
     second: float = 0.0
     function: Callable[[Float, Float], Float] | None = None
-
-
-class WeiszZollinger(Part):
-    """Diffusion that is slower where there is more dye: D = D0 P T min(cap, phi0 / phi) (dye paper, equation 4).
-
-    What passes a face follows from the integral of D over phi between its two amounts.
-    """
-
-    phi0: float = Field(gt=0, le=1e6, description="mobile dye at equilibrium; where there is as much, D = D0 P T")
-    cap: float = Field(gt=0, le=1e6, description="the most that phi0 / phi counts as, which has no bound without dye")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _capped(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "cap" not in data:
-            problem = "phi0 / phi has no bound where there is no dye; add a cap, for example cap: 10"
-            raise PydanticCustomError("no_cap", problem)
-        return data
 
 
 @dataclass(frozen=True)

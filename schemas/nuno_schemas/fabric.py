@@ -243,7 +243,7 @@ class Fabric:
     uv       (n, 2) float32  texture coordinates in [0, 1], or None: u to the right as seen from
                              outside, v upwards: (0, 1) is the image's upper left corner, as in
                              OBJ files. Image rows run down, so what samples an image, such as
-                             plugin.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
+                             drawing.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
     springs, hinges          or None where there are none
     yarns                    springs that are links of yarns, or None
     cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: what it has

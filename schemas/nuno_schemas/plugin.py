@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from nuno_schemas.bodies import Geometry, Poses, no_rows
-from nuno_schemas.curves import YarnCurves
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 
 GROUPS: Mapping[str, str] = {
@@ -269,72 +268,4 @@ class Collider(Protocol):
 
     def build(self, config: Any, mover: Mover | None, files: Files) -> BodyShape:
         """Primitives; without a mover there is one frame, the world."""
-        ...
-
-
-@dataclass(frozen=True)
-class Surface:
-    """Closed meshes in the world at one time: vertices (n, 3) [m], faces (f, 3) counter-clockwise from outside."""
-
-    vertices: Float
-    faces: NDArray[np.int32]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What an operation made.
-
-    `facts` are numbers for a report; `curves` yarns as curves, where it makes any, and `arrays` what more
-    there is to say of each of their points, or of the fabric's where it makes no curves.
-    """
-
-    facts: Mapping[str, float]
-    curves: YarnCurves | None = None
-    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-
-
-class Operation(Protocol):
-    """Makes something new of a fabric and where it is."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
-
-    def apply(self, config: Any, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
-        """`skin` are the bodies that are meshes, None where there is none. Changes none of its arguments."""
-        ...
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """Something to draw: vertices (n, 3) [m], faces (f, 3), colours (n, 3) float in [0, 1]
-    linear or None, uv (n, 2) and image (h, w, 3) uint8 or None.
-    """
-
-    vertices: Float
-    faces: NDArray[np.int32]
-    colours: NDArray[np.float64] | None = None
-    uv: NDArray[np.float32] | None = None
-    image: NDArray[np.uint8] | None = None
-    two_sided: bool = True
-
-
-@dataclass(frozen=True)
-class Camera:
-    """eye, target, up (3,) [m]; vertical field of view [rad]; size (width, height) [pixels]."""
-
-    eye: Float
-    target: Float
-    up: Float
-    fov: float
-    size: tuple[int, int]
-
-
-class Renderer(Protocol):
-    """Draws meshes."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
-
-    def render(self, config: Any, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
-        """(height, width, 3) uint8 sRGB picture."""
         ...

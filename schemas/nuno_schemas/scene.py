@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_schemas.dye import WeiszZollinger
+from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Colour, Name, Part, require_distinct

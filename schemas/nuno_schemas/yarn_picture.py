@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Literal, Protocol
 from pydantic import BaseModel
 
 from nuno_schemas.curves import YarnCurves
+from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.plugin import Camera, Mesh
 
 Progress = Callable[[int, int], None]
 """Called with the rows drawn and all rows."""

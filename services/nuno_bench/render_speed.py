@@ -12,8 +12,9 @@ from nuno_bench.closest import NoFiles, leg
 from nuno_bench.measure import seconds, watch_compiler
 from nuno_bench.result import Result
 from nuno_schemas.camera import frame
+from nuno_schemas.drawing import Mesh
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import Mesh, Surface
+from nuno_schemas.operation import Surface
 from nuno_schemas.yarn_picture import Worn
 
 CASE = "render"

@@ -9,8 +9,8 @@ import pytest
 from pydantic import ValidationError
 
 from nuno_schemas.camera import frame
+from nuno_schemas.drawing import Mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.plugin import Mesh
 
 RENDERERS = sorted(entry_points(group="nuno.renderers"), key=lambda entry: entry.name)
 

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from nuno_schemas.camera import frame
 from nuno_schemas.curves import YarnCurves
+from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.plugin import Camera, Mesh
 from nuno_schemas.yarn_picture import SurfaceValues, Worn
 
 PLUGINS = sorted(entry_points(group="nuno.yarn_pictures"), key=lambda entry: entry.name)

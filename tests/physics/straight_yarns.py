@@ -7,7 +7,7 @@ import numpy as np
 from nuno_render.yarn_config import YarnsConfig
 from nuno_render.yarns import radiance
 from nuno_schemas.curves import YarnCurves
-from nuno_schemas.plugin import Camera, Mesh
+from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.yarn_picture import Worn
 
 BARE = {"ground": "none", "shadows": False, "occlusion": False}

@@ -19,7 +19,8 @@ from nuno_dye.potential import Curve, amount, curve_of, potential, potentials
 from nuno_kernels import kernel
 from nuno_kernels.simd import WIDTH, load, store
 from nuno_kernels.simd_log import log
-from nuno_schemas.dye import Cells, Dye, DyeSystem, Tortuosity, WeiszZollinger
+from nuno_schemas.diffusivity import WeiszZollinger
+from nuno_schemas.dye import Cells, Dye, DyeSystem, Tortuosity
 from nuno_schemas.fabric import Float
 
 LAW = WeiszZollinger(phi0=0.1, cap=20.0)

@@ -20,7 +20,7 @@ from nuno_knit.spline import sample_curves
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.plugin import Surface
+from nuno_schemas.operation import Surface
 
 DEEPEST = 1e-5
 """The bar [m]."""

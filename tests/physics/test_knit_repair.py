@@ -19,7 +19,7 @@ from nuno_knit.repair import CHECKED, Repair, Repaired, YarnConfig, repair
 from nuno_knit.skin import Skin
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.plugin import Surface
+from nuno_schemas.operation import Surface
 
 DEEPEST = 1e-5
 """The bar [m]."""

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from nuno import registry
 from nuno_kernels.leg import leg_mesh
 from nuno_schemas.fabric import State
-from nuno_schemas.plugin import Outcome, Surface
+from nuno_schemas.operation import Outcome, Surface
 
 OPERATIONS = sorted(registry.installed("nuno.operations"))
 X, FACES = leg_mesh(24)

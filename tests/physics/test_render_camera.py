@@ -9,8 +9,8 @@ import pytest
 
 from nuno_schemas.camera import axes, frame
 from nuno_schemas.colour import colours, parse_hex, to_linear, to_srgb
+from nuno_schemas.drawing import Camera
 from nuno_schemas.errors import BadInput
-from nuno_schemas.plugin import Camera
 
 
 def project(camera, points):

@@ -12,7 +12,7 @@ from nuno_render.lighting import GROUND, KEY, SKY
 from nuno_render.raster import Raster, radiance
 from nuno_schemas.camera import axes, frame
 from nuno_schemas.colour import colours, parse_hex, to_srgb
-from nuno_schemas.plugin import Camera, Mesh
+from nuno_schemas.drawing import Camera, Mesh
 
 PLAIN = {"ground": "none", "sheen": 0.0, "samples": 1}
 

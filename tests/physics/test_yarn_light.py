@@ -13,7 +13,7 @@ from nuno_render.lighting import GROUND, KEY, SKY
 from nuno_render.yarn_config import YarnsConfig
 from nuno_render.yarns import radiance
 from nuno_schemas.camera import axes
-from nuno_schemas.plugin import Camera
+from nuno_schemas.drawing import Camera
 
 
 def unit(*v):

@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from nuno.recording.reader import Recording
 from nuno_schemas.camera import frame as fit_camera
+from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Camera, Mesh
 from nuno_schemas.view import View
 
 

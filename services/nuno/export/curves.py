@@ -18,7 +18,7 @@ from nuno.recording.restore import restored_scene
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import State
-from nuno_schemas.plugin import Operation, Outcome
+from nuno_schemas.operation import Operation, Outcome
 
 Form = Literal["straight", "smooth"]
 """straight: the knit's links, repaired where they would cut through a body; smooth: loops as curves."""

@@ -22,9 +22,10 @@ from nuno.recording.restore import restored_scene
 from nuno.scene_file import Chosen, Loaded
 from nuno_schemas.bodies import MESH, rotation_matrices
 from nuno_schemas.curves import YarnCurves
+from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
-from nuno_schemas.plugin import Camera, Mesh, Surface
+from nuno_schemas.operation import Surface
 from nuno_schemas.view import View
 from nuno_schemas.yarn_picture import SurfaceValues, Worn
 

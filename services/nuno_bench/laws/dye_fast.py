@@ -23,7 +23,8 @@ import numpy as np
 from nuno_bench.laws.base import Case, Found, fit_order, order_slack
 from nuno_bench.laws.dye import D0, GROUP, RATE, DyeRun, make_cells
 from nuno_bench.laws.dye_spread import make_wave
-from nuno_schemas.dye import Dye, WeiszZollinger
+from nuno_schemas.diffusivity import WeiszZollinger
+from nuno_schemas.dye import Dye
 from nuno_schemas.fabric import Float
 
 MEAN, PHI0, CAP = 0.1, 0.02, 2.0

@@ -1,0 +1,48 @@
+"""Renderers: plugins that draw a picture, what they draw, and from where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from nuno_schemas.fabric import Float
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Something to draw: vertices (n, 3) [m], faces (f, 3), colours (n, 3) float in [0, 1]
+    linear or None, uv (n, 2) and image (h, w, 3) uint8 or None.
+    """
+
+    vertices: Float
+    faces: NDArray[np.int32]
+    colours: NDArray[np.float64] | None = None
+    uv: NDArray[np.float32] | None = None
+    image: NDArray[np.uint8] | None = None
+    two_sided: bool = True
+
+
+@dataclass(frozen=True)
+class Camera:
+    """eye, target, up (3,) [m]; vertical field of view [rad]; size (width, height) [pixels]."""
+
+    eye: Float
+    target: Float
+    up: Float
+    fov: float
+    size: tuple[int, int]
+
+
+class Renderer(Protocol):
+    """Draws meshes."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+    def render(self, config: Any, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
+        """(height, width, 3) uint8 sRGB picture."""
+        ...
