@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from nuno.join import join_fabrics
 from nuno.scene_file import Chosen, Loaded
-from nuno.simulation.relax import start_damping
 from nuno.worn import check_worn
 from nuno_schemas.bodies import MESH, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.plugin import BodyShape, Mover, System, Term
+from nuno_schemas.scene import Scene
 
 BYTES_PER_VERTEX = 400
 """What a run of cloth takes at most per vertex whose springs and hinges are runs along rows, as on
@@ -229,7 +229,12 @@ def build_system(
         terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
     if geometry is not None and loaded.contact is not None and len(geometry.kind):
         terms.append(_prepared(loaded, "contact", loaded.contact, fabric, geometry, gravity))
-    return System(fabric, gravity, start_damping(loaded.scene), tuple(terms), threads)
+    return System(fabric, gravity, _start_damping(loaded.scene), tuple(terms), threads)
+
+
+def _start_damping(scene: Scene) -> float:
+    """The damping to begin with [1/s], for `auto` the largest that it takes."""
+    return 3.0 * scene.frame_rate if scene.damping == "auto" else float(scene.damping)
 
 
 def _prepared(loaded: Loaded, field: str, chosen: Chosen, *args: object) -> Term:

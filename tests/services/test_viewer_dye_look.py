@@ -31,7 +31,7 @@ def test_the_picture_is_whole_and_dye_is_where_it_was_given(tmp_path: Path) -> N
     scene = write_scene(tmp_path, data=data, cloth=cloth, dyes=dyes, picture={"texture": None})
     path = nuno.run(scene, record=tmp_path / "run.mcap").path
     assert main(["export", str(path), "--rrd", str(tmp_path / "run.rrd")]) == 0
-    picture = look(tmp_path / "run.rrd", 18.0, "2D")
+    picture = look(tmp_path / "run.rrd", 18.0, "2D", "dye_time")
     height, width, _ = picture.shape
     red = picture[..., 0] - picture[..., 1:].max(axis=2) > 100
     white = picture.min(axis=2) > 250

@@ -39,8 +39,8 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.int64]:
     return look(path, 0.5, "3D")
 
 
-def look(path: Path, t: float, view: str) -> NDArray[np.int64]:
-    """A rerun file's first view of a class at t [s], (height, width, 3)."""
+def look(path: Path, t: float, view: str, timeline: str = "sim_time") -> NDArray[np.int64]:
+    """A rerun file's first view of a class at t [s] of a timeline, (height, width, 3)."""
     import rerun_cli
     from rerun.experimental import ViewerClient
 
@@ -51,7 +51,7 @@ def look(path: Path, t: float, view: str) -> NDArray[np.int64]:
         while not (views := [v.view_id for v in client.get_state().views if v.view_class == view]):
             assert time.monotonic() < end
             time.sleep(0.1)
-        client.set_time("sim_time", duration=t, play_state="paused")
+        client.set_time(timeline, duration=t, play_state="paused")
         previous = b""
         # The first pictures may come before all is loaded: two equal ones say that nothing moves.
         while True:

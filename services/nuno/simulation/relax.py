@@ -13,16 +13,10 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.scene import Scene
 
 BALANCED = 1e-3
 """Cloth is in balance where the force left on 199 of 200 vertices is at most this share of the springs' mean
 tension."""
-
-
-def start_damping(scene: Scene) -> float:
-    """The damping to begin with [1/s], for `auto` the largest that it takes."""
-    return 3.0 * scene.frame_rate if scene.damping == "auto" else float(scene.damping)
 
 
 class Relaxation:
