@@ -80,8 +80,7 @@ def test_fibre_takes_dye_with_second_order_up_to_its_limit(name: str, kept_up: b
 
 @pytest.mark.parametrize("name", LONG)
 @pytest.mark.parametrize("law", ISOTHERMS)
-@pytest.mark.parametrize("supplied", [False, True])
-@pytest.mark.parametrize("steps", [400, 7])
+@pytest.mark.parametrize(("supplied", "steps"), [(False, 7), (True, 7), (True, 400)])
 def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(
     name: str, law: str, supplied: bool, steps: int
 ) -> None:
