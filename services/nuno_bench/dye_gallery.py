@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,8 +29,11 @@ MOMENTS = {"fig12": (0, 1, 2, 4, 8, 16, 24, 32)}
 EFFECT = 1.2
 """Least ratio by which a difference counts as shown."""
 
-PARAMETER_HEADINGS = ("scene", "I", "II", "III", "V", "tau 1", "P", "varied", "D_ab / D0", "isotherm", "weave",
-                      "cells", "yarn, gap")  # fmt: skip
+FIXED, DARKER = "fixed dye alone, twice as dark", 2.0
+"""What a picture of it is called, and by how much it is darker: it is never more than a half of all."""
+
+PARAMETER_HEADINGS = ("scene", "I", "II", "III", "V", "tau 2", "tau 1", "P", "varied", "weave", "cells", "yarn, gap")
+DYE_HEADINGS = ("scene", "D0 [mm^2/h]", "D_ab / D0", "isotherm", "given", "for [h]", "darkest")
 NUMBER_HEADINGS = ("scene", "solver", "steps", "time [s]", "M cell updates/s", "supplied", "mobile", "fixed", "balance")
 DIFFERENCE_HEADINGS = ("the paper says", "measure", "of", "against", "ratio", "verdict")
 
@@ -42,6 +46,7 @@ class Shown:
     description: str
     pictures: list[tuple[str, Picture]]
     parameters: list[str]
+    dyes: list[str]
     numbers: list[str]
     dyed: Dyed
     failed: str
@@ -82,8 +87,12 @@ def scenes() -> dict[str, Path]:
 
 
 def _order(path: Path) -> tuple[int, str]:
-    digits = "".join(c for c in path.stem.removeprefix("fig").partition("-")[0] if c.isdigit())
-    return int(digits), path.stem
+    return figure_of(path.stem), path.stem
+
+
+def figure_of(name: str) -> int:
+    """The number of the figure that a scene belongs to."""
+    return int("".join(c for c in name.removeprefix("fig").partition("-")[0] if c.isdigit()))
 
 
 def run_scene(path: Path) -> Shown:
@@ -106,19 +115,20 @@ def run_scene(path: Path) -> Shown:
         if frame.number in moments:
             pictures.append(("" if moments == (frames,) else f"after {run.time / 3600:g} h", _draw(painter, run)))
     if name in SEEN_FIXED:
-        pictures.append(("fixed dye alone", _draw(painter, run, "fixed")))
+        pictures.append((FIXED, _draw(painter, run, "fixed")))
     steps = run.frame * run.steps
     numbers = [
         name, _solver(loaded, run), f"{steps:,}", f"{seconds:.3g}",
         f"{steps * cells.fibre.size / max(seconds, 1e-9) * 1e-6:.3g}",
-        *(number(sum(values)) for values in (run.supplied, report.mobile, report.fixed)), f"{balance:.1e}",
+        *(number(sum(values)) for values in (run.supplied, report.mobile, report.fixed)),
+        f"{balance:.1e}" if balance else "0",
     ]  # fmt: skip
     dyed = Dyed(cells, run.state.phi[0], run.state.fixed[0], _pitch(loaded))
-    return Shown(name, loaded.scene.description, pictures, _parameters(loaded), numbers, dyed, failed)
+    return Shown(name, loaded.scene.description, pictures, _parameters(loaded), _dyes(loaded), numbers, dyed, failed)
 
 
 def _draw(painter: DyePainter, run: DyeRun, view: DyeView = "all") -> Picture:
-    amounts = amount_seen(run.state.phi, run.state.fixed, view)
+    amounts = amount_seen(run.state.phi, run.state.fixed, view) * (DARKER if view == "fixed" else 1.0)
     picture: Picture = painter.chosen.plugin.draw(painter.prepared, amounts)
     return picture
 
@@ -138,18 +148,33 @@ def _config(loaded: Loaded) -> dict[str, Any]:
 
 
 def _parameters(loaded: Loaded) -> list[str]:
-    config, dye = _config(loaded), loaded.scene.dye
+    config = _config(loaded)
     tau, yarn, vary = config["tau3"], config["warp"], config.get("vary")
     weave, cells = config.get("weave"), config.get("cells")
-    dyes = dye.dyes if dye is not None else []
+    varied = f"{', '.join(vary['of'])} r, {vary['low']:g} to {vary['high']:g}" if vary else ""
     return [
         loaded.scene.name, *(f"{tau[kind]:g}" if kind in tau else "" for kind in ("I", "II", "III", "V")),
-        f"{yarn['twist']:g}", f"{yarn['porosity']:g}", f"{', '.join(vary['of'])} r" if vary else "",
-        "; ".join(f"{one.adsorption:g}" for one in dyes),
-        "; ".join(one.isotherm.plugin for one in dyes if one.isotherm is not None),
+        f"{config['tau2']:g}", f"{yarn['twist']:g}", f"{yarn['porosity']:g}", varied,
         str(weave["plugin"]) if weave else "of the photograph",
         f"{cells[0]} x {cells[1]} x 2" if cells else "",
         f"{yarn['width']}, {yarn['gap']}" if "width" in yarn else "",
+    ]  # fmt: skip
+
+
+def _dyes(loaded: Loaded) -> list[str]:
+    """What is dyed with, how and how long; of several dyes one after the other."""
+    dye, scene = loaded.scene.dye, loaded.scene
+    if dye is None or loaded.dye is None:
+        return [scene.name, *[""] * (len(DYE_HEADINGS) - 1)]
+    laws = (one.isotherm for one in dye.dyes if one.isotherm is not None)
+    given = (f"{one['kind']}{', kept up' if one['maintained'] else ''}" for one in _config(loaded)["supply"])
+    return [
+        scene.name, *("; ".join(f"{value:g}" for value in values) for values in (
+            [one.D0 * 3.6e9 for one in dye.dyes], [one.adsorption for one in dye.dyes],
+        )),
+        "; ".join(" ".join([law.plugin, *(f"{name} {value:g}" for name, value in law.config.items())]) for law in laws),
+        "; ".join(f"{n} x {what}" if n > 1 else what for what, n in Counter(given).items()),
+        f"{scene.duration * dye.speed / 3600.0:g}", "; ".join(f"{one.colour.full:g}" for one in dye.dyes),
     ]  # fmt: skip
 
 

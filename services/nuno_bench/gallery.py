@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from nuno_bench import dye_gallery, machine, page
-from nuno_bench.dye_gallery import Shown
+from nuno_bench.dye_gallery import FIXED, Shown, figure_of
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput, nearest
 
@@ -42,7 +42,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _choose(wanted: str | None) -> list[Path]:
-    """The scenes' files. Raises BadInput for a name that none of them has."""
+    """The scenes' files, in their order. Raises BadInput for a name that none of them has."""
     known = dye_gallery.scenes()
     names = list(known) if wanted is None else [name for name in wanted.split(",") if name]
     if not names:
@@ -50,31 +50,43 @@ def _choose(wanted: str | None) -> list[Path]:
     for name in names:
         if name not in known:
             raise BadInput("no such scene", field="--scenes", value=name, remedy=nearest(name, known))
-    return [known[name] for name in names]
+    return [path for name, path in known.items() if name in names]
 
 
 def _render(shown: list[Shown], found: list[list[str]], about: dict[str, str]) -> str:
-    pictures = [
-        page.Image(_embed(picture), f"{one.name}{', ' if label else ''}{label}. {one.description}")
-        for one in shown
-        for label, picture in one.pictures
+    sections: list[tuple[str, list[page.Part]]] = [
+        (f"Figure {number}", [page.Pictures(_pictures([one for one in shown if figure_of(one.name) == number]))])
+        for number in sorted({figure_of(one.name) for one in shown})
     ]
-    sections: list[tuple[str, list[page.Part]]] = [("", [page.Pictures(pictures)])]
     if found:
         told = "Every difference that the paper describes, as a ratio of two measures; at least 1.2 is asked for."
         sections.append(("What must show", [page.Table(dye_gallery.DIFFERENCE_HEADINGS, found, told)]))
-    parameters = page.Table(
+    cloths = page.Table(
         dye_gallery.PARAMETER_HEADINGS, [one.parameters for one in shown],
-        "tau 3 by kind of face (I to V; IV is 1), tau 1 and P of the yarns, r from 0.5 to 1 at random for each yarn, "
-        "D_ab / D0, isotherm, weave, cells, and yarn and gap in cells.",
+        "tau 3 by kind of face (I to V; IV is 1), tau 2, tau 1 and P of the yarns, r at random for each yarn, weave, "
+        "cells, and yarn and gap in cells.",
+    )  # fmt: skip
+    dyes = page.Table(
+        dye_gallery.DYE_HEADINGS, [one.dyes for one in shown],
+        "D0 in water, how fast fibre fixes dye and by which isotherm, what was given, for how long it spreads, and the "
+        "amount that is drawn darkest. The paper prints no constants of isotherms.",
     )  # fmt: skip
     numbers = page.Table(
         dye_gallery.NUMBER_HEADINGS, [one.numbers for one in shown],
         "Balance: how far mobile and fixed dye are from what was supplied, at worst, as a share of it.",
     )  # fmt: skip
-    sections += [("Parameters", [parameters]), ("Runs", [numbers, page.Facts(about)])]
+    sections += [("Parameters", [cloths, dyes]), ("Runs", [numbers, page.Facts(about)])]
     lead = "The figures of the dye paper, each from its row of the paper's table, and where its text says otherwise, "
     return page.render("Dyed cloth", lead + "from the text too.", sections)
+
+
+def _pictures(shown: list[Shown]) -> list[page.Image]:
+    """Those of one figure; what fibre has fixed in a row of its own, as in the paper."""
+    found = [(label == FIXED, label, one, picture) for one in shown for label, picture in one.pictures]
+    return [
+        page.Image(_embed(picture), f"{one.name}{', ' if label else ''}{label}. {one.description}")
+        for _, label, one, picture in sorted(found, key=lambda each: each[0])
+    ]
 
 
 def _embed(picture: Picture) -> str:

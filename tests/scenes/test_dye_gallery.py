@@ -48,6 +48,18 @@ def test_every_figure_is_a_scene_that_says_its_parameters(name: str) -> None:
     loaded = scene_file.read(dye_gallery.scenes()[name])
     assert loaded.scene.name == name
     assert len(dye_gallery._parameters(loaded)) == len(dye_gallery.PARAMETER_HEADINGS)
+    assert len(dye_gallery._dyes(loaded)) == len(dye_gallery.DYE_HEADINGS)
+
+
+def test_a_dyes_row_says_its_constants_what_was_given_and_for_how_long() -> None:
+    row = dye_gallery._dyes(scene_file.read(dye_gallery.scenes()["fig9c"]))
+    assert row[1:] == ["1.93", "0.01", "langmuir K 20", "drop, kept up", "25", row[-1]]
+    row = dye_gallery._dyes(scene_file.read(dye_gallery.scenes()["fig13a"]))
+    assert row[1:] == ["1.93; 1.93", "0.02; 0", "langmuir K 20", "2 x drop", "5", "0.2; 0.1"]
+
+
+def test_scenes_stand_in_the_paper_s_order_however_they_are_named() -> None:
+    assert [path.stem for path in gallery._choose("fig10a,fig9b,fig8g-text")] == ["fig8g-text", "fig9b", "fig10a"]
 
 
 def cloth(amount: np.ndarray) -> Dyed:
