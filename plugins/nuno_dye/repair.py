@@ -17,12 +17,13 @@ from nuno_dye.diffusion import LEFT
 from nuno_kernels import kernel
 
 ROUNDS = 100
-"""Times that excess is sent on: cells with room may get more than they can take, and send that on in the next."""
+"""Times that excess is sent on, each time from twice as far: nearly all of it has room beside it, and cells that get
+more than they can take send that on in the next."""
 
 ROUNDING = 1.0 + 2.0**-49
 """A cell above its capacity by no more than rounding is set to it: among full cells nobody could take so little."""
 ROOM = 2.0**-20
-"""Share of its capacity for which a cell is worth the way, unless there is none: all but full cells pass excess on."""
+"""Share of its capacity for which a cell is worth the way, unless there is none anywhere."""
 
 
 @kernel
@@ -70,29 +71,34 @@ def find_outside(phi: Any, most: Any, floor: Any, first: int, last: int, nx: int
 
 @kernel
 def find_ends(
-    phi: Any, most: Any, weights: Any, lacking: bool, queue: Any, count: int, far: Any, ends: Any, worth: float
-) -> int:
-    """Cells with room nearest to the `count` first of `queue`, and to all that lie between, into `ends`; how many.
+    phi: Any, most: Any, weights: Any, lacking: bool, queue: Any, count: int, far: Any, ends: Any, reach: int,
+    worth: float,
+) -> int:  # fmt: skip
+    """Cells with room no more than `reach` faces from the `count` first of `queue`, into `ends`; how many.
 
-    `far` is then 0 where there is room, -1 between, and -2 where nobody has been.
+    `far` is then 0 where there is room, -1 on the way, and -2 where nobody has been.
     """
     r, w, found, at = weights.across.shape[0], phi.shape[1], 0, 0
     for n in range(count):
         far[queue[n] // w, queue[n] % w] = -1
-    while at < count:
-        row, c = queue[at] // w, queue[at] % w
-        at += 1
-        for side in range(5):
-            weight, i, k = face(weights, r, row, c, side)
-            if weight > 0.0 and far[i, k] == -2:
-                if room_of(phi, most, i, k, lacking) > worth * most[i, k]:
-                    far[i, k] = 0
-                    ends[found] = i * w + k
-                    found += 1
-                else:
-                    far[i, k] = -1
-                    queue[count] = i * w + k
-                    count += 1
+    for _ in range(reach):
+        layer = count
+        for n in range(at, layer):
+            row, c = queue[n] // w, queue[n] % w
+            for side in range(5):
+                weight, i, k = face(weights, r, row, c, side)
+                if weight > 0.0 and far[i, k] == -2:
+                    if room_of(phi, most, i, k, lacking) > worth * most[i, k]:
+                        far[i, k] = 0
+                        ends[found] = i * w + k
+                        found += 1
+                    else:
+                        far[i, k] = -1
+                        queue[count] = i * w + k
+                        count += 1
+        if count == layer:
+            break
+        at = layer
     return found
 
 
@@ -145,19 +151,19 @@ def repair_side(phi: Any, most: Any, floor: Any, weights: Any, first: int, last:
     if outside == 0:
         return 0
     ends, far = np.empty(phi.size, np.int64), np.empty(phi.shape, np.int32)
+    reach = 1
     for _ in range(ROUNDS):
-        count = 0
-        for worth in (ROOM, 0.0):
-            if count == 0:
-                far[:] = -2
-                count = find_ends(phi, most, weights, lacking, queue, outside, far, ends, worth)
-        if count == 0:
+        far[:] = -2
+        everywhere = reach >= phi.size
+        count = find_ends(phi, most, weights, lacking, queue, outside, far, ends, reach, 0.0 if everywhere else ROOM)
+        if count == 0 and everywhere:
             break
         for n in range(measure_ways(weights, w, far, ends, count) - 1, count - 1, -1):
             send_on(phi, most, weights, floor, lacking, far, ends[n] // w, ends[n] % w)
         outside = find_outside(phi, most, floor, first, last, nx, lacking, queue)
         if outside == 0:
             break
+        reach = min(2 * reach, phi.size)
     return outside
 
 
