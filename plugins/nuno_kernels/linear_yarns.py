@@ -17,7 +17,7 @@ Where k changes along a yarn, or a link has locked and its neighbour has not, no
 (1 + mu A) K, K the diagonal of all k, is not symmetric. Here m is then mu sqrt(k_a k_b), so that yarns have
 K^(1/2) (1 + mu A) K^(1/2): symmetric, positive for the same mu, and of the same eigenvalues. Newton's method
 converges linearly with it; measured in the norm of K, the step from s = sqrt(k_a / k_b) leaves mu (s - 1) / sqrt(s)
-of the error, 0.013 at k's ratio of 1.3 and 0.3 at 20, both at mu = 0.2. The mean (k_a + k_b) / 2 would leave
+of the error, 0.026 at k's ratio of 1.3 and 0.3 at 20, both at mu = 0.2. The mean (k_a + k_b) / 2 would leave
 mu (s - 1 / s) / 2 and be indefinite where s is large. Damping acts along links like k, by c times the rate dv/dx
 of the method.
 """

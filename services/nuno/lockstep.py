@@ -178,6 +178,9 @@ class Lockstep(ABC):
             if self.state == "stopped":
                 break
             status = self.one_frame().status
+            if status == "unconverged" and self.work.finished:  # its duration was too short: it can go on from here
+                self.keep()
+                self.wait_for(self.work.frame)
             if status != "ok":
                 return status
             if self.until is not None and self.work.frame >= self.until:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import nuno
 from nuno import build, scene_file
+from nuno.cli import main
 from nuno.simulation.relax import BALANCED
 from nuno.simulation.run import Simulation
 from nuno_integrators.profile import profile_steps
@@ -156,6 +158,17 @@ def test_a_fit_that_does_not_settle_says_what_still_moves() -> None:
     assert [report.status for report in reports] == ["ok", "ok", "unconverged"]
     assert "vertex" in reports[-1].message and "of stocking at" in reports[-1].message
     assert reports[-1].unbalance > BALANCED
+
+
+def test_a_run_that_was_too_short_keeps_what_it_can_go_on_from(tmp_path: Path) -> None:
+    """A panel by itself: a stocking's run would show no more, and takes longer."""
+    short, longer = str(tmp_path / "short.mcap"), str(tmp_path / "longer.mcap")
+    panel = ["knit/stitch-10x10", "--set", "until=balance", "--set", "duration=1 s", "--no-view"]
+    assert main(["run", *panel, "--record", short]) == 1
+    assert main(["run", "--resume", short, "--set", "duration=60 s", "--no-view", "--record", longer]) == 0
+    with nuno.open(short) as first, nuno.open(longer) as second:
+        assert first.report()["state"] == "unconverged"
+        assert second.report()["state"] == "done" and second.report()["simulated_seconds"] < 59.0
 
 
 def test_a_resumed_fit_goes_on_in_the_same_bits() -> None:
