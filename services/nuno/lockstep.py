@@ -178,7 +178,7 @@ class Lockstep(ABC):
             if self.state == "stopped":
                 break
             status = self.one_frame().status
-            if status == "unconverged" and self.work.finished:  # its duration was too short: it can go on from here
+            if status == "unconverged" and self.work.frame >= self.scene.frames:  # a longer one can go on
                 self.keep()
                 self.wait_for(self.work.frame)
             if status != "ok":
