@@ -52,6 +52,7 @@ class DyedCloth:
 
     def set_time(self, frame: int, t: float) -> None:
         """What is logged next belongs to a frame at t [s] of the scene."""
+        self.recording.reset_time()  # of what else this thread has shown
         self.recording.set_time("frame", sequence=frame)
         self.recording.set_time(layout.DYE_TIMELINE, duration=t * self.painter.speed)
 
