@@ -15,16 +15,20 @@ def has_pressure(fabric: Fabric) -> bool:
     return fabric.yarns is not None and fabric.cells is not None and len(fabric.cells) > 0
 
 
-def find_pressure(loaded: Loaded, fabric: Fabric, x: Float) -> Outcome:
-    """What the operation finds at x (n, 3) [m]: array `pressure` (n,) [Pa], and facts, also for heights with a name.
-
-    Heights are those of bodies that stand still and know some; of several such bodies the first has the word.
+def named_heights(loaded: Loaded) -> dict[str, float]:
+    """Heights [m] of places with a name, of bodies that stand still and know some; of several such bodies the first
+    has the word.
     """
     heights: dict[str, float] = {}
     for collider, motion in zip(loaded.colliders, loaded.motions, strict=True):
         if motion is None and hasattr(collider.plugin, "heights"):
             heights = collider.plugin.heights(collider.config) | heights
+    return heights
+
+
+def find_pressure(loaded: Loaded, fabric: Fabric, x: Float) -> Outcome:
+    """What the operation finds at x (n, 3) [m]: array `pressure` (n,) [Pa], and facts, also at `named_heights`."""
     operation = registry.load("nuno.operations", OPERATION)
-    config = operation.Config.model_validate({"heights": heights})
+    config = operation.Config.model_validate({"heights": named_heights(loaded)})
     outcome: Outcome = operation.apply(config, fabric, State(x, 0.0 * x), None)
     return outcome

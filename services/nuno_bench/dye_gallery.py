@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +13,10 @@ from nuno.dye.run import DyeRun
 from nuno.export.dyed import DyePainter, painter_of
 from nuno.scene_file import Loaded
 from nuno_bench.dye_measures import Dyed, fixed_radius, follows, mottle, spread_radius, streaks
+from nuno_bench.gallery_kind import EFFECT, Columns, Kind, Shown, difference_row
 from nuno_bench.machine import cores
 from nuno_bench.result import number
 from nuno_schemas.dye_picture import Layers, Picture, amount_seen
-from nuno_schemas.errors import BadInput
 from nuno_schemas.look import DyeView
 
 SIDE = 480
@@ -26,36 +25,12 @@ SEEN_FIXED = ("fig9a", "fig9b", "fig9c")
 """Scenes that the paper shows by what fibre has taken, too."""
 MOMENTS = {"fig12": (0, 1, 2, 4, 8, 16, 24, 32)}
 """Frames that are shown of a scene; of others the last one is."""
-EFFECT = 1.2
-"""Least ratio by which a difference counts as shown."""
-
 FIXED, DARKER = "fixed dye alone, twice as dark", 2.0
 """What a picture of it is called, and by how much it is darker: it is never more than a half of all."""
 
 PARAMETER_HEADINGS = ("scene", "I", "II", "III", "V", "tau 2", "tau 1", "P", "varied", "weave", "cells", "yarn, gap")
 DYE_HEADINGS = ("scene", "D0 [mm^2/h]", "D_ab / D0", "isotherm", "given", "for [h]", "darkest")
 NUMBER_HEADINGS = ("scene", "solver", "steps", "time [s]", "M cell updates/s", "supplied", "mobile", "fixed", "balance")
-DIFFERENCE_HEADINGS = ("the paper says", "measure", "of", "against", "ratio", "verdict")
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A scene that has been run: its pictures, each with what it shows beside the scene's own, and its numbers."""
-
-    name: str
-    description: str
-    pictures: list[tuple[str, Picture]]
-    parameters: list[str]
-    dyes: list[str]
-    numbers: list[str]
-    dyed: Dyed
-    failed: str
-
-    @property
-    def said(self) -> str:
-        """In a line."""
-        told = ", ".join(f"{h} {v}" for h, v in zip(NUMBER_HEADINGS[1:], self.numbers[1:], strict=True))
-        return f"failed: {self.failed}" if self.failed else told
 
 
 class Difference(NamedTuple):
@@ -95,7 +70,7 @@ def figure_of(name: str) -> int:
     return int("".join(c for c in name.removeprefix("fig").partition("-")[0] if c.isdigit()))
 
 
-def run_scene(path: Path) -> Shown:
+def run_scene(path: Path) -> Shown[Dyed]:
     """Run one to its end, or to where it fails. Raises BadInput."""
     loaded = scene_file.read(path)
     name, frames = loaded.scene.name, loaded.scene.frames
@@ -124,7 +99,8 @@ def run_scene(path: Path) -> Shown:
         f"{balance:.1e}" if balance else "0",
     ]  # fmt: skip
     dyed = Dyed(cells, run.state.phi[0], run.state.fixed[0], _pitch(loaded))
-    return Shown(name, loaded.scene.description, pictures, _parameters(loaded), _dyes(loaded), numbers, dyed, failed)
+    parameters = [_parameters(loaded), _dyes(loaded)]
+    return Shown(name, loaded.scene.description, pictures, parameters, numbers, dyed, failed)
 
 
 def _draw(painter: DyePainter, run: DyeRun, view: DyeView = "all") -> Picture:
@@ -178,25 +154,48 @@ def _dyes(loaded: Loaded) -> list[str]:
     ]  # fmt: skip
 
 
-def compare(shown: Mapping[str, Shown]) -> list[list[str]]:
+def compare(shown: Mapping[str, Shown[Dyed]]) -> list[list[str]]:
     """Rows under DIFFERENCE_HEADINGS, of those differences whose scenes have all been run."""
     rows = []
     for one in DIFFERENCES:
         if one.high in shown and one.low in shown:
-            values = one.measure(shown[one.high].dyed), one.measure(shown[one.low].dyed)
-            rows.append(_row(one.says, one.measure.__name__.replace("_", " "), one.high, one.low, *values))
+            high, low = ((name, one.measure(shown[name].measured)) for name in (one.high, one.low))
+            rows.append(difference_row(one.says, one.measure.__name__.replace("_", " "), high, low))
     if all(name in shown for name in WEAVES):
         for name in WEAVES:
-            weave = shown[name].dyed.cells
-            own = follows(shown[name].dyed, weave)
-            found, other = max((follows(shown[rest].dyed, weave), rest) for rest in WEAVES if rest != name)
-            rows.append(_row("each weave has its own pattern", f"follows that of {name}", name, other, own, found))
+            weave = shown[name].measured.cells
+            own = follows(shown[name].measured, weave)
+            found, other = max((follows(shown[rest].measured, weave), rest) for rest in WEAVES if rest != name)
+            measure = f"follows that of {name}"
+            rows.append(difference_row("each weave has its own pattern", measure, (name, own), (other, found)))
     return rows
 
 
-def _row(says: str, measure: str, high: str, low: str, more: float, less: float) -> list[str]:
-    if not more > 0.0:
-        raise BadInput("a measure is not above 0", field=measure, value=more)
-    ratio = more / less if less > 0.0 else float("inf")
-    verdict = "bar met" if ratio >= EFFECT else "missed"
-    return [says, measure, f"{high}: {number(more)}", f"{low}: {number(less)}", number(ratio), verdict]
+KIND = Kind(
+    title="Dyed cloth",
+    lead="The figures of the dye paper, each from its row of the paper's table, and where its text says otherwise, "
+    "from the text too.",
+    scenes=scenes,
+    run_scene=run_scene,
+    compare=compare,
+    parameters=(
+        Columns(
+            PARAMETER_HEADINGS,
+            "tau 3 by kind of face (I to V; IV is 1), tau 2, tau 1 and P of the yarns, r at random for each yarn, "
+            "weave, cells, and yarn and gap in cells.",
+        ),
+        Columns(
+            DYE_HEADINGS,
+            "D0 in water, how fast fibre fixes dye and by which isotherm, what was given, for how long it spreads, and "
+            "the amount that is drawn darkest. The paper prints no constants of isotherms.",
+        ),
+    ),
+    numbers=Columns(
+        NUMBER_HEADINGS,
+        "Balance: how far mobile and fixed dye are from what was supplied, at worst, as a share of it.",
+    ),
+    differences="Every difference that the paper describes, as a ratio of two measures; at least "
+    f"{EFFECT:g} is asked for.",
+    section=lambda name: f"Figure {figure_of(name)}",
+    apart=FIXED,
+)

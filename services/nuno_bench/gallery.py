@@ -7,15 +7,19 @@ import base64
 import io
 import sys
 from pathlib import Path
+from typing import Any
 
-from nuno_bench import dye_gallery, machine, page
-from nuno_bench.dye_gallery import FIXED, Shown, figure_of
+from nuno_bench import dye_gallery, knit_gallery, machine, page
+from nuno_bench.gallery_kind import DIFFERENCE_HEADINGS, Kind, Shown
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput, nearest
 
+KINDS: dict[str, Kind[Any]] = {"dye": dye_gallery.KIND, "knit": knit_gallery.KIND}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("kind", choices=["dye"], help="of scenes: dye, the figures of the dye paper")
+    parser.add_argument("kind", choices=list(KINDS), help="of scenes: dye, the figures of the dye paper; knit, all "
+                        "knits")  # fmt: skip
     parser.add_argument("--scenes", metavar="A,B", help="only these, by name (default: all)")
     parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
                         help="where the page goes (default: %(default)s)")  # fmt: skip
@@ -23,27 +27,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run all scenes; 1 where one fails, or does not show what it must."""
-    others = machine.Others()
-    paths = _choose(args.scenes)
+    kind, others = KINDS[args.kind], machine.Others()
+    paths = _choose(kind, args.scenes)
     shown = []
     for path in paths:
         print(f"{path.stem} ...", file=sys.stderr, flush=True)
-        shown.append(dye_gallery.run_scene(path))
-        print(f"{path.stem}: {shown[-1].said}", flush=True)
-    found = dye_gallery.compare({one.name: one for one in shown})
+        shown.append(kind.run_scene(path))
+        print(f"{path.stem}: {_said(kind, shown[-1])}", flush=True)
+    found = kind.compare({one.name: one for one in shown if not one.failed})
     for row in found:
         print("  ".join(row))
     about = {"command": machine.command(), **machine.describe(), "load": others.describe()}
     args.out.mkdir(parents=True, exist_ok=True)
     target = args.out / f"{args.kind}.html"
-    target.write_text(_render(shown, found, about), encoding="utf-8")
+    target.write_text(_render(kind, shown, found, about), encoding="utf-8")
     print(f"written {target}")
     return int(any(one.failed for one in shown) or any(row[-1].startswith("missed") for row in found))
 
 
-def _choose(wanted: str | None) -> list[Path]:
+def _choose(kind: Kind[Any], wanted: str | None) -> list[Path]:
     """The scenes' files, in their order. Raises BadInput for a name that none of them has."""
-    known = dye_gallery.scenes()
+    known = kind.scenes()
     names = list(known) if wanted is None else [name for name in wanted.split(",") if name]
     if not names:
         raise BadInput("none is named: the gallery would be empty", field="--scenes", value=wanted)
@@ -53,36 +57,35 @@ def _choose(wanted: str | None) -> list[Path]:
     return [path for name, path in known.items() if name in names]
 
 
-def _render(shown: list[Shown], found: list[list[str]], about: dict[str, str]) -> str:
+def _said(kind: Kind[Any], one: Shown[Any]) -> str:
+    """A scene's numbers in a line, or why it failed."""
+    told = ", ".join(f"{h} {v}" for h, v in zip(kind.numbers.headings[1:], one.numbers[1:], strict=True) if v)
+    return f"failed: {one.failed}" if one.failed else told
+
+
+def _render(kind: Kind[Any], shown: list[Shown[Any]], found: list[list[str]], about: dict[str, str]) -> str:
+    headings = dict.fromkeys(kind.section(one.name) for one in shown)
     sections: list[tuple[str, list[page.Part]]] = [
-        (f"Figure {number}", [page.Pictures(_pictures([one for one in shown if figure_of(one.name) == number]))])
-        for number in sorted({figure_of(one.name) for one in shown})
+        (heading, [page.Pictures(_pictures(kind, [one for one in shown if kind.section(one.name) == heading]))])
+        for heading in headings
     ]
+    if lost := [[one.name, f"failed, {one.failed}"] for one in shown if one.failed]:
+        told = "What these show is where they got to; what must show is not asked of them."
+        sections.append(("Failed", [page.Table(("scene", "why"), lost, told)]))
     if found:
-        told = "Every difference that the paper describes, as a ratio of two measures; at least 1.2 is asked for."
-        sections.append(("What must show", [page.Table(dye_gallery.DIFFERENCE_HEADINGS, found, told)]))
-    cloths = page.Table(
-        dye_gallery.PARAMETER_HEADINGS, [one.parameters for one in shown],
-        "tau 3 by kind of face (I to V; IV is 1), tau 2, tau 1 and P of the yarns, r at random for each yarn, weave, "
-        "cells, and yarn and gap in cells.",
-    )  # fmt: skip
-    dyes = page.Table(
-        dye_gallery.DYE_HEADINGS, [one.dyes for one in shown],
-        "D0 in water, how fast fibre fixes dye and by which isotherm, what was given, for how long it spreads, and the "
-        "amount that is drawn darkest. The paper prints no constants of isotherms.",
-    )  # fmt: skip
-    numbers = page.Table(
-        dye_gallery.NUMBER_HEADINGS, [one.numbers for one in shown],
-        "Balance: how far mobile and fixed dye are from what was supplied, at worst, as a share of it.",
-    )  # fmt: skip
-    sections += [("Parameters", [cloths, dyes]), ("Runs", [numbers, page.Facts(about)])]
-    lead = "The figures of the dye paper, each from its row of the paper's table, and where its text says otherwise, "
-    return page.render("Dyed cloth", lead + "from the text too.", sections)
+        sections.append(("What must show", [page.Table(DIFFERENCE_HEADINGS, found, kind.differences)]))
+    parameters = [
+        page.Table(columns.headings, [one.parameters[table] for one in shown], columns.caption)
+        for table, columns in enumerate(kind.parameters)
+    ]
+    numbers = page.Table(kind.numbers.headings, [one.numbers for one in shown], kind.numbers.caption)
+    sections += [("Parameters", [*parameters]), ("Runs", [numbers, page.Facts(about)])]
+    return page.render(kind.title, kind.lead, sections)
 
 
-def _pictures(shown: list[Shown]) -> list[page.Image]:
-    """Those of one figure; what fibre has fixed in a row of its own, as in the paper."""
-    found = [(label == FIXED, label, one, picture) for one in shown for label, picture in one.pictures]
+def _pictures(kind: Kind[Any], shown: list[Shown[Any]]) -> list[page.Image]:
+    """Those of one section, those that stand apart last."""
+    found = [(label == kind.apart != "", label, one, picture) for one in shown for label, picture in one.pictures]
     return [
         page.Image(_embed(picture), f"{one.name}{', ' if label else ''}{label}. {one.description}")
         for _, label, one, picture in sorted(found, key=lambda each: each[0])

@@ -11,6 +11,7 @@ from nuno import scene_file
 from nuno.cli import parser_of
 from nuno_bench import dye_gallery, gallery
 from nuno_bench.dye_measures import Dyed, follows, mottle, spread_radius, streaks
+from nuno_bench.gallery_kind import Shown
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.errors import BadInput
 
@@ -22,25 +23,25 @@ SIZE, PITCH, SIDE = 5e-5, 10, 20
 
 
 @pytest.fixture(scope="module")
-def shown() -> dict[str, dye_gallery.Shown]:
+def shown() -> dict[str, Shown[Dyed]]:
     return {name: dye_gallery.run_scene(dye_gallery.scenes()[name]) for name in COMPARED}
 
 
-def test_what_the_paper_describes_shows(shown: dict[str, dye_gallery.Shown]) -> None:
+def test_what_the_paper_describes_shows(shown: dict[str, Shown[Dyed]]) -> None:
     rows = dye_gallery.compare(shown)
     assert len(rows) == 10
     assert [row[-1] for row in rows] == ["bar met"] * 10, rows
 
 
-def test_each_run_keeps_its_dye(shown: dict[str, dye_gallery.Shown]) -> None:
+def test_each_run_keeps_its_dye(shown: dict[str, Shown[Dyed]]) -> None:
     assert all(float(one.numbers[-1]) < 1e-13 * 5000**0.5 and not one.failed for one in shown.values())
 
 
-def test_a_weave_that_is_not_there_is_not_seen(shown: dict[str, dye_gallery.Shown]) -> None:
+def test_a_weave_that_is_not_there_is_not_seen(shown: dict[str, Shown[Dyed]]) -> None:
     """A drop on cloth that hardly hinders it follows no weave, while one on mottled cloth does."""
-    plain = shown["fig8a"].dyed.cells
-    assert mottle(shown["fig8a"].dyed) < 0.01
-    assert follows(shown["fig8d"].dyed, plain) > 0.5
+    plain = shown["fig8a"].measured.cells
+    assert mottle(shown["fig8a"].measured) < 0.01
+    assert follows(shown["fig8d"].measured, plain) > 0.5
 
 
 @pytest.mark.parametrize("name", sorted(dye_gallery.scenes()))
@@ -59,7 +60,11 @@ def test_a_dyes_row_says_its_constants_what_was_given_and_for_how_long() -> None
 
 
 def test_scenes_stand_in_the_paper_s_order_however_they_are_named() -> None:
-    assert [path.stem for path in gallery._choose("fig10a,fig9b,fig8g-text")] == ["fig8g-text", "fig9b", "fig10a"]
+    assert [path.stem for path in gallery._choose(dye_gallery.KIND, "fig10a,fig9b,fig8g-text")] == [
+        "fig8g-text",
+        "fig9b",
+        "fig10a",
+    ]
 
 
 def cloth(amount: np.ndarray) -> Dyed:
@@ -99,4 +104,4 @@ def test_the_page_holds_every_picture(tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_a_name_that_is_no_figure_is_answered_with_one_that_is() -> None:
     with pytest.raises(BadInput, match="fig8a"):
-        gallery._choose("fig8")
+        gallery._choose(dye_gallery.KIND, "fig8")
