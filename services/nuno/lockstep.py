@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 from pydantic import ValidationError
@@ -51,6 +52,8 @@ class Lockstep(ABC):
         self.inbox = Inbox(context.bus, [follows or ack_topic("*")])
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
         self.inbox.answer(f"finish/{context.bus.service}")
+        self.answers: dict[str, Callable[[], bytes]] = {}
+        """What else it can be asked, between frames."""
 
     @abstractmethod
     def publish_start(self) -> None:
@@ -86,6 +89,8 @@ class Lockstep(ABC):
                 self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
         elif isinstance(item, Question) and item.name.startswith(CONTROL):
             item.answer_json(self.control(item.json()))
+        elif isinstance(item, Question) and item.name in self.answers:
+            item.answer(self.answers[item.name]())
         elif isinstance(item, Question):
             if asks_to_finish(self.inbox, item):
                 self.finish = item

@@ -65,10 +65,11 @@ def folder() -> Path:
 
 
 @contextmanager
-def announced(run: str, endpoint: str) -> Iterator[None]:
-    """Note a run while it goes on."""
+def announced(run: str, endpoint: str, scene: Path | None = None) -> Iterator[None]:
+    """Note a run while it goes on, and the file of its scene where that is the user's."""
     path = folder() / f"{run}.json"
-    path.write_text(json.dumps({"endpoint": endpoint, "pid": os.getpid()}))
+    note: dict[str, object] = {"endpoint": endpoint, "pid": os.getpid()}
+    path.write_text(json.dumps(note | ({"scene": str(scene.resolve())} if scene is not None else {})))
     try:
         yield
     finally:
@@ -90,6 +91,15 @@ def running() -> dict[str, str]:
         else:
             path.unlink(missing_ok=True)
     return found
+
+
+def scene_path(run: str) -> Path | None:
+    """The file that a run going on has its scene from; None where there is none, or no such run."""
+    try:
+        path = Path(json.loads((folder() / f"{run}.json").read_text())["scene"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return path if path.is_file() else None
 
 
 def find(run: str) -> tuple[str, str]:

@@ -85,6 +85,11 @@ class Loaded:
             raise ValueError("a scene of dye alone has no integrator")
         return self.solver
 
+    @property
+    def own_path(self) -> Path | None:
+        """The user's file; None for a scene that was given as a mapping, or lies in a recording."""
+        return self.path if self.file == str(self.path) else None
+
     def value(self, field: str) -> Any:
         """What a field such as `forces.0.velocity` holds, given or by default, in SI units; None if there is none."""
         data = self.scene.model_dump(mode="json")

@@ -49,6 +49,8 @@ class Deployment:
     run: str | None = None
     config: str | None = None
     """zenoh configuration file (TLS, access control)."""
+    paused: bool = False
+    """Wait, before the first frame, until a control request resumes the run."""
 
 
 @dataclass
@@ -88,6 +90,7 @@ class Supervisor:
         self.blamed = ""
         self.ended: dict[str, Any] | None = None
         self.patience = START_TIMEOUT
+        self.paused = False
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
 
@@ -154,7 +157,11 @@ class Supervisor:
 
     def follow(self, progress: Progress | None) -> str:
         """Let the run go to its end; the error that ended it early, or ""."""
-        self.bus.ask_json("control", {"action": "start"})
+        if self.paused:
+            if progress is not None:
+                progress(f"paused before its first frame; to go on: nuno control {self.run} resume")
+        else:
+            self.bus.ask_json("control", {"action": "start"})
         while self.ended is None:
             self._drain(progress, timeout=0.2)
             if dead := [name for name in self.plan.services if name not in self.watch.alive()]:
@@ -233,7 +240,8 @@ def supervise(
         else:
             session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config))
         supervisor = Supervisor(loaded, options, plan, session, run)
-        stack.enter_context(runs.announced(run, endpoint))
+        supervisor.paused = deployment.paused
+        stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
         if not deployment.connect:
             supervisor.patience = COMPILE_TIMEOUT
         if deployment.processes:

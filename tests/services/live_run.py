@@ -20,7 +20,7 @@ from nuno_schemas.messages import FrameStatus
 class Run:
     """A run in a thread of its own, to be disturbed from outside."""
 
-    def __init__(self, scene: Path, record: Path, processes: bool = False) -> None:
+    def __init__(self, scene: Path, record: Path, processes: bool = False, paused: bool = False) -> None:
         self.loaded = scene_file.read(scene)
         self.run = runs.new_id("test")
         self.options = Options(record=record)
@@ -28,7 +28,7 @@ class Run:
         self.moved = threading.Event()
         self.outcome: Outcome | None = None
         self.report: Report = {}
-        self.deployment = Deployment(processes=processes, run=self.run)
+        self.deployment = Deployment(processes=processes, run=self.run, paused=paused)
         self.thread = threading.Thread(target=self._body, daemon=True)
         self.thread.start()
 

@@ -6,15 +6,22 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
-from live_run import Run, start_long
+from live_run import Run, start_long, wait_until
 from scenes import write_scene
 
 import nuno
-from nuno import scene_file
+from nuno import runs, scene_file
+from nuno.arrays import decode_arrays
+from nuno.build import build_fabric
+from nuno.bus import Bus
 from nuno.cli import main
 from nuno.lockstep import Lockstep
 from nuno.recording.restore import control_events
+from nuno.sessions import spoke
+from nuno.simulation.driver import NOW
+from nuno_schemas.errors import RunFailed
 
 
 @pytest.fixture
@@ -41,6 +48,30 @@ def test_control_pauses_steps_changes_and_stops(run: Run) -> None:
     assert run.stop().state == "stopped"
     with nuno.open(run.record) as recording:
         assert [event.text for event in control_events(recording)] == ["pause", "step", "set", "resume", "stop"]
+
+
+def test_a_run_may_wait_before_its_first_frame_and_says_where_its_cloth_is(tmp_path: Path) -> None:
+    run = Run(write_scene(tmp_path), tmp_path / "waits.mcap", paused=True)
+    wait_until(lambda: run.run in runs.running() and answers(run))
+    assert (run.control("status")["state"], run.control("status")["frame"]) == ("paused", 0)
+    assert runs.scene_path(run.run) == (tmp_path / "scene.yaml").resolve()
+    with spoke(run.endpoint) as session:
+        arrays, text = decode_arrays(Bus(session, run.run, "test").ask(NOW))
+        run.control("resume")
+        assert run.join().state == "done"
+    with nuno.open(run.record) as recording:
+        first = next(iter(recording.frames()))
+        assert (text["frame"], text["t"], text["vertices"]) == (0, 0.0, len(first.x))
+        assert np.array_equal(arrays["x"], build_fabric(run.loaded)[0].position)
+        assert [event.text for event in control_events(recording)] == ["resume"]
+
+
+def answers(run: Run) -> bool:
+    """Whether the simulation is there to be asked."""
+    try:
+        return bool(run.control("status")["ok"])
+    except RunFailed:
+        return False
 
 
 def test_a_step_says_that_the_run_pauses_again(run: Run, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,6 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     view.add_argument("--no-view", action="store_true", help="show nothing and draw no picture")
     parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="also write a file for the rerun viewer")
+    parser.add_argument(
+        "--paused", action="store_true", help="wait before the first frame until: nuno control RUN resume"
+    )
     where = parser.add_argument_group("where services run")
     where.add_argument("--processes", action="store_true", help="one process per service instead of threads")
     where.add_argument(
@@ -105,7 +108,7 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     return execute(
         loaded,
         options,
-        Deployment(args.processes, args.listen, args.connect, run, args.config),
+        Deployment(args.processes, args.listen, args.connect, run, args.config, args.paused),
         picture=_wants_picture(args, options),
     )
 

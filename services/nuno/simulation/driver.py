@@ -22,6 +22,8 @@ from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status
 from nuno_schemas.plugin import StepReport
 
+NOW = "sim/ask/now"
+"""What to ask for the cloth as it is: who comes late has missed `sim/fabric`, and a paused run sends no state."""
 DYE_TIMEOUT = 8.0
 """How long the dye may take to answer [s], which finishes its frame first: shorter than whoever asks here waits."""
 
@@ -34,6 +36,8 @@ class Driver(Lockstep):
         self.simulation, self.poses = simulation, poses
         self.coming: Callable[[], Poses] | None = None
         self.seconds["bodies"] = 0.0
+        self.answers[NOW] = self.encode_now
+        self.inbox.answer(NOW)
         self.counts: dict[str, int] = {}
         self.energy: list[dict[str, float]] = []
         self.stretch = 0.0
@@ -108,9 +112,19 @@ class Driver(Lockstep):
         self.context.bus.publisher(FABRIC).put(self.encode_fabric(), self.simulation.frame, self.simulation.t)
 
     def encode_fabric(self) -> bytes:
+        return encode_arrays(*self.describe_fabric())
+
+    def encode_now(self) -> bytes:
+        """What `sim/fabric` says, and x (n, 3) [m], frame and t [s]."""
+        arrays, text = self.describe_fabric()
+        simulation = self.simulation
+        return encode_arrays(arrays | {"x": simulation.state.x}, text | {"frame": simulation.frame, "t": simulation.t})
+
+    def describe_fabric(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and text of `sim/fabric`."""
         fabric = self.simulation.fabric
         edges, rest = structural_edges(fabric)
-        arrays = {
+        arrays: dict[str, NDArray[Any]] = {
             "faces": fabric.faces,
             "edges": edges,
             "edge_rest": rest.astype(np.float32),
@@ -126,7 +140,7 @@ class Driver(Lockstep):
             "scene": self.scene.name,
             "objects": [vars(piece) for piece in self.simulation.pieces],
         }
-        return encode_arrays(arrays, text)
+        return arrays, text
 
     def publish_checkpoint(self) -> None:
         """The whole float64 state, enough to go on from in the same bits."""
