@@ -1,7 +1,8 @@
-"""A closed triangle mesh as a body: from a file, or the leg that comes with nuno."""
+"""A closed triangle mesh as a body: from a file, or the leg or the torso that come with nuno."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import ClassVar, Literal, cast
 
@@ -15,11 +16,16 @@ from nuno_kernels.closest_point import Closest, closest_points
 from nuno_kernels.leg import LANDMARKS, leg_mesh
 from nuno_kernels.mesh_file import read_closed
 from nuno_kernels.surface_tree import build_tree
+from nuno_kernels.torso import GIRTHS, HEIGHTS, torso_mesh
 from nuno_schemas.bodies import MESH, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import BodyShape, Config, Files, Mover
 
+ARMS = (math.radians(40.0), math.radians(80.0))
+"""Between these angles the torso's arms part from its trunk, and end below its shoulders [rad]."""
+RANGE = (0.7, 1.4)
+"""Shares of the average girths that a torso may have."""
 Search = Callable[..., Closest]
 """A function (points (n, 3), start (n,) or None) -> Closest."""
 
@@ -31,13 +37,27 @@ class Rotation(Config):
     angle: Angle = Field(description="[rad]")
 
 
+class Girths(Config):
+    """Girths of the torso [m]; what is not given keeps the average."""
+
+    bust: Size | None = Field(default=None, description="round the breasts, 90 cm unless given [m]")
+    waist: Size | None = Field(default=None, description="at its narrowest, 69.8 cm unless given [m]")
+    hip: Size | None = Field(default=None, description="at its widest, 95.7 cm unless given [m]")
+    neck: Size | None = Field(default=None, description="of the stump, 33 cm unless given [m]")
+    arm: Size | None = Field(default=None, description="over the biceps, 28.1 cm unless given [m]")
+
+
 class MeshConfig(OnJoint):
     """A closed surface: a file's or a built-in one, scaled, turned about its origin, then moved by `centre`."""
 
     file: str | None = Field(default=None, description="a mesh beside the scene: OBJ, PLY, STL or GLB")
-    shape: Literal["leg"] | None = Field(default=None, description="or one that comes with nuno: an average leg")
-    resolution: int = Field(default=96, ge=12, le=2048, description="of the leg: vertices round it")
-    scale: Size = Field(default=1.0, description="length of one of the file's units [m]; 1 leaves the leg its size")
+    shape: Literal["leg", "torso"] | None = Field(
+        default=None, description="or one that comes with nuno: an average leg; a torso with stumps of arms and neck"
+    )
+    resolution: int = Field(default=96, ge=12, le=2048, description="of the shape: vertices round the leg or the waist")
+    girths: Girths | None = Field(default=None, description="of the torso, where they are to be others")
+    arms: Angle = Field(default=0.25 * math.pi, description="of the torso: between upper arms and the plumb line [rad]")
+    scale: Size = Field(default=1.0, description="length of one of the file's units [m]; 1 leaves a shape its size")
     rotate: Rotation | None = Field(default=None, description="a turn about the mesh's origin")
     centre: Point = Field(default=ORIGIN, description="where the mesh's origin comes to lie, in the joint's frame [m]")
     mend: bool = Field(default=False, description="turn triangles that face the wrong way and fill holes")
@@ -46,6 +66,12 @@ class MeshConfig(OnJoint):
     def _one_source(self) -> MeshConfig:
         if (self.file is None) == (self.shape is None):
             raise ValueError("a mesh needs either a file or a shape")
+        given = {"girths", "arms"} & self.model_fields_set
+        if given and self.shape != "torso":
+            raise ValueError(f"only the torso has {' and '.join(sorted(given))} to choose")
+        if not ARMS[0] <= self.arms <= ARMS[1]:
+            limits = " to ".join(f"{math.degrees(angle):g}" for angle in ARMS)
+            raise ValueError(f"arms at {math.degrees(self.arms):g} deg: the torso's may be raised by {limits} deg")
         return self
 
 
@@ -65,10 +91,11 @@ class MeshCollider:
         return ask
 
     def heights(self, config: BaseModel) -> dict[str, float]:
-        """Heights in the joint's frame [m] of places that have a name: of a leg that stands as it comes, else none."""
+        """Heights in the joint's frame [m] of places that have a name: of a shape that stands as it comes."""
         c = cast(MeshConfig, config)
         upright = c.rotate is None or c.rotate.axis[0] == c.rotate.axis[2] == 0.0
-        return {name: c.centre[1] + c.scale * y for name, y in LANDMARKS.items()} if c.shape and upright else {}
+        known = {"leg": LANDMARKS, "torso": HEIGHTS}.get(c.shape or "", {})
+        return {name: c.centre[1] + c.scale * y for name, y in known.items()} if upright else {}
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         """Raises BadInput for a mesh that is not closed, passes through itself, or cannot be read."""
@@ -77,7 +104,7 @@ class MeshCollider:
         if c.file is not None:
             x, faces = read_closed(files.resolve(c.file), c.scale, c.mend)
         else:
-            x, faces = leg_mesh(c.resolution)
+            x, faces = leg_mesh(c.resolution) if c.shape == "leg" else make_torso(c)
             x = x * c.scale
         x = np.ascontiguousarray(x @ turn_of(c.rotate).T + np.asarray(c.centre))
         return BodyShape(
@@ -91,6 +118,19 @@ class MeshCollider:
             faces=faces,
             owner=np.zeros(len(faces), np.int32),
         )
+
+
+def make_torso(config: MeshConfig) -> tuple[Float, Int]:
+    """The torso of a configuration. Raises BadInput for girths so far from the average that parts would meet."""
+    given = {} if config.girths is None else config.girths.model_dump(exclude_none=True)
+    for name, girth in given.items():
+        low, high = (share * GIRTHS[name] for share in RANGE)
+        if not low <= girth <= high:
+            raise BadInput(
+                "no torso is made with this girth", field=f"girths.{name}", value=f"{girth:g} m",
+                limit=f"{low:.3g} to {high:.3g} m", remedy="scale the whole torso, or bring a mesh of your own",
+            )  # fmt: skip
+    return torso_mesh(config.resolution, given, config.arms)
 
 
 def turn_of(rotation: Rotation | None) -> Float:

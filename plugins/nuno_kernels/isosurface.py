@@ -1,0 +1,114 @@
+"""The surface on which a function of space is zero, as a closed mesh of triangles of about equal size.
+
+One vertex is put into every cell of a grid that the surface passes through, at the mean of the places where it
+crosses the cell's edges, and every crossed edge of the grid becomes a quad of the four vertices about it (S. F. F.
+Gibson, Constrained elastic surface nets, MICCAI 1998). Vertices are then evened out along the surface and brought onto
+it by Newton's method, so that the grid leaves no steps. Marching cubes would give slivers wherever the surface passes
+close to a corner of the grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nuno_schemas.fabric import Bool, Float, Int
+
+Field = Callable[[Float, Float, Float], Float]
+"""A function (x, y, z) [m], arrays that broadcast, -> about the signed distance [m], negative inside."""
+ROUNDS = 7
+"""Steps of Newton's method; before all but the last two, vertices are evened out."""
+STEP = 1e-5
+"""Of the differences by which a field's gradient is found [m]."""
+
+
+def find_isosurface(field: Field, low: Float, high: Float, spacing: float) -> tuple[Float, Int]:
+    """Vertices (n, 3) [m] and triangles (f, 3), outwards, of field = 0 in the box from low to high (3,).
+
+    The box must hold the whole surface, and cells of `spacing` [m] must resolve it: one that crosses a cell twice is
+    not drawn there.
+    """
+    counts = np.ceil((high - low) / spacing).astype(int) + 1
+    axes = [low[k] + spacing * np.arange(counts[k]) for k in range(3)]
+    value = field(axes[0][:, None, None], axes[1][None, :, None], axes[2][None, None, :])
+    x, quads = _net(value)
+    x = low + spacing * x
+    for turn in range(ROUNDS):
+        gradient = find_gradient(field, x)
+        if turn < ROUNDS - 2:
+            x = _even(x, quads, gradient)
+        x -= (field(*x.T) / (gradient * gradient).sum(axis=1))[:, None] * gradient
+    return np.ascontiguousarray(x), _cut(x, quads)
+
+
+def find_gradient(field: Field, x: Float) -> Float:
+    """(n, 3) gradient of a field at places x (n, 3) [m], by central differences."""
+    steps = STEP * np.eye(3)
+    return np.stack([(field(*(x + step).T) - field(*(x - step).T)) / (2.0 * STEP) for step in steps], axis=1)
+
+
+def _net(value: Float) -> tuple[Float, Int]:
+    """Vertices (n, 3), in cells from the grid's first node, and quads (q, 4) of values (i, j, k) at the nodes."""
+    inside = value < 0.0
+    total, count = np.zeros((*(n - 1 for n in value.shape), 3)), np.zeros([n - 1 for n in value.shape], int)
+    crossed = []
+    for axis in range(3):
+        first, last = (np.take(value, range(s, value.shape[axis] - 1 + s), axis) for s in (0, 1))
+        cut = (first < 0.0) != (last < 0.0)
+        at = np.stack(np.nonzero(cut), axis=1).astype(float)
+        at[:, axis] += first[cut] / (first[cut] - last[cut])
+        crossed.append((cut, np.take(inside, range(value.shape[axis] - 1), axis)))
+        place = np.zeros((*cut.shape, 3))
+        place[cut] = at
+        one, other = (axis + 1) % 3, (axis + 2) % 3
+        for i in (0, 1):
+            for j in (0, 1):
+                cells = _window(cut.shape, one, other, i, j)
+                total += place[cells]
+                count += cut[cells]
+    number = np.full(count.shape, -1)
+    number[count > 0] = np.arange(int((count > 0).sum()))
+    quads = np.concatenate([_quads(number, cut, within, axis) for axis, (cut, within) in enumerate(crossed)])
+    return total[count > 0] / count[count > 0][:, None], quads
+
+
+def _window(shape: tuple[int, ...], one: int, other: int, i: int, j: int) -> tuple[slice, ...]:
+    """The edges that are the (i, j)-th of each cell's four along an axis, of edges of this shape."""
+    window = [slice(None)] * 3
+    window[one], window[other] = slice(i, shape[one] - 1 + i), slice(j, shape[other] - 1 + j)
+    return tuple(window)
+
+
+def _quads(number: Int, cut: Bool, inside: Bool, axis: int) -> Int:
+    """(q, 4) vertices about the crossed edges along an axis, counter-clockwise seen from outside."""
+    one, other = (axis + 1) % 3, (axis + 2) % 3
+    at = np.stack(np.nonzero(cut), axis=1)
+    corners = []
+    for i, j in ((1, 1), (0, 1), (0, 0), (1, 0)):
+        cell = at.copy()
+        cell[:, one] -= i
+        cell[:, other] -= j
+        corners.append(number[tuple(cell.T)])
+    quads = np.stack(corners, axis=1)
+    return np.where(inside[cut][:, None], quads, quads[:, ::-1])
+
+
+def _even(x: Float, quads: Int, normal: Float) -> Float:
+    """Vertices moved halfway to the mean of their neighbours, across the normals (n, 3) of any length."""
+    ends = np.concatenate([quads.reshape(-1), np.roll(quads, -1, axis=1).reshape(-1)])
+    others = np.concatenate([np.roll(quads, -1, axis=1).reshape(-1), quads.reshape(-1)])
+    count = np.bincount(ends, minlength=len(x))
+    mean = np.stack([np.bincount(ends, x[others, k], len(x)) for k in range(3)], axis=1) / count[:, None]
+    way = mean - x
+    share = (way * normal).sum(axis=1) / (normal * normal).sum(axis=1)
+    return np.asarray(x + 0.5 * (way - share[:, None] * normal))
+
+
+def _cut(x: Float, quads: Int) -> Int:
+    """Two triangles of each quad, along its shorter diagonal."""
+    a, b, c, d = quads.T
+    short = np.linalg.norm(x[a] - x[c], axis=1) <= np.linalg.norm(x[b] - x[d], axis=1)
+    first = np.where(short[:, None], np.stack([a, b, c], 1), np.stack([a, b, d], 1))
+    second = np.where(short[:, None], np.stack([a, c, d], 1), np.stack([b, c, d], 1))
+    return np.stack([first, second], axis=1).reshape(-1, 3).astype(np.int32)
