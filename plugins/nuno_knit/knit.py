@@ -170,7 +170,8 @@ def knit_yarns(net: Structure, used: list[Yarn], spacing: Float) -> tuple[Spring
     mu = np.where(alone, 0.0, np.array([yarn.mu for yarn in used])[of])
     ptr = np.concatenate([[0], np.cumsum([len(thread) for thread in threads])]).astype(np.int32)
     springs = Springs.from_pairs(net.pairs(), k, rest, c, lock=lock, k_lock=k_lock)
-    return springs, Yarns(np.concatenate(threads), ptr, mu, kind, names)
+    density = np.array([yarn.density for yarn in used])[of]
+    return springs, Yarns(np.concatenate(threads), ptr, mu, kind, names, density)
 
 
 def place(config: KnitConfig, net: Structure) -> Float:

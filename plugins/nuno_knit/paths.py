@@ -18,12 +18,14 @@ class Paths:
     vertex (p,)     int32 points of the fabric, yarn by yarn; a ring ends with the point it began with
     ptr    (y + 1,) int64 yarn y is vertex[ptr[y]:ptr[y + 1]]
     kind   (y,)     int32 which of `names` it is
+    thickness (y,)  as a ratio of the mean yarn's
     """
 
     vertex: Int
     ptr: NDArray[np.int64]
     kind: Int
     names: tuple[str, ...]
+    thickness: Float
 
     @property
     def number(self) -> int:
@@ -79,7 +81,7 @@ def find_paths(fabric: Fabric) -> Paths:
     inner[ends] = False
     vertex[inner] = directed[:, 0]
     vertex[ends] = directed[np.cumsum(count) - 1, 1]
-    return Paths(vertex, ptr, yarns.kind.astype(np.int32), yarns.names)
+    return Paths(vertex, ptr, yarns.kind.astype(np.int32), yarns.names, yarns.thickness())
 
 
 def mean_length(paths: Paths, x: Float) -> float:

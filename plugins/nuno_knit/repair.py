@@ -38,8 +38,10 @@ RADIUS = 0.04
 class YarnConfig(Config):
     """What every operation that makes curves of yarns takes."""
 
-    radius: Reach | None = Field(
-        default=None, description=f"of the yarns [m]; left out: {RADIUS:g} of the mean link's length"
+    radius: Reach | tuple[Reach, ...] | None = Field(
+        default=None,
+        description="of the yarns, or of each kind in their order [m]; left out: as the roots of their linear "
+        f"densities, {RADIUS:g} of the mean link's length for the mean one",
     )
     tolerance: Length = Field(default=1e-6, description="how deep a yarn may lie in the skin unchanged [m]")
 
@@ -77,9 +79,7 @@ class Repair:
         below = to_skin(skin)
         found = repair(paths, state.x, below, config.tolerance)
         radius = radius_of(config, paths, state.x)
-        curves = YarnCurves(
-            found.points, found.ptr, np.full(paths.number, radius), paths.kind, paths.names, found.normal
-        )
+        curves = YarnCurves(found.points, found.ptr, radius, paths.kind, paths.names, found.normal)
         facts = count_links(found, curves) | measure(curves, below, 0.0, found.face)
         return Outcome(facts, curves, {"vertex": found.vertex, "face": found.face})
 
@@ -89,9 +89,18 @@ def to_skin(surface: Surface | None) -> Skin | None:
     return None if surface is None or not len(surface.faces) else Skin(surface.vertices, surface.faces)
 
 
-def radius_of(config: YarnConfig, paths: Paths, x: Float) -> float:
-    """Of the yarns [m]."""
-    return RADIUS * mean_length(paths, x) if config.radius is None else config.radius
+def radius_of(config: YarnConfig, paths: Paths, x: Float) -> Float:
+    """(y,) of the yarns [m]. Raises BadInput for radii of another number of kinds."""
+    if config.radius is None:
+        return np.asarray(RADIUS * mean_length(paths, x) * paths.thickness)
+    if not isinstance(config.radius, tuple):
+        return np.full(paths.number, config.radius)
+    if len(config.radius) != len(paths.names):
+        kinds = f"{len(paths.names)}: {', '.join(paths.names)}"
+        raise BadInput(
+            "one radius for each kind of yarn, or one for all", field="radius", value=len(config.radius), limit=kinds
+        )
+    return np.array(config.radius)[paths.kind]
 
 
 def count_links(found: Repaired, curves: YarnCurves) -> dict[str, float]:

@@ -3,6 +3,7 @@
 Curves go through the points that nuno_knit.loops lays, each raised off the skin by its level: an arc's centre lies
 a radius above the skin (or as high as the net does where that is farther off), a turn one radius higher, a leg two.
 Samples of the curve that would still lie too low are raised, and pieces that dip between their ends are divided.
+Where yarns are not of one thickness, that radius is the thickest one's, so that thinner ones have a little more room.
 Without skin the net itself is the middle level, and its own face the way up.
 """
 
@@ -52,14 +53,15 @@ class Smooth:
         """Raises BadInput for a fabric without yarns, and for points that are not finite."""
         paths, below = find_paths(fabric), to_skin(skin)
         laid = repair(paths, state.x, below, config.tolerance)
-        radius = radius_of(config, paths, state.x)
+        radii = radius_of(config, paths, state.x)
+        radius = float(radii.max(initial=0.0))
         number = -(-config.samples // PIECES)
         points, ptr, face = smooth(paths, laid, state.x, below, radius, config.curl, number)
         normal = np.zeros_like(points)
         if below is not None:
             points, ptr, face = keep_off(points, ptr, face, below, radius, config.tolerance)
             normal = below.look(points, face)[1]
-        curves = YarnCurves(points, ptr, np.full(paths.number, radius), paths.kind, paths.names, normal)
+        curves = YarnCurves(points, ptr, radii, paths.kind, paths.names, normal)
         checked = max(3, 1 + -(-CHECKED // (PIECES * number)))
         facts = count_links(laid, curves) | measure(curves, below, radius, face, checked)
         return Outcome(facts, curves, {"face": face})

@@ -68,12 +68,15 @@ def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces
     return Skin(triangle_tree(x, faces), np.ascontiguousarray(x), faces, normals, np.ascontiguousarray(albedo))
 
 
-def gather_threads(yarns: YarnCurves, origin: Float, radius: float | None, colour: Float) -> Threads:
-    """Pieces of yarns between points that are finite; `radius` [m] of all, or their own; colour (y, 3) linear.
+def gather_threads(
+    yarns: YarnCurves, origin: Float, radius: float | tuple[float, ...] | None, colour: Float
+) -> Threads:
+    """Pieces of yarns between points that are finite; `radius` [m] of all or of each kind, else their own; colour
+    (y, 3) linear.
 
-    Raises BadInput for a yarn without thickness.
+    Raises BadInput for a yarn without thickness, and for radii of another number of kinds.
     """
-    thick = np.full(yarns.number, radius) if radius is not None else np.asarray(yarns.radius, np.float64)
+    thick = _thickness(yarns, radius)
     bad = ~((thick > 0.0) & np.isfinite(thick))
     if bad.any():
         first = int(np.argmax(bad))
@@ -92,6 +95,20 @@ def gather_threads(yarns: YarnCurves, origin: Float, radius: float | None, colou
         tree, start, end, first_tangent, last_tangent, np.ascontiguousarray(thick[yarn]), yarn.astype(np.int64),
         np.ascontiguousarray(colour),
     )  # fmt: skip
+
+
+def _thickness(yarns: YarnCurves, radius: float | tuple[float, ...] | None) -> Float:
+    """(y,) radii [m]. Raises BadInput for radii of another number of kinds."""
+    if radius is None:
+        return np.asarray(yarns.radius, np.float64)
+    if not isinstance(radius, tuple):
+        return np.full(yarns.number, radius)
+    if len(radius) != len(yarns.names):
+        kinds = f"{len(yarns.names)}: {', '.join(yarns.names)}"
+        raise BadInput(
+            "one radius for each kind of yarn, or one for all", field="yarns.radius", value=len(radius), limit=kinds
+        )
+    return np.array(radius)[yarns.kind]
 
 
 def tangents_along(points: Float, yarns: YarnCurves) -> Float:

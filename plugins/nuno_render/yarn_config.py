@@ -50,8 +50,9 @@ class CastConfig(Config):
 class YarnsConfig(CastConfig):
     """Settings of the pictures `yarns`."""
 
-    radius: Thickness | None = Field(
-        default=None, description="of every yarn [m]; left out: what each yarn has of its own"
+    radius: Thickness | tuple[Thickness, ...] | None = Field(
+        default=None,
+        description="of every yarn, or of each kind in their order [m]; left out: what each yarn has of its own",
     )
     colour: Colour | None = Field(default=None, description="of all yarns, sRGB; left out: of each kind its own")
     colours: tuple[Colour, ...] = Field(

@@ -175,6 +175,7 @@ class Yarns:
     mu    (y,)    float64  share of tension passed on, 0 <= mu < 1/2
     kind  (y,)    int8     which of `names` it is, for reports and pictures
     names                  e.g. ("nylon", "support")
+    density (y,)  float64  linear density [kg/m], how thick it is in pictures; None: not known
 
     The force T' acts along the link, equal and opposite on its ends. A spring in no yarn, or in one of
     its own, keeps its tension.
@@ -185,10 +186,18 @@ class Yarns:
     mu: Float
     kind: NDArray[np.int8]
     names: tuple[str, ...] = ("yarn",)
+    density: Float | None = None
 
     @property
     def number(self) -> int:
         return int(self.mu.shape[0])
+
+    def thickness(self) -> Float:
+        """(y,) of every yarn as a ratio of that of one of their mean linear density, its root; 1 where none is known.
+
+        Yarns of one bulk density have cross sections as their linear densities.
+        """
+        return np.ones(self.number) if self.density is None else np.sqrt(self.density / self.density.mean())
 
     def neighbours(self) -> tuple[Int, Int]:
         """(p, 2) links that follow each other on one yarn, and the yarn (p,) of each pair."""
@@ -211,12 +220,14 @@ class Yarns:
         """One set from several (at least one), each with what its spring indices grow by."""
         names = tuple(dict.fromkeys(name for yarns, _ in parts for name in yarns.names))
         sizes = np.concatenate([np.diff(yarns.ptr) for yarns, _ in parts])
+        known = [yarns.density for yarns, _ in parts if yarns.density is not None]
         return Yarns(
             np.concatenate([(yarns.links + at).astype(np.int32) for yarns, at in parts]),
             np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
             np.concatenate([yarns.mu for yarns, _ in parts]),
             np.concatenate([[names.index(yarns.names[k]) for k in yarns.kind] for yarns, _ in parts]).astype(np.int8),
             names,
+            np.concatenate(known) if len(known) == len(parts) else None,
         )
 
 

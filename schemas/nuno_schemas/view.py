@@ -30,8 +30,9 @@ class View(Part):
     target: Vector | None = Field(default=None, description="what is looked at: x, y, z [m]; fitted unless given")
     distance: Distance | None = Field(default=None, description="of the eye from the target [m]; fitted unless given")
     size: tuple[Pixels, Pixels] = Field(default=(960, 720), description="width and height in pixels")
-    links: Literal["stretch", "yarn"] = Field(
-        default="stretch", description="what colours the links of a net in the viewer: stretch, or the yarn they are of"
+    links: Literal["stretch", "yarn", "tension"] = Field(
+        default="stretch",
+        description="what colours the links of a net in the viewer: stretch, the yarn they are of, or its tension",
     )
     yarns: Choice | None = Field(
         default=None, description="how `nuno export --style` draws yarns: a plugin and its fields"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from closed_meshes import brute_distance, winding_number
@@ -20,9 +21,9 @@ class NoFiles:
         raise AssertionError(name)
 
 
-def knit(form: str, wales: int, courses: int, spacing: float = 1e-3) -> Fabric:
-    """A knit of nylon."""
-    fields = {"form": form, "wales": wales, "courses": courses, "spacing": (spacing, spacing), "yarns": ("nylon",)}
+def knit(form: str, wales: int, courses: int, spacing: float = 1e-3, yarns: tuple[Any, ...] = ("nylon",)) -> Fabric:
+    """A knit, of nylon unless said otherwise."""
+    fields = {"form": form, "wales": wales, "courses": courses, "spacing": (spacing, spacing), "yarns": yarns}
     return Knit().build(KnitConfig.model_validate(fields), NoFiles(), 0)
 
 

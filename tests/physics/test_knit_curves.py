@@ -202,3 +202,19 @@ def test_a_net_that_is_not_finite_is_refused() -> None:
     for below in (None, skin):
         with pytest.raises(BadInput, match="finite"):
             smooth(fabric, x, below)
+
+
+def test_yarns_are_as_thick_as_their_linear_densities_say() -> None:
+    """Round yarns of one bulk density: areas are as densities. All leave as much room as the thickest needs."""
+    yarns = ({"name": "thin", "k": 1.0, "density": "22 dtex"}, {"name": "covered", "k": 1.0, "density": "66 dtex"})
+    fabric = knit("tube", 6, 8, yarns=yarns)
+    made = smooth(fabric, fabric.position, radius=None)
+    area = np.array([float((made.radius[made.kind == kind] ** 2).mean()) for kind in (0, 1)])
+    assert area[1] / area[0] == pytest.approx(3.0, rel=1e-12)
+    thickest = smooth(fabric, fabric.position, radius=float(made.radius.max()))
+    assert np.array_equal(made.points, thickest.points) and (thickest.radius == made.radius.max()).all()
+    given = smooth(fabric, fabric.position, radius=["10 um", "30 um"])
+    assert given.radius == pytest.approx(np.array([1e-5, 3e-5])[given.kind])
+    with pytest.raises(BadInput, match="one radius for each kind") as refused:
+        smooth(fabric, fabric.position, radius=[1e-5, 2e-5, 3e-5])
+    assert refused.value.limit == "2: thin, covered"

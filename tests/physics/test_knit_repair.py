@@ -29,7 +29,9 @@ TOLERANCE = 1e-6
 def link(*places: list[float]) -> tuple[Paths, Float]:
     """One yarn through places."""
     n = len(places)
-    return Paths(np.arange(n, dtype=np.int32), np.array([0, n]), np.zeros(1, np.int32), ("yarn",)), np.array(places)
+    return Paths(
+        np.arange(n, dtype=np.int32), np.array([0, n]), np.zeros(1, np.int32), ("yarn",), np.ones(1)
+    ), np.array(places)
 
 
 def length(found: Repaired) -> float:

@@ -159,3 +159,13 @@ def test_what_cannot_be_drawn_is_refused():
     )
     with pytest.raises(BadInput, match="no yarns"):
         Yarns().draw(YarnsConfig(), worn(empty), camera)
+
+
+def test_each_kind_covers_by_its_own_radius():
+    spacing = WIDE / 3.3
+    yarns = parallel(spacing, 0.3 * spacing)
+    kinds = replace(yarns, kind=np.arange(yarns.number, dtype=np.int32) % 2, names=("thin", "thick"))
+    found = shares(kinds, above(), samples=64, radius=(0.1 * spacing, 0.4 * spacing)).mean()
+    assert abs(found - (0.2 + 0.8) / 2) < 0.01
+    with pytest.raises(BadInput, match="one radius for each kind"):
+        shares(kinds, above(), radius=(0.1, 0.2, 0.3))

@@ -24,7 +24,12 @@ def add_yarns(parser: argparse.ArgumentParser, what: argparse._ArgumentGroup) ->
         "(default: smooth)",
     )
     group.add_argument("--samples", type=int, metavar="N", help="smooth: points a link (default: 8)")
-    group.add_argument("--radius", metavar="LENGTH", help="of the yarns, e.g. 30um (default: 0.04 of the mean link)")
+    group.add_argument(
+        "--radius",
+        metavar="LENGTH",
+        help="of the yarns, e.g. 30um, or of each kind, e.g. 20um,35um (default: 0.04 of the mean link, thicker for "
+        "yarns of a higher linear density)",
+    )
     group.add_argument(
         "--curl",
         type=float,
@@ -35,7 +40,10 @@ def add_yarns(parser: argparse.ArgumentParser, what: argparse._ArgumentGroup) ->
 
 def settings_of(args: argparse.Namespace) -> dict[str, Any]:
     """Settings that the command line gives."""
-    return {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
+    given = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
+    if "," in given.get("radius", ""):
+        given["radius"] = given["radius"].split(",")
+    return given
 
 
 def check_wish(recording: Recording, args: argparse.Namespace) -> None:

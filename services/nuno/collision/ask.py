@@ -12,11 +12,15 @@ from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import RunFailed
 
 START_TIMEOUT = 30.0
+POSES_TIMEOUT = 60.0
+"""For poses [s]: the service answers between two measurements, which on a busy machine take long; and what is asked
+ahead waits while the cloth steps. A service that dies is noticed by whoever supervises it.
+"""
 
 
 def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
     """Ask for a frame's poses now; the function that is returned waits for them."""
-    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode())
+    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode(), POSES_TIMEOUT)
     return lambda: decode_poses(answer())
 
 

@@ -16,6 +16,7 @@ from nuno.lockstep import CONTROL, Lockstep
 from nuno.pressure import find_pressure, has_pressure
 from nuno.service import Context
 from nuno.simulation.run import Frame, Simulation
+from nuno.tension import tension_arrays
 from nuno.yarns import measure_courses, measure_yarns
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import RunFailed
@@ -135,6 +136,8 @@ class Driver(Lockstep):
         yarns = edge_yarns(fabric)
         if yarns is not None:
             arrays["edge_yarn"] = yarns
+            if fabric.springs is not None and len(edges) == fabric.springs.number:
+                arrays |= tension_arrays(fabric)
         text = {
             "vertices": fabric.number,
             "scene": self.scene.name,

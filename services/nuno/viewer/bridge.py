@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from nuno.arrays import BadMessage, decode_arrays, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.export.dyed import DyePainter
+from nuno.tension import SPAN
 from nuno.viewer import layout
 from nuno.viewer.bodies import INSET, Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
@@ -158,7 +159,7 @@ class Bridge:
         for spec in text["objects"]:
             path = layout.entity("world", "cloth", str(spec["name"]))
             dyed = spec["name"] == self._dyed_object
-            cloth = Cloth(self.recording, path, spec, arrays, self.images, dyed, self.view.links == "yarn")
+            cloth = Cloth(self.recording, path, spec, arrays, self.images, dyed, self.view.links)
             self._cloths.append(cloth)
             if cloth.untextured:
                 self._log(
@@ -169,7 +170,9 @@ class Bridge:
         self._log(
             "/about",
             rr.TextDocument(
-                about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed), media_type="text/markdown"
+                about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed)
+                + about_tension(self._cloths),
+                media_type="text/markdown",
             ),
             static=True,
         )
@@ -273,6 +276,25 @@ def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> 
 | grey | not a number |
 
 Pieces with a texture or a colour of their own show that instead, and nets of yarns, where the scene's view has
-`links: yarn`, the yarn that each link is of.
+`links: yarn` or `links: tension`, the yarn that each link is of or its tension.
 Bodies are drawn {1000 * INSET:g} mm thinner than they are, so that cloth resting on them shows.
 {dyed}"""
+
+
+def about_tension(cloths: list[Cloth]) -> str:
+    """The colours of tension, as Markdown, where any cloth has them."""
+    found = [cloth.tensions.most for cloth in cloths if cloth.tensions is not None]
+    if not found:
+        return ""
+    names = zip(
+        ("yellow", "green", "blue", "violet"), found[0] * np.power(SPAN, [0.0, -1 / 3, -2 / 3, -1.0]), strict=True
+    )
+    rows = "\n".join(f"| {colour} | {tension:.3g} N |" for colour, tension in names)
+    return f"""
+**Links of yarns**: their tension along the yarn, on a logarithmic scale; the strongest is that of the stiffest link
+as long again as at rest.
+
+| colour | tension |
+| --- | --- |
+{rows}
+"""

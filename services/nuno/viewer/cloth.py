@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from nuno.arrays import BadMessage
 from nuno.export.paint import paint_yarns
+from nuno.tension import SPAN, Tensions
 from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 
@@ -58,7 +59,7 @@ class Cloth:
     spec       the object as in the fabric message: name, start, stop, texture, colour
     arrays     the fabric message's arrays, of all objects
     dyed       its texture comes with the frames
-    by_yarn    links of a net without triangles have the colours of their kinds of yarn, as in pictures
+    links      what colours the links of a net without triangles: yarn, their kinds as in pictures, or tension
 
     Raises BadMessage where the arrays do not fit together.
     """
@@ -71,7 +72,7 @@ class Cloth:
         arrays: dict[str, NDArray[Any]],
         images: ReadImage,
         dyed: bool = False,
-        by_yarn: bool = False,
+        links: str = "stretch",
     ) -> None:
         self.recording, self.path = recording, path
         self.start, self.stop = int(spec["start"]), int(spec["stop"])
@@ -88,8 +89,12 @@ class Cloth:
         self.untextured = bool(named) and image is None
         self.coloured = image is None and not self.dyed and not spec.get("colour") and len(self.edges) > 0
         self.yarns = None
-        if by_yarn and "edge_yarn" in arrays and not len(self.faces) and not spec.get("colour"):
-            self.yarns = pack(paint_yarns(arrays["edge_yarn"][self._inside(arrays["edges"])].astype(np.int8)))
+        mine = self._inside(arrays["edges"])
+        self.tensions = Tensions.read(arrays, mine) if links == "tension" and not len(self.faces) else None
+        if self.tensions is not None:
+            self.coloured = True
+        elif links == "yarn" and "edge_yarn" in arrays and not len(self.faces) and not spec.get("colour"):
+            self.yarns = pack(paint_yarns(arrays["edge_yarn"][mine].astype(np.int8)))
             self.coloured = False
         self._log_static(spec, arrays, image)
 
@@ -143,9 +148,15 @@ class Cloth:
             return
         self._log("masses", rr.Points3D.from_fields(positions=x))
         strips = rr.LineStrips3D.from_fields(
-            strips=segments(x, self.edges), colors=self._paint(self.stretch) if self.coloured else None
+            strips=segments(x, self.edges), colors=self._link_colours() if self.coloured else None
         )
         self._log("springs", strips)
+
+    def _link_colours(self) -> NDArray[np.uint32]:
+        if self.tensions is None:
+            return self._paint(self.stretch)
+        share = (self.tensions(self.stretch) / self.tensions.most).astype(np.float32)
+        return self._paint(share, (1.0 / SPAN, 1.0))
 
     def _vertex_colours(self) -> NDArray[np.uint32] | None:
         if not self.coloured:
@@ -154,9 +165,9 @@ class Cloth:
         return self._paint(self.most)
 
     @staticmethod
-    def _paint(stretch: NDArray[np.float32]) -> NDArray[np.uint32]:
+    def _paint(stretch: NDArray[np.float32], ends: tuple[float, float] = STRETCH) -> NDArray[np.uint32]:
         out = np.empty(len(stretch), np.uint32)
-        paint(stretch, TABLE, math.log10(STRETCH[0]), math.log10(STRETCH[1]), GREY, out)
+        paint(stretch, TABLE, math.log10(ends[0]), math.log10(ends[1]), GREY, out)
         return out
 
     def _log(self, below: str, what: Any, static: bool = False) -> None:
