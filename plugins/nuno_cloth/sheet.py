@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_cloth import mesh
 from nuno_cloth.constants import Lattice, grid_constants
 from nuno_cloth.grid import Grid, build_faces, build_hinges, build_springs
-from nuno_cloth.material import FABRIC, FabricChoice, resolve
+from nuno_cloth.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.placement import STILL, TEXTURE, VELOCITY, PinName, Point, Rotation, Velocity, find_texture, pin_grid
+from nuno_cloth.presets import Material
 from nuno_cloth.quantities import Length
-from nuno_schemas.fabric import Fabric, Float
+from nuno_cloth.triangles import face_areas, find_edges
+from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Preset
 
+Cells = Literal["quads", "triangles"]
+CELLS = (
+    "quads: springs along rows, columns and both diagonals; triangles: on the edges of triangles, as the wrinkle paper "
+    "has them and ridge and valley lines need them"
+)
+BYTES_PER_VERTEX = {"quads": 400, "triangles": mesh.BYTES_PER_VERTEX}
+"""What a run takes at most: rows of quads are runs of springs; `nuno bench speed` measures them."""
 Vertices = Annotated[int, Field(ge=2, le=16384)]
 
 # Directions of columns and rows for each plane, so that their cross product rows x columns
@@ -37,12 +48,42 @@ class SheetConfig(Config):
         default="xy", description="xy hangs with its outside to +z, yz hangs to +x, xz lies with its outside up"
     )
     rotate: Rotation | None = Field(default=None, description="a turn about the centre, after `plane`")
+    cells: Cells = Field(default="quads", description=CELLS)
     velocity: Velocity = Field(default=STILL, description=VELOCITY)
     pin: tuple[PinName | int, ...] = Field(
         default=(), description="names of edges or corners, or vertices: row * columns + column"
     )
     fabric: FabricChoice = Field(default="denim", description=FABRIC)
     texture: str | None = Field(default=None, description=TEXTURE)
+
+
+@dataclass(frozen=True)
+class Net:
+    """What a grid is simulated with: masses (n,) [kg], triangles, springs and hinges."""
+
+    mass: Float
+    faces: Int
+    springs: Springs | None
+    hinges: Hinges | None
+
+
+def build_net(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: Cells) -> Net:
+    """The net of a grid of quads, or of the triangles that it is drawn with. Raises BadInput for elongated cells.
+
+    Of triangles everything is as on any mesh (triangles.py), each triangle's first yarn being that down the grid.
+    """
+    faces = build_faces(grid)
+    if cells == "quads":
+        constants = grid_constants(material, lattice)
+        mass = grid_mass(grid, material.density, lattice)
+        return Net(mass, faces, build_springs(grid, constants), build_hinges(grid, constants))
+    rows = faces // grid.cols
+    low = faces[np.arange(len(faces)), np.argmin(rows, axis=1)]
+    share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
+    mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
+    down = x[low + grid.cols] - x[low]
+    springs, hinges = mesh.build_elements(material, x, faces, find_edges(faces), mass, down)
+    return Net(mass, faces, springs, hinges)
 
 
 def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:
@@ -65,6 +106,10 @@ class Sheet:
     def count(self, config: SheetConfig, files: Files) -> int:
         return config.resolution[0] * config.resolution[1]
 
+    def memory(self, config: SheetConfig, files: Files, vertices: int) -> int:
+        """What a run takes at most [bytes]."""
+        return vertices * BYTES_PER_VERTEX[config.cells]
+
     def presets(self) -> tuple[Preset, ...]:
         """Fabrics known by name, to every model here; the virtual tests take about a second."""
         from nuno_cloth.catalogue import list_presets
@@ -78,16 +123,17 @@ class Sheet:
         a, b = config.size[0] / (cols - 1), config.size[1] / (rows - 1)
         lattice = Lattice(np.full(rows, a), np.full(rows - 1, b))
         material = resolve(config.fabric)
-        constants = grid_constants(material, lattice)
+        x = place(config, rows, cols)
+        net = build_net(grid, lattice, material, x, config.cells)
         return Fabric(
             name=self.name,
-            position=place(config, rows, cols),
+            position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
-            mass=grid_mass(grid, material.density, lattice),
+            mass=net.mass,
             pinned=pin_grid(grid, config.pin),
-            faces=build_faces(grid),
-            springs=build_springs(grid, constants),
-            hinges=build_hinges(grid, constants),
+            faces=net.faces,
+            springs=net.springs,
+            hinges=net.hinges,
             uv=texture_coordinates(np.linspace(0, 1, cols), rows),
             texture=find_texture(config.texture, files),
         )

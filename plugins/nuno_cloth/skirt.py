@@ -14,12 +14,12 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel, Field, field_validator
 
-from nuno_cloth.constants import Lattice, grid_constants
-from nuno_cloth.grid import Grid, build_faces, build_hinges, build_springs
+from nuno_cloth.constants import Lattice
+from nuno_cloth.grid import Grid
 from nuno_cloth.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.placement import STILL, TEXTURE, VELOCITY, Attach, Point, Rotation, Velocity, find_texture
 from nuno_cloth.quantities import Flatness, Fullness, Length
-from nuno_cloth.sheet import grid_mass, texture_coordinates
+from nuno_cloth.sheet import BYTES_PER_VERTEX, CELLS, Cells, build_net, texture_coordinates
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Fabric, Float
 from nuno_schemas.plugin import Config, Files
@@ -50,6 +50,7 @@ class SkirtConfig(Config):
         default=None, description="a turn about the centre; before it the axis points down (-y)"
     )
     velocity: Velocity = Field(default=STILL, description=VELOCITY)
+    cells: Cells = Field(default="quads", description=CELLS)
     attach: Attach | None = Field(
         default=None, description="the body and frame that the waist moves with; it stands unless given"
     )
@@ -75,6 +76,10 @@ class Skirt:
     def count(self, config: SkirtConfig, files: Files) -> int:
         return config.columns * config.rows
 
+    def memory(self, config: SkirtConfig, files: Files, vertices: int) -> int:
+        """What a run takes at most [bytes]."""
+        return vertices * BYTES_PER_VERTEX[config.cells]
+
     def build(self, config: SkirtConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for impossible measures, a missing texture, elongated cells."""
         require_measures(config)
@@ -84,19 +89,20 @@ class Skirt:
         slant = np.full(config.rows - 1, config.length / (config.rows - 1))
         lattice = Lattice(circle / config.columns, slant)
         material = resolve(config.fabric)
-        constants = grid_constants(material, lattice)
+        x = drape(config, circle)
+        net = build_net(grid, lattice, material, x, config.cells)
         waist = np.arange(config.columns, dtype=np.int32)
         attach = config.attach
         across = 1 - np.abs(2 * np.arange(config.columns) / config.columns - 1)
         return Fabric(
             name=self.name,
-            position=drape(config, circle),
+            position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
-            mass=grid_mass(grid, material.density, lattice),
+            mass=net.mass,
             pinned=np.repeat(np.arange(config.rows) == 0, config.columns),
-            faces=build_faces(grid),
-            springs=build_springs(grid, constants),
-            hinges=build_hinges(grid, constants),
+            faces=net.faces,
+            springs=net.springs,
+            hinges=net.hinges,
             uv=texture_coordinates(across, config.rows),
             bindings=() if attach is None else (Binding(waist, attach.body, attach.frame),),
             texture=find_texture(config.texture, files),

@@ -8,6 +8,7 @@ per element, whichever is shorter, and `pairs()` or `quads()` writes the plain l
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -261,6 +262,8 @@ class Fabric:
                              areas and normals of where it has no faces
     bindings                 pinned vertices that follow a body
     texture                  path of an image, or None
+    origin                   numbers of the fabric as it was built, noted by an operation that changed it since; empty
+                             for one that is as it was
     """
 
     name: str
@@ -276,6 +279,7 @@ class Fabric:
     texture: str | None = None
     yarns: Yarns | None = None
     cells: Int | None = None
+    origin: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def number(self) -> int:

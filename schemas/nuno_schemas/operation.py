@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.plugin import Files
 
 
 @dataclass(frozen=True)
@@ -23,16 +24,30 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Changed:
+    """A fabric that takes the place of the one it was made of, and its state, while a run goes on.
+
+    source (n,) int32: the vertex that each was, -1 for a new one; old vertices keep their order
+    """
+
+    fabric: Fabric
+    state: State
+    source: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What an operation made.
 
     `facts` are numbers for a report; `curves` yarns as curves, where it makes any, and `arrays` what more
-    there is to say of each of their points, or of the fabric's where it makes no curves.
+    there is to say of each of their points, or of the fabric's where it makes no curves; `changed` the fabric
+    itself, by an operation that may be applied in a running simulation.
     """
 
     facts: Mapping[str, float]
     curves: YarnCurves | None = None
     arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    changed: Changed | None = None
 
 
 class Operation(Protocol):
@@ -43,4 +58,12 @@ class Operation(Protocol):
 
     def apply(self, config: Any, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
         """`skin` are the bodies that are meshes, None where there is none. Changes none of its arguments."""
+        ...
+
+
+class Alteration(Operation, Protocol):
+    """An operation that changes the fabric, and may be applied while a simulation goes on."""
+
+    def resolve(self, config: Any, files: Files) -> Any:
+        """The configuration with what its files hold in the place of their names. Raises BadInput."""
         ...

@@ -28,7 +28,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh",
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
-    "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure",
+    "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure, wrinkle",
     "nuno.renderers": "draw a picture of a frame",
     "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
     "nuno.dye_solvers": "spread dye in a cloth over time",

@@ -1,0 +1,1 @@
+"""Wrinkles from ridge and valley lines (the wrinkle paper)."""

@@ -1,0 +1,103 @@
+"""Bending springs and hinges of a raised surface: built once, after all flips, across edges of changed triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_wrinkle.edges import Edges, edges_of, fold_angles, keys_of, quads_of
+from nuno_wrinkle.near import BENDING, Near, Rule, damping_of, ones, stiffness_of
+from nuno_wrinkle.raised import Raised, Region
+
+
+def bend_springs(
+    fabric: Fabric, springs: Springs, across: Int, raised: Raised, mass: Float, model: Mapping[str, float], rule: Rule,
+    moved: Bool,
+) -> Springs:  # fmt: skip
+    """The same with bending springs across new edges, and without those across edges that are gone.
+
+    One that would double a structural spring is left out, as are those of edges that could not be flipped.
+    """
+    if not model["k_bend"]:
+        return springs
+    n, old = fabric.number, raised.changed[raised.changed < len(fabric.faces)]
+    before = quads_of(fabric.faces, across, old)
+    after = quads_of(raised.faces, raised.across, raised.changed)
+    wanted, number = np.unique(keys_of(before[:, 2:]), return_counts=True)
+    bent = np.flatnonzero((springs.kind == BENDING) & (springs.first < n).all(axis=1))
+    keys = keys_of(springs.first[bent])
+    table = Edges(wanted, np.zeros((0, 3), np.int64))
+    at, named = table.rows(keys)
+    # Opposite pairs of vertices may have two bending springs, across two edges: as many go as edges are gone.
+    bent, at, keys = bent[named], at[named], keys[named]
+    order = np.argsort(keys, kind="stable")
+    rank = np.arange(len(order)) - np.searchsorted(keys[order], keys[order])
+    gone = bent[order][rank < number[at[order]]]
+    kept = np.ones(springs.number, np.bool_)
+    kept[gone] = False
+    rest = springs.rest.copy()
+    turned = kept & (springs.kind == BENDING) & moved[springs.first].any(axis=1)
+    one, other = springs.first[turned].T
+    rest[turned] *= _length(raised.x, one, other) / _length(raised.flat, one, other)
+    doubled = np.isin(keys_of(after[:, 2:]), edges_of(raised.faces[raised.local]).key)
+    pairs = np.ascontiguousarray(after[~doubled, 2:])
+    share = _share_across(raised, after[~doubled])
+    length = _length(raised.x, *pairs.T) / share
+    k = stiffness_of(length, model["k_bend"], model["r_bend"], rule)
+    return Springs(
+        np.concatenate([springs.first[kept], pairs]),
+        *ones(int(kept.sum()) + len(pairs)),
+        np.concatenate([springs.k[kept], k]),
+        np.concatenate([rest[kept], length]),
+        np.concatenate([springs.c[kept], damping_of(k, pairs, mass, model["damping_ratio"])]),
+        np.concatenate([springs.kind[kept], np.full(len(pairs), BENDING, np.int8)]),
+    )
+
+
+def _length(x: Float, one: Int, other: Int) -> Float:
+    return np.asarray(np.linalg.norm(x[other] - x[one], axis=1))
+
+
+def _share_across(raised: Raised, quads: Int) -> Float:
+    """(h,) mean of the values of the two triangles at each edge."""
+    edges = edges_of(raised.faces[raised.local])
+    place = edges.of_face.reshape(-1)
+    share = np.bincount(place, np.repeat(raised.share[raised.local], 3)) / np.bincount(place)
+    return np.asarray(share[edges.rows(keys_of(quads[:, :2]))[0]])
+
+
+def build_hinges(
+    fabric: Fabric, raised: Raised, near: Near, region: Region, edges: Edges, rest: Float,
+    areas: tuple[Float, Float], keep: bool, moved: Bool,
+) -> Hinges | None:  # fmt: skip
+    """Hinges across the edges of changed triangles made anew; kept ones have the folds of the line at rest."""
+    old = fabric.hinges
+    if old is None:
+        return None
+    quads, k, angle = old.quads(), old.per_hinge(old.k), old.per_hinge(old.rest).copy()
+    was = edges_of(fabric.faces[raised.changed[raised.changed < len(fabric.faces)]])
+    near_by = np.flatnonzero(region.vertex[quads[:, :2]].any(axis=1))
+    key = keys_of(quads[near_by, :2])
+    gone = near_by[was.rows(key)[1]]
+    place, _ = near.edges.rows(keys_of(quads[gone, :2]))
+    total = np.bincount(near.edges.of_face.reshape(-1), np.repeat(areas[0], 3))
+    rigidity = float((k[gone] * total[place] / np.square(near.rest[place])).mean()) if len(gone) else 0.0
+    anew = quads_of(raised.faces, raised.across, raised.changed)
+    place, _ = edges.rows(keys_of(anew[:, :2]))
+    total = np.bincount(edges.of_face.reshape(-1), np.repeat(areas[1], 3))
+    stiff = rigidity * np.square(rest[place]) / total[place]
+    folds = np.zeros(len(anew))
+    if keep:
+        folds = fold_angles(raised.x, anew) - fold_angles(raised.flat, anew)
+        turned = near_by[moved[quads[near_by]].any(axis=1)]
+        angle[turned] += fold_angles(raised.x, quads[turned]) - fold_angles(raised.flat, quads[turned])
+    kept = np.ones(len(quads), np.bool_)
+    kept[gone] = False
+    return Hinges(
+        np.ascontiguousarray(np.concatenate([quads[kept], anew])),
+        *ones(int(kept.sum()) + len(anew)),
+        np.concatenate([k[kept], stiff]),
+        np.concatenate([angle[kept], folds]),
+    )

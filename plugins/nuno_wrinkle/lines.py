@@ -1,0 +1,180 @@
+"""Lines of all kinds as places in triangles: read, laid onto the cloth, and followed over it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.lines import Line
+from nuno_schemas.plugin import Files
+from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, nearest_faces, walk_lines
+
+INSIDE = 1e-3
+"""Least barycentric coordinate of a line's points: on an edge a point would belong to two triangles."""
+APART = 0.1
+"""Least barycentric coordinate of a new vertex: nearer to an edge its triangles would be slivers."""
+TEXTURE_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """Triangles that lines go through.
+
+    face (m,) ascending; at (m, 3) barycentric coordinates of the new vertices; height (m,) [m];
+    chains: for each line the places in `face` of its triangles, in their order.
+    """
+
+    face: Int
+    at: Float
+    height: Float
+    chains: tuple[Int, ...]
+
+
+def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
+    """The same lines, those of files as points. Raises BadInput for a file that holds none."""
+    found: list[Line] = []
+    for i, line in enumerate(lines):
+        if line.file is None:
+            found.append(line)
+            continue
+        path = files.resolve(line.file)
+        for points in read_obj(path):
+            found.append(Line(points=points, height=line.height, closed=line.closed))
+        if not found or found[-1].height != line.height:
+            raise BadInput(
+                "the file holds no lines", str(path), field=f"lines[{i}].file", remedy="an element is written: l 1 2 3"
+            )
+    return tuple(found)
+
+
+def read_obj(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
+    """Points of each element `l` of an OBJ file; numbers below 0 count back from the last vertex. Raises BadInput."""
+    vertices: list[tuple[float, float, float]] = []
+    lines = []
+    for number, text in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        words = text.split()
+        try:
+            if words[:1] == ["v"]:
+                x, y, z = (float(word) for word in words[1:4])
+                vertices.append((x, y, z))
+            elif words[:1] == ["l"]:
+                corners = [int(word.split("/")[0]) for word in words[1:]]
+                if len(corners) < 2 or any(not 1 <= abs(c) <= len(vertices) for c in corners):
+                    raise ValueError("a line has two vertices at least, which stand before it")
+                lines.append(tuple(vertices[c - 1 if c > 0 else c] for c in corners))
+        except ValueError as error:
+            raise BadInput(f"cannot be read: {error}", str(path), number, value=text.strip()) from None
+    return lines
+
+
+def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...], tolerance: float) -> Crossed:
+    """The triangles that lines cross, x (n, 3) [m] being where the cloth is. Raises BadInput.
+
+    A triangle has one new vertex, however many lines cross it: at the mean of their parts in it, by length, at the
+    mean of their heights.
+    """
+    faces = fabric.faces
+    total, up = np.zeros((len(faces) + 1, 5)), np.zeros((len(faces), 2), np.bool_)
+    chains = []
+    for i, line in enumerate(lines):
+        places = x
+        if line.texture is not None:
+            places = _flat(fabric, i)
+        face, at = _lay(fabric, places, line, i, tolerance)
+        if line.closed:
+            face, at = np.append(face, face[:1]), np.concatenate([at, at[:1]])
+        chains.append(_walk(places, faces, across, (face, at), line, i, total, up))
+    clash = np.flatnonzero(up.all(axis=1))
+    if clash.size:
+        raise BadInput(
+            "a ridge and a valley go through one triangle", field="lines", value=f"triangle {clash[0]}",
+            limit=f"{clash.size} of them", remedy="keep them apart by two triangles, or refine the mesh",
+        )  # fmt: skip
+    face = np.flatnonzero(up.any(axis=1)).astype(np.int32)
+    part = total[face]
+    at = np.maximum(part[:, :3] / part[:, 3:4], APART)
+    order = np.full(len(faces), -1, np.int32)
+    order[face] = np.arange(len(face), dtype=np.int32)
+    return Crossed(face, at / at.sum(axis=1)[:, None], part[:, 4] / part[:, 3], tuple(order[c] for c in chains))
+
+
+def _flat(fabric: Fabric, i: int) -> Float:
+    """(n, 3) texture coordinates with a third that is 0."""
+    if fabric.uv is None:
+        remedy = "give the line as points [m], or the mesh texture coordinates"
+        raise BadInput("the cloth has no texture coordinates", field=f"lines[{i}].texture", remedy=remedy)
+    return np.ascontiguousarray(np.column_stack([fabric.uv, np.zeros(len(fabric.uv))]), np.float64)
+
+
+def _lay(fabric: Fabric, x: Float, line: Line, i: int, tolerance: float) -> tuple[Int, Float]:
+    """Triangle (p,) and barycentric coordinates (p, 3) of each point of a line. Raises BadInput."""
+    if line.on_faces is not None:
+        numbers = np.array([place.face for place in line.on_faces], np.int64)
+        if numbers.max() >= len(fabric.faces):
+            limit, value = f"0 to {len(fabric.faces) - 1}", int(numbers.max())
+            raise BadInput("there is no such triangle", field=f"lines[{i}].on_faces", value=value, limit=limit)
+        return numbers.astype(np.int32), _inwards(np.array([place.at for place in line.on_faces]))
+    given = line.points if line.points is not None else line.texture
+    points = np.zeros((len(given or ()), 3))
+    points[:, : 3 if line.points is not None else 2] = given
+    if not np.ptp(points, axis=0).any():
+        raise BadInput(
+            "all points of the line are one", field=f"lines[{i}]", value=points[0].tolist(), remedy="draw it longer"
+        )
+    face, at, distance = np.zeros(len(points), np.int32), np.zeros((len(points), 3)), np.zeros(len(points))
+    nearest_faces(points, x, fabric.faces, face, at, distance)
+    worst, most = int(np.argmax(distance)), tolerance if line.points is not None else TEXTURE_TOLERANCE
+    if not distance[worst] <= most:
+        name, unit = ("points", " m") if line.points is not None else ("texture", "")
+        raise BadInput(
+            "the line lies off the cloth", field=f"lines[{i}].{name}[{worst}]", value=points[worst].tolist(),
+            limit=f"{distance[worst]:.4g}{unit} away, and {most:.4g}{unit} are allowed",
+            remedy="draw it nearer, or raise tolerance" if unit else "texture coordinates must lie on the cloth",
+        )  # fmt: skip
+    return face, _inwards(at)
+
+
+def _inwards(at: Float) -> Float:
+    moved = np.maximum(at, INSIDE)
+    return np.asarray(moved / moved.sum(axis=1)[:, None])
+
+
+def _walk(
+    x: Float, faces: Int, across: Int, places: tuple[Int, Float], line: Line, i: int, total: Float, up: np.ndarray
+) -> Int:
+    """The triangles of one line in their order, each once. Raises BadInput where no way leads on."""
+    face, at = places
+    corners = x[faces[face]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    normal = np.where(size[:, None] > 0.0, normal / np.where(size > 0.0, size, 1.0)[:, None], [0.0, 0.0, 1.0])
+    points = np.einsum("pc,pck->pk", at, corners)
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    total[-1, 0] = TOUCH * max(float(step.max()), 1e-300)
+    path = np.empty(2 * len(faces) + len(face), np.int32)
+    part, first = np.empty_like(path), np.array([0, len(face)], np.int32)
+    ended, point, passed = walk_lines(
+        x, faces, across, face, at, normal, first, np.array([line.height]), total, up, path, part
+    )
+    if ended != WAY:
+        _refuse(ended, i, point, len(line.points or line.texture or line.on_faces or ()))
+    chain = path[:passed]
+    return np.ascontiguousarray(chain[np.sort(np.unique(chain, return_index=True)[1])])
+
+
+def _refuse(ended: int, i: int, point: int, points: int) -> NoReturn:
+    field, value = f"lines[{i}]", f"between points {point} and {(point + 1) % points}"
+    if ended == NO_BORDER:
+        remedy = "end it before the border, or draw more points along the cloth"
+        raise BadInput("the line leaves the cloth through its border", field=field, value=value, remedy=remedy)
+    if ended == NO_CROWDED:
+        problem = "the line goes over an edge of more than two triangles, or of two that face opposite ways"
+        raise BadInput(problem, field=field, value=value, remedy="split the mesh there, or draw round it")
+    remedy = "draw more points: it follows the cut of the cloth with the plane through two of them and their normals"
+    raise BadInput("no way leads over the cloth", field=field, value=value, remedy=remedy)

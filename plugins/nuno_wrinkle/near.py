@@ -1,0 +1,98 @@
+"""What the net near a line is made of, and the rules for its new springs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_wrinkle.edges import Edges, edges_of, keys_of, pairs_of
+from nuno_wrinkle.raised import Region
+
+STRUCTURAL, BENDING = 0, 2
+Rule = Literal["paper", "physical"]
+
+
+def describe(fabric: Fabric) -> dict[str, float]:
+    """What later lines need of a model as it was built: r_avg [m], k_std [N/m], density [kg/m^2], the damping ratio
+    of springs, and r_bend, k_bend of bending springs. Raises BadInput for one that has no structural springs.
+    """
+    springs = fabric.springs
+    kinds = None if springs is None else np.repeat(springs.kind, springs.count)
+    if springs is None or kinds is None or not (kinds == STRUCTURAL).any():
+        problem = "the cloth has no structural springs, and so neither k_std nor r_avg"
+        raise BadInput(problem, field="k_std", remedy="draw on a mesh, or on a sheet or skirt of cells: triangles")
+    pairs, k, rest, c = springs.pairs(), *(springs.per_spring(a) for a in (springs.k, springs.rest, springs.c))
+    x, faces = fabric.position, fabric.faces
+    a = x[faces[:, 0]]
+    area = 0.5 * float(np.linalg.norm(np.cross(x[faces[:, 1]] - a, x[faces[:, 2]] - a), axis=1).sum())
+    m = fabric.mass[pairs]
+    critical = 2.0 * np.sqrt(k * m[:, 0] * m[:, 1] / m.sum(axis=1))
+    own = kinds == STRUCTURAL
+    bent = kinds == BENDING
+    return {
+        "r_avg": float(rest[own].mean()),
+        "k_std": float(k[own].mean()),
+        "density": float(fabric.mass.sum()) / area,
+        "damping_ratio": float((c[own] / critical[own]).mean()),
+        "r_bend": float(rest[bent].mean()) if bent.any() else 0.0,
+        "k_bend": float(k[bent].mean()) if bent.any() else 0.0,
+    }
+
+
+@dataclass(frozen=True)
+class Near:
+    """Springs and triangles of a region: `edges` of its triangles, their rest lengths (e,), the springs (e,)
+    on them, and the mean stretch (f,) of each triangle of the whole mesh, 1 outside of the region.
+    """
+
+    edges: Edges
+    rest: Float
+    spring: NDArray[np.int64]
+    stretch: Float
+
+
+def find_near(fabric: Fabric, x: Float, region: Region) -> Near:
+    """What the region is made of. Raises BadInput where edges lack springs, as on a grid of quads."""
+    springs = fabric.springs
+    assert springs is not None
+    edges = edges_of(fabric.faces[region.face])
+    pairs = springs.pairs()
+    inside = np.zeros(fabric.number, np.bool_)
+    inside[fabric.faces[region.face]] = True
+    own = inside[pairs[:, 0]] & inside[pairs[:, 1]] & (np.repeat(springs.kind, springs.count) == STRUCTURAL)
+    chosen = np.flatnonzero(own)
+    key = keys_of(pairs[chosen])
+    order = np.argsort(key, kind="stable")
+    place, there = Edges(key[order], np.zeros((0, 3), np.int64)).rows(edges.key)
+    ends = pairs_of(edges.key)
+    if not there.all():
+        raise BadInput(
+            "the cloth has no spring along an edge of its triangles", field="lines",
+            value=ends[~there][0].tolist(), limit="springs on all edges, as the wrinkle paper has them",
+            remedy="draw on a mesh, or on a sheet or skirt of cells: triangles",
+        )  # fmt: skip
+    length = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+    spring = chosen[order][place]
+    rest = springs.per_spring(springs.rest)[spring]
+    stretch = np.ones(len(fabric.faces))
+    stretch[region.face] = (length / rest)[edges.of_face].mean(axis=1)
+    return Near(edges, rest, spring, stretch)
+
+
+def stiffness_of(rest: Float, k_std: float, r_avg: float, rule: Rule) -> Float:
+    return np.asarray(k_std * (rest / r_avg if rule == "paper" else r_avg / rest))
+
+
+def damping_of(k: Float, pairs: Int, mass: Float, ratio: float) -> Float:
+    m = mass[pairs]
+    return np.asarray(2.0 * ratio * np.sqrt(k * m[:, 0] * m[:, 1] / m.sum(axis=1)))
+
+
+def ones(number: int) -> tuple[Int, Int]:
+    one = np.ones(number, np.int32)
+    return one, one

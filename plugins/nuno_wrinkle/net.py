@@ -1,0 +1,105 @@
+"""Springs, hinges and masses of a raised surface, those near its lines made anew.
+
+A spring that the split leaves where it was keeps its stiffness; one that touches a new or smoothed vertex takes
+as rest length its length now over the mean stretch of the old triangles at it. New springs have, of the rest
+length r, by the wrinkle paper k = (r / r_avg) k_std, or as an elastic body's springs do k = k_std r_avg / r, with
+r_avg and k_std the means of the model as it was built, also for later lines. The paper's rule keeps the stable
+step, for short springs are soft; but then cloth is softest where its triangles are small.
+
+Masses are m_i = sum A_j rho / 3 with A_j the area at rest, by Heron from rest lengths, so that stretched cloth
+weighs no more. Hinges and bending springs are built once, after all flips: across each edge of a triangle that is
+not as it was. A hinge's stiffness is B e^2 / (A_1 + A_2), B being the mean of those it takes the place of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_wrinkle.edges import Edges, edges_of, heron, pairs_of
+from nuno_wrinkle.folds import bend_springs, build_hinges
+from nuno_wrinkle.near import STRUCTURAL, Near, Rule, damping_of, ones, stiffness_of
+from nuno_wrinkle.raised import Raised, Region
+
+
+@dataclass(frozen=True)
+class Net:
+    """Springs, hinges and masses (n + m,) [kg] of the raised surface."""
+
+    springs: Springs
+    hinges: Hinges | None
+    mass: Float
+    added: float
+    """Area at rest that the lines added [m^2]."""
+
+
+def build_net(
+    fabric: Fabric, across: Int, raised: Raised, near: Near, region: Region, model: Mapping[str, float], rule: Rule,
+    keep: bool,
+) -> Net:  # fmt: skip
+    """The net of the raised surface; `across` are the neighbours of the fabric's triangles."""
+    n = fabric.number
+    moved = np.zeros(len(raised.x), np.bool_)
+    moved[raised.smoothed] = moved[n:] = True
+    edges = edges_of(raised.faces[raised.local])
+    ends = pairs_of(edges.key)
+    at, stays = near.edges.rows(edges.key)
+    flat_share = np.repeat(raised.share[raised.local], 3)
+    place = edges.of_face.reshape(-1)
+    share = np.bincount(place, flat_share) / np.bincount(place)
+    length = np.linalg.norm(raised.x[ends[:, 1]] - raised.x[ends[:, 0]], axis=1)
+    rest = np.where(stays & ~moved[ends].any(axis=1), near.rest[at], length / share)
+    before = heron(near.rest[near.edges.of_face])
+    after = heron(rest[edges.of_face])
+    mass = _masses(fabric, raised, moved, before, after, model["density"])
+    structural = _structural(fabric, raised, near, edges, rest, stays, mass, model, rule)
+    springs = bend_springs(fabric, structural, across, raised, mass, model, rule, moved)
+    hinges = build_hinges(fabric, raised, near, region, edges, rest, (before, after), keep, moved)
+    return Net(springs, hinges, mass, float(after.sum() - before.sum()))
+
+
+def _masses(fabric: Fabric, raised: Raised, moved: Bool, before: Float, after: Float, density: float) -> Float:
+    """(n + m,) masses, by the areas at rest of the region's triangles before and after.
+
+    Those of vertices at changed triangles are summed anew; others, some of whose triangles may lie outside of the
+    region, grow by the difference, which is 0 to the last bit where nothing has changed.
+    """
+    number = len(raised.x)
+
+    def shares(corners: Int, area: Float) -> Float:
+        return np.bincount(corners.reshape(-1), np.repeat(area * density / 3.0, 3), number).astype(np.float64)
+
+    total = shares(raised.faces[raised.local], after)
+    old = np.append(fabric.mass, np.zeros(number - fabric.number))
+    anew = moved.copy()
+    anew[raised.faces[raised.changed]] = True
+    gained = total - shares(fabric.faces[raised.local[: len(before)]], before)
+    return np.where(anew, total, old + gained)
+
+
+def _structural(
+    fabric: Fabric, raised: Raised, near: Near, edges: Edges, rest: Float, stays: Bool, mass: Float,
+    model: Mapping[str, float], rule: Rule,
+) -> Springs:  # fmt: skip
+    """All old springs but those whose edges are gone, then those of new edges."""
+    old = fabric.springs
+    assert old is not None
+    at, gone = edges.rows(near.edges.key)
+    gone = ~gone
+    length = old.per_spring(old.rest).copy()
+    length[near.spring[~gone]] = rest[at[~gone]]
+    kept = np.ones(old.number, np.bool_)
+    kept[near.spring[gone]] = False
+    pairs = pairs_of(edges.key[~stays])
+    k = stiffness_of(rest[~stays], model["k_std"], model["r_avg"], rule)
+    return Springs(
+        np.concatenate([old.pairs()[kept], pairs]),
+        *ones(int(kept.sum()) + len(pairs)),
+        np.concatenate([old.per_spring(old.k)[kept], k]),
+        np.concatenate([length[kept], rest[~stays]]),
+        np.concatenate([old.per_spring(old.c)[kept], damping_of(k, pairs, mass, model["damping_ratio"])]),
+        np.concatenate([np.repeat(old.kind, old.count)[kept], np.full(len(pairs), STRUCTURAL, np.int8)]),
+    )

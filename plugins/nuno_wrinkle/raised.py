@@ -1,0 +1,169 @@
+"""The surface with lines raised: split, moved along normals, smoothed; springs and masses are left to net.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.lines import Smoothing
+from nuno_wrinkle.lines import Crossed
+from nuno_wrinkle.split import smooth, split_faces
+
+THIN = 1e-6
+"""Least area of a triangle, as a share of its longest side squared."""
+ROUNDS = 50
+"""How often smoothing begins again, with more vertices held."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """What lines can change of a mesh of f triangles and n vertices.
+
+    face (l,) triangles with a vertex that may be smoothed; vertex (n,) those vertices
+    """
+
+    face: Int
+    vertex: Bool
+
+
+@dataclass(frozen=True)
+class Raised:
+    """A surface of n + m vertices with lines raised in it.
+
+    faces (f + 2 m, 3), across: as `surface.link_faces`; x (n + m, 3) [m], flat (n + m, 3) before it was raised;
+    smoothed (s,) vertices; local (l,) the triangles of the region; changed (c,) those that are not as they were;
+    share (f + 2 m,) of old triangles' values, by `split_faces`; flipped, left: edges; held: vertices of `smoothed`
+    that stay, for triangles would be turned over
+    """
+
+    faces: Int
+    across: Int
+    x: Float
+    flat: Float
+    smoothed: Int
+    held: int
+    local: Int
+    changed: Int
+    share: Float
+    flipped: int
+    left: int
+
+
+def find_region(faces: Int, n: int, crossed: Crossed) -> Region:
+    """The vertices within two edges of the new ones, and all triangles at them.
+
+    A new vertex is joined to its triangle's corners and to those opposite: the vertices one edge on from the
+    corners; its two-ring goes one edge further.
+    """
+    near = np.zeros(n, np.bool_)
+    near[faces[crossed.face]] = True
+    for _ in range(2):
+        near[faces[near[faces].any(axis=1)]] = True
+    return Region(np.flatnonzero(near[faces].any(axis=1)).astype(np.int32), near)
+
+
+def raise_lines(
+    fabric: Fabric, x: Float, across: Int, crossed: Crossed, smoothing: Smoothing, region: Region, share: Float
+) -> Raised:
+    """The raised surface; `share` (f,) is what each triangle passes on to its parts.
+
+    Raises BadInput where no smoothing can be found that turns no triangle over.
+    """
+    old, n, m = fabric.faces, fabric.number, len(crossed.face)
+    corners = x[old[crossed.face]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    flat = np.concatenate([x, np.einsum("mc,mck->mk", crossed.at, corners)])
+    faces, beyond, shares = (
+        np.concatenate([a, np.zeros((2 * m, *a.shape[1:]), a.dtype)]) for a in (old, across, share)
+    )
+    raised = flat.copy()
+    raised[n:] += crossed.height[:, None] * normal
+    flipped, left = split_faces(flat, raised, crossed.face, n, faces, beyond, shares)
+    local = np.append(region.face, np.arange(len(old), len(faces), dtype=np.int32))
+    beside = _neighbours(fabric, faces[local], beyond[local] < 0, len(flat), smoothing)
+    held = _smooth(flat, raised, faces[local], beside, smoothing)
+    same = (faces[region.face] == old[region.face]).all(axis=1)
+    changed = np.append(region.face[~same], local[len(region.face) :]).astype(np.int32)
+    smoothed = beside.vertex if smoothing.passes else np.arange(n, len(flat), dtype=np.int32)
+    return Raised(faces, beyond, raised, flat, smoothed, held, local, changed, shares, flipped, left)
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What smoothing takes the mean of: vertex (s,), and pairs (p, 2) of one of them and a neighbour, sorted."""
+
+    vertex: Int
+    pair: NDArray[np.int64]
+
+
+def _neighbours(fabric: Fabric, own: Int, rim: Bool, number: int, smoothing: Smoothing) -> Beside:
+    """Neighbours of the new vertices and of their two-ring, by the triangles (l, 3) there; rim (l, 3) borders.
+
+    Pinned vertices stay, and those of the border are smoothed along it, so that it is not drawn inwards (Taubin's
+    hierarchical constraint); so are new vertices among themselves where that is asked for. The end of a border or
+    of such a line stays: its one neighbour would draw it in.
+    """
+    n = fabric.number
+    near = np.zeros(number, np.bool_)
+    near[n:] = True
+    for _ in range(2):
+        near[own[near[own].any(axis=1)]] = True
+    near[:n][fabric.pinned] = False
+    start, end = own.reshape(-1), np.roll(own, -1, axis=1).reshape(-1)
+    edge = rim.reshape(-1)
+    pair = np.stack([np.append(start, end[edge]), np.append(end, start[edge])], 1).astype(np.int64)
+    border = np.zeros(number, np.bool_)
+    border[start[edge]] = border[end[edge]] = True
+    kept = near[pair[:, 0]] & (~border[pair[:, 0]] | np.append(edge, edge[edge]))
+    if smoothing.hierarchical:
+        kept &= (pair[:, 0] < n) | (pair[:, 1] >= n)
+    pair = pair[kept]
+    alone = np.bincount(pair[:, 0], minlength=number) < 2
+    return Beside(np.flatnonzero(near).astype(np.int32), pair[~alone[pair[:, 0]]])
+
+
+def _smooth(flat: Float, x: Float, own: Int, beside: Beside, smoothing: Smoothing) -> int:
+    """Smooth x, in place, but for the vertices of triangles that would be turned over: how many those are.
+
+    Unsmoothed no triangle is turned over (split.py), so that there is always a set of vertices to hold.
+    """
+    if smoothing.passes == 0:
+        return 0
+    start, held = x.copy(), np.zeros(len(x), np.bool_)
+    for _ in range(ROUNDS):
+        pair = beside.pair[~held[beside.pair[:, 0]]]
+        pair = pair[np.argsort(pair[:, 0], kind="stable")]
+        at = np.concatenate([[0], np.cumsum(np.bincount(pair[:, 0], minlength=len(x))[beside.vertex])])
+        x[...] = start
+        smooth(
+            x, beside.vertex, at.astype(np.int32), pair[:, 1].astype(np.int32),
+            smoothing.passes, smoothing.shrink, smoothing.inflate,
+        )  # fmt: skip
+        bad = _turned(flat, x, own)
+        if not bad.any():
+            return int(held.sum())
+        held[own[bad]] = True
+    remedy = "fewer passes, a smaller height, or a mesh of rounder triangles"
+    raise BadInput(
+        "smoothing would turn triangles over", field="smoothing.passes", value=smoothing.passes, remedy=remedy
+    )
+
+
+def _turned(flat: Float, raised: Float, faces: Int) -> Bool:
+    """(l,) which triangles have been turned over or have lost their area."""
+    before, after = (_normals(x, faces) for x in (flat, raised))
+    side = raised[faces] - raised[np.roll(faces, 1, axis=1)]
+    least = THIN * np.square(side).sum(axis=2).max(axis=1)
+    same = np.einsum("fk,fk->f", before, after) > 0.0
+    return np.asarray(~(same & (np.linalg.norm(after, axis=1) > 2.0 * least)))
+
+
+def _normals(x: Float, faces: Int) -> Float:
+    """(f, 3) normals, twice as long as the triangles' areas."""
+    a = x[faces[:, 0]]
+    return np.cross(x[faces[:, 1]] - a, x[faces[:, 2]] - a)

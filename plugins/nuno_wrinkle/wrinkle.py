@@ -1,0 +1,138 @@
+"""The operation `wrinkle`: ridge and valley lines raised in cloth, at rest or while it moves (the wrinkle paper)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Binding, Fabric, Float, State
+from nuno_schemas.lines import Line, Smoothing
+from nuno_schemas.operation import Changed, Outcome, Surface
+from nuno_schemas.plugin import Config, Files
+from nuno_schemas.units import quantity
+from nuno_wrinkle.lines import Crossed, follow_lines, read_lines
+from nuno_wrinkle.near import Rule, describe, find_near
+from nuno_wrinkle.net import Net, build_net
+from nuno_wrinkle.raised import Raised, find_region, raise_lines
+from nuno_wrinkle.surface import link_faces
+
+if TYPE_CHECKING:
+    Length = float
+    Tensile = float
+else:
+    Length = quantity("m", gt=0)
+    Tensile = quantity("N/m", gt=0)
+
+
+class WrinkleConfig(Config):
+    """Lines, and what becomes of the cloth about them."""
+
+    lines: tuple[Line, ...] = Field(min_length=1, max_length=1000, description="ridges and valleys")
+    tolerance: Length | Literal["auto"] = Field(
+        default="auto", description="how far from the cloth points may lie [m]; auto: the mean length of its springs"
+    )
+    smoothing: Smoothing = Field(default=Smoothing(), description="of new vertices and their two-ring")
+    springs: Rule = Field(
+        default="paper",
+        description="stiffness of new springs of rest length r: paper, (r / r_avg) k_std; physical, k_std r_avg / r",
+    )
+    k_std: Tensile | Literal["auto"] = Field(
+        default="auto", description="stiffness of a spring of mean length [N/m]; auto: the mean of the cloth's springs"
+    )
+    keep: bool = Field(default=False, description="whether folds of the lines are at rest, so that they do not fade")
+
+
+class Wrinkle:
+    """Raises ridges and valleys; nothing is changed where a line is refused."""
+
+    name: ClassVar[str] = "wrinkle"
+    Config: ClassVar[type[BaseModel]] = WrinkleConfig
+
+    def resolve(self, config: WrinkleConfig, files: Files) -> WrinkleConfig:
+        """The lines of files as points. Raises BadInput."""
+        return config.model_copy(update={"lines": read_lines(config.lines, files)})
+
+    def apply(self, config: WrinkleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
+        """The fabric with its lines raised where `state` has it. Raises BadInput, having changed nothing."""
+        _require_triangles(fabric)
+        model = dict(fabric.origin) or describe(fabric)
+        used = model | ({} if config.k_std == "auto" else {"k_std": config.k_std})
+        if config.keep and fabric.hinges is None:
+            remedy = "give the fabric a bending stiffness: a preset, or hinge by hand"
+            raise BadInput("a wrinkle is kept by folds, and this cloth has no hinges", field="keep", remedy=remedy)
+        size = float(np.linalg.norm(np.ptp(state.x, axis=0)))
+        for i, line in enumerate(config.lines):
+            if line.file is not None:
+                raise BadInput("the file has not been read", field=f"lines[{i}].file", value=line.file)
+            if abs(line.height) >= size:
+                raise BadInput(
+                    "the line is raised further than the cloth is large", field=f"lines[{i}].height",
+                    value=line.height, limit=f"{size:.4g} m", remedy="a smaller height",
+                )  # fmt: skip
+        across = link_faces(fabric.faces, fabric.number)
+        tolerance = model["r_avg"] if config.tolerance == "auto" else config.tolerance
+        crossed = follow_lines(fabric, state.x, across, config.lines, tolerance)
+        region = find_region(fabric.faces, fabric.number, crossed)
+        near = find_near(fabric, state.x, region)
+        raised = raise_lines(fabric, state.x, across, crossed, config.smoothing, region, near.stretch)
+        net = build_net(fabric, across, raised, near, region, used, config.springs, config.keep)
+        return _outcome(fabric, state, crossed, raised, net, model)
+
+
+def _require_triangles(fabric: Fabric) -> None:
+    springs = fabric.springs
+    if not len(fabric.faces) or fabric.yarns is not None or (springs is not None and springs.lock is not None):
+        remedy = "draw on a mesh, or on a sheet or skirt of cells: triangles"
+        raise BadInput("lines are drawn on cloth of triangles, which this is not", field="object", remedy=remedy)
+
+
+def _outcome(
+    fabric: Fabric, state: State, crossed: Crossed, raised: Raised, net: Net, model: dict[str, float]
+) -> Outcome:
+    corners = fabric.faces[crossed.face]
+
+    def extended(values: Float) -> Float:
+        """What new vertices have between their corners, behind the old ones'."""
+        between = np.einsum("mc,mc...->m...", crossed.at, values[corners].astype(np.float64))
+        return np.ascontiguousarray(np.concatenate([values, between.astype(values.dtype)]))
+
+    held = fabric.pinned[corners].all(axis=1)
+    changed = replace(
+        fabric,
+        position=extended(fabric.position),
+        velocity=extended(fabric.velocity),
+        mass=net.mass,
+        pinned=np.append(fabric.pinned, held),
+        faces=raised.faces,
+        springs=net.springs,
+        hinges=net.hinges,
+        uv=None if fabric.uv is None else extended(fabric.uv),  # type: ignore[arg-type]
+        bindings=tuple(_bound(binding, fabric, crossed) for binding in fabric.bindings),
+        origin=model,
+    )
+    m = len(crossed.face)
+    source = np.append(np.arange(fabric.number, dtype=np.int32), np.full(m, -1, np.int32))
+    facts = {
+        "lines": float(len(crossed.chains)),
+        "vertices": float(m),
+        "smoothed": float(len(raised.smoothed)),
+        "held": float(raised.held),
+        "flipped": float(raised.flipped),
+        "left": float(raised.left),
+        "area": net.added,
+        "mass": float(net.mass.sum() - fabric.mass.sum()),
+    }
+    after = State(np.ascontiguousarray(raised.x), extended(state.v), state.t)
+    return Outcome(facts, changed=Changed(changed, after, source))
+
+
+def _bound(binding: Binding, fabric: Fabric, crossed: Crossed) -> Binding:
+    """The binding, with new vertices all of whose corners it holds."""
+    mine = np.zeros(fabric.number, np.bool_)
+    mine[binding.vertices] = True
+    new = fabric.number + np.flatnonzero(mine[fabric.faces[crossed.face]].all(axis=1))
+    return replace(binding, vertices=np.append(binding.vertices, new).astype(np.int32)) if len(new) else binding
