@@ -1,0 +1,38 @@
+"""A sampled signed distance field: cells of many sizes, with the distance and its gradient at their corners."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_schemas.fabric import Float, Int
+
+
+@dataclass(frozen=True)
+class DistanceField:
+    """Distance of a closed surface, negative inside, interpolated trilinearly in the cell that a point lies in.
+
+    low       (3,) [m]      lowest corner of a box of whole cells
+    size      [m]           edge of a whole cell
+    shape     (3,) int32    whole cells along x, y and z
+    tolerance [m]           largest error within `band` [m] of the surface; farther away it grows with the distance
+    band      [m]
+    child     (c,) int32    first the whole cells, z fastest, then the eight parts of each cell that is cut, z fastest:
+                            where its parts begin, or -1 - (number of a leaf)
+    corners   (l, 32) float32  of each leaf: distance [m] and gradient x, y, z at its eight corners, z fastest
+    """
+
+    low: Float
+    size: float
+    shape: Int
+    tolerance: float
+    band: float
+    child: Int
+    corners: NDArray[np.float32]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of its arrays [bytes]."""
+        return self.child.nbytes + self.corners.nbytes
