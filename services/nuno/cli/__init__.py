@@ -19,6 +19,7 @@ COMMANDS = {
     "info": ("nuno.cli.info", "what a recording holds"),
     "export": ("nuno.cli.export", "meshes, arrays, tables, pictures and animations of a recording"),
     "control": ("nuno.cli.control", "pause, resume, step, stop, change or add to a run that goes on"),
+    "draw": ("nuno.cli.draw", "a page for drawing ridges and valleys on a cloth by hand"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
     "bench": (
         "nuno_bench.cli",

@@ -1,0 +1,69 @@
+"""`nuno draw`: a page for drawing ridges and valleys on a cloth by hand."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import webbrowser
+
+from nuno import runs, scene_file
+from nuno.cli.common import add_config, add_scene
+from nuno.draw.desk import Desk
+from nuno.draw.follow import Follower
+from nuno.draw.server import Server
+from nuno.draw.shown import require_cloth, see_scene
+from nuno.draw.sight import NO_FACES, NO_POINTS, Board, Sight
+from nuno.viewer.require import has_screen
+from nuno_schemas.errors import BadInput
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    parser.add_argument("--no-browser", action="store_true", help="print the page's address, and open nothing")
+    add_config(parser)
+
+
+def main(args: argparse.Namespace) -> int:
+    desk = open_desk(args)
+    server = Server(desk.board, desk.act)
+    print(f"draw at  {server.guard.address}", flush=True)
+    print("the address is for this machine, and for you alone; Ctrl-C ends", flush=True)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    if has_screen() and not args.no_browser:
+        webbrowser.open(server.guard.address)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        print("ending", flush=True)
+    finally:
+        server.shutdown()
+        desk.close()
+    return 0
+
+
+def open_desk(args: argparse.Namespace) -> Desk:
+    """What is drawn on: a scene, or else a run that goes on, by its name. Raises BadInput."""
+    try:
+        path = scene_file.find(args.scene)
+    except BadInput as no_scene:
+        if args.scene.endswith((".yaml", ".yml")):
+            raise
+        try:
+            return _follow(*runs.find(args.scene), args.config)
+        except BadInput as no_run:
+            problem = "no such scene, and no such run that goes on"
+            remedy = f"{no_scene.remedy}; runs: {no_run.remedy}"
+            raise BadInput(problem, value=args.scene, remedy=remedy) from None
+    loaded = scene_file.read(path, args.overrides, args.root)
+    return Desk(loaded, Board(see_scene(loaded)))
+
+
+def _follow(run: str, endpoint: str, config: str | None) -> Desk:
+    path = runs.scene_path(run)
+    loaded = scene_file.read(path) if path is not None else None
+    if loaded is not None:
+        require_cloth(loaded)
+    board = Board(Sight(NO_POINTS, NO_FACES, ()))
+    follower = Follower(run, endpoint, board, config)
+    follower.start()
+    return Desk(loaded, board, follower)

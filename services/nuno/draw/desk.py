@@ -1,0 +1,200 @@
+"""What the page asks for: start and control a run, add lines to it, save and export them."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from nuno import runs
+from nuno.arrays import BadMessage
+from nuno.draw import keep
+from nuno.draw.follow import Follower
+from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
+from nuno.draw.refusals import describe, said_by_run
+from nuno.draw.shown import see_scene
+from nuno.draw.sight import Board, Sight
+from nuno.scene_file import Loaded
+from nuno_schemas.errors import BadInput, RunFailed
+
+START_PATIENCE = 1800.0
+"""Longest that a run may take to be there [s]: the first one on a machine compiles kernels for minutes."""
+END_PATIENCE = 20.0
+"""How long a run may take to end [s] when the page's server does."""
+
+
+class Desk:
+    """One page's work.
+
+    loaded   the scene; None for a run whose scene is nowhere to be read
+    follower the run that the page shows, if there is one
+    """
+
+    def __init__(self, loaded: Loaded | None, board: Board, follower: Follower | None = None) -> None:
+        self.loaded, self.board, self.follower = loaded, board, follower
+        self.start_sight = board.now
+        """What the page began with: lines are saved by their places there."""
+        self._own: subprocess.Popen[bytes] | None = None
+        self._waiting: threading.Thread | None = None
+        self._lock = threading.Lock()
+        self._acts = {
+            "about": self.about,
+            "start": self.start,
+            "back": self.back,
+            "pause": self.control,
+            "resume": self.control,
+            "step": self.control,
+            "apply": self.apply,
+            "save": self.save,
+            "export": self.export,
+        }
+
+    def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Carry out one request of the page's. Raises BadInput, which the page shows."""
+        name = str(request.get("do"))
+        if name not in self._acts:
+            raise BadInput("no such request", value=name, limit=", ".join(self._acts))
+        with self._lock:
+            return self._acts[name](request)
+
+    def about(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """What the page begins with."""
+        scene = self.loaded.scene if self.loaded else None
+        return {
+            "name": scene.name if scene else self.board.now.run,
+            "canStart": self.loaded is not None and self.follower is None,
+            "target": str(keep.target(self.loaded).name) if self.loaded else "",
+        }
+
+    # A run of one's own: a process of its own, so that the page answers while kernels compile.
+    def start(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Start a run of the scene, which waits before its first frame. Raises BadInput."""
+        if self.loaded is None or self.follower is not None or self._own is not None:
+            raise BadInput("a run goes on already", remedy="pause it, or go back to the start")
+        run = runs.new_id(self.loaded.scene.name)
+        log = tempfile.TemporaryFile()  # noqa: SIM115 - the run's own, for as long as it goes on
+        self._own = subprocess.Popen(_command(self.loaded, run), stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        self.board.show(state="preparing", run=run)
+        self._waiting = threading.Thread(target=self._join, args=(run, self._own, log), daemon=True)
+        self._waiting.start()
+        return {"run": run}
+
+    def _join(self, run: str, process: subprocess.Popen[bytes], log: Any) -> None:
+        """Wait until a run that was started here can be followed, and show it; or show why it is not there."""
+        end = time.monotonic() + START_PATIENCE
+        while process.poll() is None and time.monotonic() < end and self._own is process:
+            endpoint = runs.running().get(run)
+            if endpoint is not None:
+                with contextlib.suppress(RunFailed, BadInput, BadMessage):
+                    follower = Follower(run, endpoint, self.board)
+                    try:
+                        follower.start()
+                    except BaseException:
+                        follower.close()
+                        raise
+                    self.follower = follower
+                    return
+            time.sleep(0.1)
+        if self._own is process:
+            self._own = None
+            log.seek(0)
+            said = log.read().decode(errors="replace").strip()
+            self.board.show(self.start_sight, state="start", run="", message=said[-2000:] or "the run did not start")
+
+    def back(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """End the run that was started here, and show the scene's start again."""
+        if self.loaded is None or (self._own is None and self.follower is not None):
+            raise BadInput(
+                "this run was not started here", remedy="end it where it was started, or: nuno control RUN stop"
+            )
+        self._end_own()
+        self.start_sight = see_scene(self.loaded)
+        self.board.show(self.start_sight, state="start", run="", frame=0, t=0.0, message="")
+        return {}
+
+    def _end_own(self) -> None:
+        follower, process = self.follower, self._own
+        self.follower = self._own = None
+        if follower is not None:
+            if process is not None and follower.going:
+                with contextlib.suppress(BadInput):
+                    follower.control(action="stop")
+            follower.close()
+        if process is not None:
+            if follower is None:
+                process.terminate()
+            try:
+                process.wait(END_PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def close(self) -> None:
+        """End what was started here."""
+        with self._lock:
+            self._end_own()
+
+    def control(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Pause, resume or step the run. Raises BadInput."""
+        answer = self._running().control(action=request["do"])
+        self.board.show(state=str(answer["state"]))
+        return {"state": answer["state"]}
+
+    def _running(self) -> Follower:
+        if self.follower is None or not self.follower.going:
+            raise BadInput("no run goes on", remedy="start one with Simulate")
+        return self.follower
+
+    def _sight(self, request: Mapping[str, Any]) -> Sight:
+        """What is shown, if the page has drawn on that. Raises BadInput."""
+        sight = self.board.now
+        if request.get("shape") != sight.shape:
+            remedy = "try again: the lines have moved along"
+            raise BadInput("the cloth's triangles have changed meanwhile", field="shape", remedy=remedy)
+        return sight
+
+    def apply(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Add lines to the run, those of each object at once; numbers of those that it took, and what it refused."""
+        follower, sight = self._running(), self._sight(request)
+        strokes = read_strokes(request.get("lines"), sight)
+        refused: dict[str, Any] = {}
+        applied: list[int] = []
+        for which in pieces_of(strokes, sight).values():
+            lines = by_object([strokes[i] for i in which], sight)
+            (item,) = keep.as_items(lines, request.get("settings"))
+            try:
+                follower.control(action="add", item=item)
+            except BadInput as error:
+                refused = {"ok": False} | describe(said_by_run(error, which))
+                break
+            applied += which
+        with contextlib.suppress(RunFailed, BadMessage):
+            follower.see()
+        return {"applied": applied} | refused
+
+    def save(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Add lines to the scene's file. Raises BadInput."""
+        if self.loaded is None:
+            raise BadInput("the run's scene is no file that lines could be added to", remedy="export the lines instead")
+        base = self.start_sight
+        lines = by_object(read_strokes(request.get("lines"), base), base)
+        return keep.save(self.loaded, base, lines, request.get("settings"))
+
+    def export(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """The lines as an OBJ file's text, which the browser saves. Raises BadInput."""
+        sight = self._sight(request)
+        name = self.loaded.scene.name if self.loaded else sight.run
+        return {"name": f"{name}-lines.obj", "text": to_obj(read_strokes(request.get("lines"), sight), sight)}
+
+
+def _command(loaded: Loaded, run: str) -> list[str]:
+    roots = [text for root in loaded.files.roots for text in ("--root", str(root))]
+    changes = [text for item in loaded.overrides for text in ("--set", item)]
+    # -P: a module of the user's folder must not stand in for one of ours.
+    head = [sys.executable, "-P", "-m", "nuno", "run", str(loaded.path)]
+    return [*head, "--paused", "--no-view", "--run", run, *roots, *changes]

@@ -1,0 +1,78 @@
+"""Who may talk to the page's server: only the page that was opened by the address it printed.
+
+A server on loopback can be reached by any page that is open in a browser of this machine. Three things keep those out.
+The path begins with a random token, which no other page knows; the `Host` must be this server's own, so that no
+name that was made to point here (DNS rebinding) passes for it; and the `Origin`, where a browser gives one, must be
+this page's. What changes something must come with an `Origin`, as browsers always send it then.
+"""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass, field
+from email.message import Message
+
+TOKEN_BYTES = 24
+FORBIDDEN, LENGTH_REQUIRED, TOO_LARGE, UNSUPPORTED = 403, 411, 413, 415
+MOST_BYTES = 4_000_000
+"""Of a request's body: 100,000 points of lines fit."""
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Of every answer: the page loads nothing from elsewhere, and nobody frames it, keeps it, or learns its address."""
+
+
+class Refused(Exception):
+    """A request that is not answered: an HTTP status and a sentence."""
+
+    def __init__(self, status: int, why: str) -> None:
+        super().__init__(why)
+        self.status, self.why = status, why
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Checks of one server at a port of loopback."""
+
+    port: int
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN_BYTES))
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        return f"http://127.0.0.1:{self.port}/{self.token}/"
+
+    def check(self, method: str, path: str, headers: Message) -> str:
+        """What is asked for, below the token. Raises Refused."""
+        hosts = {f"127.0.0.1:{self.port}", f"localhost:{self.port}"}
+        given = headers.get_all("Host") or []
+        if len(given) != 1 or given[0] not in hosts:
+            raise Refused(FORBIDDEN, "this is not the host that was asked for")
+        token, _, rest = path.removeprefix("/").partition("/")
+        if not secrets.compare_digest(token.encode(), self.token.encode()):
+            raise Refused(FORBIDDEN, "open the whole address that nuno draw printed")
+        origins = headers.get_all("Origin") or []
+        own = len(origins) == 1 and origins[0] == f"http://{given[0]}"
+        if not own and (origins or method == "POST"):
+            raise Refused(FORBIDDEN, "another page may not ask here")
+        if headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
+            raise Refused(FORBIDDEN, "another page may not ask here")
+        return rest
+
+    def length(self, headers: Message) -> int:
+        """Bytes of a body of JSON. Raises Refused."""
+        text = headers.get("Content-Length", "")
+        if "Transfer-Encoding" in headers or not (text.isascii() and text.isdigit()):
+            raise Refused(LENGTH_REQUIRED, "a request says how long it is")
+        if len(text) > 12 or int(text) > MOST_BYTES:
+            raise Refused(TOO_LARGE, f"a request has at most {MOST_BYTES} bytes")
+        if headers.get_content_type() != "application/json":
+            raise Refused(UNSUPPORTED, "a request is JSON")
+        return int(text)

@@ -1,0 +1,91 @@
+"""From a scene, or from what a run says of itself, to what the page shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno import build
+from nuno.arrays import BadMessage
+from nuno.draw.sight import NO_FACES, NO_POINTS, Piece, Sight
+from nuno.scene_file import Loaded
+from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.surface import surface
+
+GROUND = 4.0
+"""Edge of the patch that a plane is drawn as, in sizes of the cloth."""
+
+
+class Bodies:
+    """A scene's bodies as one mesh, moved by poses; none for a scene without."""
+
+    def __init__(self, geometry: Geometry | None, size: float) -> None:
+        self.vertices, self.faces, self.frames = NO_POINTS, NO_FACES, np.zeros(0, np.int32)
+        if geometry is not None:
+            self.vertices, self.faces, self.frames = surface(geometry, plane_size=GROUND * size)
+
+    def at(self, poses: Poses | None) -> Float:
+        """(b, 3) where their surfaces are [m]."""
+        if poses is None:
+            return self.vertices
+        turns = rotation_matrices(poses.rotation)[self.frames]
+        return np.asarray(np.einsum("nij,nj->ni", turns, self.vertices) + poses.translation[self.frames])
+
+
+def size_of(x: Float) -> float:
+    """Diagonal of the box about finite points (n, 3) [m]."""
+    finite = x[np.isfinite(x).all(axis=1)]
+    return float(np.linalg.norm(np.ptp(finite, axis=0))) if len(finite) else 1.0
+
+
+def see_scene(loaded: Loaded) -> Sight:
+    """The cloth of a scene as it is at the start. Raises BadInput for one without triangles."""
+    require_cloth(loaded)
+    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+    geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
+    fabric, pieces = build.build_fabric(loaded, geometry, poses)
+    if not len(fabric.faces):
+        raise loaded.at("objects[0].model", no_triangles())
+    drawn = Bodies(geometry, size_of(fabric.position))
+    return Sight(
+        fabric.position,
+        fabric.faces,
+        tuple(Piece(piece.name, piece.start, piece.stop, piece.colour) for piece in pieces),
+        drawn.at(poses),
+        drawn.faces,
+        frames=loaded.scene.frames,
+    )
+
+
+def require_cloth(loaded: Loaded) -> None:
+    """Raises BadInput for a scene in which no cloth moves."""
+    if not loaded.scene.moves:
+        remedy = "name a scene with objects, such as hanging-sheet"
+        raise BadInput("there is no cloth here to draw ridges and valleys on", value=loaded.scene.name, remedy=remedy)
+
+
+def no_triangles() -> BadInput:
+    remedy = "draw on a sheet, a skirt or a mesh; a net of yarns has no surface"
+    return BadInput("cloth without triangles cannot be drawn on", remedy=remedy)
+
+
+def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:
+    """A run's answer to where its cloth is, without its bodies. Raises BadMessage."""
+    try:
+        pieces = tuple(Piece(o["name"], int(o["start"]), int(o["stop"]), o["colour"]) for o in text["objects"])
+        x, faces = arrays["x"], arrays["faces"]
+        sight = Sight(x, faces, pieces, frame=int(text["frame"]), t=float(text["t"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadMessage(f"cloth without {error}") from None
+    if (
+        x.shape[1:] != (3,)
+        or faces.shape[1:] != (3,)
+        or not (faces.size == 0 or 0 <= faces.min() <= faces.max() < len(x))
+    ):
+        raise BadMessage(f"cloth of {x.shape} positions and {faces.shape} triangles")
+    return sight

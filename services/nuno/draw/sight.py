@@ -1,0 +1,103 @@
+"""What the page shows: the cloth and the bodies at one moment, as bytes for the browser."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_schemas.fabric import Float, Int
+
+NO_POINTS = np.zeros((0, 3))
+NO_FACES = np.zeros((0, 3), np.int32)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One object of the scene: its vertices are `start` to `stop` of all."""
+
+    name: str
+    start: int
+    stop: int
+    colour: str | None = None
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The cloth at one moment.
+
+    number  grows with every one that is shown; shape grows with every change of topology
+    x (n, 3) [m], faces (f, 3), body (b, 3) [m], body_faces (g, 3); origin (3,) [m] stays what it was at first
+    state   start (no run), preparing, running, paused, or how a run ended
+    """
+
+    x: Float
+    faces: Int
+    pieces: tuple[Piece, ...]
+    body: Float = field(default_factory=lambda: NO_POINTS)
+    body_faces: Int = field(default_factory=lambda: NO_FACES)
+    origin: Float = field(default_factory=lambda: np.zeros(3))
+    state: str = "start"
+    run: str = ""
+    frame: int = 0
+    frames: int = 0
+    t: float = 0.0
+    message: str = ""
+    number: int = 0
+    shape: int = 0
+
+    def encode(self, shape: int) -> bytes:
+        """A length, a JSON text and arrays, little-endian; topology only for a page that has another `shape`.
+
+        Positions are float32 about `origin`, so that cloth far from the world's origin keeps its digits.
+        """
+        origin = self.origin
+        arrays: dict[str, NDArray[Any]] = {"x": _about(self.x, origin), "body": _about(self.body, origin)}
+        if shape != self.shape:
+            arrays |= {"faces": self.faces.astype("<u4"), "bodyFaces": self.body_faces.astype("<u4")}
+        names = ("state", "run", "frame", "frames", "t", "message", "number", "shape")
+        head = {name: getattr(self, name) for name in names} | {
+            "origin": origin.tolist(),
+            "pieces": [vars(piece) for piece in self.pieces],
+            "arrays": [[name, str(a.dtype), a.size] for name, a in arrays.items()],
+        }
+        text = json.dumps(head).encode()
+        text += b" " * (-len(text) % 4)
+        return b"".join([len(text).to_bytes(4, "little"), text, *(a.tobytes() for a in arrays.values())])
+
+
+def _about(x: Float, origin: Float) -> NDArray[np.float32]:
+    return np.ascontiguousarray(x - origin, "<f4")
+
+
+class Board:
+    """The newest sight; a page that asks for the next one waits for it."""
+
+    def __init__(self, sight: Sight) -> None:
+        finite = len(sight.x) > 0 and bool(np.isfinite(sight.x).all())
+        self._sight = replace(sight, origin=np.round(sight.x.mean(axis=0)) if finite else np.zeros(3))
+        self._changed = threading.Condition()
+
+    @property
+    def now(self) -> Sight:
+        return self._sight
+
+    def show(self, sight: Sight | None = None, **changes: Any) -> None:
+        """Show another sight, or this one changed; its numbers follow on those before."""
+        with self._changed:
+            before = self._sight
+            sight = replace(sight or before, **changes)
+            shape = before.shape + (not np.array_equal(sight.faces, before.faces))
+            shape += not np.array_equal(sight.body_faces, before.body_faces)
+            self._sight = replace(sight, number=before.number + 1, shape=shape, origin=before.origin)
+            self._changed.notify_all()
+
+    def wait(self, after: int, patience: float) -> Sight:
+        """The first sight with another number than `after`, or after `patience` [s] the present one."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._sight.number != after, patience)
+            return self._sight
