@@ -26,6 +26,8 @@ from nuno_schemas.yarn_picture import Progress, SurfaceValues, Worn
 
 LINKS = 5.0
 """Of a link's mean length: how near points count unless given."""
+MOST = 0.95
+"""Share of what is seen that the colours reach to unless their end is given."""
 
 
 class Map:
@@ -113,7 +115,7 @@ def _paint(
     value, cosine = found[..., 0], found[..., 1]
     seen = value[np.isfinite(value) & (value != BACKGROUND)]
     low = config.low if config.low is not None else float(seen.min(initial=math.inf))
-    high = config.high if config.high is not None else float(seen.max(initial=-math.inf))
+    high = config.high if config.high is not None else most_of(seen)
     if not (math.isfinite(low) and math.isfinite(high)):
         low, high = 0.0, 1.0
     if config.low is not None and config.high is not None and not low < high:
@@ -126,3 +128,11 @@ def _paint(
     light = np.where((value == BACKGROUND)[..., None], (top + s[:, None] * (bottom - top))[:, None, None], light)
     legend = Legend(label=shown.label, low=low, high=high)
     return annotate(encode_picture(light.mean(axis=2)), config.caption or "", legend)
+
+
+def most_of(seen: Float) -> float:
+    """What MOST of all values above the least are below: of a few places, edges or closed toes, the rest would be
+    dark; and bare skin, which is no part of a knit, does not count.
+    """
+    above = seen[seen > seen.min(initial=math.inf)]
+    return float(np.percentile(above, 100.0 * MOST)) if len(above) else float(seen.max(initial=-math.inf))

@@ -82,7 +82,9 @@ class MapConfig(CastConfig):
         default=None, allow_inf_nan=False, description="value of the dark end; left out: the least that is seen"
     )
     high: float | None = Field(
-        default=None, allow_inf_nan=False, description="value of the bright end; left out: the largest that is seen"
+        default=None,
+        allow_inf_nan=False,
+        description="value of the bright end; left out: what 19 of 20 places that are seen are below",
     )
     radius: Thickness | None = Field(
         default=None,

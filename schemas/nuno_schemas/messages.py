@@ -119,6 +119,7 @@ CLOTH = Topic("dye/cloth", "protobuf", "nuno.Arrays")
 CONCENTRATION = Topic("dye/concentration", "protobuf", "nuno.Arrays")
 DYE_STATUS = Topic("dye/status", "json", "nuno.DyeStatus")
 DYE_CHECKPOINT = Topic("dye/checkpoint", "protobuf", "nuno.Arrays")
+PICTURE = Topic("render/image", "protobuf", "foxglove.CompressedImage")
 EVENT = Topic("run/event", "json", "nuno.Event")
 REPORT = Topic("run/report", "json", "nuno.Report")
 ACK = Topic("ack", "json", "nuno.Ack", recorded=False)
@@ -127,7 +128,7 @@ TOPICS = {
     topic.name: topic
     for topic in (
         FABRIC, STATE, STATUS, CHECKPOINT, GEOMETRY, BODIES, PENETRATION, CLOTH, CONCENTRATION, DYE_STATUS,
-        DYE_CHECKPOINT, EVENT, REPORT, ACK,
+        DYE_CHECKPOINT, PICTURE, EVENT, REPORT, ACK,
     )
 }  # fmt: skip
 FRAMES = (STATE.name, CONCENTRATION.name)

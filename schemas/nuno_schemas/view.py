@@ -13,10 +13,12 @@ if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
     Angle = float
     Distance = float
     Metres = float
+    Every = float
 else:
     Angle = quantity("rad")
     Distance = quantity("m", gt=0)
     Metres = quantity("m")
+    Every = quantity("s", gt=0)
 
 Vector = tuple[Metres, Metres, Metres]
 Pixels = Annotated[int, Field(ge=16, le=8192)]
@@ -35,5 +37,10 @@ class View(Part):
         description="what colours the links of a net in the viewer: stretch, the yarn they are of, or its tension",
     )
     yarns: Choice | None = Field(
-        default=None, description="how `nuno export --style` draws yarns: a plugin and its fields"
+        default=None, description="how `nuno export --style` and `pictures` draw yarns: a plugin and its fields"
+    )
+    pictures: Every | Literal["end"] | None = Field(
+        default=None,
+        description="yarns drawn by rays while the scene runs, shown and recorded: at this interval [s], beside those "
+        "of the first and the last frame, or at the end alone; left out: none",
     )

@@ -1,4 +1,4 @@
-"""Encodings of arrays: `nuno.Arrays` (named arrays and a JSON text) and foxglove.PointCloud.
+"""Encodings: `nuno.Arrays` (named arrays and a JSON text), foxglove.PointCloud and foxglove.CompressedImage.
 
 Arrays travel as bytes with dtype and shape: as repeated numbers, 90,000 points take 400 times
 as long to encode. The schema is built here instead of generated, so that no compiler is needed.
@@ -173,26 +173,45 @@ def encode_points(x: NDArray[np.float64], t: float) -> bytes:
 
 
 @functools.cache
-def _point_cloud_class() -> Any:
-    from foxglove import messages
-
+def _foxglove_class(schema: str) -> Any:
     pool = descriptor_pool.DescriptorPool()
-    schema = messages.PointCloud.get_schema()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+    for file in descriptor_pb2.FileDescriptorSet.FromString(foxglove_schema(schema)).file:
         pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("foxglove.PointCloud"))
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema))
 
 
-def points_schema() -> bytes:
+def foxglove_schema(name: str) -> bytes:
+    """The FileDescriptorSet of a schema such as `foxglove.PointCloud`."""
     from foxglove import messages
 
-    return bytes(messages.PointCloud.get_schema().data)
+    return bytes(getattr(messages, name.removeprefix("foxglove.")).get_schema().data)
+
+
+def encode_picture(png: bytes, t: float) -> bytes:
+    """A picture of time t [s] -> foxglove.CompressedImage."""
+    from foxglove import messages
+
+    seconds, nanos = divmod(round(t * 1e9), 10**9)
+    stamp = messages.Timestamp(sec=seconds, nsec=nanos)
+    image: bytes = messages.CompressedImage(timestamp=stamp, frame_id="camera", data=png, format="png").encode()
+    return image
+
+
+def decode_picture(payload: bytes) -> bytes:
+    """foxglove.CompressedImage -> the PNG file. Raises BadMessage."""
+    try:
+        message = _foxglove_class("foxglove.CompressedImage").FromString(payload)
+    except DecodeError as error:
+        raise BadMessage(f"not a foxglove.CompressedImage message: {error}") from None
+    if message.format != "png":
+        raise BadMessage(f"a picture of format {message.format!r}; expected png")
+    return bytes(message.data)
 
 
 def decode_points(payload: bytes) -> NDArray[np.float64]:
     """foxglove.PointCloud of float32 -> (n, 3) float64 positions [m]. Raises BadMessage."""
     try:
-        message = _point_cloud_class().FromString(payload)
+        message = _foxglove_class("foxglove.PointCloud").FromString(payload)
     except DecodeError as error:
         raise BadMessage(f"not a foxglove.PointCloud message: {error}") from None
     if message.point_stride != 12 or len(message.data) % 12:

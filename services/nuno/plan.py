@@ -36,6 +36,10 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         services.append("collision")
     else:
         left_out.append("collision service and contact force: the scene has no bodies")
+    if scene.view.pictures is not None:
+        services.append("render")
+    elif any(spec.model.plugin == "knit" for spec in scene.objects):
+        left_out.append("render service: view.pictures is not given")
     _plan_outputs(options, services, left_out)
     if not scene.forces:
         left_out.append("wind and other forces: the scene names none")

@@ -28,6 +28,7 @@ MODULES = {
     "simulation": "nuno.simulation.service",
     "dye": "nuno.dye.service",
     "collision": "nuno.collision.service",
+    "render": "nuno.render.service",
     "recorder": "nuno.recording.service",
     "viewer": "nuno.viewer.service",
 }

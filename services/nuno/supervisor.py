@@ -24,8 +24,11 @@ START_TIMEOUT, COMPILE_TIMEOUT = 120.0, 1800.0
 """Longest that services may take to be ready [s]: started by hand, which may have been forgotten; and started here,
 which are seen to be alive, and on a slow machine's first run compile kernels for minutes."""
 CONNECT_PATIENCE = 20.0
-FOLLOWERS = ("dye", "collision", "viewer", "recorder")
+FOLLOWERS = ("dye", "collision", "render", "viewer", "recorder")
 """Services in the order in which they finish, after the one that leads."""
+DRAWING_TIMEOUT = 3600.0
+"""How long pictures that are still to be drawn at the end may take [s]."""
+DRAWING = "drawing what is left of the pictures"
 LAST_WORDS = 2.0
 """How long the reason is waited for when a service has gone [s]."""
 
@@ -33,6 +36,7 @@ COMPILING_AFTER = 1.5
 """Preparing takes this long [s] only where kernels are compiled, and then it is said."""
 COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
 
+Summarise = Callable[[dict[str, dict[str, Any]]], dict[str, Any]]
 Progress = Callable[[FrameStatus | str], None]
 """Told each frame's status, and what services have to say."""
 
@@ -181,7 +185,7 @@ class Supervisor:
         return self.ended is not None
 
     def finish(
-        self, error: str, report: Callable[[dict[str, dict[str, Any]]], dict[str, Any]], discard: bool = False
+        self, error: str, report: Summarise, discard: bool = False, progress: Progress | None = None
     ) -> dict[str, dict[str, Any]]:
         """Ask each service to finish, the recorder last, and collect what they counted.
 
@@ -200,8 +204,11 @@ class Supervisor:
                 sent = {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
                 state = "failed" if error else str((self.ended or {}).get("state", "failed"))
                 request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
+            patience = DRAWING_TIMEOUT if name == "render" else FINISH_TIMEOUT
+            if name == "render" and progress is not None and not error:
+                progress(DRAWING)
             try:
-                answers[name] = self.bus.ask_json(f"finish/{name}", request, FINISH_TIMEOUT)
+                answers[name] = self.bus.ask_json(f"finish/{name}", request, patience)
             except RunFailed as failure:
                 self.errors.setdefault(name, str(failure))
         answers[SUPERVISOR] = {"missing": dict(self.inbox.counts.missing), "refused": dict(self.inbox.counts.refused)}
@@ -275,7 +282,7 @@ def _conduct(
         seconds = {"prepare": ready - began, "run": ended - ready}
         return Outcome(supervisor.run, state, error, supervisor.plan, summary, answers, seconds)
 
-    answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {})
+    answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {}, progress=progress)
     result = outcome(answers)
     lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.plan.services]
     if not result.error and lost:

@@ -61,7 +61,7 @@ DIFFERENCES = (
     Difference("stiff yarn stretches less", STRETCH, (COURSE, "nylon arcs"), (COURSE, "support arcs")),
     Difference("stiff yarn stretches less", STRETCH, (WALE, "nylon legs"), (WALE, "support legs")),
     *(
-        Difference("stitches are closer at the ankle", DENSITY, (name, "ankle"), (name, "thigh"))
+        Difference("stitches are closer at the ankle", DENSITY, (name, "ankle"), (name, "knee"))
         for name in ("stocking-150", "stocking-300", "stocking-leg")
     ),
     Difference(

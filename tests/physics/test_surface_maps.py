@@ -9,7 +9,7 @@ import pytest
 from straight_yarns import above, parallel, plane, worn
 
 from nuno_render.map_rows import BACKGROUND, COUNTS, MEANS
-from nuno_render.maps import Density, Map, map_values, reach_of
+from nuno_render.maps import Density, Map, map_values, most_of, reach_of
 from nuno_render.near import sort_points, sum_near
 from nuno_render.yarn_config import MapConfig
 from nuno_schemas.colour import colours, to_srgb
@@ -103,3 +103,9 @@ def test_what_cannot_be_shown_is_refused():
     assert reach_of(MapConfig(), there) == pytest.approx(
         5.0 * np.linalg.norm(np.diff(there.points[there.links], axis=1), axis=2).mean()
     )
+
+
+def test_a_scale_ends_where_19_of_20_places_above_the_least_are_below():
+    seen = np.concatenate([np.zeros(500), np.arange(1, 101), [1e6]])
+    assert most_of(seen) == 96.0
+    assert most_of(np.full(3, 2.0)) == 2.0 and most_of(np.zeros(0)) == -np.inf

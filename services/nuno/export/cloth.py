@@ -14,7 +14,7 @@ from nuno.arrays import BadMessage, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno_schemas.bodies import PLANE, Geometry, rotation_matrices
+from nuno_schemas.bodies import PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, GEOMETRY, STATE
@@ -137,15 +137,19 @@ def read_bodies(recording: Recording) -> Bodies | None:
     if message is None:
         return None
     try:
-        geometry = decode_geometry(message.payload)
-        # A floor that stands still: what the first poses say holds for the whole run.
         first = next(recording.messages([BODIES.name]), None)
-        level = _level(geometry, decode_poses(first.payload).rotation) if first else np.zeros(len(geometry.kind), bool)
-        moved = decode_poses(first.payload).translation[geometry.frame] if first else np.zeros_like(geometry.a)
-        heights = (geometry.a + moved)[level, 1]
-        return Bodies(*surface(_without(geometry, level), INSET), float(heights.max()) if len(heights) else None)
+        return shape_bodies(decode_geometry(message.payload), decode_poses(first.payload) if first else None)
     except (BadMessage, ValueError, IndexError) as error:
         raise BadInput(f"the bodies are damaged: {error}", str(recording.path)) from None
+
+
+def shape_bodies(geometry: Geometry, first: Poses | None) -> Bodies:
+    """Surfaces of bodies; `first` are their poses at the start, None where they are not known."""
+    # A floor that stands still: what the first poses say holds for the whole run.
+    level = _level(geometry, first.rotation) if first else np.zeros(len(geometry.kind), bool)
+    moved = first.translation[geometry.frame] if first else np.zeros_like(geometry.a)
+    heights = (geometry.a + moved)[level, 1]
+    return Bodies(*surface(_without(geometry, level), INSET), float(heights.max()) if len(heights) else None)
 
 
 def _level(geometry: Geometry, rotation: Float) -> NDArray[np.bool_]:

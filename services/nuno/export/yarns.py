@@ -96,12 +96,16 @@ def read_worn(recording: Recording, loaded: Loaded, frame: Frame, chosen: Chosen
         raise BadInput(
             "the recording has no yarns to draw", str(recording.path), field="--style", remedy="leave --style out"
         )
+    cloth = [Mesh(z_up(frame.x[p.start : p.stop]), p.faces) for p in pieces if len(p.faces)]
+    return put_on(loaded, fabric, frame, chosen, [*recorded_bodies(recording, frame.t), *cloth])
+
+
+def put_on(loaded: Loaded, fabric: Fabric, frame: Frame, chosen: Chosen, bodies: list[Mesh]) -> Worn:
+    """A fabric of yarns on bodies and other cloth, z up. Raises BadInput for what `chosen` cannot show."""
     yarns = make_curves(loaded, fabric, frame, chosen.config) if chosen.plugin.curves else None
     edges = np.asarray(structural_edges(fabric)[0], np.int32)
-    drawn = recorded_bodies(recording, frame.t)
     pressure = find_values(loaded, fabric, frame) if chosen.plugin.shows else None
-    cloth = [Mesh(z_up(frame.x[p.start : p.stop]), p.faces) for p in pieces if len(p.faces)]
-    return Worn((*drawn, *cloth), z_up(np.asarray(frame.x, np.float64)), edges, yarns, pressure)
+    return Worn(tuple(bodies), z_up(np.asarray(frame.x, np.float64)), edges, yarns, pressure)
 
 
 def find_values(loaded: Loaded, fabric: Fabric, frame: Frame) -> SurfaceValues:
@@ -161,12 +165,17 @@ def with_caption(chosen: Chosen, recording: Recording, frame: Frame) -> BaseMode
     """The style's settings, with the scene's name and the time for a caption unless they have one; yarns in the
     colour of their object, where that has one and they have none.
     """
-    config: Any = chosen.config
     name = recording.metadata.get("run", {}).get("scene") or str(recording.scene.get("name", ""))
+    colours = [piece.colour for piece in read_pieces(recording) if piece.yarns is not None and piece.colour]
+    return captioned(chosen, name, frame.t, colours)
+
+
+def captioned(chosen: Chosen, name: str, t: float, colours: list[str]) -> BaseModel:
+    """The style's settings, with what they leave out: a caption of scene and time [s], the first of the colours."""
+    config: Any = chosen.config
     update: dict[str, Any] = {}
     if config.caption is None:
-        update["caption"] = f"{name}   t = {frame.t:.2f} s"[:200]
-    colours = [piece.colour for piece in read_pieces(recording) if piece.yarns is not None and piece.colour]
+        update["caption"] = f"{name}   t = {t:.2f} s"[:200]
     if colours and "colour" in type(config).model_fields and "colour" not in config.model_fields_set:
         update["colour"] = colours[0]
     result: BaseModel = config.model_copy(update=update)

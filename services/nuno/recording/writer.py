@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 from pydantic import BaseModel, ValidationError
 
-from nuno.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, points_schema
+from nuno.arrays import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
 from nuno.recording.mcap_file import CHUNK_BYTES, MAGIC, McapFile
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, TOPICS, DyeStatus, Event, Header, Penetration, Status, Topic
@@ -51,7 +51,7 @@ def check_payload(topic: Topic, payload: bytes) -> None:
 def schema_of(topic: Topic) -> tuple[str, bytes]:
     """Encoding and text of a topic's schema."""
     if topic.encoding == "protobuf":
-        return "protobuf", arrays_schema() if topic.schema == ARRAYS_SCHEMA else points_schema()
+        return "protobuf", arrays_schema() if topic.schema == ARRAYS_SCHEMA else foxglove_schema(topic.schema)
     model = _MODELS.get(topic.schema)
     schema = model.model_json_schema() if model else {"title": topic.schema, "type": "object"}
     return "jsonschema", json.dumps(schema).encode()

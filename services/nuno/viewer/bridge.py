@@ -11,15 +11,14 @@ import numpy as np
 import rerun as rr
 from pydantic import ValidationError
 
-from nuno.arrays import BadMessage, decode_arrays, decode_points
+from nuno.arrays import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.export.dyed import DyePainter
-from nuno.tension import SPAN
 from nuno.viewer import layout
-from nuno.viewer.bodies import INSET, Bodies
+from nuno.viewer.about import about, about_tension
+from nuno.viewer.bodies import Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth, DyedTexture
-from nuno.words import duration
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -32,6 +31,7 @@ from nuno_schemas.messages import (
     FABRIC,
     GEOMETRY,
     PENETRATION,
+    PICTURE,
     REPORT,
     STATE,
     STATUS,
@@ -79,6 +79,7 @@ class Bridge:
         self._energy: list[str] = []
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
+        self._pictured = False
         self._handlers: dict[str, Callable[[bytes], None]] = {
             FABRIC.name: self._fabric,
             STATE.name: self._state,
@@ -86,6 +87,7 @@ class Bridge:
             GEOMETRY.name: self._geometry,
             BODIES.name: self._poses,
             PENETRATION.name: self._penetration,
+            PICTURE.name: self._picture,
             EVENT.name: self._event,
             REPORT.name: self._report,
         }
@@ -171,7 +173,7 @@ class Bridge:
             "/about",
             rr.TextDocument(
                 about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed)
-                + about_tension(self._cloths),
+                + about_tension([cloth.tensions.most for cloth in self._cloths if cloth.tensions]),
                 media_type="text/markdown",
             ),
             static=True,
@@ -196,7 +198,7 @@ class Bridge:
     def _arrange(self) -> None:
         if self._eye is not None:
             dyes = self._dyed.names if self._dyed is not None else []
-            blueprint = layout.arrange(self._eye, self._bodies is not None, self.live, dyes)
+            blueprint = layout.arrange(self._eye, self._bodies is not None, self.live, dyes, self._pictured)
             self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _status(self, payload: bytes) -> None:
@@ -241,6 +243,12 @@ class Bridge:
             if cloth.dyed:
                 cloth.log_texture(picture)
 
+    def _picture(self, payload: bytes) -> None:
+        self._log(layout.YARNS, rr.EncodedImage(contents=decode_picture(payload), media_type="image/png"))
+        if not self._pictured:
+            self._pictured = True
+            self._arrange()
+
     def _event(self, payload: bytes) -> None:
         event = Event.model_validate_json(payload)
         if self._dyed is not None:
@@ -257,44 +265,3 @@ class Bridge:
 def number(value: float | None) -> float:
     """What a message says as null is not finite; curves have a gap there."""
     return math.nan if value is None else value
-
-
-def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> str:
-    """What a user should know about the picture, as Markdown; `speed` is that of the dye, where there is any."""
-    dyed = f"\n**Dye**: a second here is {duration(speed)} of dyeing.\n" if speed is not None else ""
-    return f"""# {scene}
-{vertices:,} vertices, {faces:,} triangles.
-
-**Colour**: stretch of the most stretched thread at each vertex, on a logarithmic scale:
-
-| colour | stretch |
-| --- | --- |
-| violet | 0.1 % and less |
-| blue | 1 % |
-| green | 10 % |
-| yellow | 100 % and more |
-| grey | not a number |
-
-Pieces with a texture or a colour of their own show that instead, and nets of yarns, where the scene's view has
-`links: yarn` or `links: tension`, the yarn that each link is of or its tension.
-Bodies are drawn {1000 * INSET:g} mm thinner than they are, so that cloth resting on them shows.
-{dyed}"""
-
-
-def about_tension(cloths: list[Cloth]) -> str:
-    """The colours of tension, as Markdown, where any cloth has them."""
-    found = [cloth.tensions.most for cloth in cloths if cloth.tensions is not None]
-    if not found:
-        return ""
-    names = zip(
-        ("yellow", "green", "blue", "violet"), found[0] * np.power(SPAN, [0.0, -1 / 3, -2 / 3, -1.0]), strict=True
-    )
-    rows = "\n".join(f"| {colour} | {tension:.3g} N |" for colour, tension in names)
-    return f"""
-**Links of yarns**: their tension along the yarn, on a logarithmic scale; the strongest is that of the stiffest link
-as long again as at rest.
-
-| colour | tension |
-| --- | --- |
-{rows}
-"""

@@ -15,6 +15,8 @@ from nuno_schemas.view import View
 
 TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "/dye/picture"
 """Time of the scene; that of the dyeing, where there is nothing but a cloth that is dyed."""
+YARNS = "/render/yarns"
+"""Pictures of yarns by rays."""
 HALF_VIEW = 0.5 * np.radians(58.0)
 """About half of rerun's vertical field of view."""
 
@@ -67,8 +69,10 @@ def fit_eye(points: Float, view: View) -> Eye:
     return Eye(target + distance * toward, target)
 
 
-def arrange(eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None) -> Any:
-    """The blueprint: the scene large on the left; curves, log and report beside it."""
+def arrange(eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False) -> Any:
+    """The blueprint: the scene large on the left, with the `pictures` of its yarns, if any; curves, log and report
+    beside it.
+    """
     plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
         plots.append(curves("Penetration [mm]", "penetration", legend=True))
@@ -84,7 +88,8 @@ def arrange(eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None) -
             kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=[0, 1, 0]
         ),
     )
-    return _blueprint(scene, [rrb.Vertical(*part, name=name) for name, part in tabs], live)
+    main = scene if not pictures else rrb.Horizontal(scene, rrb.Spatial2DView(name="Yarns", origin=YARNS))
+    return _blueprint(main, [rrb.Vertical(*part, name=name) for name, part in tabs], live)
 
 
 def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live: bool) -> Any:

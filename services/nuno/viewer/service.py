@@ -25,6 +25,7 @@ from nuno_schemas.messages import (
     FRAMES,
     GEOMETRY,
     PENETRATION,
+    PICTURE,
     REPORT,
     STATE,
     STATUS,
@@ -36,7 +37,20 @@ if TYPE_CHECKING:
     from nuno.export.dyed import DyePainter
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
-TOPICS = [FABRIC, GEOMETRY, BODIES, STATE, STATUS, PENETRATION, CLOTH, CONCENTRATION, DYE_STATUS, EVENTS, REPORT]
+TOPICS = [
+    FABRIC,
+    GEOMETRY,
+    BODIES,
+    STATE,
+    STATUS,
+    PENETRATION,
+    CLOTH,
+    CONCENTRATION,
+    DYE_STATUS,
+    PICTURE,
+    EVENTS,
+    REPORT,
+]
 CLOTHS = (FABRIC.name, CLOTH.name)
 """What frames are about."""
 MOST_EARLY = 64

@@ -1,0 +1,1 @@
+"""Pictures of yarns by rays while a scene runs."""

@@ -1,0 +1,82 @@
+"""Draws the yarns of a scene, without a recording: from the scene and where its points are."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+
+from nuno import registry
+from nuno.build import build_bodies, build_fabric
+from nuno.export.camera import z_up
+from nuno.export.cloth import shape_bodies
+from nuno.export.yarns import GROUP, STYLE, captioned, find_camera, put_on
+from nuno.recording.recorded import Frame
+from nuno.scene_file import Chosen, Loaded
+from nuno_schemas.drawing import Camera, Mesh
+from nuno_schemas.errors import BadInput
+from nuno_schemas.yarn_picture import Worn
+
+TRIAL = (16, 16)
+"""Pixels of the picture that shows, before anything starts, whether there can be one."""
+
+
+class Artist:
+    """Draws frames of one scene with one camera, fitted to the first of them.
+
+    Raises BadInput for a scene without yarns, and for what its style cannot draw.
+    """
+
+    def __init__(self, loaded: Loaded) -> None:
+        self.loaded = loaded
+        self.chosen = loaded.yarn_picture or _default()
+        self.fabric, self.pieces = build_fabric(loaded)
+        if self.fabric.yarns is None:
+            problem, remedy = "the scene has no yarns to draw", "leave view.pictures out; yarns are what a knit has"
+            raise loaded.at("view.pictures", BadInput(problem, remedy=remedy))
+        self.bodies = build_bodies(loaded) if loaded.scene.bodies else None
+        self.shapes = None
+        if self.bodies is not None:
+            self.shapes = shape_bodies(self.bodies.geometry, self.bodies.poses(0.0))
+        self.camera: Camera | None = None
+        start = Frame(0, 0.0, "", np.asarray(self.fabric.position))
+        try:
+            worn = self.show(start)
+            self._picture(worn, start, replace(find_camera(loaded.scene.view, worn, None), size=TRIAL))
+        except BadInput as error:
+            raise loaded.at("view", error) from None
+
+    def draw(self, frame: Frame) -> bytes:
+        """A PNG file. Raises BadInput for a frame that cannot be drawn."""
+        from PIL import Image
+
+        if not np.isfinite(frame.x).all():
+            raise BadInput(f"the positions of frame {frame.number} are not finite")
+        worn = self.show(frame)
+        self.camera = self.camera or find_camera(self.loaded.scene.view, worn, None)
+        stream = io.BytesIO()
+        Image.fromarray(self._picture(worn, frame, self.camera)).save(stream, format="PNG", optimize=True)
+        return stream.getvalue()
+
+    def show(self, frame: Frame) -> Worn:
+        """Yarns, bodies and other cloth of a frame."""
+        meshes = []
+        if self.bodies is not None and self.shapes is not None and len(self.shapes.vertices):
+            poses = self.bodies.poses(frame.t)
+            at = self.shapes.at(poses.rotation, poses.translation)
+            meshes.append(Mesh(z_up(at), self.shapes.faces, two_sided=False))
+        if len(self.fabric.faces):
+            meshes.append(Mesh(z_up(frame.x), self.fabric.faces))
+        return put_on(self.loaded, self.fabric, frame, self.chosen, meshes)
+
+    def _picture(self, worn: Worn, frame: Frame, camera: Camera) -> np.ndarray:
+        colours = [piece.colour for piece in self.pieces if piece.colour]
+        config = captioned(self.chosen, self.loaded.scene.name, frame.t, colours)
+        picture: np.ndarray = self.chosen.plugin.draw(config, worn, camera)
+        return picture
+
+
+def _default() -> Chosen:
+    plugin = registry.load(GROUP, STYLE)
+    return Chosen(GROUP, plugin, plugin.Config(), "view.yarns")
