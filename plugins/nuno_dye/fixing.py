@@ -129,10 +129,37 @@ def settle_bands(cuts: Any, phi: Any, before: Any, fixed: Any, taking: Any, floo
 
 
 @kernel
-def bound_fixed(phi: Any, fixed: Any, held: Any, fibre: Any) -> None:
-    """Fixed dye becomes no less than at the start, `held`, and no more than its room; the rest is mobile."""
-    for i in range(phi.shape[0]):
-        for c in range(LEFT, phi.shape[1]):
-            found = min(max(fixed[i, c], held[i, c]), max(fibre[i, c], held[i, c]))
-            phi[i, c] += fixed[i, c] - found
-            fixed[i, c] = found
+def bound_row(
+    phi: Any, before: Any, fixed: Any, held: Any, fibre: Any, floor: Any, row: int, nx: int,
+    isotherm: int, first: float, second: float,
+) -> None:  # fmt: skip
+    """Bring a row's fixed dye between `held`, that at the start, and what was allowed; the rest is mobile again.
+
+    What is allowed is A_d of the more mobile dye of the step's start and its end. Stages swing about a limit that
+    they come to by 2 rho dt / s^2 (Legendre's polynomials), 5 % of it where the first half hour fills fibre.
+    """
+    for c in range(LEFT, LEFT + nx):
+        least, there = held[row, c], phi[row, c] + fixed[row, c]
+        found = min(max(fixed[row, c], least), max(fibre[row, c], least))
+        if found > least:
+            room, begun, end = fibre[row, c], before[row, c], there - found
+            if floor is not None:
+                begun, end = max(begun, floor[row, c]), max(end, floor[row, c])
+            if found > limit_beside(isotherm, first, second, max(begun, end, 0.0), room):
+                limit = limit_beside(isotherm, first, second, max(begun, 0.0), room)
+                limit = max(limit, limit_within(isotherm, first, second, max(there, 0.0), room))
+                found = min(found, max(limit, least))
+        phi[row, c], fixed[row, c] = there - found, found
+
+
+@parallel_kernel
+def bound_bands(cuts: Any, phi: Any, before: Any, fixed: Any, taking: Any, floor: Any, nx: int) -> None:
+    """All rows of both layers, (2 r, w)."""
+    r = phi.shape[0] // 2
+    for b in prange(cuts.shape[0] - 1):
+        for row in range(cuts[b], cuts[b + 1]):
+            for layer in range(2):
+                bound_row(
+                    phi, before, fixed, taking.start, taking.fibre, floor, row + layer * r, nx,
+                    taking.isotherm, taking.first, taking.second,
+                )  # fmt: skip

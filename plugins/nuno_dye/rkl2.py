@@ -24,7 +24,7 @@ from pydantic import BaseModel
 
 from nuno_dye.bands import Cut
 from nuno_dye.diffusion import LEFT, Rows
-from nuno_dye.fixing import Taking, bound_fixed, settle_bands
+from nuno_dye.fixing import Taking, bound_bands, settle_bands
 from nuno_dye.legendre import find_coefficients, find_stages
 from nuno_dye.potential import Curve, curve_of
 from nuno_dye.repair import repair
@@ -225,7 +225,7 @@ def _step(
     found, bound = _run(work, room, start, taking, scale, reach, pace)
     totals["stages"] += find_stages(reach)
     if taking is not None:
-        bound_fixed(found, bound, start[1], taking.fibre)
+        bound_bands(work.cuts, found, phi, bound, taking, room.floor, work.cut.nx)
     first, weights = work.cut.top, _weights(work, room, scale)
     most = np.maximum(room.mobile, phi)
     # Kept-up cells take any excess of their neighbours': it is given back to the supply that fed them.

@@ -79,6 +79,25 @@ def test_fibre_takes_dye_with_second_order_up_to_its_limit(name: str, kept_up: b
 
 
 @pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize("law", ["partition", "freundlich", "langmuir"])
+def test_fibre_in_a_bath_comes_to_its_limit_and_not_beyond(name: str, law: str) -> None:
+    """A_d of the bath, which fibre at half of D_ab reaches within the first steps; stages would swing about it."""
+    ones = np.ones((2, 12, 12))
+    cells = Cells(ones > 0, ones > 0, 0.5 * ones, ones, 0 * ones, 1.0, Tortuosity(1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
+    isotherm = {
+        "partition": Isotherm("partition", 0.5),
+        "freundlich": Isotherm("freundlich", 0.3, 0.5),
+        "langmuir": Isotherm("langmuir", 2.0),
+    }[law]
+    most = {"partition": 0.5 * 0.4, "freundlich": 0.3 * 0.4**0.5, "langmuir": 0.5 * 2.0 * 0.4 / 1.8}[law]
+    system = DyeSystem(cells, (Dye("blue", 1.0, 0.01, isotherm),), supply=0.4 * ones[None])
+    for t in (200.0, 700.0, 2000.0):
+        end, report = run(name, system, 0 * ones, 0 * ones, t, 1)
+        assert report.status == "ok" and end.fixed.max() <= most * (1.0 + 1e-11)
+    assert end.fixed == pytest.approx(most, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", LONG)
 @pytest.mark.parametrize("law", ISOTHERMS)
 @pytest.mark.parametrize(("supplied", "steps"), [(False, 7), (True, 7), (True, 400)])
 def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(
