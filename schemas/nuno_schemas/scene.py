@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from nuno_schemas.applied import Applied, require_objects
 from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
@@ -168,7 +169,7 @@ class Dyeing(Part):
         return require_distinct(dyes)
 
 
-MOVING = ("objects", "bodies", "forces", "solver", "until")
+MOVING = ("objects", "bodies", "forces", "operations", "solver", "until")
 """Fields of a scene of moving cloth, which a scene of dye alone has not."""
 
 
@@ -208,6 +209,9 @@ class Scene(Part):
     forces: list[Choice] = Field(
         default_factory=list, max_length=1000, description="beyond springs, gravity and damping, in their order"
     )
+    operations: list[Applied] = Field(
+        default_factory=list, max_length=1000, description="what changes the cloth while the scene goes on: wrinkle"
+    )
     contact: Choice = Field(default=Choice(plugin="penalty"), description="the force between cloth and bodies")
     dye: Dyeing | None = Field(default=None, description="a cloth that is dyed; alone, or on an object")
     record: Record = Field(default=Record(), description="what goes into the recording beside every frame")
@@ -226,6 +230,11 @@ class Scene(Part):
                 known = nearest(self.dye.object, names)
                 problem = "no object has this name, so there is nothing to dye; {known}"
                 raise PydanticCustomError("no_object", problem, {"known": known, "inside": ("dye", "object")})
+        return self
+
+    @model_validator(mode="after")
+    def _changed_objects_are_there(self) -> Scene:
+        require_objects(self.operations, [part.name for part in self.objects], float(self.duration))
         return self
 
     @model_validator(mode="after")

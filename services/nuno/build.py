@@ -73,7 +73,20 @@ def check_memory(loaded: Loaded) -> None:
 def build_fabric(
     loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None
 ) -> tuple[Fabric, list[Piece]]:
-    """All objects as one fabric, and where each lies. Raises BadInput.
+    """All objects as one fabric, and where each lies; see `build_fabrics`. Raises BadInput."""
+    fabrics = build_fabrics(loaded, geometry, poses)
+    return join_fabrics(fabrics, loaded.scene.name), place_pieces(loaded, fabrics)
+
+
+def place_pieces(loaded: Loaded, fabrics: list[Fabric]) -> list[Piece]:
+    """Where each object lies in the fabric of all."""
+    stops = np.cumsum([fabric.number for fabric in fabrics]).tolist()
+    each = zip(loaded.scene.objects, fabrics, stops, strict=True)
+    return [Piece(spec.name, stop - f.number, stop, f.texture, spec.colour) for spec, f, stop in each]
+
+
+def build_fabrics(loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None) -> list[Fabric]:
+    """The fabric of each object. Raises BadInput.
 
     Bodies, with their poses at the start, are built for objects drawn over one, unless they are given.
     """
@@ -82,7 +95,7 @@ def build_fabric(
     if geometry is None and loaded.colliders and any(over):
         bodies = build_bodies(loaded)
         geometry, poses = bodies.geometry, bodies.poses(0.0)
-    fabrics, pieces, start = [], [], 0
+    fabrics = []
     for i, (model, spec) in enumerate(zip(loaded.models, loaded.scene.objects, strict=True)):
         try:
             given: tuple[Any, ...] = (model.config, loaded.files, loaded.scene.seed + i)
@@ -94,9 +107,7 @@ def build_fabric(
         except BadInput as error:
             raise loaded.at(f"objects[{i}].model", error) from None
         fabrics.append(fabric)
-        pieces.append(Piece(spec.name, start, start + fabric.number, fabric.texture, spec.colour))
-        start += fabric.number
-    return join_fabrics(fabrics, loaded.scene.name), pieces
+    return fabrics
 
 
 def drawn_over(model: Chosen) -> str | None:

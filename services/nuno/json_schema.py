@@ -15,6 +15,7 @@ _PLACES = {
     ("Scene", "solver"): "nuno.integrators",
     ("Scene", "contact"): "nuno.contacts",
     ("Scene", "forces"): "nuno.forces",
+    ("Scene", "operations"): "nuno.operations",
     ("Dyeing", "cloth"): "nuno.dye_cloths",
     ("Dyeing", "solver"): "nuno.dye_solvers",
     ("Dyeing", "picture"): "nuno.dye_pictures",
@@ -22,7 +23,12 @@ _PLACES = {
     ("View", "yarns"): "nuno.yarn_pictures",
 }
 """Where a scene names a plugin of which group."""
-_BESIDE = {"nuno.integrators": "Solver", "nuno.dye_solvers": "DyeSolver", "nuno.dye_pictures": "DyePicture"}
+_BESIDE = {
+    "nuno.integrators": "Solver",
+    "nuno.dye_solvers": "DyeSolver",
+    "nuno.dye_pictures": "DyePicture",
+    "nuno.operations": "Applied",
+}
 """Parts of the contract whose own fields stand beside a plugin's."""
 
 _DEFAULTS = {"nuno.dye_pictures": YARNS}

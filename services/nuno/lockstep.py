@@ -129,6 +129,7 @@ class Lockstep(ABC):
             return {"ok": False, "error": f"unknown action {action!r}; known: {', '.join(ACTIONS)}"}
         if action not in ("start", "status"):
             args = {name: request[name] for name in ("item", "frames") if name in request}
+            args |= {name: change.pop(name) for name in ("item",) if name in change}
             self.context.event("control", action, work.frame, work.t, **args)
         return {
             "ok": True,

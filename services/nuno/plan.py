@@ -48,8 +48,13 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
     if not any(scene.gravity):
         left_out.append("gravity: 0")
     knit = any(spec.model.plugin == "knit" for spec in scene.objects)
-    absent = [*(() if scene.dye is not None else ("dye",)), *(() if knit else ("knit",)), "wrinkles"]
-    left_out.append(f"{' and '.join(', '.join(absent).rsplit(', ', 1))}: the scene has none")
+    absent = [
+        *(() if scene.dye is not None else ("dye",)),
+        *(() if knit else ("knit",)),
+        *(() if scene.operations else ("wrinkles",)),
+    ]
+    if absent:
+        left_out.append(f"{' and '.join(', '.join(absent).rsplit(', ', 1))}: the scene has none")
     return Plan(tuple(services), _must_see(services, options), tuple(left_out))
 
 

@@ -66,6 +66,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "last_penetration": collision.get("last_depth"),
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
         "counts": summary.get("counts", {}),
+        "changes": summary.get("changes", []),
         "yarns": summary.get("yarns", {}),
         "courses": summary.get("courses", {}),
         "pressure": summary.get("pressure", {}),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from nuno import registry, yaml_lines
 from nuno.explain import OVERRIDDEN, UNNUMBERED, explain, located
 from nuno.files import SceneFiles
 from nuno.yaml_lines import dotted
+from nuno_schemas.applied import Applied
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.parts import Choice
 from nuno_schemas.scene import AUTO, Dyeing, DyeSolver, Scene
@@ -69,6 +71,7 @@ class Loaded:
     motions: list[Chosen | None]
     forces: list[Chosen]
     contact: Chosen | None
+    operations: list[Chosen] = field(default_factory=list)
     dye: ChosenDye | None = None
     yarn_picture: Chosen | None = None
     """How pictures of yarns are drawn, where the scene says."""
@@ -237,6 +240,34 @@ def _chosen_dye(dye: Dyeing, chosen: Callable[[str, Choice, yaml_lines.Path], Ch
     )
 
 
+def choose_plugin(
+    group: str, choice: Choice, place: yaml_lines.Path, file: str, lines: Mapping[yaml_lines.Path, int]
+) -> Chosen:
+    """The plugin that a scene names, with its configuration validated. Raises BadInput."""
+    try:
+        plugin = registry.load(group, choice.plugin, (AUTO,) if group == "nuno.integrators" else ())
+    except BadInput as error:
+        raise located(error, file, lines, dotted((*place, "plugin"))) from None
+    try:
+        return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(place))
+    except ValidationError as error:
+        beside = tuple(type(choice).model_fields)
+        raise explain(error, choice.config, place, file, lines, plugin.Config, beside) from None
+
+
+def choose_operation(
+    applied: Applied, place: yaml_lines.Path, file: str, lines: Mapping[yaml_lines.Path, int], files: SceneFiles
+) -> Chosen:
+    """An operation that changes cloth, with what its files hold. Raises BadInput."""
+    chosen = choose_plugin("nuno.operations", applied, place, file, lines)
+    try:
+        if not hasattr(chosen.plugin, "resolve"):
+            raise BadInput("this operation does not change cloth that moves", field="plugin", value=chosen.name)
+        return replace(chosen, config=chosen.plugin.resolve(chosen.config, files))
+    except BadInput as error:
+        raise located(error, file, lines, dotted(place)) from None
+
+
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
     """Validate a scene's data and find its plugins. Raises BadInput."""
     try:
@@ -244,17 +275,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
     except ValidationError as error:
         raise explain(error, data, (), file, lines, Scene) from None
 
-    def chosen(group: str, choice: Choice, field: yaml_lines.Path) -> Chosen:
-        try:
-            plugin = registry.load(group, choice.plugin, (AUTO,) if group == "nuno.integrators" else ())
-        except BadInput as error:
-            raise located(error, file, lines, dotted((*field, "plugin"))) from None
-        try:
-            return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(field))
-        except ValidationError as error:
-            beside = tuple(type(choice).model_fields)
-            raise explain(error, choice.config, field, file, lines, plugin.Config, beside) from None
-
+    chosen = partial(choose_plugin, file=file, lines=lines)
     return Loaded(
         scene,
         data,
@@ -269,6 +290,10 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
             for i, b in enumerate(scene.bodies)
         ],
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
+        operations=[
+            choose_operation(applied, ("operations", i), file, lines, files)
+            for i, applied in enumerate(scene.operations)
+        ],
         contact=chosen("nuno.contacts", scene.contact, ("contact",)) if scene.bodies else None,
         dye=_chosen_dye(scene.dye, chosen) if scene.dye is not None else None,
         yarn_picture=chosen("nuno.yarn_pictures", scene.view.yarns, ("view", "yarns")) if scene.view.yarns else None,

@@ -20,6 +20,8 @@ from nuno.sessions import hub_at, spoke
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
 
+CONTROL_TIMEOUT, ADD_TIMEOUT = 10.0, 120.0
+"""How long an answer may take [s]; what is added for the first time on a machine may be compiled."""
 START_TIMEOUT, COMPILE_TIMEOUT = 120.0, 1800.0
 """Longest that services may take to be ready [s]: started by hand, which may have been forgotten; and started here,
 which are seen to be alive, and on a slow machine's first run compile kernels for minutes."""
@@ -296,4 +298,5 @@ def control(run: str, endpoint: str, request: dict[str, Any], config: str | None
     Raises BadInput or RunFailed.
     """
     with spoke(endpoint, config) as session:
-        return Bus(session, run, "control").ask_json("control", request)
+        patience = ADD_TIMEOUT if request.get("action") == "add" else CONTROL_TIMEOUT
+        return Bus(session, run, "control").ask_json("control", request, patience)

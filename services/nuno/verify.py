@@ -13,7 +13,7 @@ from nuno.recording.restore import control_events, restored_scene
 from nuno.scene_file import Loaded
 from nuno.simulation.run import Simulation
 from nuno_schemas.errors import BadInput
-from nuno_schemas.messages import DYE_STATUS, STATUS
+from nuno_schemas.messages import DYE_STATUS, STATUS, Event
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def verify_cloth(
 ) -> Verification:
     """Simulate again, and compare every digest in `wanted`, by frame. Raises BadInput."""
     checkpoints = {point.frame: point.x for point in recording.checkpoints()}
-    changes = [event for event in control_events(recording) if event.text == "set"]
+    changes = [event for event in control_events(recording) if event.text in ("set", "add")]
     bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
     rate = loaded.scene.frame_rate
     start = bodies.poses(0.0) if bodies else None
@@ -75,12 +75,13 @@ def verify_cloth(
     simulation.measure(start)
     for compared, frame in enumerate(range(max(wanted) + 1)):
         if frame:
-            for event in changes:
-                if event.frame == frame - 1:
-                    simulation.set(str(event.args["item"]))
+            _change(simulation, changes, frame - 1)
             end = bodies.poses(frame / rate) if bodies else None
             simulation.advance(start, end)
             start = end
+        if frame in wanted and simulation.digest() != wanted[frame]:
+            # A change made before the first frame, of this run or of a resumed one, is in that frame already.
+            _change(simulation, changes, frame)
         if frame in wanted and simulation.digest() != wanted[frame]:
             return Verification(compared, frame, simulation.t, _explain(simulation, checkpoints.get(frame)))
         if progress is not None:
@@ -88,7 +89,20 @@ def verify_cloth(
     return Verification(len(wanted))
 
 
+def _change(simulation: Simulation, changes: list[Event], frame: int) -> None:
+    """Make the changes of a frame, each once, in their order; those of dye are not the cloth's."""
+    for event in [event for event in changes if event.frame == frame]:
+        changes.remove(event)
+        item = str(event.args["item"])
+        if event.text == "set":
+            simulation.set(item)
+        elif event.service == "simulation":
+            simulation.add(item)
+
+
 def _explain(simulation: Simulation, recorded: np.ndarray | None) -> str:
+    if recorded is not None and recorded.shape != simulation.state.x.shape:
+        return f"{len(simulation.state.x)} vertices, and the recording has {len(recorded)}"
     if recorded is None:
         return "positions or velocities differ; the recording has no checkpoint of that frame to say where"
     apart = np.abs(simulation.state.x - recorded).max(axis=1)

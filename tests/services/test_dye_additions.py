@@ -210,5 +210,5 @@ def test_cloth_that_moves_takes_nothing(tmp_path: Path) -> None:
     from nuno.simulation.run import Simulation
 
     simulation = Simulation(scene_file.read(write_sheet(tmp_path)), None, None, 1)
-    with pytest.raises(BadInput, match="nothing can be added"):
+    with pytest.raises(BadInput, match="is changed by an operation"):
         simulation.add(said("supply", DROP))

@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "item",
         nargs="?",
         help="set: KEY=VALUE, e.g. gravity='[0, -1.6, 0]'; step: how many frames; "
-        "add: dye or resist, e.g. 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'",
+        "add: dye or resist, e.g. 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}', or lines on cloth, "
+        "e.g. 'wrinkle: {lines: [{points: [[0, 0, 0], [0.1, 0, 0]], height: 1 cm}]}'",
     )
     parser.add_argument("--connect", metavar="ENDPOINT", help="the run's hub, if it is on another host")
     add_config(parser)
@@ -39,7 +40,7 @@ def main(args: argparse.Namespace) -> int:
     if args.action == "add":
         if not args.item:
             example = "nuno control last add 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'"
-            raise BadInput("add needs a supply or a resist", remedy=f"for example: {example}")
+            raise BadInput("add needs a supply, a resist or an operation", remedy=f"for example: {example}")
         request["item"] = args.item
     if args.action == "step":
         if args.item is not None and not args.item.isdigit():

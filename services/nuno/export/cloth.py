@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from bisect import bisect_right
 from dataclasses import dataclass
 from pathlib import PurePath
 
@@ -17,7 +18,7 @@ from nuno.recording.recorded import Frame
 from nuno_schemas.bodies import PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.messages import BODIES, GEOMETRY, STATE
+from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
 from nuno_schemas.surface import surface
 
 INSET = 0.002
@@ -55,9 +56,25 @@ class Piece:
         return most
 
 
-def read_pieces(recording: Recording) -> list[Piece]:
-    """The cloth of a recording. Raises BadInput where its description is missing or damaged."""
-    arrays, text = recording.fabric()
+class Pieces:
+    """The cloth of a recording over time: operations may change it. Raises BadInput as `read_pieces`."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._times = [message.t for message in recording.messages([FABRIC.name])]
+        self._known: dict[int, list[Piece]] = {}
+
+    def at(self, t: float) -> list[Piece]:
+        """The pieces at t [s]."""
+        which = max(bisect_right(self._times, t) - 1, 0)
+        if which not in self._known:
+            self._known[which] = read_pieces(self._recording, self._times[which] if self._times else None)
+        return self._known[which]
+
+
+def read_pieces(recording: Recording, t: float | None = None) -> list[Piece]:
+    """The cloth of a recording at t [s], or last. Raises BadInput where its description is missing or damaged."""
+    arrays, text = recording.fabric(t)
     try:
         faces, edges = (np.asarray(arrays[name], np.int32).reshape(-1, w) for name, w in (("faces", 3), ("edges", 2)))
         rest, number = np.asarray(arrays["edge_rest"], np.float64), int(text["vertices"])

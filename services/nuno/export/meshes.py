@@ -7,7 +7,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from nuno.export.cloth import Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.cloth import Piece, Pieces, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.paint import BODY, PLAIN, paint_stretch
 from nuno.export.target import Progress, opened, writing
@@ -27,8 +27,9 @@ def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = 
     """
     suffix = path.suffix.lower()
     with opened(source) as recording:
-        pieces = read_pieces(recording)
-        shown = _finite(recording, pieces, read_frame(recording, frame))
+        shown = read_frame(recording, frame)
+        pieces = read_pieces(recording, shown.t)
+        shown = _finite(recording, pieces, shown)
         dyed = read_dyed_object(recording) if suffix == ".glb" else None
         pieces = pieces if dyed is None else dyed.dress(pieces, shown.t)
         with writing(path, _known(suffix, path)) as new, new.open("wb") as stream:
@@ -51,9 +52,10 @@ def export_meshes(
             raise BadInput(f"cannot make the folder: {error.strerror}", value=str(folder)) from None
     written = []
     with opened(source) as recording:
-        pieces, number = read_pieces(recording), recording.counts.get("sim/state", 0)
+        cloth, number = Pieces(recording), recording.counts.get("sim/state", 0)
         dyed = read_dyed_object(recording) if suffix == ".glb" else None
         for frame in recording.frames():
+            pieces = cloth.at(frame.t)
             dressed = pieces if dyed is None else dyed.dress(pieces, frame.t)
             path = folder / f"frame_{frame.number:05d}{suffix}"
             with writing(path, suffix) as new, new.open("wb") as stream:

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from nuno import registry
 from nuno.export.camera import place_camera, read_view, z_up
-from nuno.export.cloth import Bodies, Piece, body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.cloth import Bodies, Piece, Pieces, body_vertices, check_size, read_bodies, read_frame
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.dyed_pictures import Changes
 from nuno.export.paint import BODY, PLAIN, STRETCH, paint_pressure, paint_stretch, paint_yarns
@@ -59,7 +59,7 @@ class Painter:
 
     def __post_init__(self) -> None:
         check_colour(self.colour)
-        self.pieces: list[Piece] = [_coloured(piece, self.colour) for piece in read_pieces(self.recording)]
+        self.cloth = Pieces(self.recording)
         self.bodies: Bodies | None = read_bodies(self.recording)
         measured = self.colour in ("stretch", "pressure")
         self.dyed = None if measured else read_dyed_object(self.recording, self.changes)
@@ -71,7 +71,8 @@ class Painter:
         self.camera = place_camera(view, meshes, self.size or view.size)
         self.ground = self._ground(meshes)
         dyed = "" if self.dyed is None else self.dyed.name
-        plain = [p for p in self.pieces if p.image is None and p.colour is None and p.name != dyed]
+        first = self.pieces(self.shown[0].t if self.shown else 0.0)
+        plain = [p for p in first if p.image is None and p.colour is None and p.name != dyed]
         by_stretch = any(len(piece.edges) and piece.yarns is None for piece in plain)
         legend = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1], "format": "percent"}
         self.legend = legend if by_stretch else None
@@ -88,10 +89,15 @@ class Painter:
         picture: Picture = self.renderer.render(config, self.meshes(frame), self.camera)
         return picture
 
+    def pieces(self, t: float) -> list[Piece]:
+        """The cloth at t [s], as it is to be painted."""
+        return [_coloured(piece, self.colour) for piece in self.cloth.at(t)]
+
     def meshes(self, frame: Frame) -> list[Mesh]:
         """Everything at one frame, turned so that z is up, as renderer and camera have it."""
-        check_size(self.recording, self.pieces, frame)
-        pieces = self.pieces if self.dyed is None else self.dyed.dress(self.pieces, frame.t)
+        pieces = self.pieces(frame.t)
+        check_size(self.recording, pieces, frame)
+        pieces = pieces if self.dyed is None else self.dyed.dress(pieces, frame.t)
         if self.pressure is None:
             meshes = [_cloth_mesh(piece, frame.x[piece.start : piece.stop]) for piece in pieces]
         else:

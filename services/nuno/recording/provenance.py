@@ -73,4 +73,4 @@ def _chosen(loaded: Loaded) -> list[Chosen]:
     optional = [c for c in (*loaded.motions, loaded.contact) if c is not None]
     dye = loaded.dye.plugins if loaded.dye is not None else []
     own = [loaded.integrator] if loaded.scene.moves else []
-    return [*loaded.models, *own, *dye, *loaded.colliders, *loaded.forces, *optional]
+    return [*loaded.models, *own, *dye, *loaded.colliders, *loaded.forces, *loaded.operations, *optional]

@@ -164,9 +164,9 @@ class Recording:
             self._marks[name] = {time: (int(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses}
         return self._marks[name]
 
-    def fabric(self) -> tuple[Arrays, dict[str, Any]]:
-        """Arrays of the cloth that do not change (faces, uv, edges, ...) and their text."""
-        return self.arrays(self.last(FABRIC.name))
+    def fabric(self, t: float | None = None) -> tuple[Arrays, dict[str, Any]]:
+        """Arrays of the cloth (faces, uv, edges, ...) and their text, at t [s] or last: operations change it."""
+        return self.arrays(self.last(FABRIC.name, t))
 
     def geometry(self) -> tuple[Arrays, dict[str, Any]]:
         """Arrays of the bodies that do not change and their text; empty where there are none."""
@@ -253,7 +253,9 @@ class Recording:
             if not (x.ndim == 2 and x.shape[1] == 3 and v.shape == x.shape):
                 raise ValueError(f"x has shape {x.shape} and v {v.shape}")
             memory = {name.removeprefix("memory/"): a for name, a in arrays.items() if name.startswith("memory/")}
-            return Checkpoint(int(text["frame"]), float(text["t"]), str(text.get("digest", "")), x, v, memory, text)
+            fabric = {name: a for name, a in arrays.items() if name.startswith("fabric/")}
+            digest = str(text.get("digest", ""))
+            return Checkpoint(int(text["frame"]), float(text["t"]), digest, x, v, memory, text, fabric)
         except (KeyError, ValueError, TypeError) as error:
             raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(self.path)) from None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from numpy.typing import NDArray
@@ -49,7 +49,9 @@ class Checkpoint:
     v: Float
     memory: Arrays
     text: dict[str, Any]
-    """What the simulation wrote beside the arrays: dt, steps."""
+    """What the simulation wrote beside the arrays: dt, steps, what has changed the cloth."""
+    fabric: Arrays = field(default_factory=dict)
+    """Of the objects that have been changed."""
 
     @property
     def state(self) -> State:

@@ -9,17 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno import registry
 from nuno.arrays import encode_arrays, encode_points
 from nuno.build import edge_yarns, structural_edges
 from nuno.collision.ask import ask_poses
 from nuno.lockstep import CONTROL, Lockstep
 from nuno.pressure import find_pressure, has_pressure
 from nuno.service import Context
+from nuno.simulation.alter import name_of
 from nuno.simulation.run import Frame, Simulation
 from nuno.tension import tension_arrays
 from nuno.yarns import measure_courses, measure_yarns
 from nuno_schemas.bodies import Poses
-from nuno_schemas.errors import RunFailed
+from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status
 from nuno_schemas.plugin import StepReport
 
@@ -42,10 +44,11 @@ class Driver(Lockstep):
         self.counts: dict[str, int] = {}
         self.energy: list[dict[str, float]] = []
         self.stretch = 0.0
+        self.started = False
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """See `Lockstep`; what is added, is added to the dye where the scene has any."""
-        if request.get("action") != "add" or self.scene.dye is None:
+        if request.get("action") != "add" or self.scene.dye is None or _changes_cloth(request.get("item")):
             return super().control(request)
         try:
             answer = self.context.bus.ask_json(f"{CONTROL}/dye", request, DYE_TIMEOUT)
@@ -53,16 +56,31 @@ class Driver(Lockstep):
             return {"ok": False, "error": f"{error}; it may still do what it was asked for"}
         return answer | ({"state": self.state, "before": self.state, "left": self.left} if answer["ok"] else {})
 
+    def add(self, item: str) -> dict[str, Any]:
+        """Let an operation change the cloth at once: what is to be recorded, and what the operation says.
+
+        A checkpoint follows, so that a run resumed at this frame has the change.
+        """
+        said = self.simulation.add(item)
+        if self.started:
+            self.publish_fabric(self.simulation.frame + 1)
+            self.keep()
+        change = self.simulation.changes[-1]
+        return {"field": change["object"], "old": None, "new": change["facts"], "item": said}
+
     def publish_start(self) -> None:
         """The cloth, and its state before the first step."""
+        self.started = True
         simulation = self.simulation
-        self.publish_fabric()
+        self.publish_fabric(simulation.frame)
         measured = simulation.measure(self.poses)
         self.publish(Frame(simulation.frame, measured, 0.0, simulation.digest()), "running")
 
     def step_frame(self) -> StepReport:
         """Ask for the bodies, step, publish."""
         start = time.perf_counter()
+        if self.simulation.alter_due():
+            self.publish_fabric(self.simulation.frame + 1)
         end = self.next_poses() if self.poses is not None else None
         self.seconds["bodies"] += time.perf_counter() - start
         frame = self.simulation.advance(self.poses, end)
@@ -108,9 +126,9 @@ class Driver(Lockstep):
         bus.publisher(STATE).put(points, frame.number, simulation.t, frame.digest)
         bus.publisher(STATUS).put(status.model_dump_json().encode(), frame.number, simulation.t, frame.digest)
 
-    def publish_fabric(self) -> None:
-        """What viewers and recordings need to know about the cloth, once."""
-        self.context.bus.publisher(FABRIC).put(self.encode_fabric(), self.simulation.frame, self.simulation.t)
+    def publish_fabric(self, frame: int) -> None:
+        """What viewers and recordings need to know about the cloth, from `frame` on."""
+        self.context.bus.publisher(FABRIC).put(self.encode_fabric(), frame, frame / self.scene.frame_rate)
 
     def encode_fabric(self) -> bytes:
         return encode_arrays(*self.describe_fabric())
@@ -151,7 +169,9 @@ class Driver(Lockstep):
         arrays: dict[str, NDArray[Any]] = {"x": simulation.state.x, "v": simulation.state.v}
         arrays |= {f"memory/{name}": values for name, values in simulation.memory.arrays.items()}
         digest = simulation.digest()
-        text = {
+        fabrics, changes = simulation.altered()
+        arrays |= fabrics
+        text = changes | {
             "t": simulation.t,
             "frame": simulation.frame,
             "digest": digest,
@@ -189,7 +209,16 @@ class Driver(Lockstep):
             "courses": measure_courses(fabric, simulation.state.x),
             "pressure": self.pressure(),
             "threads": simulation.about(),
+            "changes": simulation.changes,
             "vertices": fabric.number,
             "springs": fabric.springs.number if fabric.springs else 0,
             "hinges": fabric.hinges.number if fabric.hinges else 0,
         }
+
+
+def _changes_cloth(item: object) -> bool:
+    """Whether what is to be added is an operation on cloth, not dye."""
+    try:
+        return name_of(str(item)) in registry.installed("nuno.operations")
+    except BadInput:
+        return False

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from nuno import build
 from nuno.choose import decide
 from nuno.scene_file import Loaded, apply_override, load, overridden
+from nuno.simulation.alter import carry
+from nuno.simulation.changing import Changing
 from nuno.simulation.relax import BALANCED, Relaxation, unsettled
 from nuno.step import choose_step
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Memory, State
+from nuno_schemas.fabric import Fabric, Int, Memory, State
 from nuno_schemas.plugin import StepLimit, StepReport, System
 
 REST_SPEED, REST_TIME = 1e-3, 0.1
@@ -39,7 +41,7 @@ class Frame:
     digest: str
 
 
-class Simulation:
+class Simulation(Changing):
     """A scene's cloth, its solver and its state."""
 
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
@@ -47,6 +49,7 @@ class Simulation:
         self.fabric: Fabric
         self.fabric, self.pieces = build.build_fabric(loaded, geometry, poses)
         self.start_poses = poses
+        self.begin_unchanged()
         self.state: State = build.start_state(self.fabric)
         self.frame = 0
         self.balanced = False
@@ -60,9 +63,10 @@ class Simulation:
         self.memory: Memory
         self.limit: StepLimit
         self._prepare({})
+        self.alter_due()
 
-    def _prepare(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """(Re)build what follows from the scene; `arrays` is memory to keep."""
+    def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
+        """(Re)build what follows from the scene; `arrays` is memory to keep, of vertices that were `source` before."""
         integrator = self.loaded.integrator
         self._still = False
         bodies = (self.geometry, self.start_poses)
@@ -80,13 +84,16 @@ class Simulation:
             inertia = np.where(self.fabric.pinned, 0.0, self.fabric.mass)
             self.relaxation = Relaxation(self.loaded.scene.frame_rate, inertia)
             self.memory.arrays["relaxation"] = self.relaxation.memory
+        if source is not None:
+            known = {name: values for name, values in arrays.items() if name in self.memory.arrays}
+            arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in known.items()}
         self._restore(arrays)
 
     def _find_limit(self) -> StepLimit:
         integrator = self.loaded.integrator
         try:
             with np.errstate(all="ignore"):
-                start = self.state if self.frame == 0 else build.start_state(self.fabric)
+                start = self.state if self.frame == 0 or self.changes else build.start_state(self.fabric)
                 found: StepLimit = integrator.plugin.limit(integrator.config, self.system, start)
         except (np.linalg.LinAlgError, ArithmeticError):
             found = StepLimit(np.nan, np.nan, np.nan)
@@ -117,6 +124,7 @@ class Simulation:
     def advance(self, start: Poses | None, end: Poses | None) -> Frame:
         """Simulate one frame between two sets of poses."""
         begin = time.perf_counter()
+        self.alter_due()
         poses = (start, end) if start is not None and end is not None else None
         unmoved = poses is None or _same(*poses)
         self.state.t = self.t
@@ -161,7 +169,8 @@ class Simulation:
         """Whether the scene's last frame is done, or its cloth rests and that is its end."""
         scene = self.loaded.scene
         rests = scene.until == "rest" and self.slow_frames[0] >= REST_TIME * scene.frame_rate
-        return bool(rests) or self.balanced or self.frame >= scene.frames
+        rests = (bool(rests) or self.balanced) and self.applied == len(scene.operations)
+        return rests or self.frame >= scene.frames
 
     def _content(self) -> str:
         """Hash of all that the next frame follows from."""
@@ -209,6 +218,7 @@ class Simulation:
         np.copyto(self.state.x, x)
         np.copyto(self.state.v, v)
         self.frame = frame
+        self.applied = max(self.applied, self.due(frame - 1))
         self.state.t = self.t
         self._restore(memory)
 
@@ -245,14 +255,6 @@ class Simulation:
         finally:
             # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
             self.steps, self.dt = step
-
-    def add(self, item: str) -> str:
-        """Raises BadInput: all that a simulation has is there from the start."""
-        problem, remedy = (
-            "nothing can be added to cloth that moves",
-            f"nuno control RUN set KEY=VALUE changes {', '.join(SETTABLE)}",
-        )
-        raise BadInput(problem, value=item, remedy=remedy)
 
 
 def _same(start: Poses, end: Poses) -> bool:

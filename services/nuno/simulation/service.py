@@ -31,6 +31,7 @@ def resume(context: Context, simulation: Simulation, path: Path, poses: Poses | 
         for event in control_events(recording):
             if event.text == "set" and event.frame <= point.frame:
                 simulation.set(str(event.args["item"]))
+        simulation.adopt(point.fabric, point.text)
         simulation.resume(point.frame, point.x, point.v, point.memory)
     return ask_poses(context, point.frame)() if poses is not None else None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Callable
@@ -70,6 +71,7 @@ class Bridge:
         self.recording, self.view, self.live, self.images = recording, view or View(), live, images
         self.frames = 0
         self._cloths: list[Cloth] = []
+        self._fabrics: dict[str, int] = {}
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
         self._bodies: Bodies | None = None
@@ -157,9 +159,14 @@ class Bridge:
         ):
             raise BadMessage("a fabric's arrays differ in length")
         self._vertices, self._pinned = number, arrays["pinned"].astype(bool)
+        for cloth in self._cloths:
+            cloth.clear()
         self._cloths = []
+        # What does not change is static, and hides all that comes later: changed cloth has a place of its own.
+        version = self._fabrics.setdefault(hashlib.blake2b(payload).hexdigest(), len(self._fabrics))
         for spec in text["objects"]:
-            path = layout.entity("world", "cloth", str(spec["name"]))
+            place = ("world", "cloth", str(spec["name"]), *([str(version)] if version else []))
+            path = layout.entity(*place)
             dyed = spec["name"] == self._dyed_object
             cloth = Cloth(self.recording, path, spec, arrays, self.images, dyed, self.view.links)
             self._cloths.append(cloth)

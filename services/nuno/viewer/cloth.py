@@ -130,6 +130,11 @@ class Cloth:
         elif not self.coloured and not self.dyed:
             self._log("", rr.Mesh3D.from_fields(albedo_factor=int(colour[0])), static=True)
 
+    def clear(self) -> None:
+        """Show it no more from now on: other cloth takes its place."""
+        for below in ("",) if len(self.faces) else ("masses", "springs"):
+            self._log(below, rr.Clear(recursive=False))
+
     def log_texture(self, image: NDArray[np.uint8]) -> None:
         """What dyed cloth looks like from now on: (h, w, 3) sRGB."""
         self._log("", texture_of(image))

@@ -1,0 +1,104 @@
+"""Operations on cloth while its simulation goes on: how they are named, and what is carried over."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from nuno import registry, yaml_lines
+from nuno.explain import UNNUMBERED, explain
+from nuno.files import SceneFiles
+from nuno.scene_file import Chosen, Loaded, choose_operation
+from nuno_schemas.applied import Applied
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Springs
+
+NAME = "add"
+"""What errors call the text of an added operation."""
+ARRAYS = ("position", "velocity", "mass", "pinned", "faces", "uv")
+SPRINGS = ("first", "count", "stride", "k", "rest", "c", "kind")
+HINGES = ("first", "count", "stride", "k", "rest")
+
+
+def name_of(item: str) -> str:
+    """`wrinkle` of `wrinkle: {lines: [...]}`; "" for a text that is no mapping of one name."""
+    value = yaml_lines.parse_value(item)
+    return str(next(iter(value))) if isinstance(value, dict) and len(value) == 1 else ""
+
+
+def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
+    """The object's number, the operation, and the text with what its files hold in the place of their names.
+
+    Raises BadInput.
+    """
+    name, known = name_of(item), sorted(registry.installed("nuno.operations"))
+    if name not in known:
+        remedy = "for example wrinkle: {lines: [{points: [[0, 0, 0], [0.1, 0, 0]], height: 1 cm}]}"
+        problem, limit = "cloth that moves is changed by an operation", nearest(name, known)
+        raise BadInput(problem, NAME, value=item, limit=limit, remedy=remedy)
+    fields = yaml_lines.parse_value(item)[name]
+    if not isinstance(fields, dict):
+        raise BadInput("an operation is given by a mapping of fields", NAME, value=item)
+    if "at" in fields:
+        raise BadInput("what is added is applied at once", NAME, field="at", remedy="leave it out")
+    data = {"plugin": name, **fields}
+    lines = dict.fromkeys(yaml_lines.places(data), UNNUMBERED)
+    try:
+        applied = Applied.model_validate(data)
+    except ValidationError as error:
+        raise explain(error, data, (), NAME, lines, Applied) from None
+    names = [spec.name for spec in loaded.scene.objects]
+    of = applied.object or (names[0] if len(names) == 1 else "")
+    if of not in names:
+        remedy = nearest(of, names)
+        raise BadInput("say which object it changes", NAME, field="object", value=applied.object, remedy=remedy)
+    files = SceneFiles(loaded.files.folder, loaded.files.roots)
+    chosen = choose_operation(applied, (), NAME, lines, files)
+    if files.used:
+        own = {} if applied.object is None else {"object": applied.object}
+        said = chosen.config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        item = json.dumps({chosen.name: own | said})
+    return names.index(of), chosen, item
+
+
+def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[Any]:
+    """A solver's array for a changed fabric: of old vertices what `values` has, of new ones what `target` begins with.
+
+    source (n,) the vertex that each was, -1 for a new one. An array without an axis of vertices stays as it is.
+    """
+    axes = [i for i, (old, new) in enumerate(zip(values.shape, target.shape, strict=True)) if old != new]
+    if not axes:
+        return values
+    carried = np.moveaxis(target.copy(), axes[0], 0)
+    old = source >= 0
+    carried[old] = np.moveaxis(values, axes[0], 0)[source[old]]
+    return np.ascontiguousarray(np.moveaxis(carried, 0, axes[0]))
+
+
+def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
+    """All arrays of a fabric of springs and hinges, for a checkpoint; `fabric_from` is the way back."""
+    arrays = {name: getattr(fabric, name) for name in ARRAYS if getattr(fabric, name) is not None}
+    for part, names in (("springs", SPRINGS), ("hinges", HINGES)):
+        held = getattr(fabric, part)
+        arrays |= {} if held is None else {f"{part}.{name}": getattr(held, name) for name in names}
+    return arrays | {f"bindings.{i}": binding.vertices for i, binding in enumerate(fabric.bindings)}
+
+
+def fabric_from(arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str, float]) -> Fabric:
+    """The fabric that a checkpoint holds, `built` being that of the scene. Raises BadInput where it is damaged."""
+    try:
+        parts: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
+        springs = Springs(*(arrays[f"springs.{name}"] for name in SPRINGS)) if built.springs else None
+        hinges = Hinges(*(arrays[f"hinges.{name}"] for name in HINGES)) if built.hinges else None
+        bindings = tuple(
+            Binding(arrays[f"bindings.{i}"].astype(np.int32), binding.body, binding.frame)
+            for i, binding in enumerate(built.bindings)
+        )
+    except KeyError as error:
+        raise BadInput(f"the checkpoint lacks {error} of a changed fabric") from None
+    return replace(built, **parts, springs=springs, hinges=hinges, bindings=bindings, origin=origin)

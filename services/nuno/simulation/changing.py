@@ -1,0 +1,149 @@
+"""A simulation whose cloth operations change while it goes on."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno import build
+from nuno.join import join_fabrics
+from nuno.scene_file import Chosen, Loaded
+from nuno.simulation.alter import fabric_arrays, fabric_from, parse
+from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Int, Memory, State
+from nuno_schemas.operation import Outcome
+
+
+class Changing(ABC):
+    """Cloth, its state and its solver, and what operations have made of them."""
+
+    loaded: Loaded
+    geometry: Geometry | None
+    start_poses: Poses | None
+    fabric: Fabric
+    pieces: list[build.Piece]
+    state: State
+    memory: Memory
+    frame: int
+    steps: int
+    dt: float
+    slow_frames: NDArray[np.int64]
+    balanced: bool
+
+    @property
+    @abstractmethod
+    def t(self) -> float:
+        """Simulation time [s]."""
+
+    @abstractmethod
+    def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
+        """(Re)build what follows from the scene; `arrays` is memory to keep, of vertices that were `source` before."""
+
+    def begin_unchanged(self) -> None:
+        """Have the cloth of the scene."""
+        self.changes: list[dict[str, Any]] = []
+        """What operations did to the cloth, in their order: frame, t [s], operation, object and its facts."""
+        self.applied = 0
+        """Of the scene's operations."""
+        self._fabrics: list[Fabric] | None = None
+
+    def add(self, item: str) -> str:
+        """Apply an operation, `wrinkle: {...}`, at once; the text that does so again. Raises BadInput."""
+        index, chosen, item = parse(item, self.loaded)
+        self._alter(index, chosen)
+        return item
+
+    def due(self, frame: int) -> int:
+        """How many of the scene's operations have come by `frame`."""
+        rate = self.loaded.scene.frame_rate
+        return sum(round(float(applied.at) * rate) <= frame for applied in self.loaded.scene.operations)
+
+    def alter_due(self) -> bool:
+        """Apply the scene's operations whose time has come; whether there were any. Raises BadInput."""
+        scene, before = self.loaded.scene, self.applied
+        order = sorted(range(len(scene.operations)), key=lambda i: float(scene.operations[i].at))
+        names = [spec.name for spec in scene.objects]
+        for i in order[before : self.due(self.frame)]:
+            name = scene.operations[i].object or names[0]
+            try:
+                self._alter(names.index(name), self.loaded.operations[i])
+            except BadInput as error:
+                raise self.loaded.at(f"operations[{i}]", error) from None
+            self.applied += 1
+        return self.applied > before
+
+    def parts(self) -> list[Fabric]:
+        """The fabric of each object as it is now."""
+        if len(self.pieces) == 1:
+            return [self.fabric]
+        if self._fabrics is None:  # joined fabrics are copies: parts are kept only where one changes
+            self._fabrics = build.build_fabrics(self.loaded, self.geometry, self.start_poses)
+        return self._fabrics
+
+    def _alter(self, index: int, chosen: Chosen) -> None:
+        """Let an operation change one object; all is as it was where it is refused. Raises BadInput."""
+        piece, fabrics = self.pieces[index], list(self.parts())
+        own = slice(piece.start, piece.stop)
+        state = State(self.state.x[own].copy(), self.state.v[own].copy(), self.state.t)
+        outcome: Outcome = chosen.plugin.apply(chosen.config, fabrics[index], state, None)
+        made = outcome.changed
+        if made is None:
+            raise BadInput("the operation changed nothing", value=chosen.name)
+        fabrics[index] = made.fabric
+        moved = np.where(made.source >= 0, made.source + piece.start, -1)
+        source = np.concatenate([np.arange(piece.start), moved, np.arange(piece.stop, self.fabric.number)])
+        x, v = (
+            np.concatenate([old[: piece.start], new, old[piece.stop :]])
+            for old, new in ((self.state.x, made.state.x), (self.state.v, made.state.v))
+        )
+        before, kept = dict(vars(self)), dict(self.memory.arrays)
+        told = {"frame": self.frame, "t": self.t, "operation": chosen.name, "object": piece.name}
+        self.changes = [*self.changes, told | {"facts": dict(outcome.facts)}]
+        try:
+            self._take(fabrics, State(x, v, self.state.t))
+            self._prepare(kept, source.astype(np.int32))
+        except BadInput as error:
+            vars(self).update(before)
+            problem = "the changed cloth would make the present step unstable"
+            remedy = "solver: {dt: auto}, a smaller dt, a line of fewer small triangles, or springs: paper"
+            raise BadInput(problem, value=f"{self.dt:g} s", limit=error.limit, remedy=remedy) from None
+        # A step never grows while a run goes on, and what was at rest is so no more.
+        if before["steps"] > self.steps:
+            self.steps, self.dt = before["steps"], before["dt"]
+        self.slow_frames[0] = 0
+        self.balanced = False
+
+    def _take(self, fabrics: list[Fabric], state: State) -> None:
+        """Have these objects, where `state` says."""
+        self._fabrics = fabrics if len(fabrics) > 1 else None
+        self.fabric = join_fabrics(fabrics, self.loaded.scene.name)
+        self.pieces = build.place_pieces(self.loaded, fabrics)
+        self.state = state
+
+    def altered(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and text for a checkpoint: the objects that operations have changed."""
+        names = [piece.name for piece in self.pieces]
+        changed = sorted({names.index(change["object"]) for change in self.changes})
+        fabrics = self.parts() if changed else []
+        arrays = {f"fabric/{i}/{name}": a for i in changed for name, a in fabric_arrays(fabrics[i]).items()}
+        origins = {str(i): dict(fabrics[i].origin) for i in changed}
+        return arrays, {"changes": self.changes, "applied": self.applied, "origins": origins}
+
+    def adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> None:
+        """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
+        origins: dict[str, dict[str, float]] = text.get("origins", {})
+        if not origins:
+            return
+        self.applied = int(text["applied"])
+        fabrics = list(self.parts())
+        for number, origin in origins.items():
+            own = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
+            fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin)
+        self.changes = list(text["changes"])
+        self._take(fabrics, build.start_state(join_fabrics(fabrics, self.loaded.scene.name)))
+        self._prepare({})
+        self.steps, self.dt = int(text["steps"]), float(text["dt"])
