@@ -48,26 +48,31 @@ class Girths(Config):
 
 
 class MeshConfig(OnJoint):
-    """A closed surface: a file's or a built-in one, scaled, turned about its origin, then moved by `centre`."""
+    """A closed surface: a file's, else a built-in one, scaled, turned about its origin, then moved by `centre`."""
 
     file: str | None = Field(default=None, description="a mesh beside the scene: OBJ, PLY, STL or GLB")
     shape: Literal["leg", "torso"] | None = Field(
-        default=None, description="or one that comes with nuno: an average leg; a torso with stumps of arms and neck"
+        default=None,
+        description="where no file is given, one that comes with nuno: an average leg; a torso with stumps of arms and "
+        "neck",
     )
     resolution: int = Field(default=96, ge=12, le=2048, description="of the shape: vertices round the leg or the waist")
     girths: Girths | None = Field(default=None, description="of the torso, where they are to be others")
     arms: Angle = Field(default=0.25 * math.pi, description="of the torso: between upper arms and the plumb line [rad]")
     scale: Size = Field(default=1.0, description="length of one of the file's units [m]; 1 leaves a shape its size")
+    up: Literal["y", "z"] = Field(default="y", description="which of the file's axes points up; z is turned to y")
     rotate: Rotation | None = Field(default=None, description="a turn about the mesh's origin")
     centre: Point = Field(default=ORIGIN, description="where the mesh's origin comes to lie, in the joint's frame [m]")
     mend: bool = Field(default=False, description="turn triangles that face the wrong way and fill holes")
 
     @model_validator(mode="after")
     def _one_source(self) -> MeshConfig:
-        if (self.file is None) == (self.shape is None):
-            raise ValueError("a mesh needs either a file or a shape")
+        if self.file is None and self.shape is None:
+            raise ValueError("a mesh needs a file or a shape")
+        if self.up == "z" and self.file is None:
+            raise ValueError("what comes with nuno has y up: up is for files")
         given = {"girths", "arms"} & self.model_fields_set
-        if given and self.shape != "torso":
+        if given and (self.file is not None or self.shape != "torso"):
             raise ValueError(f"only the torso has {' and '.join(sorted(given))} to choose")
         if not ARMS[0] <= self.arms <= ARMS[1]:
             limits = " to ".join(f"{math.degrees(angle):g}" for angle in ARMS)
@@ -94,7 +99,7 @@ class MeshCollider:
         """Heights in the joint's frame [m] of places that have a name: of a shape that stands as it comes."""
         c = cast(MeshConfig, config)
         upright = c.rotate is None or c.rotate.axis[0] == c.rotate.axis[2] == 0.0
-        known = {"leg": LANDMARKS, "torso": HEIGHTS}.get(c.shape or "", {})
+        known = {"leg": LANDMARKS, "torso": HEIGHTS}.get(c.shape or "", {}) if c.file is None else {}
         return {name: c.centre[1] + c.scale * y for name, y in known.items()} if upright else {}
 
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
@@ -103,6 +108,7 @@ class MeshCollider:
         frames, frame = find_frame(c.joint, mover)
         if c.file is not None:
             x, faces = read_closed(files.resolve(c.file), c.scale, c.mend)
+            x = x[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0]) if c.up == "z" else x
         else:
             x, faces = leg_mesh(c.resolution) if c.shape == "leg" else make_torso(c)
             x = x * c.scale

@@ -104,7 +104,9 @@ def find_axis(x: Float, faces: Int, start: Float, end: Float, count: int = 64) -
     tree = build_tree(x, faces)
     ends = np.array([start, end], np.float64)
     check_inside(x, faces, ends, tree)
-    if count < 4 or np.array_equal(ends[0], ends[1]):
+    if np.array_equal(ends[0], ends[1]):
+        raise BadInput("both ends of the axis are in the same place", field="axis", value=place_of(ends[0]))
+    if count < 4:
         raise BadInput("an axis needs two ends and points between them", field="axis", value=count, limit=">= 4 points")
     value = way_from(x, faces, ends[0])
     last = float(value[faces[closest_points(tree, ends[1:]).face[0]]].mean())

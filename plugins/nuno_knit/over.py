@@ -24,6 +24,10 @@ SKIN = 5e-5
 """The end rows are held so far off the surface [m]: the gap at which sliding contact rests unless told otherwise."""
 NARROW = 0.9
 """A row's girth at rest is this share of the limb's there at most: rows narrow towards a toe."""
+SMALLEST, LARGEST = 0.02, 5.0
+"""Longest side of the box about a body that can wear a knit [m]: from a doll's leg to twice a person."""
+UNITS = {"1mm": 1e-3, "1cm": 1e-2, "1inch": 0.0254, "1m": 1.0, "1km": 1e3}
+"""Lengths that a file's unit may be [m]; that is proposed which makes the body about a metre long."""
 ROOM = 4e-5
 """Least distance from the surface at which points start [m]."""
 ROUNDS = 8
@@ -66,7 +70,14 @@ def draw_over(over: Over, net: Structure, spacing: tuple[float, float] | None, x
 
     Raises BadInput for ends that lie outside of the mesh, and for a limb that has no room for it.
     """
-    rows = lay_rows(x, faces, _line(over, x, faces), net.courses + 1, net.columns, over.toe == "closed")
+    check_size(x, over.body)
+    try:
+        rows = lay_rows(x, faces, _line(over, x, faces), net.courses + 1, net.columns, over.toe == "closed")
+    except BadInput as error:
+        # Who finds axes and rows does not know where a scene says between what.
+        if error.field is not None and error.field.startswith(("axis", "between")):
+            error.field = "over.between"
+        raise
     ratio = np.linspace(*(over.girth if isinstance(over.girth, tuple) else (over.girth, over.girth)), len(rows.girth))
     if spacing is None:
         girth = ratio * (rows.girth.mean() if over.of == "mean" else rows.girth)
@@ -75,6 +86,19 @@ def draw_over(over: Over, net: Structure, spacing: tuple[float, float] | None, x
         girth, leg = np.full(len(rows.girth), spacing[0] * net.columns), spacing[1]
     girth = np.minimum(girth, NARROW * rows.girth)
     return Fitted(_clear(over, rows, x, faces), girth / net.columns, np.full(net.courses, leg))
+
+
+def check_size(x: Float, body: str) -> None:
+    """Raises BadInput for a body x (v, 3) [m] that no one has, as one is that was read in another unit."""
+    size = float((x.max(axis=0) - x.min(axis=0)).max())
+    if SMALLEST <= size <= LARGEST:
+        return
+    unit = min(UNITS, key=lambda name: abs(np.log(size * UNITS[name])))
+    raise BadInput(
+        "the body is too small or too large to wear a knit: its file may be in another unit than metres",
+        field="over.body", value=f"{body}, {size:.3g} m long", limit=f"{SMALLEST:g} to {LARGEST:g} m",
+        remedy=f"say how long its unit is: --set bodies.{body}.collider.scale={unit}",
+    )  # fmt: skip
 
 
 def _line(over: Over, x: Float, faces: Int) -> Float:

@@ -200,22 +200,32 @@ def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
     here: Any = data
     place: list[str | int] = []
     for i, part in enumerate(parts):
-        if isinstance(here, list) and part.isdecimal() and int(part) < len(here):
-            place.append(int(part))
+        number = _number(here, part) if isinstance(here, list) else None
+        if number is not None:
+            place.append(number)
         elif isinstance(here, dict):
             place.append(part)
         else:
             remedy = f"{dotted(tuple(place))} holds {_kind(here)}; name what is there"
             raise BadInput("no such field", "--set", field=key, value=part, remedy=remedy)
         if i < len(parts) - 1:
-            here = here.setdefault(part, {}) if isinstance(here, dict) else here[int(part)]
+            here = here.setdefault(part, {}) if isinstance(here, dict) else here[place[-1]]
     here[place[-1]] = value
     return tuple(place)
 
 
+def _number(parts: list[Any], part: str) -> int | None:
+    """Which of a list's parts is meant, by its number or by its name; None for neither."""
+    if part.isdecimal():
+        return int(part) if int(part) < len(parts) else None
+    names = [one.get("name") if isinstance(one, dict) else None for one in parts]
+    return names.index(part) if part in names else None
+
+
 def _kind(value: Any) -> str:
     if isinstance(value, list):
-        return f"a list of {len(value)}, counted from 0"
+        names = [str(one["name"]) for one in value if isinstance(one, dict) and "name" in one]
+        return f"a list of {len(value)}, counted from 0{''.join(f', {name}' for name in names)}"
     return f"the value {value!r:.60}"
 
 

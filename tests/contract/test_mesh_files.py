@@ -109,10 +109,22 @@ def test_a_collider_is_scaled_turned_and_moved(tmp_path: Path) -> None:
     assert np.isfinite(shape.vertices).all() and shape.vertices.shape == (8, 3)
 
 
-def test_a_mesh_needs_just_one_source() -> None:
-    for fields in ({}, {"file": "a.obj", "shape": "leg"}):
-        with pytest.raises(ValueError, match="either a file or a shape"):
-            MeshConfig.model_validate(fields)
+def test_a_mesh_needs_a_source_and_takes_the_file_before_the_shape(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="a file or a shape"):
+        MeshConfig.model_validate({})
+    with pytest.raises(ValueError, match="up is for files"):
+        MeshConfig.model_validate({"shape": "leg", "up": "z"})
+    config = MeshConfig.model_validate({"file": str(save(ball(), tmp_path / "ball.ply")), "shape": "leg"})
+    assert len(MeshCollider().build(config, None, Anywhere()).vertices) == 162
+    assert not MeshCollider().heights(config) and MeshCollider().heights(MeshConfig(shape="leg"))
+
+
+def test_what_is_up_in_a_file_is_up_in_the_scene(tmp_path: Path) -> None:
+    """A right-handed turn: x stays, z goes up, and what was y lies behind."""
+    path = save(trimesh.creation.box((1.0, 2.0, 3.0)), tmp_path / "box.ply")
+    shape = MeshCollider().build(MeshConfig.model_validate({"file": str(path), "up": "z"}), None, Anywhere())
+    np.testing.assert_allclose(shape.b - shape.a, [[1.0, 3.0, 2.0]])
+    assert volume(shape.vertices, shape.faces) == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("around", [12, 48, 96])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from nuno import scene_file
 from nuno.scene_file import Loaded
+from nuno_schemas.errors import BadInput
 
 
 def add_scene(parser: argparse.ArgumentParser, optional: bool = False) -> None:
@@ -36,4 +37,29 @@ def add_config(parser: argparse._ActionsContainer) -> None:
 
 
 def load_scene(args: argparse.Namespace) -> Loaded:
-    return scene_file.read(scene_file.find(args.scene), args.overrides, args.root)
+    """The scene, changed by `--set`. Raises BadInput."""
+    path = scene_file.find(args.scene)
+    overrides, folders = find_own(path, args.overrides)
+    return scene_file.read(path, overrides, [*args.root, *folders])
+
+
+def find_own(scene: Path, overrides: list[str]) -> tuple[list[str], list[Path]]:
+    """Overrides whose value is the path of a file, from where the command is typed, with its name instead, and the
+    folders of these files. What the user types may be read, wherever it lies; what a scene says may not.
+
+    Raises BadInput for a file that goes by the name of another one beside the scene.
+    """
+    named, folders = [], []
+    for item in overrides:
+        key, equals, value = item.partition("=")
+        own = Path(value).expanduser()
+        if not (equals and own.suffix and "\n" not in value and len(value) < 1000 and own.is_file()):
+            named.append(item)
+            continue
+        other = scene.resolve().parent / own.name
+        if other.is_file() and not other.samefile(own):
+            problem, remedy = "another file of this name lies beside the scene", "give yours another name"
+            raise BadInput(problem, "--set", field=key, value=value, limit=str(other), remedy=remedy)
+        named.append(f"{key}={own.name}")
+        folders.append(own.resolve().parent if own.is_symlink() else own.parent.resolve())
+    return named, folders
