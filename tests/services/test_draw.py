@@ -5,16 +5,21 @@ from __future__ import annotations
 import http.client
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from draw_desk import SHEET, scene_desk, served, write_sheet
 
-from nuno import yaml_lines
+from nuno import scene_file, yaml_lines
 from nuno.draw.append import append_items
 from nuno.draw.guard import MOST_BYTES
+from nuno.draw.lines import by_object, positions, read_strokes
+from nuno.draw.refusals import said_by_run
 from nuno.draw.server import Server
+from nuno.draw.sight import Piece, Sight
 from nuno_schemas.errors import BadInput
 
 ITEM = {"plugin": "wrinkle", "object": "cloth", "lines": [{"on_faces": [{"face": 1, "at": [0.5, 0.5, 0]}]}]}
@@ -155,3 +160,72 @@ def test_a_text_that_would_say_something_else_is_refused(text: str) -> None:
     with pytest.raises(BadInput) as refused:
         append_items(text, "operations", [ITEM], "scene.yaml")
     assert refused.value.remedy
+
+
+def test_lines_are_given_by_their_objects_own_triangles() -> None:
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float64)
+    two = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    sight = Sight(
+        np.concatenate([square, square + 5.0]), np.concatenate([two, two + 4]), (Piece("a", 0, 4), Piece("b", 4, 8))
+    )
+    lines = [
+        {"points": [[0, 0.2, 0.3], [1, 0.3, 0.3]], "height": 0.01},
+        {"points": [[3, 0.2, 0.3], [2, 0, 0]], "height": -0.01},
+    ]
+    found = by_object(read_strokes(lines, sight), sight)
+    assert [[row["face"] for row in line["on_faces"]] for name in "ab" for line in found[name]] == [[0, 1], [1, 0]]
+    assert found["b"][0]["on_faces"][0]["at"] == pytest.approx([0.5, 0.2, 0.3]) and found["b"][0]["height"] == -0.01
+    exact = by_object(read_strokes(lines, sight), sight, exact=False)
+    assert exact["b"][0]["points"] == [[5.2, 5.5, 5.0], [5.0, 5.0, 5.0]]
+    with pytest.raises(BadInput, match="two pieces"):
+        read_strokes([{"points": [[0, 0.2, 0.3], [3, 0.3, 0.3]], "height": 0.01}], sight)
+
+
+@pytest.mark.parametrize("field", [None, "lines[1]", "wrinkle.lines[1].height"])
+def test_what_a_run_refuses_is_read_as_it_was_said(field: str | None) -> None:
+    said = BadInput("too high: by far", "add", None, field, 5.0, "1 m: the cloth", "a smaller height")
+    assert said_by_run(BadInput(str(said))) == replace(said, file=None, value="5.0")
+
+
+def test_saving_again_takes_the_place_of_what_was_saved(tmp_path: Path) -> None:
+    path = write_sheet(tmp_path)
+    desk = scene_desk(path)
+    save: dict[str, Any] = {"do": "save", "lines": [LINE]}
+    desk.act(save)
+    desk.act(save | {"lines": [LINE | {"height": 0.03}]})
+    (operation,) = yaml_lines.parse(path.read_text(), "")[0]["operations"]
+    assert [line["height"] for line in operation["lines"]] == [0.03]
+    changed = path.read_text() + "# mine"
+    path.write_text(changed)
+    with pytest.raises(BadInput, match="changed after"):
+        desk.act(save)
+    assert path.read_text() == changed
+    # A page that is opened on what is there now adds behind it, by places that its triangles do not matter for.
+    again = scene_desk(path)
+    again.act(save)
+    first, second = yaml_lines.parse(path.read_text(), "")[0]["operations"]
+    assert first == operation and path.read_text().endswith("# mine")
+    assert np.allclose(
+        second["lines"][0]["points"], positions(read_strokes([LINE], again.board.now)[0], again.board.now)
+    )
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_shipped_scene_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = scene_file.find("hanging-sheet")
+    before = path.read_bytes()
+    for name in ("hanging-sheet-drawn.yaml", "hanging-sheet-drawn-2.yaml"):
+        answer = scene_desk(path).act({"do": "save", "lines": [LINE]})
+        assert Path(answer["file"]) == tmp_path / name and answer["text"].endswith(f"nuno run {name}")
+        assert scene_file.read(tmp_path / name).scene.operations
+    assert path.read_bytes() == before
+
+
+def test_lines_on_other_triangles_than_the_files_are_not_saved(tmp_path: Path) -> None:
+    path = write_sheet(tmp_path)
+    desk = scene_desk(path)
+    path.write_text(changed := SHEET.replace("[13, 13]", "[14, 14]"))
+    with pytest.raises(BadInput, match="other triangles"):
+        desk.act({"do": "save", "lines": [LINE]})
+    assert path.read_text() == changed

@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from chromium import Page, find_browser
-from draw_desk import run_desk, scene_desk, served, write_sheet
-from live_run import Run, wait_until
+from draw_desk import SHEET, run_desk, scene_desk, served, write_sheet
+from live_run import Run
 from numpy.typing import NDArray
 
+import nuno
+from nuno import scene_file
 from nuno.draw.desk import Desk
 from nuno.draw.lines import positions, read_strokes
+from nuno.recording.restore import control_events
 from nuno_schemas.fabric import Float
 
 pytestmark = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
@@ -67,13 +70,19 @@ def far(points: NDArray[np.float64], line: NDArray[np.float64]) -> float:
 
 def check_under_mouse(page: Page, desk: Desk, line: dict[str, Any]) -> None:
     """The line lies on the cloth, which need not be flat, within a pixel of where the mouse went, all along."""
-    (stroke,) = read_strokes([line], desk.board.now)
-    way, seen = np.array(PATH), pixels(page, positions(stroke, desk.board.now) - desk.board.now.origin)
+    way, seen = np.array(PATH), pixels(page, places(desk, line))
     assert far(way, seen) < 1.0 and far(seen, way) < 1.0
 
 
-def test_a_line_is_drawn_undone_and_exported(page: Page, tmp_path: Path) -> None:
-    desk = scene_desk(write_sheet(tmp_path))
+def places(desk: Desk, line: dict[str, Any]) -> Float:
+    """(p, 3) where the points of a line are, as the page counts [m]."""
+    (stroke,) = read_strokes([line], desk.board.now)
+    return positions(stroke, desk.board.now) - desk.board.now.origin
+
+
+def test_a_line_is_drawn_undone_and_saved(page: Page, tmp_path: Path) -> None:
+    scene = write_sheet(tmp_path)
+    desk = scene_desk(scene)
     with served(desk) as server:
         look(page, server.guard.address)
         page.drag(PATH)
@@ -88,18 +97,29 @@ def test_a_line_is_drawn_undone_and_exported(page: Page, tmp_path: Path) -> None
         assert [line["height"] > 0 for line in drawn(page)] == [True, False]
         page.click("undo")
         assert drawn(page) == [line]
-        page.click("redo")
-        assert len(drawn(page)) == 2
-        page.drag([(290, 560), (330, 540)])  # beside the cloth: this turns it
-        assert len(drawn(page)) == 2 and far(np.array(PATH), pixels(page, places(desk, line))) > 5.0
+        check_saved(page, desk, scene, line)
+        page.drag([(460, 230), (470, 330)])  # a valley, across the ridge
+        page.wait("document.querySelector('#labels div')?.textContent.includes('one triangle')")
+        assert page.value("document.querySelectorAll('#list li')[1].querySelector('.error') != null")
         page.click("clear")
-        assert drawn(page) == [] and page.value("nuno.lines.past.length") == 3
+        assert drawn(page) == [] and not page.value("document.getElementById('labels').childElementCount")
     assert page.said == []
 
 
-def places(desk: Desk, line: dict[str, Any]) -> Float:
-    (stroke,) = read_strokes([line], desk.board.now)
-    return positions(stroke, desk.board.now) - desk.board.now.origin
+def check_saved(page: Page, desk: Desk, scene: Path, line: dict[str, Any]) -> None:
+    """What is saved is the line that was drawn, once however often it is saved, and all else as it was."""
+    for _ in range(2):
+        page.value("document.getElementById('toast').hidden = true")
+        page.click("save")
+        page.wait("!document.getElementById('toast').hidden")
+    text = scene.read_text()
+    assert [row for row in text.splitlines() if not row.startswith(("operations", "  - {plugin: wrinkle"))] == [
+        *SHEET.splitlines()
+    ]
+    (operation,) = scene_file.read(scene).scene.operations
+    (kept,) = operation.config["lines"]
+    at = np.array([[row["face"], *row["at"][1:]] for row in kept["on_faces"]])
+    assert np.allclose(at, line["points"], atol=1e-5) and kept["height"] == pytest.approx(line["height"])
 
 
 def test_the_page_follows_a_run_and_gives_it_lines(page: Page, tmp_path: Path) -> None:
@@ -107,18 +127,35 @@ def test_the_page_follows_a_run_and_gives_it_lines(page: Page, tmp_path: Path) -
     run = Run(scene, tmp_path / "run.mcap")
     assert run.moved.wait(120)
     desk = run_desk(scene, run.run, run.endpoint)
-    try:
-        with served(desk) as server:
-            look(page, server.guard.address)
-            frame = page.value("nuno.frame")
-            page.wait(f"nuno.frame > {frame} + 20 && nuno.state == 'running'")
-            page.click("play")
-            page.wait("nuno.state == 'paused'")
-            wait_until(lambda: desk.board.now.frame == run.control("status")["frame"])
-            page.wait(f"nuno.frame == {desk.board.now.frame}")
-            page.click("fit")
-            page.drag(PATH)
-            (line,) = drawn(page)
-            check_under_mouse(page, desk, line)
-    finally:
-        run.stop()
+    with served(desk) as server:
+        look(page, server.guard.address)
+        frame = page.value("nuno.frame")
+        page.wait(f"nuno.frame > {frame} + 5 && nuno.state == 'running'")
+        page.click("play")
+        page.wait("nuno.state == 'paused'")
+        frame = run.control("status")["frame"]
+        page.wait(f"nuno.frame == {frame}")
+        page.click("fit")
+        page.drag(PATH)
+        (line,) = drawn(page)
+        check_under_mouse(page, desk, line)
+        before = desk.board.now
+        page.value("nuno.lines.alter(1, {height: 50})")
+        page.click("apply")
+        page.wait("document.querySelector('#labels div')?.textContent.includes('smaller')")
+        assert desk.board.now.shape == before.shape and len(drawn(page)) == 1
+        page.click("undo")
+        page.click("apply")
+        page.wait("nuno.lines.applied.size == 1")
+        after = desk.board.now
+        split = len(after.x) - len(before.x)
+        assert split > 5 and len(after.faces) == len(before.faces) + 2 * split
+        page.wait(f"nuno.stage.cloth.x.length == {after.x.size} && nuno.frame == {frame}")
+        assert far(np.array(PATH), pixels(page, places(desk, drawn(page)[0]))) < 30.0  # on the raised cloth
+        page.click("play")
+        page.wait(f"nuno.frame > {frame} + 5")
+    run.stop()
+    with nuno.open(run.record) as recording:
+        assert [event.text for event in control_events(recording)] == ["pause", "add", "resume", "stop"]
+        assert len(list(recording.frames())[-1].x) == len(after.x)
+    assert page.said == []

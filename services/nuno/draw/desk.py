@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import subprocess
 import sys
 import tempfile
@@ -16,9 +17,10 @@ from nuno.arrays import BadMessage
 from nuno.draw import keep
 from nuno.draw.follow import Follower
 from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
-from nuno.draw.refusals import describe, said_by_run
+from nuno.draw.refusals import beside, describe, said_by_run
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board, Sight
+from nuno.draw.trial import Trial
 from nuno.scene_file import Loaded
 from nuno_schemas.errors import BadInput, RunFailed
 
@@ -41,6 +43,8 @@ class Desk:
         """What the page began with: lines are saved by their places there."""
         self._own: subprocess.Popen[bytes] | None = None
         self._waiting: threading.Thread | None = None
+        self._trial: Trial | None = None
+        self._keeper = keep.Keeper(loaded) if loaded is not None else None
         self._lock = threading.Lock()
         self._acts = {
             "about": self.about,
@@ -49,6 +53,7 @@ class Desk:
             "pause": self.control,
             "resume": self.control,
             "step": self.control,
+            "check": self.check,
             "apply": self.apply,
             "save": self.save,
             "export": self.export,
@@ -59,6 +64,8 @@ class Desk:
         name = str(request.get("do"))
         if name not in self._acts:
             raise BadInput("no such request", value=name, limit=", ".join(self._acts))
+        if name == "check":  # it may compile kernels for a while, and changes nothing
+            return self.check(request)
         with self._lock:
             return self._acts[name](request)
 
@@ -68,7 +75,7 @@ class Desk:
         return {
             "name": scene.name if scene else self.board.now.run,
             "canStart": self.loaded is not None and self.follower is None,
-            "target": str(keep.target(self.loaded).name) if self.loaded else "",
+            "target": self._keeper.path.name if self._keeper else "",
         }
 
     # A run of one's own: a process of its own, so that the page answers while kernels compile.
@@ -93,6 +100,8 @@ class Desk:
                 with contextlib.suppress(RunFailed, BadInput, BadMessage):
                     follower = Follower(run, endpoint, self.board)
                     try:
+                        if self.loaded is not None and any(op.at == 0.0 for op in self.loaded.scene.operations):
+                            follower.step()  # what the scene itself does to the cloth comes first
                         follower.start()
                     except BaseException:
                         follower.close()
@@ -158,6 +167,23 @@ class Desk:
             raise BadInput("the cloth's triangles have changed meanwhile", field="shape", remedy=remedy)
         return sight
 
+    def check(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Try the lines on the cloth as the scene begins, where that is what is shown. Raises BadInput."""
+        sight = self._sight(request)
+        if self.loaded is None or sight.state != "start":
+            return {}
+        if self._trial is None:
+            self._trial = Trial(self.loaded)
+        strokes = read_strokes(request.get("lines"), sight)
+        for which in pieces_of(strokes, sight).values():
+            lines = by_object([strokes[i] for i in which], sight)
+            (operation,) = keep.as_operations(lines, request.get("settings"))
+            try:
+                self._trial.apply(operation)
+            except BadInput as error:
+                raise beside(error, strokes, which, sight) from None
+        return {}
+
     def apply(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Add lines to the run, those of each object at once; numbers of those that it took, and what it refused."""
         follower, sight = self._running(), self._sight(request)
@@ -170,7 +196,7 @@ class Desk:
             try:
                 follower.control(action="add", item=item)
             except BadInput as error:
-                refused = {"ok": False} | describe(said_by_run(error, which))
+                refused = {"ok": False} | describe(beside(said_by_run(error), strokes, which, sight))
                 break
             applied += which
         with contextlib.suppress(RunFailed, BadMessage):
@@ -179,11 +205,12 @@ class Desk:
 
     def save(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Add lines to the scene's file. Raises BadInput."""
-        if self.loaded is None:
+        if self._keeper is None:
             raise BadInput("the run's scene is no file that lines could be added to", remedy="export the lines instead")
         base = self.start_sight
-        lines = by_object(read_strokes(request.get("lines"), base), base)
-        return keep.save(self.loaded, base, lines, request.get("settings"))
+        strokes = read_strokes(request.get("lines"), base)
+        lines = {exact: by_object(strokes, base, exact) for exact in (True, False)}
+        return self._keeper.save(base, lines, request.get("settings"))
 
     def export(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """The lines as an OBJ file's text, which the browser saves. Raises BadInput."""
@@ -194,7 +221,9 @@ class Desk:
 
 def _command(loaded: Loaded, run: str) -> list[str]:
     roots = [text for root in loaded.files.roots for text in ("--root", str(root))]
-    changes = [text for item in loaded.overrides for text in ("--set", item)]
+    # The scene as it was opened: what is saved to its file meanwhile, the page adds itself.
+    opened = f"{keep.LIST}={json.dumps(loaded.data.get(keep.LIST) or [])}"
+    changes = [text for item in (*loaded.overrides, opened) for text in ("--set", item)]
     # -P: a module of the user's folder must not stand in for one of ours.
     head = [sys.executable, "-P", "-m", "nuno", "run", str(loaded.path)]
     return [*head, "--paused", "--no-view", "--run", run, *roots, *changes]

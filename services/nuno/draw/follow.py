@@ -9,6 +9,7 @@ import time
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import zenoh
 
 from nuno import runs
@@ -16,7 +17,7 @@ from nuno.arrays import BadMessage, decode_arrays, decode_points
 from nuno.bus import Bus, Inbox, Message
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.draw.shown import Bodies, see_now, size_of
-from nuno.draw.sight import Board, Sight
+from nuno.draw.sight import NO_POINTS, Board, Sight
 from nuno.sessions import spoke
 from nuno.simulation.driver import NOW
 from nuno_schemas.bodies import Poses
@@ -49,6 +50,7 @@ class Follower:
         self._ended = ""
         self._bodies: Bodies | None = None
         self._poses: Poses | None = None
+        self._body = NO_POINTS
         self._stack = contextlib.ExitStack()
         session: zenoh.Session = self._stack.enter_context(spoke(endpoint, config, 1.0))
         self._bus = Bus(session, run, "draw")
@@ -76,6 +78,12 @@ class Follower:
             return answer
         raise BadInput(str(answer.get("error", "refused")))
 
+    def step(self) -> None:
+        """Take one frame of a paused run, and wait until it stands still again. Raises BadInput."""
+        self.control(action="step", frames=1)
+        while self.control(action="status")["state"] == "running":
+            time.sleep(0.02)
+
     def see(self) -> None:
         """Ask the run for its cloth and bodies, and show them."""
         sight = see_now(*decode_arrays(self._bus.ask(NOW, timeout=ASK)))
@@ -87,7 +95,7 @@ class Follower:
             self._bodies = Bodies(geometry, size_of(sight.x))
         if len(self._bodies.faces):
             request = json.dumps({"frame": sight.frame}).encode()
-            self._poses = decode_poses(self._bus.ask(POSES_QUESTION, request, ASK))
+            self._place(decode_poses(self._bus.ask(POSES_QUESTION, request, ASK)))
         self.board.show(
             self._with_bodies(sight), state=str(status["state"]), run=self.run, frames=int(status["frames"]), message=""
         )
@@ -100,9 +108,18 @@ class Follower:
         self._bus.close()
         self._stack.close()
 
+    def _place(self, poses: Poses) -> None:
+        """Move the bodies, where they have moved."""
+        before = self._poses
+        moved = before is None or not (
+            np.array_equal(before.rotation, poses.rotation) and np.array_equal(before.translation, poses.translation)
+        )
+        if moved and self._bodies is not None:
+            self._poses, self._body = poses, self._bodies.at(poses)
+
     def _with_bodies(self, sight: Sight) -> Sight:
         assert self._bodies is not None
-        return replace(sight, body=self._bodies.at(self._poses), body_faces=self._bodies.faces)
+        return replace(sight, body=self._body, body_faces=self._bodies.faces)
 
     def _follow(self) -> None:
         try:
@@ -154,7 +171,7 @@ class Follower:
     def _show_newest(self) -> None:
         newest, self._newest = self._newest, {}
         if BODIES.name in newest:
-            self._poses = decode_poses(newest[BODIES.name].payload)
+            self._place(decode_poses(newest[BODIES.name].payload))
         if FABRIC.name in newest and not self._ended:
             self.see()
             return

@@ -1,4 +1,4 @@
-"""Lines kept: as an item for a run that goes on, and in a scene's file."""
+"""Lines kept: as items for a run that goes on, and in a scene's file."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from nuno.scene_file import Loaded, shipped
 from nuno_schemas.errors import BadInput
 
 OPERATION, LIST = "wrinkle", "operations"
+MARK = "\ufeff"
+"""A byte order mark, which some editors begin a file with."""
 Lines = Mapping[str, list[dict[str, Any]]]
 """Lines as a scene has them, by the object that they are on."""
 
@@ -60,29 +62,49 @@ def target(loaded: Loaded) -> Path:
     return next(path for name in names if not (path := Path.cwd() / name).exists())
 
 
-def save(loaded: Loaded, base: Sight, lines: Lines, settings: object) -> dict[str, Any]:
-    """Add lines to a scene's file, all else in which stays as it is; what the page says of it. Raises BadInput.
+class Keeper:
+    """One page's lines in a scene's file: as it was before, with the lines that are there now.
 
-    The text is read again here: what was changed in it meanwhile stays, too. Lines are about the triangles of `base`;
-    where the file's scene has others by now, or is no good scene with the lines, it is not written.
+    Saved once more, they take the place of what was saved before, so nothing is in the file twice.
     """
-    operations, path = as_operations(lines, settings), target(loaded)
-    text = read_text(loaded.path)
-    mark = "\ufeff" if text.startswith("\ufeff") else ""
-    after = append_items(text[len(mark) :], LIST, operations, str(loaded.path))
-    _check(loaded, base, after)
-    write_whole(path, mark + after)
-    new = path != loaded.path.resolve()
-    roots = f" --root {loaded.files.folder}" if new and loaded.files.used else ""
-    return {"file": str(path), "text": f"To run it: nuno run {path.name if new else loaded.path}{roots}"}
 
+    def __init__(self, loaded: Loaded) -> None:
+        self.loaded, self.path = loaded, target(loaded)
+        self._before = self._written = ""
 
-def _check(loaded: Loaded, base: Sight, text: str) -> None:
-    data, places = yaml_lines.parse(text, str(loaded.path))
-    scene = scene_file.load(data, places, str(loaded.path), loaded.files)
-    if not np.array_equal(see_scene(scene).faces, base.faces):
-        raise BadInput(
-            "the lines were drawn on other triangles than the file's scene has",
-            str(loaded.path),
-            remedy="open the scene as it is in the file, without --set; or export the lines",
-        )
+    def save(self, base: Sight, lines: Mapping[bool, Lines], settings: object) -> dict[str, Any]:
+        """Write the file; what the page says of it. Raises BadInput, the file being as it was then.
+
+        Lines are about the triangles of `base`, and given by them (`lines[True]`) where they are the first to change
+        the cloth; behind other operations, by places on the cloth as the scene begins (`lines[False]`).
+        """
+        source = self.path if self._written else self.loaded.path
+        text = read_text(source)
+        if self._written and text != self._written:
+            remedy = "open the page again to go on from what it says now; until then, export the lines"
+            raise BadInput("the file was changed after lines were saved to it", str(self.path), remedy=remedy)
+        before = (self._before or text).removeprefix(MARK)
+        first = not yaml_lines.parse(before, str(source))[0].get(LIST)
+        after = append_items(before, LIST, as_operations(lines[first], settings), str(source))
+        self._check(base, after)
+        whole = (MARK if text.startswith(MARK) else "") + after
+        write_whole(self.path, whole)
+        self._before, self._written = self._before or text, whole
+        return {"file": str(self.path), "text": f"To run it: {self._command()}"}
+
+    def _command(self) -> str:
+        loaded = self.loaded
+        elsewhere = self.path.parent != loaded.files.folder.resolve()
+        roots = f" --root {loaded.files.folder}" if elsewhere and loaded.files.used else ""
+        name = self.path.name if self.path.parent == Path.cwd() else str(self.path)
+        return f"nuno run {name}{roots}"
+
+    def _check(self, base: Sight, text: str) -> None:
+        """Raises BadInput for a text that is no good scene, or one of other triangles than were drawn on."""
+        name = str(self.loaded.path)
+        data, places = yaml_lines.parse(text, name)
+        scene = scene_file.load(data, places, name, self.loaded.files)
+        if not np.array_equal(see_scene(scene).faces, base.faces):
+            problem = "the lines were drawn on other triangles than the file's scene has"
+            remedy = "open the scene as it is in the file, without --set; or export the lines"
+            raise BadInput(problem, name, remedy=remedy)

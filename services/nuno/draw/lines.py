@@ -77,6 +77,27 @@ def piece_of(sight: Sight, vertex: int) -> Piece:
     return next(piece for piece in sight.pieces if piece.start <= vertex < piece.stop)
 
 
+def faces_of(piece: Piece, sight: Sight) -> Int:
+    """Numbers of a piece's triangles among all, in their order."""
+    first = sight.faces[:, 0]
+    return np.flatnonzero((first >= piece.start) & (first < piece.stop)).astype(np.int32)
+
+
+def line_at(strokes: Sequence[Stroke], piece: Piece, triangle: int, sight: Sight) -> int:
+    """The last of the lines, on one piece, that come near the middle of its triangle of this number."""
+    corners = sight.x[sight.faces[faces_of(piece, sight)[triangle]]]
+    middle, size = corners.mean(axis=0), float(np.linalg.norm(np.ptp(corners, axis=0)))
+    far = np.array([_distance(middle, positions(stroke, sight)) for stroke in strokes])
+    return int(np.flatnonzero(far <= max(size, float(far.min())))[-1])
+
+
+def _distance(point: Float, line: Float) -> float:
+    """Of a point (3,) from a polyline (p, 3)."""
+    a, d = line[:-1], np.diff(line, axis=0)
+    s = np.clip(((point - a) * d).sum(axis=1) / np.maximum((d**2).sum(axis=1), 1e-300), 0.0, 1.0)
+    return float(np.linalg.norm(point - a - s[:, None] * d, axis=1).min())
+
+
 def pieces_of(strokes: Sequence[Stroke], sight: Sight) -> dict[str, list[int]]:
     """Which of the lines are on each object."""
     found: dict[str, list[int]] = {}
@@ -86,19 +107,26 @@ def pieces_of(strokes: Sequence[Stroke], sight: Sight) -> dict[str, list[int]]:
     return found
 
 
-def by_object(strokes: Sequence[Stroke], sight: Sight) -> dict[str, list[dict[str, Any]]]:
-    """Lines as a scene has them, by the object that they are on, whose triangles count from 0."""
+def by_object(strokes: Sequence[Stroke], sight: Sight, exact: bool = True) -> dict[str, list[dict[str, Any]]]:
+    """Lines as a scene has them, by the object that they are on, whose triangles count from 0.
+
+    Where not `exact`, by their places in the world, which stay good where triangles change.
+    """
+    pieces = {piece.name: piece for piece in sight.pieces}
     return {
-        name: [_as_line(strokes[i], next(piece for piece in sight.pieces if piece.name == name), sight) for i in which]
+        name: [_as_line(strokes[i], pieces[name], sight) if exact else _as_points(strokes[i], sight) for i in which]
         for name, which in pieces_of(strokes, sight).items()
     }
 
 
+def _as_points(stroke: Stroke, sight: Sight) -> dict[str, Any]:
+    points = np.round(positions(stroke, sight), MICRON).tolist()
+    return {"points": points, "height": round(stroke.height, MICRON)}
+
+
 def _as_line(stroke: Stroke, piece: Piece, sight: Sight) -> dict[str, Any]:
     face, at = places(stroke)
-    first = sight.faces[:, 0]
-    own = np.flatnonzero((first >= piece.start) & (first < piece.stop))
-    rows = zip(np.searchsorted(own, face), at, strict=True)
+    rows = zip(np.searchsorted(faces_of(piece, sight), face), at, strict=True)
     return {"on_faces": [_on_face(f, row) for f, row in rows], "height": round(stroke.height, MICRON)}
 
 

@@ -7,10 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from nuno.draw.lines import Stroke, line_at, piece_of
+from nuno.draw.sight import Sight
 from nuno_schemas.errors import BadInput
 
 _SAID = re.compile(r"^  (value|limit|remedy): +", re.MULTILINE)
+_HEAD = re.compile(r"(?:add: )?(?:([\w.\[\]]+): )?(.+)", re.DOTALL)
 _LINE = re.compile(r"lines\[(\d+)\]")
+_TRIANGLE = re.compile(r"triangle (\d+)")
 
 
 def describe(error: BadInput) -> dict[str, Any]:
@@ -25,22 +29,27 @@ def describe(error: BadInput) -> dict[str, Any]:
     }
 
 
-def said_by_run(error: BadInput, which: Sequence[int]) -> BadInput:
-    """A refusal that came over the bus as text, taken apart again; `which` of the page's lines were sent."""
+def said_by_run(error: BadInput) -> BadInput:
+    """A refusal that came over the bus as text, taken apart again."""
     parts = _SAID.split(error.problem)
     found = dict(zip(parts[1::2], (part.strip() for part in parts[2::2]), strict=True))
-    head = parts[0].strip()
-    place = re.search(r"(\S*lines\[\d+\]\S*): ", head)
-    problem, field = (head[place.end() :], about(place[1], which)) if place else (head, None)
+    head = _HEAD.fullmatch(parts[0].strip())
+    field, problem = head.groups() if head else (None, parts[0].strip())
     value = found.get("value", "").strip("'\"") or None
-    return replace(
-        error, problem=problem, field=field, value=value, limit=found.get("limit"), remedy=found.get("remedy")
-    )
+    return BadInput(problem, field=field, value=value, limit=found.get("limit"), remedy=found.get("remedy"))
 
 
-def about(field: str, which: Sequence[int]) -> str:
-    """The field of one of the page's lines, of which those of the numbers `which` were looked at."""
-    line = _LINE.search(field)
-    if line is None or int(line[1]) >= len(which):
-        return field
-    return f"lines[{which[int(line[1])]}]{field[line.end() :]}"
+def beside(error: BadInput, strokes: Sequence[Stroke], which: Sequence[int], sight: Sight) -> BadInput:
+    """The same refusal, its field that of one of the page's lines, of which those of the numbers `which` were tried.
+
+    Where a triangle is to blame, through which two lines go that may not, the later one of them is shown.
+    """
+    line, triangle = _LINE.search(error.field or ""), _TRIANGLE.search(str(error.value))
+    if line is not None and int(line[1]) < len(which):
+        number = which[int(line[1])]
+    elif triangle is not None:
+        piece = piece_of(sight, int(sight.faces[strokes[which[0]].points[0][0], 0]))
+        number = which[line_at([strokes[i] for i in which], piece, int(triangle[1]), sight)]
+    else:
+        return error
+    return replace(error, field=f"lines[{number}]")

@@ -94,8 +94,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def _get(self, name: str, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         if name == "frame":
-            after, shape = (_whole(query, key) for key in ("after", "shape"))
-            return "application/octet-stream", self.server.board.wait(after, PATIENCE).encode(shape)
+            after, shape, place = (_whole(query, key) for key in ("after", "shape", "place"))
+            return "application/octet-stream", self.server.board.wait(after, PATIENCE).encode(shape, place)
         try:
             return self.server.files[name or "index.html"]
         except KeyError:

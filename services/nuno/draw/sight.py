@@ -30,7 +30,7 @@ class Piece:
 class Sight:
     """The cloth at one moment.
 
-    number  grows with every one that is shown; shape grows with every change of topology
+    number  grows with every one that is shown, shape with every change of topology, place with every move of bodies
     x (n, 3) [m], faces (f, 3), body (b, 3) [m], body_faces (g, 3); origin (3,) [m] stays what it was at first
     state   start (no run), preparing, running, paused, or how a run ended
     """
@@ -49,17 +49,22 @@ class Sight:
     message: str = ""
     number: int = 0
     shape: int = 0
+    place: int = 0
 
-    def encode(self, shape: int) -> bytes:
-        """A length, a JSON text and arrays, little-endian; topology only for a page that has another `shape`.
+    def encode(self, shape: int, place: int) -> bytes:
+        """A length, a JSON text and arrays, little-endian.
+
+        Topology goes only to a page that has another `shape`, bodies to one that has another `place`.
 
         Positions are float32 about `origin`, so that cloth far from the world's origin keeps its digits.
         """
         origin = self.origin
-        arrays: dict[str, NDArray[Any]] = {"x": _about(self.x, origin), "body": _about(self.body, origin)}
+        arrays: dict[str, NDArray[Any]] = {"x": _about(self.x, origin)}
+        if (shape, place) != (self.shape, self.place):
+            arrays["body"] = _about(self.body, origin)
         if shape != self.shape:
             arrays |= {"faces": self.faces.astype("<u4"), "bodyFaces": self.body_faces.astype("<u4")}
-        names = ("state", "run", "frame", "frames", "t", "message", "number", "shape")
+        names = ("state", "run", "frame", "frames", "t", "message", "number", "shape", "place")
         head = {name: getattr(self, name) for name in names} | {
             "origin": origin.tolist(),
             "pieces": [vars(piece) for piece in self.pieces],
@@ -93,7 +98,8 @@ class Board:
             sight = replace(sight or before, **changes)
             shape = before.shape + (not np.array_equal(sight.faces, before.faces))
             shape += not np.array_equal(sight.body_faces, before.body_faces)
-            self._sight = replace(sight, number=before.number + 1, shape=shape, origin=before.origin)
+            place = before.place + (not np.array_equal(sight.body, before.body))
+            self._sight = replace(sight, number=before.number + 1, shape=shape, place=place, origin=before.origin)
             self._changed.notify_all()
 
     def wait(self, after: int, patience: float) -> Sight:

@@ -15,15 +15,15 @@ export function decode(buffer) {
 
 /** Ask for the newest frame, show it, and ask again: never more of them than the browser draws. */
 export async function follow(show, lost) {
-  let number = -1, shape = -1, failed = 0;
+  let number = -1, shape = -1, place = -1, failed = 0;
   for (;;) {
     try {
-      const answer = await fetch(`frame?after=${number}&shape=${shape}`);
+      const answer = await fetch(`frame?after=${number}&shape=${shape}&place=${place}`);
       if (!answer.ok) throw new Error(await answer.text());
       const frame = decode(await answer.arrayBuffer());
       if (failed) { failed = 0; lost(false); }
       if (frame.number !== number) {
-        ({ number, shape } = frame);
+        ({ number, shape, place } = frame);
         show(frame);
         await new Promise((drawn) => (document.hidden ? setTimeout(drawn, 500) : requestAnimationFrame(drawn)));
       }

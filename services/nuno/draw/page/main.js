@@ -15,6 +15,23 @@ let stage, panel, about = { canStart: false, name: "" }, now = { state: "start" 
 
 function changed() { panel.show(); buttons(); hint(); stage.dirty(); }
 
+/** Lines were drawn or altered: what is wrong with them is said now, not only once they are applied. */
+function edited() {
+  changed();
+  clearTimeout(edited.timer);
+  edited.timer = setTimeout(check, 150);
+}
+
+async function check() {
+  const list = lines.open, version = lines.list;
+  if (now.state !== "start" || !list.length) return;
+  const answer = await ask("check", { shape: stage.shape, lines: sent(list, "points"), settings: settings() });
+  if (lines.list !== version || now.state !== "start") return;
+  for (const line of list) lines.errors.delete(line.id);
+  if (answer.ok) changed();
+  else refused(answer, list);
+}
+
 function buttons() {
   const open = lines.open.length, some = open === 1 ? "1 line" : `${open} lines`, { state } = now, over = ENDED.includes(state);
   document.body.dataset.state = state;
@@ -53,7 +70,8 @@ function refused(answer, sent = []) {
     return;
   }
   const point = /(\d+)/.exec(answer.value?.startsWith("between") ? answer.value : "");
-  lines.errors.set(line.id, { ...answer, value: null, point: point ? Number(point[1]) : undefined });
+  const place = /^(between|triangle)/.test(answer.value ?? "");  // it is shown by where the words stand
+  lines.errors.set(line.id, { ...answer, ...(place ? { value: null, limit: null } : {}), point: point ? Number(point[1]) : undefined });
   lines.hidden.delete(line.id);
   changed();
 }
@@ -131,7 +149,7 @@ function drawn(pieces) {
   if (!pieces.length) { toast("That was too short for a line", "Keep the button down and drag over the cloth."); return; }
   for (const points of pieces) panel.chosen = lines.add(kind, height, points, stage.basePlaces(points));
   if (pieces.length > 1) toast(`The line left the cloth: it is ${pieces.length} lines now`, "Undo takes them back, one after the other.");
-  changed();
+  edited();
 }
 
 function show(frame) {
@@ -166,15 +184,15 @@ function begin() {
     toast("This browser cannot show the cloth", `${error.message}. Open the address in a browser with WebGL 2: a present Firefox, Chrome, Edge or Safari.`, true);
     return;
   }
-  panel = new Panel(lines, stage, changed);
+  panel = new Panel(lines, stage, edited);
   stage.onpaint = () => panel.labels();
   hand = new Hand(stage, () => ({ kind, height }), drawn);
   const on = (id, does) => $(id).addEventListener("click", does);
   on("ridge", () => choose("ridge"));
   on("valley", () => choose("valley"));
-  on("undo", () => { lines.undo(); changed(); });
-  on("redo", () => { lines.redo(); changed(); });
-  on("clear", () => { lines.clear(); changed(); });
+  on("undo", () => { lines.undo(); edited(); });
+  on("redo", () => { lines.redo(); edited(); });
+  on("clear", () => { lines.clear(); edited(); });
   on("fit", () => stage.fit());
   on("mesh", () => { stage.wires = !stage.wires; $("mesh").setAttribute("aria-pressed", String(stage.wires)); stage.dirty(); });
   on("hide", () => { stage.veiled = !stage.veiled; changed(); });

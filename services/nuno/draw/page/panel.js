@@ -63,7 +63,7 @@ export class Panel {
       const label = make("div", { textContent: sentence(error.problem) });
       if (error.remedy) label.append(make("span", { textContent: sentence(error.remedy) }));
       box.append(label);
-      label.style.transform = `translate(${Math.round(seen.x - 22)}px, calc(${Math.round(seen.y - 12)}px - 100%))`;
+      label.style.transform = `translate(${Math.round(seen.x - 22)}px, calc(${Math.round(Math.max(seen.y, 175) - 12)}px - 100%))`;
     }
   }
 }

@@ -4,7 +4,8 @@ import { Surface } from "./surface.js";
 
 const CLOTH = [0.9, 0.87, 0.82], BODY = [0.66, 0.69, 0.73];
 export const COLOURS = { ridge: [0.85, 0.28, 0.11], valley: [0.12, 0.44, 0.77] };
-const APPLIED = 0.55;
+// How strong the colour of a line is that is in the cloth already.
+const APPLIED = 0.5;
 
 const rgb = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16) / 255);
 const empty = () => new Surface(new Float32Array(0), new Uint32Array(0));
@@ -39,14 +40,14 @@ export class Stage {
     const cloth = new Surface(frame.x, changed ? frame.faces : this.cloth.faces);
     if (changed && !first) this.carryLines(cloth, frame);
     this.cloth = cloth;
-    this.body = new Surface(frame.body, changed ? frame.bodyFaces : this.body.faces);
+    if (frame.body) this.body = new Surface(frame.body, changed ? frame.bodyFaces : this.body.faces);
     if (changed) this.setTopology(frame);
     this.pieces = frame.pieces;
     if (first) { this.base = { faces: frame.faces, count: frame.x.length, pieces: frame.pieces }; this.fit(); }
     this.shape = frame.shape;
     this.normals = cloth.normals();
     this.painter.move("cloth", frame.x, this.normals);
-    this.painter.move("body", frame.body, this.body.normals());
+    if (frame.body) this.painter.move("body", frame.body, this.body.normals());
     this.dirty();
     return { first, origin };
   }
@@ -102,7 +103,7 @@ export class Stage {
 
   /** A line on the cloth, and as a curtain how far it will rise or sink. */
   ribbon(points, { kind, height }, parts, fins, applied) {
-    const colour = COLOURS[kind], tint = [...colour, applied ? APPLIED : 1];
+    const colour = COLOURS[kind], tint = [...(applied ? colour.map((c) => 1 - APPLIED * (1 - c)) : colour), 1];
     const rise = kind === "ridge" ? height : -height, sheer = [...colour, 0.3], faint = [...colour, 0.5];
     let last = null;
     for (const place of points) {

@@ -56,13 +56,40 @@ export class Surface {
 
   /** The nearest place [face, u, v] to a point (Ericson, Real-Time Collision Detection, 5.1.5). */
   nearest(p) {
+    // A triangle lies within `reach` of its middle: those whose middles are too far are passed over.
+    const middles = this.middles(), far0 = this.far(p, middles), limit = (Math.sqrt(far0) + 2 * this.reach) ** 2;
     let best = Infinity, place = [0, 1 / 3, 1 / 3];
     for (let f = 0; f < this.count; f++) {
+      if ((middles[3 * f] - p[0]) ** 2 + (middles[3 * f + 1] - p[1]) ** 2 + (middles[3 * f + 2] - p[2]) ** 2 > limit) continue;
       const [u, v] = this.nearestIn(f, p), d = add(this.at([f, u, v]), p, -1);
       const far = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
       if (far < best) { best = far; place = [f, u, v]; }
     }
     return place;
+  }
+
+  /** The middles of all triangles, and how far a corner is from one at most. */
+  middles() {
+    if (this.known) return this.known;
+    const { x, faces } = this, m = (this.known = new Float64Array(faces.length));
+    let reach = 0;
+    for (let f = 0; f < faces.length; f += 3) {
+      for (let c = 0; c < 3; c++) for (let k = 0; k < 3; k++) m[f + k] += x[3 * faces[f + c] + k] / 3;
+      for (let c = 0; c < 3; c++) {
+        const i = 3 * faces[f + c];
+        reach = Math.max(reach, (x[i] - m[f]) ** 2 + (x[i + 1] - m[f + 1]) ** 2 + (x[i + 2] - m[f + 2]) ** 2);
+      }
+    }
+    this.reach = Math.sqrt(reach);
+    return m;
+  }
+
+  /** The least square of a distance from p to a middle. */
+  far(p, middles) {
+    let least = Infinity;
+    for (let i = 0; i < middles.length; i += 3)
+      least = Math.min(least, (middles[i] - p[0]) ** 2 + (middles[i + 1] - p[1]) ** 2 + (middles[i + 2] - p[2]) ** 2);
+    return least;
   }
 
   nearestIn(f, p) {
