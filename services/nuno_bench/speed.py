@@ -21,6 +21,7 @@ CASES = {
     "scipy": ("nuno_bench.scipy_peer", "scipy_peer"),
     "stiffness": ("nuno_bench.stiffness", "stiffness"),
     "closest": ("nuno_bench.closest", "closest"),
+    "fit": ("nuno_bench.fit_speed", "fits"),
     "render": ("nuno_bench.render_speed", "render"),
     "dye": ("nuno_bench.dye_speed", "dye"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),
@@ -42,7 +43,7 @@ def main(args: argparse.Namespace) -> int:
     options.require_known(args.cases, CASES, "case", "CASE")
     options.require_repeats(args.repeats)
     if args.docs is not None:
-        markdown.check_section(args.docs, "speed")
+        markdown.check_section(args.docs, _section(args.cases))
     if args.html is not None:
         from nuno_bench.plots import require_matplotlib
 
@@ -96,6 +97,11 @@ def summary(results: list[Result]) -> str:
     return text + (f"; could not be measured: {', '.join(failed)}" if failed else "")
 
 
+def _section(cases: list[str]) -> str:
+    """Of a page: all cases together have one, and some of them one of their own."""
+    return " ".join(["speed", *cases])
+
+
 def _write(args: argparse.Namespace, results: list[Result], about: dict[str, str]) -> None:
     if args.json is not None:
         data = {"command": machine.command(), "machine": about, "results": [result.json() for result in results]}
@@ -109,5 +115,7 @@ def _write(args: argparse.Namespace, results: list[Result], about: dict[str, str
         print(f"written {args.html}")
     if args.docs is not None:
         text = [summary(results) + ".", markdown.table(HEADINGS, rows(results))]
-        markdown.replace_section(args.docs, "speed", [*text, markdown.facts({"command": machine.command(), **about})])
+        markdown.replace_section(
+            args.docs, _section(args.cases), [*text, markdown.facts({"command": machine.command(), **about})]
+        )
         print(f"written {args.docs}")

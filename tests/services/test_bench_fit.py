@@ -1,0 +1,44 @@
+"""The bench's fits of stockings: to rest or not at all, and their section of a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nuno.cli import main
+from nuno_bench import fit_speed, markdown, speed
+from nuno_bench.fit_speed import Fit, fit
+from nuno_bench.result import Result
+
+SMALL = ("objects.stocking.model.wales=10", "objects.stocking.model.courses=19", "bodies.leg.collider.resolution=16")
+
+
+def test_a_fit_ends_at_rest_and_one_that_does_not_is_no_figure() -> None:
+    done = fit("stocking-150", *SMALL)
+    assert done.steps > 10 and done.prepared > 0.0 and done.stepped > 0.0
+    assert fit("stocking-150", *SMALL, frames=1).steps == 10
+    with pytest.raises(RuntimeError, match="did not come to rest"):
+        fit("stocking-150", *SMALL, "duration=0.2")
+
+
+def test_every_stocking_is_fitted_on_both_legs_against_its_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[object, ...]] = []
+
+    def quick(name: str, *overrides: str, frames: int | None = None) -> Fit:
+        asked.append((name, *overrides, frames))
+        return Fit(1.0, 2.0, 30, 400)
+
+    monkeypatch.setattr(fit_speed, "fit", quick)
+    results = fit_speed.fits(7)
+    assert [(one.bar, one.median, len(one.samples)) for one in results] == [(bar, 3.0, 3) for bar in (15, 15, 90, 90)]
+    assert len(asked) == 4 * 4 and len(set(asked)) == 4 * 2
+
+
+def test_chosen_cases_have_a_section_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("".join(f"{mark}\n" for name in ("speed", "speed fit") for mark in markdown.marks(name)))
+    monkeypatch.setattr(speed, "run_case", lambda name, repeats: [Result(name, "seconds", "s", (1.0,))])
+    assert main(["bench", "speed", "fit", "--docs", str(page)]) == 0
+    text = page.read_text()
+    assert "| fit |" in text.split("speed fit -->")[1] and "| fit |" not in text.split("<!-- end: speed -->")[0]
