@@ -20,6 +20,7 @@ import numpy as np
 
 from nuno_kernels.isosurface import find_isosurface
 from nuno_kernels.leg import monotone
+from nuno_kernels.mesh_check import check_closed
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
@@ -88,7 +89,7 @@ def torso_mesh(
 
     girths: those of GIRTHS that are to be others [m]; arms: angle between arms and plumb line [rad].
     y is up, the floor y = 0 of the body that it is part of, and it faces +z; it is its own mirror image in x.
-    Raises BadInput for girths that leave no room between arms and trunk.
+    Raises BadInput for girths that leave no room between arms and trunk, or too little for these triangles.
     """
     wanted = {**GIRTHS, **(girths or {})}
     scale = dict.fromkeys(wanted, 1.0)
@@ -107,7 +108,16 @@ def torso_mesh(
     spacing = wanted["waist"] / around
     half = (np.ceil(reach / spacing) + 0.5) * spacing
     low, high = np.array([-half, BOTTOM - 0.05, -0.4]), np.array([half, TOP + 0.05, 0.4])
-    return find_isosurface(lambda x, y, z: field_of(x, y, z, scale, arms), low, high, spacing)
+    x, faces = find_isosurface(lambda x, y, z: field_of(x, y, z, scale, arms), low, high, spacing)
+    try:
+        check_closed(x, faces)
+    except BadInput:
+        # Nets are no surface where two sheets of it share a cell.
+        raise BadInput(
+            "the torso's arms come too near to its trunk for triangles of this size", field="resolution", value=around,
+            remedy="a higher resolution, arms raised further, or smaller girths",
+        ) from None  # fmt: skip
+    return x, faces
 
 
 def field_of(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: float) -> Float:

@@ -68,6 +68,9 @@ def test_girths_that_leave_no_room_are_refused_by_name() -> None:
     with pytest.raises(BadInput, match="no torso is made with this girth") as thin:
         torso(24, girths={"waist": 0.3})
     assert thin.value.field == "girths.waist"
+    with pytest.raises(BadInput, match="too near to its trunk for triangles of this size") as coarse:
+        torso(32, girths={"bust": 0.98, "arm": 0.31}, arms=np.radians(55.0))
+    assert coarse.value.field == "resolution"
     with pytest.raises(ValueError, match="only the torso has arms to choose"):
         MeshConfig.model_validate({"shape": "leg", "arms": 1.0})
 
