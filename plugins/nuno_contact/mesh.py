@@ -72,7 +72,7 @@ class MeshConfig(OnJoint):
         if self.up == "z" and self.file is None:
             raise ValueError("what comes with nuno has y up: up is for files")
         given = {"girths", "arms"} & self.model_fields_set
-        if given and (self.file is not None or self.shape != "torso"):
+        if given and self.shape != "torso":
             raise ValueError(f"only the torso has {' and '.join(sorted(given))} to choose")
         if not ARMS[0] <= self.arms <= ARMS[1]:
             limits = " to ".join(f"{math.degrees(angle):g}" for angle in ARMS)
