@@ -7,14 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
-from nuno_wrinkle.edges import Edges, edges_of, fold_angles, keys_of, quads_of
+from nuno_wrinkle.edges import Edges, any_of, edges_of, fold_angles, keys_of, quads_of
 from nuno_wrinkle.near import BENDING, Near, Rule, damping_of, ones, stiffness_of
 from nuno_wrinkle.raised import Raised, Region
 
 
 def bend_springs(
     fabric: Fabric, springs: Springs, across: Int, raised: Raised, mass: Float, model: Mapping[str, float], rule: Rule,
-    moved: Bool,
+    moved: Bool, edges: Edges, share: Float,
 ) -> Springs:  # fmt: skip
     """The same with bending springs across new edges, and without those across edges that are gone.
 
@@ -22,11 +22,13 @@ def bend_springs(
     """
     if not model["k_bend"]:
         return springs
-    n, old = fabric.number, raised.changed[raised.changed < len(fabric.faces)]
+    old = raised.changed[raised.changed < len(fabric.faces)]
     before = quads_of(fabric.faces, across, old)
     after = quads_of(raised.faces, raised.across, raised.changed)
     wanted, number = np.unique(keys_of(before[:, 2:]), return_counts=True)
-    bent = np.flatnonzero((springs.kind == BENDING) & (springs.first < n).all(axis=1))
+    near = moved.copy()
+    near[raised.faces[raised.changed]] = near[before] = True
+    bent = np.flatnonzero((springs.kind == BENDING) & near[springs.first[:, 0]] & near[springs.first[:, 1]])
     keys = keys_of(springs.first[bent])
     table = Edges(wanted, np.zeros((0, 3), np.int64))
     at, named = table.rows(keys)
@@ -38,13 +40,12 @@ def bend_springs(
     kept = np.ones(springs.number, np.bool_)
     kept[gone] = False
     rest = springs.rest.copy()
-    turned = kept & (springs.kind == BENDING) & moved[springs.first].any(axis=1)
+    turned = kept & (springs.kind == BENDING) & any_of(moved, springs.first)
     one, other = springs.first[turned].T
     rest[turned] *= _length(raised.x, one, other) / _length(raised.flat, one, other)
-    doubled = np.isin(keys_of(after[:, 2:]), edges_of(raised.faces[raised.local]).key)
+    doubled = edges.rows(keys_of(after[:, 2:]))[1]
     pairs = np.ascontiguousarray(after[~doubled, 2:])
-    share = _share_across(raised, after[~doubled])
-    length = _length(raised.x, *pairs.T) / share
+    length = _length(raised.x, *pairs.T) / share[edges.rows(keys_of(after[~doubled, :2]))[0]]
     k = stiffness_of(length, model["k_bend"], model["r_bend"], rule)
     return Springs(
         np.concatenate([springs.first[kept], pairs]),
@@ -60,14 +61,6 @@ def _length(x: Float, one: Int, other: Int) -> Float:
     return np.asarray(np.linalg.norm(x[other] - x[one], axis=1))
 
 
-def _share_across(raised: Raised, quads: Int) -> Float:
-    """(h,) mean of the values of the two triangles at each edge."""
-    edges = edges_of(raised.faces[raised.local])
-    place = edges.of_face.reshape(-1)
-    share = np.bincount(place, np.repeat(raised.share[raised.local], 3)) / np.bincount(place)
-    return np.asarray(share[edges.rows(keys_of(quads[:, :2]))[0]])
-
-
 def build_hinges(
     fabric: Fabric, raised: Raised, near: Near, region: Region, edges: Edges, rest: Float,
     areas: tuple[Float, Float], keep: bool, moved: Bool,
@@ -78,7 +71,7 @@ def build_hinges(
         return None
     quads, k, angle = old.quads(), old.per_hinge(old.k), old.per_hinge(old.rest).copy()
     was = edges_of(fabric.faces[raised.changed[raised.changed < len(fabric.faces)]])
-    near_by = np.flatnonzero(region.vertex[quads[:, :2]].any(axis=1))
+    near_by = np.flatnonzero(any_of(region.vertex, quads[:, :2]))
     key = keys_of(quads[near_by, :2])
     gone = near_by[was.rows(key)[1]]
     place, _ = near.edges.rows(keys_of(quads[gone, :2]))
@@ -91,7 +84,7 @@ def build_hinges(
     folds = np.zeros(len(anew))
     if keep:
         folds = fold_angles(raised.x, anew) - fold_angles(raised.flat, anew)
-        turned = near_by[moved[quads[near_by]].any(axis=1)]
+        turned = near_by[any_of(moved, quads[near_by])]
         angle[turned] += fold_angles(raised.x, quads[turned]) - fold_angles(raised.flat, quads[turned])
     kept = np.ones(len(quads), np.bool_)
     kept[gone] = False

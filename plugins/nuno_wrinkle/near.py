@@ -30,8 +30,8 @@ def describe(fabric: Fabric) -> dict[str, float]:
     x, faces = fabric.position, fabric.faces
     a = x[faces[:, 0]]
     area = 0.5 * float(np.linalg.norm(np.cross(x[faces[:, 1]] - a, x[faces[:, 2]] - a), axis=1).sum())
-    m = fabric.mass[pairs]
-    critical = 2.0 * np.sqrt(k * m[:, 0] * m[:, 1] / m.sum(axis=1))
+    one, other = fabric.mass[pairs[:, 0]], fabric.mass[pairs[:, 1]]
+    critical = 2.0 * np.sqrt(k * one * other / (one + other))
     own = kinds == STRUCTURAL
     bent = kinds == BENDING
     return {

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
-from nuno_wrinkle.edges import Edges, edges_of, heron, pairs_of
+from nuno_wrinkle.edges import Edges, any_of, edges_of, heron, pairs_of
 from nuno_wrinkle.folds import bend_springs, build_hinges
 from nuno_wrinkle.near import STRUCTURAL, Near, Rule, damping_of, ones, stiffness_of
 from nuno_wrinkle.raised import Raised, Region
@@ -51,12 +51,12 @@ def build_net(
     place = edges.of_face.reshape(-1)
     share = np.bincount(place, flat_share) / np.bincount(place)
     length = np.linalg.norm(raised.x[ends[:, 1]] - raised.x[ends[:, 0]], axis=1)
-    rest = np.where(stays & ~moved[ends].any(axis=1), near.rest[at], length / share)
+    rest = np.where(stays & ~any_of(moved, ends), near.rest[at], length / share)
     before = heron(near.rest[near.edges.of_face])
     after = heron(rest[edges.of_face])
     mass = _masses(fabric, raised, moved, before, after, model["density"])
     structural = _structural(fabric, raised, near, edges, rest, stays, mass, model, rule)
-    springs = bend_springs(fabric, structural, across, raised, mass, model, rule, moved)
+    springs = bend_springs(fabric, structural, across, raised, mass, model, rule, moved, edges, share)
     hinges = build_hinges(fabric, raised, near, region, edges, rest, (before, after), keep, moved)
     return Net(springs, hinges, mass, float(after.sum() - before.sum()))
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.lines import Smoothing
+from nuno_wrinkle.edges import any_of
 from nuno_wrinkle.lines import Crossed
 from nuno_wrinkle.split import smooth, split_faces
 
@@ -62,8 +63,8 @@ def find_region(faces: Int, n: int, crossed: Crossed) -> Region:
     near = np.zeros(n, np.bool_)
     near[faces[crossed.face]] = True
     for _ in range(2):
-        near[faces[near[faces].any(axis=1)]] = True
-    return Region(np.flatnonzero(near[faces].any(axis=1)).astype(np.int32), near)
+        near[faces[any_of(near, faces)]] = True
+    return Region(np.flatnonzero(any_of(near, faces)).astype(np.int32), near)
 
 
 def raise_lines(
@@ -112,7 +113,7 @@ def _neighbours(fabric: Fabric, own: Int, rim: Bool, number: int, smoothing: Smo
     near = np.zeros(number, np.bool_)
     near[n:] = True
     for _ in range(2):
-        near[own[near[own].any(axis=1)]] = True
+        near[own[any_of(near, own)]] = True
     near[:n][fabric.pinned] = False
     start, end = own.reshape(-1), np.roll(own, -1, axis=1).reshape(-1)
     edge = rim.reshape(-1)

@@ -29,21 +29,22 @@ def link_faces(faces: Int, n: int) -> Int:
     for v in range(n):
         start[v + 1] += start[v]
     at = start[:-1].copy()
-    leaving = np.empty(3 * f, np.int64)
+    owner, tip = np.empty(3 * f, np.int32), np.empty(3 * f, np.int32)
     for i in range(f):
         for c in range(3):
-            leaving[at[faces[i, c]]] = 3 * i + c
-            at[faces[i, c]] += 1
+            place = at[faces[i, c]]
+            owner[place], tip[place] = i, faces[i, (c + 1) % 3]
+            at[faces[i, c]] = place + 1
     across = np.full((f, 3), BORDER, np.int32)
     for i in range(f):
         for c in range(3):
             a, b = faces[i, c], faces[i, (c + 1) % 3]
             same, found, other = 0, 0, -1
             for e in range(start[a], start[a + 1]):
-                same += faces[leaving[e] // 3, (leaving[e] % 3 + 1) % 3] == b
+                same += tip[e] == b
             for e in range(start[b], start[b + 1]):
-                if faces[leaving[e] // 3, (leaving[e] % 3 + 1) % 3] == a:
-                    found, other = found + 1, leaving[e] // 3
+                if tip[e] == a:
+                    found, other = found + 1, owner[e]
             if same > 1 or found > 1:
                 across[i, c] = CROWDED
             elif found == 1:

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Binding, Fabric, Float, State
+from nuno_schemas.fabric import Binding, Fabric, Float, Springs, State
 from nuno_schemas.lines import Line, Smoothing
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
@@ -51,6 +51,17 @@ class Wrinkle:
 
     name: ClassVar[str] = "wrinkle"
     Config: ClassVar[type[BaseModel]] = WrinkleConfig
+
+    def compile(self) -> None:
+        """Draw a line on two triangles."""
+        x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+        pairs = np.array([[0, 1], [1, 2], [2, 3], [0, 3], [0, 2]], np.int32)
+        one = np.ones(len(pairs))
+        springs = Springs.from_pairs(pairs, one, np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1), 0.0 * one)
+        faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+        cloth = Fabric(self.name, x, 0.0 * x, np.ones(4), np.zeros(4, np.bool_), faces, springs)
+        line = Line(points=((0.6, 0.2, 0.0), (0.2, 0.6, 0.0)), height=0.1)
+        self.apply(WrinkleConfig(lines=(line,)), cloth, State(x, 0.0 * x), None)
 
     def resolve(self, config: WrinkleConfig, files: Files) -> WrinkleConfig:
         """The lines of files as points. Raises BadInput."""

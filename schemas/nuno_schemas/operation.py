@@ -64,6 +64,10 @@ class Operation(Protocol):
 class Alteration(Operation, Protocol):
     """An operation that changes the fabric, and may be applied while a simulation goes on."""
 
+    def compile(self) -> None:
+        """Compile what `apply` needs, so that a run does not wait for it."""
+        ...
+
     def resolve(self, config: Any, files: Files) -> Any:
         """The configuration with what its files hold in the place of their names. Raises BadInput."""
         ...

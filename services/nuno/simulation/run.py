@@ -63,6 +63,8 @@ class Simulation(Changing):
         self.memory: Memory
         self.limit: StepLimit
         self._prepare({})
+        for operation in self.loaded.operations:
+            operation.plugin.compile()
         self.alter_due()
 
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
