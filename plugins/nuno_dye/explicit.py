@@ -33,8 +33,8 @@ from nuno_dye.solving import (
     largest_amounts,
     make_report,
     raise_largest,
+    renew_work,
     require_laws,
-    same_cells,
     uptake_of,
 )
 from nuno_dye.upkeep import Upkeep, begin_upkeep, make_upkeep, sum_given
@@ -73,7 +73,7 @@ class Explicit:
     def prepare(self, config: ExplicitConfig, system: DyeSystem, state: DyeState) -> Memory:
         """Memory: `highest` (dyes,), the largest amount that any cell can have had."""
         require_laws(system)
-        return Memory({"highest": largest_amounts(state)}, Work(know(system)))
+        return Memory({"highest": largest_amounts(state)}, _make_work(system))
 
     def limit(self, config: ExplicitConfig, system: DyeSystem) -> float:
         """The most that D0 g comes to, times dt / size^2 and the largest sum of P T over a cell's faces, is 1 there."""
@@ -82,7 +82,7 @@ class Explicit:
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
         """See nuno_schemas.dye.DyeSolver."""
-        work = memory.work = _renew_work(memory.work, system)  # type: ignore[arg-type]
+        work = _renew_work(memory, system)
         highest = memory.arrays["highest"]
         raise_largest(highest, work.known)
         numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
@@ -94,16 +94,13 @@ class Explicit:
         return describe_threads(system)
 
 
-def _renew_work(work: Work, system: DyeSystem) -> Work:
-    """What still holds for a system that may have other cells, dyes, threads or another supply than before."""
-    before = work.known.system
-    if system is before:
-        return work
-    if not same_cells(system, before):
-        return Work(know(system))
-    if system.supply is not before.supply:
-        work.upkeep.clear()
-    work.known = know(system)
+def _make_work(system: DyeSystem) -> Work:
+    return Work(know(system))
+
+
+def _renew_work(memory: Memory, system: DyeSystem) -> Work:
+    work: Work = memory.work  # type: ignore[assignment]
+    memory.work = work = renew_work(work, system, _make_work, work.upkeep)
     return work
 
 

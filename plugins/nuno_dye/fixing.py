@@ -108,7 +108,7 @@ def settle_row(
         if not (limit > found and pace * (limit - found) < rate * (there - found)):
             continue
         mean = 0.5 * (there + before[row, c])
-        if floor is None or there > floor[row, c]:
+        if there > floor[row, c]:
             limit = limit_within(isotherm, first, second, there + found, room)
         most = min(min(limit, room), mean - (mean - held[row, c]) * math.exp(-rate))
         taken = min(max(most - found, 0.0), there)
@@ -142,11 +142,9 @@ def bound_row(
         least, there = held[row, c], phi[row, c] + fixed[row, c]
         found = min(max(fixed[row, c], least), max(fibre[row, c], least))
         if found > least:
-            room, begun, end = fibre[row, c], before[row, c], there - found
-            if floor is not None:
-                begun, end = max(begun, floor[row, c]), max(end, floor[row, c])
-            if found > limit_beside(isotherm, first, second, max(begun, end, 0.0), room):
-                limit = limit_beside(isotherm, first, second, max(begun, 0.0), room)
+            room, begun = fibre[row, c], max(before[row, c], floor[row, c])
+            if found > limit_beside(isotherm, first, second, max(begun, there - found), room):
+                limit = limit_beside(isotherm, first, second, begun, room)
                 limit = max(limit, limit_within(isotherm, first, second, max(there, 0.0), room))
                 found = min(found, max(limit, least))
         phi[row, c], fixed[row, c] = there - found, found

@@ -25,9 +25,10 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_dye.bands import Cut
-from nuno_dye.diffusion import LEFT, Rows
+from nuno_dye.diffusion import Rows
 from nuno_dye.implicit_cell import Fibre, hold_back
 from nuno_dye.implicit_sweep import Stage, relax, settle
+from nuno_dye.long_steps import BEYOND, split_steps, weights_of, write_back
 from nuno_dye.potential import Curve, curve_of, raise_levels
 from nuno_dye.repair import repair
 from nuno_dye.rkl2_stage import Weights
@@ -40,8 +41,8 @@ from nuno_dye.solving import (
     largest_amounts,
     law_of,
     make_report,
+    renew_work,
     require_compiled_laws,
-    same_cells,
 )
 from nuno_dye.sums import sum_compensated
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
@@ -51,15 +52,11 @@ from nuno_schemas.plugin import Config
 GAMMA = 1.0 - math.sqrt(0.5)
 MARGIN = 1
 HALVINGS = 8
-MOST_WEIGHTS = 4
-"""Scales whose weights are kept."""
 SWEEPS, SWEEPS_MORE = 200, 60.0
 """Sweeps of a stage at most: some, and more by the root of the largest sum of weights. Over-relaxation takes about
 sqrt(W / 8) for a factor e, and a residual falls by about 20 of those."""
 ROUNDING = 8.0 * 2.0**-52
 """Of the largest amount times the weights of a cell: no residual becomes smaller."""
-BEYOND = 1e3
-"""What a kept-up cell may hold beyond its capacity while others' excess is moved."""
 
 
 class ImplicitConfig(Config):
@@ -117,7 +114,7 @@ class Implicit:
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
         """See nuno_schemas.dye.DyeSolver."""
-        work = memory.work = _renew_work(memory.work, system)  # type: ignore[arg-type]
+        work = _renew_work(memory, system)
         highest, fresh = memory.arrays["highest"], begin_frame(memory.arrays, work.known, steps)
         totals, given, message = {"steps": steps, "sweeps": 0, "damped": 0, "halvings": 0}, [], ""
         for k, one in enumerate(system.dyes):
@@ -141,15 +138,9 @@ def _make_work(config: ImplicitConfig, system: DyeSystem) -> Work:
     return Work(config, know(system), cut, cuts, mobile, fibre)
 
 
-def _renew_work(work: Work, system: DyeSystem) -> Work:
-    """What still holds for a system that may have other cells, dyes, threads or another supply than before."""
-    if system is work.known.system:
-        return work
-    if not same_cells(system, work.known.system):
-        return _make_work(work.config, system)
-    if system.supply is not work.known.system.supply:
-        work.floors.clear()
-    work.known = know(system)
+def _renew_work(memory: Memory, system: DyeSystem) -> Work:
+    work: Work = memory.work  # type: ignore[assignment]
+    memory.work = work = renew_work(work, system, lambda other: _make_work(work.config, other), work.floors)
     return work
 
 
@@ -163,24 +154,12 @@ def _floor(work: Work, k: int) -> Float | None:
     return work.floors[k]
 
 
-def _weights(work: Work, scale: float) -> Weights:
-    if scale not in work.weights:
-        if len(work.weights) > MOST_WEIGHTS:
-            work.weights.clear()
-        along, down, across = (plane[0] for plane in work.cut.fill_faces(work.known.faces, scale))
-        work.weights[scale] = Weights(along, down, across)
-    return work.weights[scale]
-
-
 def _advance_one(work: Work, spread: Spread, phi: Float, fixed: Float, steps: int, dt: float, fresh: bool) -> str:
     """Bring one dye from the start of a frame to its end; why a step failed."""
     cut, scale = work.cut, spread.one.D0 * dt / work.known.system.cells.size**2
     amounts = cut.fill(phi)[0][0], cut.fill(fixed)[0][0]
-    failed, shares = "", np.ones(steps)
-    if fresh:
-        doublings = max(0, math.ceil(math.log2(max(scale * work.known.most * spread.one.steepest, 1.0))))
-        shares = np.concatenate([[0.5**doublings], 0.5 ** np.arange(doublings, 0, -1.0), shares[1:]])
-    for share in shares:
+    failed = ""
+    for share in split_steps(0 if fresh else 1, steps, scale * work.known.most * spread.one.steepest, 1):
         after = _step(work, spread, amounts, float(share) * scale, 0)
         if after is None:
             failed = (
@@ -190,10 +169,7 @@ def _advance_one(work: Work, spread: Spread, phi: Float, fixed: Float, steps: in
         amounts = after
     if steps == 0:
         _stage(work, spread, amounts, amounts, 0.0, None)
-    for values, out in zip(amounts, (phi, fixed), strict=True):
-        for layer in range(2):
-            at = cut.top + layer * cut.height
-            out[layer] = values[at : at + cut.ny, LEFT : LEFT + cut.nx]
+    write_back(cut, amounts, phi, fixed)
     return failed
 
 
@@ -247,14 +223,16 @@ def _stage(
     given: list[float] | None,
 ) -> tuple[Float, Float] | None:  # fmt: skip
     """Mobile and fixed dye after a stage, None where it fails; `start` is what the step starts from."""
-    weights, most, cut, curve = _weights(work, scale), np.maximum(work.mobile, start[0]), work.cut, spread.curve
+    cut, curve, most = work.cut, spread.curve, np.maximum(work.mobile, start[0])
+    weights = weights_of(work.weights, cut, work.known.faces, scale)
     kind, first, second = law_of(spread.one)
     fibre = Fibre(start[1], begun[1], work.fibre, spread.one.adsorption * scale, kind, first, second) if kind else None
     guess = np.clip(begun[0], 0.0, most)
     if spread.floor is not None:
         np.maximum(guess, spread.floor, out=guess)
     largest, ways = float(guess.max()), scale * work.known.most * spread.one.steepest
-    floor = spread.floor if spread.floor is None else _levels(spread.floor, curve)
+    least = np.zeros_like(guess) if spread.floor is None else spread.floor
+    floor = _levels(least, curve)
     limits = _levels(most, curve) if spread.limited else None
     stage = Stage(_levels(guess, curve), np.ones_like(guess), begun[0])
     bound = max(work.config.residual, ROUNDING * (1.0 + ways)) * largest
@@ -271,7 +249,7 @@ def _stage(
         return None
     # Kept-up cells take any excess of their neighbours': it is given back to the supply that fed them.
     bounds = most if spread.floor is None else np.where(spread.floor > 0.0, most + BEYOND, most)
-    if repair(out, bounds, spread.floor, weights, cut.top, cut.top + cut.ny - 1, cut.nx) != 0:
+    if repair(out, bounds, least, weights, cut.top, cut.top + cut.ny - 1, cut.nx) != 0:
         spread.residual = residual / (largest or 1.0)
         return None
     if spread.floor is not None and given is not None:

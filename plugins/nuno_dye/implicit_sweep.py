@@ -153,7 +153,7 @@ def relax_cell(
         root, ways = root_open(stage, weights, curve, fibre, row, r, layer, c)
     else:
         root, ways = root_among(stage, weights, curve, fibre, row, r, layer, c)
-    least = floor[at, c] if floor is not None else 0.0
+    least = floor[at, c]
     kept = least > 0.0 and root <= least
     if most is not None and (root >= most[at, c] or (kept and least >= most[at, c])):
         limit = most[at, c]

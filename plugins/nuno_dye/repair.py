@@ -57,7 +57,7 @@ def find_outside(phi: Any, most: Any, floor: Any, first: int, last: int, nx: int
             for c in range(LEFT, LEFT + nx):
                 there, limit = phi[row, c], most[row, c]
                 if lacking:
-                    outside = there < 0.0 and (floor is None or floor[row, c] == 0.0)
+                    outside = there < 0.0 and floor[row, c] == 0.0
                 else:
                     outside = there > limit
                     if outside and there <= limit * ROUNDING:
@@ -122,7 +122,7 @@ def measure_ways(weights: Any, w: int, far: Any, ends: Any, count: int) -> int:
 def send_on(phi: Any, most: Any, weights: Any, floor: Any, lacking: bool, far: Any, row: int, c: int) -> None:
     """Bring one cell within its bounds; what it has beyond goes a face nearer to room."""
     r, near = weights.across.shape[0], far[row, c] - 1
-    if lacking and floor is not None and floor[row, c] > 0.0:
+    if lacking and floor[row, c] > 0.0:
         return
     amount = -phi[row, c] if lacking else phi[row, c] - most[row, c]
     if amount <= 0.0:
@@ -171,7 +171,7 @@ def repair_side(phi: Any, most: Any, floor: Any, weights: Any, first: int, last:
 def repair(phi: Any, most: Any, floor: Any, weights: Any, first: int, last: int, nx: int) -> int:
     """Bring amounts (2 r, w) into 0 .. `most`; how many cells still lie outside. Not a number stays.
 
-    A cell with a `floor` may lack what it will be given.
+    A cell with a `floor` above 0 may lack what it will be given.
     """
     outside = repair_side(phi, most, floor, weights, first, last, nx, False)
     return outside + repair_side(phi, most, floor, weights, first, last, nx, True)

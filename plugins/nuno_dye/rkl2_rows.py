@@ -128,9 +128,9 @@ def open_row(
             went = went + higher(up, nothing) * load(factors, known - 1, c)
             went = went - lower(down, nothing) * load(factors, known + 1, c)
             went = went - lower(other, nothing) * load(factors, known_other, c)
-            if floor is not None:
+            if law.kept:
                 went = went - where_greater(load(floor, at, c), nothing, went)
-            if fibre is not None:
+            if law.fixes:
                 fixed, room = load(held, here, c), load(fibre, at, c)
                 went = went + taken_at(phi, fixed, room, law.rate, law.isotherm, law.first, law.second, law.pace)
             share = (went + law.pace * (load(most, at, c) - phi)) / came

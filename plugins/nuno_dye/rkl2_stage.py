@@ -72,13 +72,19 @@ class Weights(NamedTuple):
 
 
 class Law(NamedTuple):
-    """D_ab dt / d^2, the isotherm and its numbers; how fast a cell comes to its capacity, and fibre to its limit."""
+    """D_ab dt / d^2, the isotherm and its numbers; how fast a cell comes to its capacity, and fibre to its limit.
+
+    `fixes` and `kept`: whether fibre takes any, and whether any is kept up. They are asked row by row; as arguments
+    that may be None they made four kernels of each, of seven seconds' compilation.
+    """
 
     rate: float
     isotherm: int
     first: float
     second: float
     pace: float
+    fixes: bool
+    kept: bool
 
 
 class Stages(NamedTuple):
@@ -97,13 +103,13 @@ def end_row(
     """Stage `j` of a row of both layers, from what diffusion brings it, in scratch[rates] and the next."""
     for layer in range(2):
         at, of = row + layer * r, rates + layer
-        if fibre is not None:
+        if law.fixes:
             take_row(
                 seen, held, fibre, scratch, of, at, here, law.rate, law.isotherm, law.first, law.second, law.pace
             )  # fmt: skip
             advance_row(held, bite, scratch, of + 2, at, here, into, coefs, j)
         advance_row(mobile, slope, scratch, of, at, here, into, coefs, j)
-        if floor is not None:
+        if law.kept:
             see_row(seen, mobile, floor, at, at + into)
 
 
@@ -191,9 +197,9 @@ def super_step(
 ) -> None:
     """All stages, (s, 4) coefficients mu, nu, mu', gamma'; the last, as s is odd, is in the even plane.
 
-    cuts (b + 1,) are first rows of the bands, and the one after the last. `curve` is None where D is constant, `bite`,
-    what fibre takes at first, and `fibre`, V_d, where nothing is adsorbed, `floor` where nothing is kept up, `most`
-    (V_u) where nothing can be limited.
+    cuts (b + 1,) are first rows of the bands, and the one after the last. `curve` is None where D is constant, `most`
+    (V_u) where nothing can be limited. `bite`, what fibre takes at first, and `fibre`, V_d, are any where nothing is
+    adsorbed, as `floor` where nothing is kept up.
     """
     levels = amounts.scratch.shape[1] // ROWS
     if most is not None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numba
 import numpy as np
@@ -40,6 +40,15 @@ class Known:
     floors: Float | None
 
 
+class Works(Protocol):
+    """What a solver has made from a system."""
+
+    known: Known
+
+
+W = TypeVar("W", bound=Works)
+
+
 def know(system: DyeSystem) -> Known:
     """What follows from a system."""
     faces = face_values(system.cells)
@@ -58,6 +67,22 @@ def measure_known(known: Known) -> Float:
 def same_cells(one: DyeSystem, other: DyeSystem) -> bool:
     """Whether what was made from cells, dyes and threads holds for both; arrays count as changed if they are others."""
     return one.cells is other.cells and one.dyes == other.dyes and one.threads == other.threads
+
+
+def renew_work(work: W, system: DyeSystem, make: Callable[[DyeSystem], W], fed: dict[Any, Any]) -> W:
+    """What still holds for a system that may have other cells, dyes, threads or another supply than before.
+
+    `fed` is the part of it that depends on the supply.
+    """
+    before = work.known.system
+    if system is before:
+        return work
+    if not same_cells(system, before):
+        return make(system)
+    if system.supply is not before.supply:
+        fed.clear()
+    work.known = know(system)
+    return work
 
 
 def adsorbs(one: Dye) -> bool:

@@ -39,7 +39,8 @@ def mend(amounts: Float, most: Float, floor: Float | None = None) -> tuple[Float
     """Amounts (2, ny, nx) after repair, and how many cells are still outside."""
     _, ny, nx = amounts.shape
     phi = laid(amounts)
-    left = repair(phi, laid(most), None if floor is None else laid(floor), faces(ny, nx), MARGIN, MARGIN + ny - 1, nx)
+    floor = np.zeros(most.shape) if floor is None else floor
+    left = repair(phi, laid(most), laid(floor), faces(ny, nx), MARGIN, MARGIN + ny - 1, nx)
     return phi.reshape(2, -1, phi.shape[1])[:, MARGIN : MARGIN + ny, LEFT : LEFT + nx], left
 
 

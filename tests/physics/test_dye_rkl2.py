@@ -13,8 +13,9 @@ from test_dye_upkeep import kept
 
 from nuno_dye import rkl2 as module
 from nuno_dye.legendre import find_coefficients, find_stages
-from nuno_dye.rkl2 import MOST_STAGES, Rkl2Config
-from nuno_schemas.dye import Cells, Dye, DyeSystem, Tortuosity
+from nuno_dye.long_steps import split_steps
+from nuno_dye.rkl2 import MOST_STAGES, Rkl2, Rkl2Config
+from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity
 
 CONFIG = Rkl2Config()
 ONES = np.ones((2, 3, 3))
@@ -65,10 +66,42 @@ def test_the_explicit_solver_comes_to_it_as_its_steps_shrink(name: str, supplied
     assert max(np.abs(longer.phi - ours.phi).max(), np.abs(longer.fixed - ours.fixed).max()) < 0.02
 
 
-def test_a_step_that_fails_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", ["partition", "langmuir"])
+def test_what_fibre_fixes_while_a_drop_spreads_falls_with_finer_starts(name: str) -> None:
+    """A drop put once, one step: fibre keeps what it takes at each place while dye passes."""
+    ones = np.ones((2, 30, 30))
+    cells = Cells(ones > 0, ones > 0, 0.5 * ones, ones, 0 * ones, 1.0, Tortuosity(1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
+    law = Isotherm("partition", 0.5) if name == "partition" else Isotherm("langmuir", 20.0)
+    system = DyeSystem(cells, (Dye("blue", 1.0, 0.02, law),))
+    y, x = np.mgrid[0:30, 0:30] - 14.5
+    phi = np.where(x * x + y * y < 25.0, 0.5, 0.0) * ones
+    t = 300.0 * limit(system)
+    exact = follow(system, phi, 0 * phi, t, 4800)
+    errors = []
+    for parts in (1, 4, 16):
+        state = DyeState(phi[None].copy(), 0 * phi[None])
+        memory = Rkl2().prepare(Rkl2Config(start=parts), system, state)
+        Rkl2().advance(system, state, memory, 1, t)
+        errors.append(float(np.abs(state.fixed - exact.fixed).sum() / exact.fixed.sum()))
+    assert errors[0] > 3.0 * errors[1] and errors[1] > 2.0 * errors[2] and errors[2] < 2e-3
+
+
+def test_steps_grow_with_the_time_since_amounts_jumped() -> None:
+    shares = split_steps(0, 6, 1000.0, 4)
+    ends = np.cumsum(shares)
+    assert ends[-1] == pytest.approx(6.0, rel=1e-12) and shares[0] * 1000.0 <= 0.25
+    assert np.all(shares[4:] <= 0.25 * ends[3:-1] * (1.0 + 1e-12)), "from the first explicit step on"
+    assert np.array_equal(np.concatenate([split_steps(n, 1, 1000.0, 4) for n in range(6)]), shares)
+
+
+def test_a_step_that_fails_is_said_and_leaves_what_was_reached(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first of 16 parts succeed: what they gave and what cells hold belong together."""
     cells = resisted(8, 9)
     phi, fixed = start(cells)
-    monkeypatch.setattr(module, "repair", lambda *args: 1)
-    _, report = run("rkl2", dyed(cells, None), phi, fixed, 1024.0, 1)
+    mend, calls = module.repair, iter(range(1000))
+    monkeypatch.setattr(module, "repair", lambda *args: 1 if next(calls) >= 16 else mend(*args))
+    system = replace(dyed(cells, None), supply=kept(cells))
+    end, report = run("rkl2", system, phi, fixed, 1024.0, 1)
     assert report.status == "unconverged" and "beyond capacity" in report.message
-    assert report.mobile[0] == pytest.approx(phi.sum(), rel=1e-14)
+    assert report.supplied[0] > 0.0 and not np.array_equal(end.phi[0], phi)
+    assert report.mobile[0] == pytest.approx(phi.sum() + report.supplied[0], rel=1e-13)

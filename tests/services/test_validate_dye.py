@@ -104,6 +104,13 @@ class Constant(Changed):
         return super().advance(self.constant, state, memory, steps, dt)
 
 
+class Picky(Explicit):
+    """Refuses what every solver must pose."""
+
+    def prepare(self, config: Any, system: DyeSystem, state: DyeState) -> Any:
+        raise BadInput("not today")
+
+
 class Refusing(Explicit):
     """Knows none, and says so."""
 
@@ -150,6 +157,12 @@ def test_what_a_solver_cannot_pose_is_unsupported_with_its_reason() -> None:
     for name in ("along", "order", "cap"):
         found = check(f"fast diffusion, {name}", Refusing())
         assert (found.verdict, found.reason) == ("unsupported", "its D is constant")
+
+
+def test_who_refuses_plain_diffusion_breaks_its_law() -> None:
+    found = check("two layers", Picky())
+    assert found.verdict == "failed" and "not today" in found.reason
+    assert check("uptake", Picky()).verdict == "unsupported", "of an isotherm"
 
 
 def test_other_packages_solvers_are_held_to_the_laws_of_dye_alone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,6 +71,10 @@ class DyeRun:
         try:
             self.memory = plugin.prepare(self.config, self.system, self.state)
         except BadInput as refused:
+            # A solver may know no isotherm, or no diffusion that falls with dye; what else it refuses all must pose.
+            (one,) = self.system.dyes
+            if one.isotherm is None and one.weisz_zollinger is None:
+                raise Broken(f"refuses a system of neither isotherm nor law of diffusion: {refused.problem}") from None
             raise Unsupported(refused.problem) from None
         self.report: DyeReport
         self.supplied, self.steps = 0.0, 0

@@ -124,7 +124,7 @@ ROOMS = "dye paper, equations 6 and 9"
 CASES = (
     Case("balance", "mobile + fixed - supplied stays as it is", "fluxes cancel in pairs", measure_balance, GROUP),
     Case("bounds", "0 <= phi <= V_u and 0 <= A <= V_d", ROOMS, partial(measure_bounds, length=0.2), GROUP),
-    Case("bounds, long steps", "the same at steps a hundred times as long, where the solver can take them", ROOMS,
+    Case("bounds, longest steps", "the same at the longest steps it allows, up to a hundred times as long", ROOMS,
          partial(measure_bounds, length=20.0), GROUP),
     Case("resist line", "nothing comes through a line of B = 1", "V_u = 0 there", measure_resist, GROUP),
     Case("uptake", "even dye is taken as M / 2 (1 - exp(-2 r t)), r = D_ab / d^2", "closed form", measure_uptake,
