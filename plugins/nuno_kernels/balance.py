@@ -21,8 +21,6 @@ from nuno_kernels.slides import BLOCK, pose_slides
 
 TRIAL = 0.02
 """Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge."""
-ENOUGH = 1.0 - 1e-6
-"""It ends no nearer to the surface than this share of the gap: a plane that it is nearly along is met as well."""
 
 
 @kernel
@@ -55,13 +53,13 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
             g = to_body(ex, ey, ez, s.frames, f)
             m = (length / size * g[0], length / size * g[1], length / size * g[2])
             made, n1, n2, planes, _, _, _ = slide(
-                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], s.gap[0], ENOUGH,
+                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], s.gap[0],
                 s.friction[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals,
                 s.edge_normals, waiting, bound,
             )  # fmt: skip
             if planes == 0:
                 continue
-            # Vertices rest at the gap but for NEAR_ENOUGH of it: what they are put back by is no movement.
+            # What a vertex is put back by is no movement.
             g = along_planes(made, n1, n2, planes)
             for c in range(3):
                 row = 3 * c

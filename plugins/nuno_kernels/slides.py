@@ -28,7 +28,7 @@ from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.acceleration import provide
 from nuno_kernels.closest_point import DEPTH, closest
 from nuno_kernels.contact_poses import pose_frame, write_interval
-from nuno_kernels.slide_vertex import NEAR_ENOUGH, slide, slow_down, to_body, turn_out
+from nuno_kernels.slide_vertex import slide, slow_down, to_body, turn_out
 from nuno_kernels.surface_tree import Tree
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
@@ -100,7 +100,7 @@ def slide_block(
         if left > gap or not (abs(px) + abs(py) + abs(pz) < math.inf):
             continue
         made, n1, n2, planes, distance, at, back = slide(
-            start, m, free, place[body, i], root, gap, 1.0 - NEAR_ENOUGH, mu, boxes, child, corners, face, faces, edges,
+            start, m, free, place[body, i], root, gap, mu, boxes, child, corners, face, faces, edges,
             vertex_normals, edge_normals, waiting, bound,
         )  # fmt: skip
         clear[body, i], place[body, i] = distance, at

@@ -82,7 +82,8 @@ def test_sticks_and_slides_on_an_incline_as_coulomb_says(name: str) -> None:
             moved, expected = world.state.x[2] - start[2], max(0.0, 0.5 * pull * t * t)
             first_order = name in ("symplectic_euler", "implicit_euler", "xpbd")
             assert abs(moved[0] - expected) <= 1e-9 + (0.51 * max(pull, 0.0) * t * dt if first_order else 0.0)
-            assert abs(moved[1]) <= 0.01 * GAP + 1e-12 and abs(moved[2]) < 1e-12
+            # No step falls through a part of the gap, in which it would feel no friction.
+            assert abs(moved[1]) <= 1e-6 * GAP and abs(moved[2]) < 1e-12
             assert world.state.v[2] == pytest.approx([max(0.0, pull * t), 0.0, 0.0], abs=1e-9)
 
 
