@@ -14,13 +14,14 @@ import numpy as np
 from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.closest_point import DEPTH
+from nuno_kernels.closest_point import DEPTH, closest
 from nuno_kernels.slide_planes import PARALLEL
 from nuno_kernels.slide_vertex import slide, to_body
 from nuno_kernels.slides import BLOCK, pose_slides
 
-TRIAL = 0.02
-"""Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge."""
+TRIAL = 1e-3
+"""Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge, and what is
+so near to the gap counts as touching."""
 
 
 @kernel
@@ -52,14 +53,19 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
             ex, ey, ez = s.frames[f, 9] + g[0], s.frames[f, 10] + g[1], s.frames[f, 11] + g[2]
             g = to_body(ex, ey, ez, s.frames, f)
             m = (length / size * g[0], length / size * g[1], length / size * g[2])
+            _, _, _, _, _, _, distance, _, _, _ = closest(
+                px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges,
+                s.vertex_normals, s.edge_normals, waiting, bound,
+            )  # fmt: skip
+            # What would put a nearer vertex back to the gap is no force, and friction none of it.
+            held = min(s.gap[0], distance)
             made, n1, n2, planes, _, _, _ = slide(
-                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], s.gap[0],
+                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], held,
                 s.friction[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals,
                 s.edge_normals, waiting, bound,
             )  # fmt: skip
             if planes == 0:
                 continue
-            # What a vertex is put back by is no movement.
             g = along_planes(made, n1, n2, planes)
             for c in range(3):
                 row = 3 * c

@@ -12,6 +12,7 @@ import pytest
 from nuno import registry
 from nuno.collision.distance import penetration, signed_distance
 from nuno_contact.sliding import Sliding, SlidingConfig
+from nuno_kernels.balance import hold_forces
 from nuno_schemas.bodies import MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, Springs, State
@@ -85,6 +86,17 @@ def test_sticks_and_slides_on_an_incline_as_coulomb_says(name: str) -> None:
             # No step falls through a part of the gap, in which it would feel no friction.
             assert abs(moved[1]) <= 1e-6 * GAP and abs(moved[2]) < 1e-12
             assert world.state.v[2] == pytest.approx([max(0.0, pull * t), 0.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.9, 0.99, 1.0])
+def test_friction_holds_a_force_by_what_presses_wherever_the_vertex_rests(share: float) -> None:
+    """mu N of it, and not by what would put a vertex that is nearer than the gap back to it."""
+    world = World(loose(np.array([[0.1, 1.0 + share * GAP, 0.2]])), body(meshes.box((2.0, 2.0, 2.0)), 0.4), np.zeros(3))
+    world.go(0, 1e-3)
+    for pull, left in ((0.3, 0.0), (0.5, 0.1)):
+        force = np.array([[0.6 * pull], [-1.0], [0.8 * pull]])
+        hold_forces(world.memory.work.x, force, world.slides)
+        assert force[:, 0] == pytest.approx([0.6 * left, 0.0, 0.8 * left], abs=1e-5)
 
 
 def net(n: int, size: float, at: Float, k: float) -> Fabric:
