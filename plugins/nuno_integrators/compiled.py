@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -20,14 +19,12 @@ from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed, evaluate
 from nuno_kernels.energy import measure_energy
 from nuno_kernels.packing import pack, python_terms, silence_bodies, thread_count, to_rows
+from nuno_kernels.rest import unbalance
 from nuno_kernels.stability import measure_rates, stable_step
-from nuno_kernels.tension import mean_tension
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Memory, State
 from nuno_schemas.plugin import StepLimit, StepReport, System
 
-STRAY = 5e-3
-"""Share of the vertices that may be out of balance where cloth rests: on coarse meshes single ones rattle on edges."""
 CHECKPOINTED = ("anchor", "anchor_frame")
 """Arrays of the contact tuple that are part of the state."""
 
@@ -137,9 +134,7 @@ class Compiled(ABC):
         extra = _enter(system, state, work, state.t)
         return profile_steps(self.step_at_rest(work, extra), packed, work.x, work.v, work.stages, extra)
 
-    def unbalance(
-        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
-    ) -> tuple[float, int]:
+    def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
         packed = _set_poses(work.packed, poses)
@@ -151,12 +146,7 @@ class Compiled(ABC):
             from nuno_kernels.balance import hold_forces
 
             hold_forces(work.x, force, packed.slides)
-        left = np.sqrt((force * force).sum(axis=0))
-        tension = mean_tension(system.fabric, state.x)
-        if tension == 0.0:
-            return math.inf, 0
-        worst = int(np.argsort(left, kind="stable")[-1 - int(STRAY * len(left))])
-        return float(left[worst]) / tension, worst
+        return unbalance(system.fabric, state.x, state.v, force.T)
 
     def slopes(self, memory: Memory) -> Callable[[Float, Float, Float], None]:
         """The compiled acceleration by itself, bodies left out: a function (x, v, out) of rows (3, n).

@@ -11,7 +11,7 @@ from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK
 from nuno_kernels.linear_yarns import turning_of_yarns
 from nuno_kernels.springs import tension_at
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Float
 
 
 def largest_tension(x: Float, packed: Packed) -> float:
@@ -96,17 +96,3 @@ def turning_of_lists(x0: Any, x: Any, d: Any, lists: Any) -> float:
             if ends[0, c] // BLOCK == block:
                 total += turning(x0, x, d, ends[0, c], ends[1, c], constants, c, lists.locks)
     return total
-
-
-def mean_tension(fabric: Fabric, x: Float) -> float:
-    """Mean size of the springs' own forces [N] at positions (n, 3); 0 without springs."""
-    springs = fabric.springs
-    if springs is None or springs.number == 0:
-        return 0.0
-    pairs, k, rest = springs.pairs(), springs.per_spring(springs.k), springs.per_spring(springs.rest)
-    length = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
-    pull = k * (length - rest)
-    if springs.lock is not None and springs.k_lock is not None:
-        beyond = length - rest * (1.0 + springs.per_spring(springs.lock))
-        pull += (springs.per_spring(springs.k_lock) - k) * np.maximum(beyond, 0.0)
-    return float(np.abs(pull).mean())

@@ -120,7 +120,9 @@ class StepReport:
     totals: Mapping[str, int] = field(default_factory=dict)
     """What adds up over a run: rejected steps, evaluations, iterations of a solver."""
     unbalance: float = math.inf
-    """Of a scene until balance: the largest force left on a vertex, as a share of the springs' mean tension."""
+    """Of a scene until balance: how far the vertex farthest from rest is from it; see Integrator.unbalance."""
+    unsettled: int = 0
+    """Of a scene until balance: vertices farther from rest than it allows."""
 
 
 class Model(Protocol):
@@ -203,12 +205,10 @@ class Integrator(Protocol):
         """
         ...
 
-    def unbalance(
-        self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
-    ) -> tuple[float, int]:
-        """The largest force that surfaces and friction leave on a vertex at rest, but for one vertex in 200, as a
-        share of the springs' mean tension (inf where there is none), and that vertex. Changes neither state nor
-        memory; poses as in `advance`.
+    def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
+        """(n,) how far each vertex is from rest: the force that surfaces and friction leave on it, and what its
+        velocity will turn into, as a share of the springs' mean tension. 0 for vertices that are held, inf for all
+        others of cloth without springs. Changes neither state nor memory; poses as in `advance`.
         """
         ...
 

@@ -184,7 +184,7 @@ class Scene(Part):
         "duration",
         description="rest: end before `duration` where the cloth has come to rest, no vertex faster than a thousandth "
         "of the cloth's size a second for a tenth of a second; balance: end where surfaces and friction leave "
-        "199 of 200 vertices no more force than a thousandth of the springs' mean tension, and fail short of that",
+        "every vertex no more force than a thousandth of the springs' mean tension, and fail short of that",
     )
     frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")
     solver: Solver = Field(

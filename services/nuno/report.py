@@ -62,6 +62,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "threads": summary.get("threads", ""),
         "energy": summary.get("energy", []),
         "stretch": summary.get("stretch", 0.0),
+        "rest": summary.get("rest", {}),
         "penetration": collision.get("deepest"),
         "last_penetration": collision.get("last_depth"),
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
@@ -226,6 +227,9 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("balance", _balance(first, last) + since))
     stretch = report["stretch"]
     rows.append(("stretch", _percent(stretch)))
+    if rest := report["rest"]:
+        beyond = f"; {rest['unsettled']:,} vertices are farther than that" if rest["unsettled"] else ""
+        rows.append(("rest", f"every vertex within {rest['farthest']:.2g} of the mean tension{beyond}"))
     rows += _knit(report)
     if report["penetration"] is not None:
         text = f"at most {_millimetres(report['penetration'])}, {_millimetres(report['last_penetration'])} at the end"

@@ -132,7 +132,7 @@ def test_a_fit_without_friction_is_in_balance_by_a_count_of_its_own() -> None:
     force, tension = forces(simulation.fabric, x)
     free = np.flatnonzero(~simulation.fabric.pinned)
     rest = np.array([left(force[i], x[i], corners) for i in free]) / tension
-    assert np.sort(rest)[-1 - int(0.005 * simulation.fabric.number)] <= 1.05 * BALANCED
+    assert rest.max() <= 1.05 * BALANCED
     assert np.linalg.norm(force[free], axis=1).max() / tension > 20 * BALANCED  # which the skin holds up
 
 
@@ -157,7 +157,8 @@ def test_a_fit_that_does_not_settle_says_what_still_moves() -> None:
     reports = [simulation.advance(poses, poses).report for _ in range(3)]
     assert [report.status for report in reports] == ["ok", "ok", "unconverged"]
     assert "vertex" in reports[-1].message and "of stocking at" in reports[-1].message
-    assert reports[-1].unbalance > BALANCED
+    assert reports[-1].unbalance > BALANCED and reports[-1].unsettled > 100
+    assert f"{reports[-1].unsettled:,} of {28 * 30:,} free vertices" in reports[-1].message
 
 
 def test_a_run_that_was_too_short_keeps_what_it_can_go_on_from(tmp_path: Path) -> None:

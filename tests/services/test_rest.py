@@ -12,6 +12,7 @@ import pytest
 from nuno import scene_file
 from nuno.simulation.run import REST_SPEED, Simulation
 from nuno_schemas.bodies import Poses
+from nuno_schemas.errors import BadInput
 
 SOLVERS = sorted(point.name for point in entry_points(group="nuno.integrators"))
 
@@ -109,3 +110,33 @@ def test_a_resumed_run_comes_to_rest_in_the_same_frame(tmp_path: Path) -> None:
     finish(again)
     assert again.frame == whole.frame
     assert again.digest() == whole.digest()
+
+
+STILL = ("until=balance", "gravity=[0,0,0]", "frame_rate=50 Hz", "solver.dt=2 ms")
+
+
+def test_cloth_without_load_is_in_balance_at_once(tmp_path: Path) -> None:
+    x = np.array([[0.1, 0.2, 0.3], [1.1, 0.7, 0.3], [0.4, 1.9, 3.3]])
+    pairs = [[0, 1], [1, 2]]
+    net(tmp_path, x, pairs, [np.linalg.norm(x[j] - x[i]) for i, j in pairs])
+    run = simulation(tmp_path, *STILL)
+    run.advance(None, None)
+    assert run.balanced and run.finished
+
+
+def test_what_swings_is_as_far_from_rest_in_the_middle_as_at_its_ends(tmp_path: Path) -> None:
+    """1 kg between two springs of 40 N/m under 20 N: 2 k A at an end of the swing, A sqrt(2 k / m) between."""
+    net(tmp_path, [[0, 0, 0], [1.5, 0, 0], [3, 0, 0]], [[0, 1], [1, 2]], [1, 1])
+    run = simulation(tmp_path, *STILL)
+    run.fabric.pinned[2] = True
+    plugin, amplitude = run.loaded.integrator.plugin, 1e-3
+    for along, speed in ((amplitude, 0.0), (0.0, amplitude * np.sqrt(80.0))):
+        run.state.x[1, 0], run.state.v[1, 0] = 1.5 + along, speed
+        share = plugin.unbalance(run.system, run.state, run.memory, None)
+        assert share == pytest.approx([0.0, 80.0 * amplitude / 20.0, 0.0], rel=1e-9)
+
+
+def test_balance_of_cloth_without_springs_is_refused(tmp_path: Path) -> None:
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], np.zeros((0, 2), np.int32), [])
+    with pytest.raises(BadInput, match="without springs"):
+        simulation(tmp_path, *STILL)

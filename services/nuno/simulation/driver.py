@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -45,6 +46,7 @@ class Driver(Lockstep):
         self.energy: list[dict[str, float]] = []
         self.stretch = 0.0
         self.started = False
+        self.rest: dict[str, float] = {}
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """See `Lockstep`; what is added, is added to the dye where the scene has any."""
@@ -86,6 +88,8 @@ class Driver(Lockstep):
         frame = self.simulation.advance(self.poses, end)
         self.poses = end
         self.seconds["steps"] += frame.seconds
+        if self.scene.until == "balance" and math.isfinite(frame.report.unbalance):
+            self.rest = {"farthest": frame.report.unbalance, "unsettled": frame.report.unsettled}
         for name, value in frame.report.counts.items():
             self.counts[name] = max(self.counts.get(name, 0), value)
         self.publish(frame, "running" if frame.report.status == "ok" else frame.report.status)
@@ -203,6 +207,7 @@ class Driver(Lockstep):
             "limit": {"dt": limit.dt, "omega": limit.omega, "damping": limit.damping},
             "energy": self.energy,
             "stretch": self.stretch,
+            "rest": self.rest,
             "counts": self.counts,
             "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
             "yarns": measure_yarns(fabric),

@@ -10,13 +10,15 @@ is right for one frequency; 10 /s took twice the steps on a stocking of 150 x 15
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from nuno.build import Piece
 from nuno_schemas.fabric import Float, State
 
 BALANCED = 1e-3
-"""Cloth is in balance where the force left on 199 of 200 vertices is at most this share of the springs' mean
-tension."""
+"""Cloth is in balance where no vertex is farther from rest than this share of the springs' mean tension."""
 
 
 class Relaxation:
@@ -36,7 +38,8 @@ class Relaxation:
 
     def after(self, state: State) -> None:
         """Note a finished frame; cloth that has become slower stops."""
-        energy = float((self.inertia * state.v * state.v).sum())
+        # Exactly: in NumPy's order, which differs between machines, the last bits would decide when to start again.
+        energy = math.fsum((self.inertia * state.v * state.v).ravel().tolist())
         self.memory[0] += 1.0
         if energy < self.memory[1]:
             state.v[...] = 0.0
@@ -44,12 +47,15 @@ class Relaxation:
         self.memory[1] = energy
 
 
-def unsettled(share: float, vertex: int, state: State, piece: str) -> str:
-    """What is said of cloth that its duration was too short for."""
+def unsettled(share: Float, state: State, pieces: list[Piece], free: int) -> str:
+    """What is said of cloth that its duration was too short for; share (n,) is how far each vertex is from rest."""
+    vertex, beyond = int(np.argmax(share)), int((share > BALANCED).sum())
+    piece = next(piece.name for piece in pieces if vertex < piece.stop)
     place = ", ".join(f"{value:.4g}" for value in state.x[vertex])
     speed = float(np.linalg.norm(state.v, axis=1).max(initial=0.0))
     return (
-        f"the cloth has not come to rest: the force left on vertex {vertex}, of {piece} at [{place}] m, is {share:.3g} "
-        f"of the mean tension, and {BALANCED:g} is rest; the fastest vertex moves at {speed:.3g} m/s; lengthen the "
-        "scene, for example --set duration=100s, or look for parts that nothing holds"
+        f"the cloth has not come to rest: {beyond:,} of {free:,} free vertices are farther from it than {BALANCED:g} "
+        f"of the mean tension, the farthest, vertex {vertex} of {piece} at [{place}] m, by {share[vertex]:.3g}; the "
+        f"fastest moves at {speed:.3g} m/s; lengthen the scene, for example --set duration=100s, or look for parts "
+        "that nothing holds"
     )

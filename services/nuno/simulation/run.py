@@ -48,6 +48,9 @@ class Simulation(Changing):
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
         self.fabric: Fabric
         self.fabric, self.pieces = build.build_fabric(loaded, geometry, poses)
+        if loaded.scene.until == "balance" and (self.fabric.springs is None or self.fabric.springs.number == 0):
+            problem, remedy = "cloth without springs has no tension to be in balance with", "take until: rest"
+            raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
         self.start_poses = poses
         self.begin_unchanged()
         self.state: State = build.start_state(self.fabric)
@@ -158,13 +161,14 @@ class Simulation(Changing):
     def _weigh(self, report: StepReport, poses: tuple[Poses, Poses] | None) -> StepReport:
         """The report of a frame after which the cloth is in balance, or must be, with what is left to it."""
         plugin = self.loaded.integrator.plugin
-        share, vertex = plugin.unbalance(self.system, self.state, self.memory, poses)
-        self.balanced = share <= BALANCED
+        share = plugin.unbalance(self.system, self.state, self.memory, poses)
+        most, beyond = float(share.max()), int((share > BALANCED).sum())
+        self.balanced = most <= BALANCED
+        report = replace(report, unbalance=most, unsettled=beyond)
         if self.balanced or self.frame < self.loaded.scene.frames:
-            return replace(report, unbalance=share)
-        piece = next(piece.name for piece in self.pieces if vertex < piece.stop)
-        problem = unsettled(share, vertex, self.state, piece)
-        return replace(report, unbalance=share, status="unconverged", message=problem)
+            return report
+        problem = unsettled(share, self.state, self.pieces, int((~self.fabric.pinned).sum()))
+        return replace(report, status="unconverged", message=problem)
 
     @property
     def finished(self) -> bool:
