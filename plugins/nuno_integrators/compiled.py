@@ -93,6 +93,10 @@ class Compiled(ABC):
         """The packed system as this method reads it."""
         return packed
 
+    def damped(self, packed: Packed, damping: float) -> Packed:
+        """The packed system under another damping, which may change from frame to frame; none stays none."""
+        return packed if packed.damping == 0.0 else packed._replace(damping=damping)
+
     def limit(self, config: Any, system: System, state: State) -> StepLimit:
         """Largest stable step [s] in the present state, from bounds on its frequency and damping."""
         omega, damping = measure_rates(system, state)
@@ -104,8 +108,7 @@ class Compiled(ABC):
         """Advance `state` in place by `steps` steps of `dt` [s]; see nuno_schemas.plugin.Integrator."""
         began = time.perf_counter()
         work: Work = memory.work  # type: ignore[assignment]
-        if work.packed.damping != 0.0:  # it may change from frame to frame
-            work.packed = work.packed._replace(damping=float(system.damping))
+        work.packed = self.damped(work.packed, float(system.damping))
         packed = _set_poses(work.packed, poses)
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t + steps * dt)

@@ -75,6 +75,9 @@ class RK4Printed(RK4):
         """Damping is taken out of the acceleration and gravity doubled."""
         return packed._replace(damping=0.0, frozen_damping=packed.damping, gravity=2.0 * packed.gravity)
 
+    def damped(self, packed: Packed, damping: float) -> Packed:
+        return packed if packed.frozen_damping == 0.0 else packed._replace(frozen_damping=damping)
+
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
         x, v = np.eye(2)

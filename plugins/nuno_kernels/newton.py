@@ -195,7 +195,7 @@ def _fill_own(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None
     own[3:] = 0.0
     if st.others is not None:
         own[:3] = st.mass / (g * g)
-        _add_others(st, st.others._replace(contact=packed.contact), extra, g, s)
+        _add_others(st, st.others._replace(contact=packed.contact, damping=packed.damping), extra, g, s)
 
 
 def _add_others(st: Stage, others: Packed, extra: Any, g: float, s: float) -> None:

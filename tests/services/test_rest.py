@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -140,3 +141,25 @@ def test_balance_of_cloth_without_springs_is_refused(tmp_path: Path) -> None:
     net(tmp_path, [[0, 0, 0], [1, 0, 0]], np.zeros((0, 2), np.int32), [])
     with pytest.raises(BadInput, match="without springs"):
         simulation(tmp_path, *STILL)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_damping_that_changes_acts_as_if_it_had_been_so_from_the_start(tmp_path: Path, solver: str) -> None:
+    """Beside wind, so that implicit methods measure what acts on single vertices."""
+    net(tmp_path, [[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 1], [1, 2]], [1, 1.2])
+    wind = "forces=[{plugin: particle_wind, strength: 3 N}]"
+    common = (f"solver.plugin={solver}", "frame_rate=50 Hz", "solver.dt=2 ms", "allow_unstable=true", wind)
+    runs = [simulation(tmp_path, *common, f"damping={damping}") for damping in (40, 1)]
+    runs[1].system = replace(runs[1].system, damping=40.0)
+    assert runs[0].advance(None, None).digest == runs[1].advance(None, None).digest
+
+
+def test_a_number_may_take_the_place_of_damping_that_finds_its_own(tmp_path: Path) -> None:
+    net(tmp_path, [[0, 0, 0], [1, 0, 0]], [[0, 1]], [1])
+    run = simulation(tmp_path, "until=balance", "damping=auto")
+    run.advance(None, None)
+    run.set("damping=2")
+    run.advance(None, None)
+    assert run.system.damping == 2.0
+    run.set("damping=auto")
+    assert run.advance(None, None).report.status == "ok" and run.system.damping == 3.0 * 60.0

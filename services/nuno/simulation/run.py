@@ -31,6 +31,10 @@ SETTABLE = ("gravity", "damping", "forces")
 """Fields that `set` may change while a run goes on."""
 
 
+RELAXATION = "relaxation"
+"""Array of the memory that damping which finds its own strength goes on from."""
+
+
 @dataclass
 class Frame:
     """One finished frame."""
@@ -85,10 +89,10 @@ class Simulation(Changing):
         if self.loaded.scene.until == "rest":
             self.memory.arrays["slow_frames"] = self.slow_frames
         self.relaxation = None
-        if self.loaded.scene.damping == "auto":
+        if _finds_damping(self.loaded):
             inertia = np.where(self.fabric.pinned, 0.0, self.fabric.mass)
             self.relaxation = Relaxation(self.loaded.scene.frame_rate, inertia)
-            self.memory.arrays["relaxation"] = self.relaxation.memory
+            self.memory.arrays[RELAXATION] = self.relaxation.memory
         if source is not None:
             known = {name: values for name, values in arrays.items() if name in self.memory.arrays}
             arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in known.items()}
@@ -246,7 +250,7 @@ class Simulation(Changing):
         changed = load(data, lines, before.file, before.files)
         try:
             self.loaded = changed
-            self._prepare(dict(kept))
+            self._prepare({name: kept[name] for name in kept if name != RELAXATION or _finds_damping(changed)})
             if step[1] > self.limit.dt and not before.scene.allow_unstable:
                 raise BadInput(
                     "that would make the present step unstable",
@@ -261,6 +265,11 @@ class Simulation(Changing):
         finally:
             # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
             self.steps, self.dt = step
+
+
+def _finds_damping(loaded: Loaded) -> bool:
+    """Whether damping finds its own strength."""
+    return loaded.scene.damping == "auto"
 
 
 def _same(start: Poses, end: Poses) -> bool:
