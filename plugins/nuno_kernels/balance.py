@@ -20,8 +20,10 @@ from nuno_kernels.slide_vertex import slide, to_body
 from nuno_kernels.slides import BLOCK, pose_slides
 
 TRIAL = 1e-3
-"""Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge, and what is
-so near to the gap counts as touching."""
+"""Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge."""
+NEAR = 1.02
+"""A vertex within so many gaps touches. A step that is held off at an edge ends a little beyond the gap, by half the
+square of the angle that the surface's normal turned by on the way."""
 
 
 @kernel
@@ -47,7 +49,7 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
         for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
             g = (force[0, i], force[1, i], force[2, i])
             size = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-            if s.mass[i] == 0.0 or s.clear[body, i] > s.gap[0] + length or not 0.0 < size < math.inf:
+            if s.mass[i] == 0.0 or s.clear[body, i] > NEAR * s.gap[0] or not 0.0 < size < math.inf:
                 continue
             px, py, pz = to_body(x[0, i], x[1, i], x[2, i], s.frames, f)
             ex, ey, ez = s.frames[f, 9] + g[0], s.frames[f, 10] + g[1], s.frames[f, 11] + g[2]
@@ -57,10 +59,11 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
                 px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges,
                 s.vertex_normals, s.edge_normals, waiting, bound,
             )  # fmt: skip
-            # What would put a nearer vertex back to the gap is no force, and friction none of it.
-            held = min(s.gap[0], distance)
+            if distance > NEAR * s.gap[0]:
+                continue
+            # Held where it is: what would put it back to the gap is no force, and friction none of that.
             made, n1, n2, planes, _, _, _ = slide(
-                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], held,
+                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], distance,
                 s.friction[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals,
                 s.edge_normals, waiting, bound,
             )  # fmt: skip
