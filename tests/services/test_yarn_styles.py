@@ -147,3 +147,11 @@ def test_the_command_draws_and_refuses(recorded: Path, tmp_path: Path, capsys: p
     assert Image.open(out).size == (40, 32)
     assert main([*export, "--gif", str(tmp_path / "a.gif"), "--style", "lines"]) == 2
     assert "--style" in capsys.readouterr().err
+
+
+def test_a_picture_that_is_refused_leaves_no_other_file(recorded: Path, tmp_path: Path) -> None:
+    """That the eye is inside the leg is found only as the picture is drawn."""
+    inside = ["--set", "view.target=[0,0.4,0]", "--set", "view.distance=0.01"]
+    files = ["--npz", str(tmp_path / "b.npz"), "--csv", str(tmp_path / "b.csv"), "--png", str(tmp_path / "b.png")]
+    assert main(["export", str(recorded), *files, "--style", "yarns", *inside]) == 2
+    assert list(tmp_path.iterdir()) == []

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from pydantic import ValidationError
 
-from nuno.cli.export_yarns import add_yarns, check_wish, write_yarns
+from nuno.cli.export_yarns import add_yarns, check_wish, prepare_yarns
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView
@@ -45,7 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
     what.add_argument("--rrd", type=Path, metavar="FILE", help="a file for the rerun viewer (needs nuno[view])")
     add_yarns(parser, what)
-    which = parser.add_argument_group("which part")
+    _add_parts(parser.add_argument_group("which part"))
+    _add_dyed(parser.add_argument_group("pictures and animations of dyed cloth (default: as the scene says)"))
+
+
+def _add_parts(which: argparse._ArgumentGroup) -> None:
     which.add_argument("--frame", type=int, metavar="N", help="frame for --png, meshes and yarns (default: the last)")
     which.add_argument("--start", type=float, metavar="SECONDS", help="animations: from here")
     which.add_argument("--end", type=float, metavar="SECONDS", help="animations: to here")
@@ -66,7 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of pressure "
         "on skin); --set view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera",
     )
-    dye = parser.add_argument_group("pictures and animations of dyed cloth (default: as the scene says)")
+
+
+def _add_dyed(dye: argparse._ArgumentGroup) -> None:
     dye.add_argument(
         "--view", choices=get_args(DyeView), help="all dye, what fibre has fixed of it, or what is still mobile"
     )
@@ -102,11 +109,15 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
 
     _check_kinds(recording, args)
     _check_wishes(recording, args)
+    # What may be refused only while it is made is made before the first file is written.
+    drawn = _prepare_style(recording, args) if args.png and args.style else None
+    yarns = prepare_yarns(recording, args) if args.yarns else None
     written: list[Path] = []
     if args.npz:
         written.append(tables.export_npz(recording, args.npz))
     if args.csv:
         written.append(tables.export_csv(recording, args.csv))
+    written += [drawn()] if drawn else []
     written += _draw_dyed(recording, args) if recording.dyed_alone else _draw(recording, args)
     for suffix in MESHES:
         path = getattr(args, suffix[1:])
@@ -114,13 +125,26 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
             written.append(meshes.export_mesh(recording, path, args.frame))
         elif path:
             written += meshes.export_meshes(recording, path, suffix, _progress)
-    if args.yarns:
-        written.append(write_yarns(recording, args))
+    written += [yarns()] if yarns else []
     if args.rrd:
         from nuno.viewer.convert import convert
 
         written.append(convert(recording, args.rrd))
     return written
+
+
+def _prepare_style(recording: Recording, args: argparse.Namespace) -> Callable[[], Path]:
+    """Draw a knit by rays; what writes the picture. Raises BadInput."""
+    from nuno.export.yarns import draw_yarn_picture, write_picture
+
+    overrides, path = tuple(args.overrides), args.png
+    picture = draw_yarn_picture(recording, args.style, args.frame, _size(args.size), overrides, _progress)
+
+    def write() -> Path:
+        write_picture(path, picture)
+        return Path(path)
+
+    return write
 
 
 def _draw(recording: Recording, args: argparse.Namespace) -> list[Path]:
@@ -129,13 +153,7 @@ def _draw(recording: Recording, args: argparse.Namespace) -> list[Path]:
 
     size, changes = _size(args.size), _changes(args)
     written: list[Path] = []
-    if args.png and args.style:
-        from nuno.export.yarns import export_yarn_picture
-
-        written.append(
-            export_yarn_picture(recording, args.png, args.style, args.frame, size, tuple(args.overrides), _progress)
-        )
-    elif args.png:
+    if args.png and not args.style:
         written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour, changes))
     for path in (args.gif, args.mp4):
         if path:
@@ -214,11 +232,6 @@ def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Cha
         cloth.read_frame(recording, args.frame)
     if args.png:
         pictures.check_sides(_size(args.size))
-    if args.style:
-        from nuno.export import yarns
-
-        with yarns.styled(recording, args.style, tuple(args.overrides)):
-            pass
     if args.gif or args.mp4:
         pictures.choose_frames(recording, args.fps, args.start, args.end)
     if (args.png or args.gif or args.mp4) and not args.style:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,15 +65,21 @@ def check_wish(recording: Recording, args: argparse.Namespace) -> None:
     curves.find_operation(args.form or "smooth", settings_of(args))
 
 
-def write_yarns(recording: Recording, args: argparse.Namespace) -> Path:
-    """Write the file, and say what became of the links."""
-    from nuno.export.curves import Form, export_yarns
+def prepare_yarns(recording: Recording, args: argparse.Namespace) -> Callable[[], Path]:
+    """Make the curves; what writes them, and says what became of the links. Raises BadInput."""
+    from nuno.export import cloth, curves
 
-    form: Form = args.form or "smooth"
+    form: curves.Form = args.form or "smooth"
     path: Path = args.yarns
-    made = export_yarns(recording, path, args.frame, form, settings_of(args))
-    print(tell_yarns(form, made.facts), file=sys.stderr)
-    return path
+    shown = cloth.read_frame(recording, args.frame)
+    made = curves.make_yarns(recording, shown, form, settings_of(args))
+
+    def write() -> Path:
+        curves.write_curves(path, made, shown)
+        print(tell_yarns(form, made.facts), file=sys.stderr)
+        return path
+
+    return write
 
 
 def tell_yarns(form: str, facts: Mapping[str, float]) -> str:

@@ -45,6 +45,8 @@ def make_yarns(
         raise BadInput("the frame's positions are not finite", path, value=frame.number, remedy=remedy)
     x = np.ascontiguousarray(frame.x, np.float64)
     made: Outcome = operation.apply(config, fabric, State(x, np.zeros_like(x), frame.t), skin)
+    if made.curves is None:
+        raise BadInput("the operation made no curves", value=OPERATIONS[form])
     return made
 
 
@@ -84,19 +86,25 @@ def export_yarns(
     .npz holds the arrays of YarnCurves, the operation's own of each point, and frame and t [s]; .obj polylines [m],
     one object a kind of yarn. Returns what was made. Raises BadInput as make_yarns does.
     """
-    suffix = check_yarns(path)
+    check_yarns(path)
     with opened(source) as recording:
         shown = read_frame(recording, frame)
         made = make_yarns(recording, shown, form, settings)
-        if made.curves is None:
-            raise BadInput("the operation made no curves", value=OPERATIONS[form])
-        with writing(path, suffix) as new, new.open("wb") as stream:
-            if suffix == ".npz":
-                curves = {name: np.asarray(values) for name, values in vars(made.curves).items()}
-                np.savez(stream, allow_pickle=False, **curves, **made.arrays, frame=shown.number, t=shown.t)
-            else:
-                _write_obj(stream, made.curves, shown)
+    write_curves(path, made, shown)
     return made
+
+
+def write_curves(path: Path, made: Outcome, shown: Frame) -> None:
+    """Write the curves that were made of a frame's yarns."""
+    suffix = check_yarns(path)
+    curves = made.curves
+    assert curves is not None
+    with writing(path, suffix) as new, new.open("wb") as stream:
+        if suffix == ".npz":
+            fields = {name: np.asarray(values) for name, values in vars(curves).items()}
+            np.savez(stream, allow_pickle=False, **fields, **made.arrays, frame=shown.number, t=shown.t)
+        else:
+            _write_obj(stream, curves, shown)
 
 
 def _write_obj(stream: BinaryIO, curves: YarnCurves, frame: Frame) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno import registry
@@ -50,19 +51,38 @@ def export_yarn_picture(
     `overrides` are key=value of the scene's `view`. Raises BadInput for a recording without yarns, another style or
     field, a frame that is not there, and for what the style cannot draw.
     """
-    from PIL import Image
-
-    with opened(source) as recording, styled(recording, style, overrides) as (loaded, chosen):
+    with opened(source) as recording:
         check_target(path, ".png")
+        picture = draw_yarn_picture(recording, style, frame, size, overrides, progress)
+    write_picture(path, picture)
+    return path
+
+
+def draw_yarn_picture(
+    recording: Recording,
+    style: str | None = None,
+    frame: int | None = None,
+    size: tuple[int, int] | None = None,
+    overrides: tuple[str, ...] = (),
+    progress: Progress | None = None,
+) -> NDArray[np.uint8]:
+    """The picture that `export_yarn_picture` writes, (height, width, 3). Raises BadInput as that does."""
+    with styled(recording, style, overrides) as (loaded, chosen):
         shown = read_frame(recording, frame)
         worn = read_worn(recording, loaded, shown, chosen)
         view = loaded.scene.view
-        picture = chosen.plugin.draw(
+        picture: NDArray[np.uint8] = chosen.plugin.draw(
             with_caption(chosen, recording, shown), worn, find_camera(view, worn, size), progress
         )
-        with writing(path, ".png") as new:
-            Image.fromarray(picture).save(new, optimize=True)
-    return path
+    return picture
+
+
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write a picture as PNG."""
+    from PIL import Image
+
+    with writing(path, ".png") as new:
+        Image.fromarray(picture).save(new, optimize=True)
 
 
 @contextmanager
