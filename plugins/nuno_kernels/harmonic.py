@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_kernels.surface_normals import edge_numbers
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 
 LEAST = 1e-3
@@ -38,7 +39,8 @@ def edge_weights(x: Float, faces: Int) -> tuple[Int, Float]:
 def solve_harmonic(x: Float, faces: Int, given: Bool, value: Float) -> Float:
     """(n,) the field that is `value` on the vertices `given` (n,) and harmonic elsewhere.
 
-    Conjugate gradients, preconditioned with the diagonal. Vertices that no edges join to a given one stay 0.
+    Conjugate gradients, preconditioned with the diagonal. Vertices that no edges join to a given one stay 0. Raises
+    BadInput for a mesh on which they do not converge.
     """
     pairs, weight = edge_weights(x, faces)
     used = ~(given[pairs[:, 0]] & given[pairs[:, 1]])
@@ -55,7 +57,7 @@ def solve_harmonic(x: Float, faces: Int, given: Bool, value: Float) -> Float:
     least = ACCURACY**2 * power
     for _ in range(ROUNDS):
         if power <= least:
-            break
+            return u
         image = np.where(given, 0.0, apply(direction))
         step = power / float((direction * image).sum())
         u = u + step * direction
@@ -63,4 +65,9 @@ def solve_harmonic(x: Float, faces: Int, given: Bool, value: Float) -> Float:
         z = residual / diagonal
         before, power = power, float((residual * z).sum())
         direction = z + power / before * direction
-    return u
+    raise BadInput(
+        "no smooth field was found on the mesh, from which a limb's rows follow",
+        value=f"a residual of {np.sqrt(power / least) * ACCURACY:.2g} of the first after {ROUNDS:,} rounds",
+        limit=f"{ACCURACY:g}",
+        remedy="mend or remesh it: its triangles differ too much in size, or are no more than lines",
+    )

@@ -36,8 +36,6 @@ ROUND, BOW = 0.75, 1.3
 round."""
 WIDEST = 0.3
 """Most of the shortest link at a point that a turn is displaced by: crossings of one link keep apart."""
-LEVELS = 3
-"""Heights of a loop's points: 0 for an arc, 1 for a turn, 2 for a leg; a radius lies between two."""
 
 
 @dataclass(frozen=True)

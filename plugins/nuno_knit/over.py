@@ -122,14 +122,16 @@ def _clear(over: Over, rows: Rows, x: Float, faces: Int) -> Float:
     tree = build_tree(x, faces)
     away = np.full(rows.points.shape[:2], over.clearance)
     away[[0, -1]] = SKIN
-    position = (rows.points + away[..., None] * rows.normal).reshape(-1, 3)
+    position, normal = (rows.points + away[..., None] * rows.normal).reshape(-1, 3), rows.normal.reshape(-1, 3)
     for _ in range(ROUNDS):
         found = closest_points(tree, position)
         near = found.distance < ROOM
         if not near.any():
             return np.ascontiguousarray(position)
-        # Where a row that is not level cuts through a swelling: out by the shortest way.
-        out = (position - found.point)[near] / found.distance[near, None]
+        # Where a row that is not level cuts through a swelling: out by the shortest way, from the surface itself by
+        # the row's own.
+        distance = found.distance[near, None]
+        out = np.divide(position[near] - found.point[near], distance, out=normal[near], where=distance != 0.0)
         position[near] = found.point[near] + 2.0 * ROOM * out
     row = int(np.argmax(near)) // rows.points.shape[1]
     raise BadInput(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import closed_meshes as meshes
 import numpy as np
 import pytest
 from test_centreline import bent, straight, tube
@@ -9,8 +10,9 @@ from test_centreline import bent, straight, tube
 from nuno_kernels.closest_point import closest_points
 from nuno_kernels.harmonic import solve_harmonic
 from nuno_kernels.leg import leg_mesh
-from nuno_kernels.limb import find_limb, lay_rows
+from nuno_kernels.limb import Rows, find_limb, lay_rows
 from nuno_kernels.surface_tree import build_tree
+from nuno_knit.over import ROOM, Over, _clear
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -26,6 +28,23 @@ def test_a_field_between_two_ends_of_a_tube_is_its_height() -> None:
     given = (x[:, 1] < 0.11) | (x[:, 1] > 0.89)
     field = solve_harmonic(x, faces, given, x[:, 1])
     assert np.abs(field - x[:, 1]).max() < 1e-7
+
+
+def test_a_field_that_is_not_found_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, faces = tube(21, 24, straight, lambda s: 0.1)
+    given = (x[:, 1] < 0.11) | (x[:, 1] > 0.89)
+    monkeypatch.setattr("nuno_kernels.harmonic.ROUNDS", 3)
+    with pytest.raises(BadInput, match="no smooth field was found"):
+        solve_harmonic(x, faces, given, x[:, 1])
+
+
+def test_a_point_on_the_surface_is_moved_out_along_its_rows_normal() -> None:
+    x, faces = meshes.box((2.0, 2.0, 2.0))
+    over = Over(body="box", between=(0.0, 1.0), clearance=2.0**-8)
+    points, up = np.zeros((3, 1, 3)), np.zeros((3, 1, 3))
+    points[:, 0, 1], up[:, 0, 1] = (2.0, 1.0 - 2.0**-8, 2.0), 1.0
+    position = _clear(over, Rows(points, up, np.ones(3), 1.0), x, faces)
+    assert position[1] == pytest.approx([0.0, 1.0 + 2.0 * ROOM, 0.0], abs=1e-12)
 
 
 def test_rows_of_a_straight_tube_are_level_and_equal() -> None:
