@@ -90,6 +90,29 @@ def estimate_error(b: Any, pair: Any, h: float, allowed: float, p: Any) -> float
 
 
 @kernel
+def choose_length(wish: float, left: float, longest: float, landing: bool) -> float:
+    """Length of the next step; one that must land on the end takes half the way where two are left."""
+    h = min(wish, longest)
+    if landing and h > left * (1.0 - LANDED):
+        return left
+    if landing and h > 0.5 * left:
+        return 0.5 * left
+    return h
+
+
+@kernel
+def take(control: Any, h: float, error: float, alpha: float, again: bool) -> None:
+    """Leave a step of h pending whose error is allowed, and choose the next; `again` after one that was not."""
+    error = max(error, 1e-4)
+    wish = SAFETY * control[BEFORE] ** 0.04 / error**alpha
+    factor = min(1.0 if again else GROW, max(SHRINK, wish))
+    # A step cut short by the interval's end does not hold back the next.
+    control[NEXT] = max(h * factor, control[NEXT]) if h < control[NEXT] and factor > 1.0 else h * factor
+    control[BEFORE] = error
+    control[PENDING] = h
+
+
+@kernel
 def advance_adaptive(
     b: Any, pair: Any, stages: int, estimate: int, control: Any, counts: Any,
     span: float, longest: float, landing: bool, allowed: float, p: Any, extra: Any,
@@ -120,12 +143,7 @@ def advance_adaptive(
             if over > -LANDED * h:
                 control[AT] = 0.0
                 return True
-        h = min(control[NEXT], longest)
-        left = span - control[AT]
-        if landing and h > left * (1.0 - LANDED):
-            h = left
-        elif landing and h > 0.5 * left:
-            h = 0.5 * left
+        h = choose_length(control[NEXT], span - control[AT], longest, landing)
         if not h > SMALLEST * span:
             return False
         if extra is None:
@@ -135,13 +153,7 @@ def advance_adaptive(
         error = estimate_error(b, pair, h, allowed, p)
         if error <= 1.0:
             counts[ACCEPTED] += 1
-            error = max(error, 1e-4)
-            wish = SAFETY * control[BEFORE] ** 0.04 / error**alpha
-            factor = min(1.0 if again else GROW, max(SHRINK, wish))
-            # A step cut short by the interval's end does not hold back the next.
-            control[NEXT] = max(h * factor, control[NEXT]) if h < control[NEXT] and factor > 1.0 else h * factor
-            control[BEFORE] = error
-            control[PENDING] = h
+            take(control, h, error, alpha, again)
             again = False
         else:
             counts[REJECTED] += 1

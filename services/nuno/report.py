@@ -19,6 +19,12 @@ MOST_DEPTHS, SEEN_DEPTH = 5.0, 0.005
 """Cloth is too deep in bodies from this many times the depth of resting contact on, if that is also
 more than this [m]. By the first alone every garment would be: a fold carries more than a vertex's own
 weight (sheet on a sphere: 22 times at rest, 0.5 mm), and cloth that lands sinks in for a moment (2 mm)."""
+TOLD: dict[str, Any] = {
+    "digest": "", "began": 0.0, "paused_seconds": 0.0, "step_seconds": {}, "totals": {}, "dt": None,
+    "steps_per_frame": None, "idle": 0, "rested": False, "threads": "", "energy": [], "stretch": 0.0,
+    "rest": {}, "counts": {}, "changes": [], "yarns": {}, "courses": {}, "pressure": {},
+}  # fmt: skip
+"""What the service that leads says of a run, and what stands where it has not."""
 
 
 def make_report(loaded: Loaded, outcome: Outcome) -> Report:
@@ -31,48 +37,41 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
     dyer = services.get("dye", {}).get("summary", {}) if loaded.scene.moves else summary
     if dyer and loaded.scene.moves:
         parts["dye"] = float(dyer.get("seconds", {}).get("steps", 0.0))
-    recorder, collision, viewer = (services.get(name, {}) for name in ("recorder", "collision", "viewer"))
     return {
         "run": outcome.run,
         "scene": loaded.scene.name,
         "state": outcome.state,
         "error": outcome.error,
-        "digest": summary.get("digest", ""),
         "simulated_seconds": simulated,
-        "began": summary.get("began", 0.0),
         "wall_seconds": wall,
-        "paused_seconds": summary.get("paused_seconds", 0.0),
         "real_time_factor": simulated / wall if wall else 0.0,
         "prepare_seconds": outcome.seconds.get("prepare", 0.0),
         "parts_seconds": parts
         | {"bus": sum(float(s.get("bus_seconds", 0.0)) for s in services.values())}
         | {name: float(s["seconds"]) for name, s in services.items() if "seconds" in s},
-        "step_seconds": summary.get("step_seconds", {}),
         "solver": solver.name,
         "adaptive": loaded.scene.moves and solver.plugin.adaptive,
         "chosen": loaded.why,
-        "totals": summary.get("totals", {}),
-        "dt": summary.get("dt"),
         "dt_limit": (summary.get("limit") or {}).get("dt"),
         "omega": (summary.get("limit") or {}).get("omega"),
-        "steps_per_frame": summary.get("steps_per_frame"),
-        "idle": summary.get("idle", 0),
-        "rested": summary.get("rested", False),
         "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
-        "threads": summary.get("threads", ""),
-        "energy": summary.get("energy", []),
-        "stretch": summary.get("stretch", 0.0),
-        "rest": summary.get("rest", {}),
-        "penetration": collision.get("deepest"),
-        "last_penetration": collision.get("last_depth"),
+        "penetration": services.get("collision", {}).get("deepest"),
+        "last_penetration": services.get("collision", {}).get("last_depth"),
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
-        "counts": summary.get("counts", {}),
-        "changes": summary.get("changes", []),
-        "yarns": summary.get("yarns", {}),
-        "courses": summary.get("courses", {}),
-        "pressure": summary.get("pressure", {}),
         "dye": dyer.get("dye"),
         "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,
+        **_traffic(outcome),
+        "services": list(outcome.plan.services),
+        "left_out": list(outcome.plan.left_out),
+        **{name: summary.get(name, unknown) for name, unknown in TOLD.items()},
+    }
+
+
+def _traffic(outcome: Outcome) -> Report:
+    """Frames and messages that went round, and what was recorded of them."""
+    services = outcome.services
+    recorder, viewer = services.get("recorder", {}), services.get("viewer", {})
+    return {
         "frames": {
             "sent": sum(_frames(services.get(name, {}).get("sent") or {}) for name in {outcome.plan.leader, "dye"}),
             "recorded": _frames(recorder["counts"]) if "counts" in recorder else None,
@@ -81,8 +80,6 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "missing": _count("missing", services),
         "refused": _count("refused", services),
         "recorded_bytes": recorder.get("bytes", 0),
-        "services": list(outcome.plan.services),
-        "left_out": list(outcome.plan.left_out),
     }
 
 
