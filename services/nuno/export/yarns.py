@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno import registry
-from nuno.build import build_bodies, build_fabric, structural_edges
+from nuno.build import build_bodies, build_fabric, place_mesh, structural_edges
 from nuno.export.camera import place_camera, read_view, z_up
 from nuno.export.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.target import Progress, check_target, opened, writing
@@ -21,7 +21,7 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
 from nuno.scene_file import Chosen, Loaded
-from nuno_schemas.bodies import MESH, rotation_matrices
+from nuno_schemas.bodies import MESH
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
@@ -164,14 +164,12 @@ def body_surface(loaded: Loaded, t: float) -> Surface | None:
         return None
     bodies = build_bodies(loaded)
     geometry, poses = bodies.geometry, bodies.poses(t)
-    turn = rotation_matrices(poses.rotation)
     vertices, faces, count = [], [], 0
     for primitive in np.flatnonzero(geometry.kind == MESH).tolist():
-        own, triangles = geometry.mesh(primitive)
-        at = geometry.frame[primitive]
-        vertices.append(own @ turn[at].T + poses.translation[at])
+        placed, triangles = place_mesh(geometry, poses, primitive)
+        vertices.append(placed)
         faces.append(triangles + count)
-        count += len(own)
+        count += len(placed)
     return Surface(np.concatenate(vertices), np.concatenate(faces).astype(np.int32)) if vertices else None
 
 
