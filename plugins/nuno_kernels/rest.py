@@ -24,7 +24,10 @@ def typical_tension(fabric: Fabric, x: Float) -> float:
         return 0.0
     _, length = lengths(springs, x)
     stiffness = math.fsum(springs.per_spring(springs.k).tolist())
-    pull = math.fsum(np.abs(own_tensions(springs, length)).tolist())
+    try:
+        pull = math.fsum(np.abs(own_tensions(springs, length)).tolist())
+    except OverflowError:  # of cloth that flies apart
+        pull = math.inf
     return max(pull, NO_STRAIN * float(np.abs(x).max()) * stiffness) / springs.number
 
 

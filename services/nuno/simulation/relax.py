@@ -39,7 +39,10 @@ class Relaxation:
     def after(self, state: State) -> None:
         """Note a finished frame; cloth that has become slower stops."""
         # Exactly: in NumPy's order, which differs between machines, the last bits would decide when to start again.
-        energy = math.fsum((self.inertia * state.v * state.v).ravel().tolist())
+        try:
+            energy = math.fsum((self.inertia * state.v * state.v).ravel().tolist())
+        except OverflowError:  # of cloth that flies apart
+            energy = math.inf
         self.memory[0] += 1.0
         if energy < self.memory[1]:
             state.v[...] = 0.0
