@@ -13,7 +13,7 @@ from nuno.dye.run import DyeRun
 from nuno.export.dyed import painter_of
 from nuno_schemas.dye_picture import Layers
 
-SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in ("drops", "photograph")]
+SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in ("drops", "halo", "photograph")]
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
@@ -31,3 +31,19 @@ def test_a_scene_of_dye_runs_and_shows_its_dye(path: Path) -> None:
         for share in (1.0, 0.0)
     )
     assert 0.01 < (dyed != bare).any(axis=2).mean() <= 1.0
+
+
+def test_what_diffuses_faster_where_it_is_thin_keeps_a_core_and_sends_a_halo() -> None:
+    """Of as much dye as the even drop beside it: more at its darkest, and more of it farther than twice the drop."""
+    dyeing = DyeRun(scene_file.read(SCENES[1]), 0)
+    while not dyeing.finished:
+        assert dyeing.advance().report.status == "ok"
+    even, thinning = dyeing.state.phi.sum(axis=1)
+    assert thinning.sum() == pytest.approx(even.sum(), rel=1e-12)
+    assert thinning.max() > 1.2 * even.max()
+    y, x = np.mgrid[0:130, 0:260]
+    far_even, far_thinning = (
+        amount[np.hypot(x - middle, y - 64.5) > 40].sum() / amount.sum()
+        for amount, middle in ((even, 64.5), (thinning, 194.5))
+    )
+    assert far_thinning > 1.2 * far_even
