@@ -9,10 +9,9 @@ from pathlib import Path
 
 from nuno import scene_file
 from nuno.draw.desk import Desk
-from nuno.draw.follow import Follower
 from nuno.draw.server import Server
 from nuno.draw.shown import see_scene
-from nuno.draw.sight import NO_FACES, NO_POINTS, Board, Sight
+from nuno.draw.sight import Board
 
 SHEET = """\
 nuno: 1
@@ -53,11 +52,3 @@ def scene_desk(path: Path) -> Desk:
     """On a scene."""
     loaded = scene_file.read(path)
     return Desk(loaded, Board(see_scene(loaded)))
-
-
-def run_desk(path: Path, run: str, endpoint: str) -> Desk:
-    """On a run of a scene that goes on."""
-    board = Board(Sight(NO_POINTS, NO_FACES, ()))
-    follower = Follower(run, endpoint, board)
-    follower.start()
-    return Desk(scene_file.read(path), board, follower)

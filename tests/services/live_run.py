@@ -70,7 +70,7 @@ def start_long(folder: Path, processes: bool = False, **fields: Any) -> Run:
     return run
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30
+def wait_until(condition: Callable[[], bool], patience: float = 30.0) -> None:
+    deadline = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < deadline

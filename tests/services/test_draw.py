@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from draw_desk import SHEET, scene_desk, served, write_sheet
+from live_run import wait_until
 
+import nuno
 from nuno import scene_file, yaml_lines
 from nuno.draw.append import append_items
 from nuno.draw.guard import MOST_BYTES
@@ -20,6 +22,7 @@ from nuno.draw.lines import by_object, positions, read_strokes
 from nuno.draw.refusals import said_by_run
 from nuno.draw.server import Server
 from nuno.draw.sight import Piece, Sight
+from nuno.recording.restore import control_events
 from nuno_schemas.errors import BadInput
 
 ITEM = {"plugin": "wrinkle", "object": "cloth", "lines": [{"on_faces": [{"face": 1, "at": [0.5, 0.5, 0]}]}]}
@@ -220,6 +223,31 @@ def test_a_shipped_scene_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.Monk
         assert Path(answer["file"]) == tmp_path / name and answer["text"].endswith(f"nuno run {name}")
         assert scene_file.read(tmp_path / name).scene.operations
     assert path.read_bytes() == before
+
+
+def test_a_run_that_the_page_starts_waits_for_lines_and_takes_none_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    desk = scene_desk(write_sheet(tmp_path))
+    start = desk.board.now
+    desk.act({"do": "save", "lines": [LINE]})
+    try:
+        desk.act({"do": "start"})
+        wait_until(lambda: desk.board.now.state == "paused", 120.0)
+        assert desk.board.now.frame == 0 and np.array_equal(desk.board.now.faces, start.faces)
+        assert desk.act({"do": "apply", "shape": desk.board.now.shape, "lines": [LINE]})["applied"] == [0]
+        added = len(desk.board.now.x) - len(start.x)
+        desk.act({"do": "step"})
+        wait_until(lambda: desk.board.now.frame == 1)
+        assert len(desk.board.now.x) - len(start.x) == added > 0
+        desk.act({"do": "back"})
+        assert desk.board.now.state == "start" and np.array_equal(desk.board.now.x, start.x)
+    finally:
+        desk.close()
+    (recording,) = (tmp_path / "recordings").glob("*.mcap")
+    with nuno.open(recording) as one:
+        assert [event.text for event in control_events(one)] == ["add", "step", "stop"]
 
 
 def test_lines_on_other_triangles_than_the_files_are_not_saved(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from chromium import Page, find_browser
-from draw_desk import SHEET, run_desk, scene_desk, served, write_sheet
+from draw_desk import SHEET, scene_desk, served, write_sheet
 from live_run import Run
 from numpy.typing import NDArray
 
 import nuno
 from nuno import scene_file
+from nuno.cli.draw import open_desk
 from nuno.draw.desk import Desk
 from nuno.draw.lines import positions, read_strokes
 from nuno.recording.restore import control_events
@@ -126,7 +128,7 @@ def test_the_page_follows_a_run_and_gives_it_lines(page: Page, tmp_path: Path) -
     scene = write_sheet(tmp_path)
     run = Run(scene, tmp_path / "run.mcap")
     assert run.moved.wait(120)
-    desk = run_desk(scene, run.run, run.endpoint)
+    desk = open_desk(Namespace(scene=run.run, overrides=[], root=[], config=None))
     with served(desk) as server:
         look(page, server.guard.address)
         frame = page.value("nuno.frame")

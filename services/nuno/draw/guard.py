@@ -62,7 +62,9 @@ class Guard:
         own = len(origins) == 1 and origins[0] == f"http://{given[0]}"
         if not own and (origins or method == "POST"):
             raise Refused(FORBIDDEN, "another page may not ask here")
-        if headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
+        # A link to the whole address may stand in another page, such as a terminal in a browser.
+        followed = method == "GET" and headers.get("Sec-Fetch-Mode") == "navigate"
+        if not followed and headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
             raise Refused(FORBIDDEN, "another page may not ask here")
         return rest
 

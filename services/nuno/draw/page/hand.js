@@ -75,8 +75,7 @@ export class Hand {
     if (this.mode === "draw") {
       this.step(e.offsetX, e.offsetY);
       const runs = this.runs(), pieces = runs.map((run) => this.thinned(run)).filter((points) => points.length > 1);
-      if (pieces.length) this.done(pieces);
-      else this.done([]);
+      this.done(pieces);
     }
     this.cancel();
   }

@@ -36,17 +36,6 @@ export class Lines {
 
   clear() { if (this.open.length) this.change(this.list.filter((line) => this.applied.has(line.id))); }
 
-  /** A line replaced by others, which take its kind and height. */
-  replace(id, pieces) {
-    const line = this.list.find((one) => one.id === id);
-    const made = pieces.map(({ points, base }) => {
-      const piece = { ...line, id: this.next++ };
-      this.places.set(piece.id, { points, base });
-      return piece;
-    });
-    this.change(this.list.flatMap((one) => (one.id === id ? made : [one])));
-  }
-
   undo() { if (this.past.length) { this.future.push(this.list); this.list = this.past.pop(); } }
   redo() { if (this.future.length) { this.past.push(this.list); this.list = this.future.pop(); } }
 

@@ -211,6 +211,7 @@ function begin() {
   ask("about").then((answer) => {
     if (answer.ok) about = answer;
     $("name").textContent = about.name;
+    $("save").title = about.target ? `Adds the lines to ${about.target}` : "The run's scene is no file that lines could be added to";
     document.title = `${about.name} · nuno draw`;
     changed();
   });
