@@ -16,6 +16,7 @@ from live_run import wait_until
 
 import nuno
 from nuno import scene_file, yaml_lines
+from nuno.draw import keep
 from nuno.draw.append import append_items
 from nuno.draw.guard import MOST_BYTES
 from nuno.draw.lines import by_object, positions, read_strokes
@@ -178,6 +179,8 @@ def test_lines_are_given_by_their_objects_own_triangles() -> None:
     found = by_object(read_strokes(lines, sight), sight)
     assert [[row["face"] for row in line["on_faces"]] for name in "ab" for line in found[name]] == [[0, 1], [1, 0]]
     assert found["b"][0]["on_faces"][0]["at"] == pytest.approx([0.5, 0.2, 0.3]) and found["b"][0]["height"] == -0.01
+    ring = by_object(read_strokes([lines[0] | {"closed": True}], sight), sight)["a"][0]
+    assert ring["closed"] is True and "closed" not in found["a"][0]
     exact = by_object(read_strokes(lines, sight), sight, exact=False)
     assert exact["b"][0]["points"] == [[5.2, 5.5, 5.0], [5.0, 5.0, 5.0]]
     with pytest.raises(BadInput, match="two pieces"):
@@ -216,13 +219,21 @@ def test_saving_again_takes_the_place_of_what_was_saved(tmp_path: Path) -> None:
 
 def test_a_shipped_scene_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    path = scene_file.find("hanging-sheet")
-    before = path.read_bytes()
-    for name in ("hanging-sheet-drawn.yaml", "hanging-sheet-drawn-2.yaml"):
+    path = write_sheet(tmp_path)
+    monkeypatch.setattr(keep, "shipped", lambda folder="": {"sheet": path})
+    for name in ("sheet-drawn.yaml", "sheet-drawn-2.yaml"):
         answer = scene_desk(path).act({"do": "save", "lines": [LINE]})
         assert Path(answer["file"]) == tmp_path / name and answer["text"].endswith(f"nuno run {name}")
         assert scene_file.read(tmp_path / name).scene.operations
-    assert path.read_bytes() == before
+    assert path.read_text() == SHEET
+
+
+def test_lines_that_could_not_be_raised_are_not_saved(tmp_path: Path) -> None:
+    path = tmp_path / "quads.yaml"
+    path.write_text(quads := SHEET.replace("cells: triangles, ", ""))
+    with pytest.raises(BadInput, match="edge of its triangles"):
+        scene_desk(path).act({"do": "save", "lines": [LINE]})
+    assert path.read_text() == quads
 
 
 def test_a_run_that_the_page_starts_waits_for_lines_and_takes_none_twice(

@@ -98,15 +98,16 @@ class Desk:
             endpoint = runs.running().get(run)
             if endpoint is not None:
                 with contextlib.suppress(RunFailed, BadInput, BadMessage):
-                    follower = Follower(run, endpoint, self.board)
+                    # It is there to be asked before the page sees that it is.
+                    self.follower = follower = Follower(run, endpoint, self.board)
                     try:
                         if self.loaded is not None and any(op.at == 0.0 for op in self.loaded.scene.operations):
                             follower.step()  # what the scene itself does to the cloth comes first
                         follower.start()
                     except BaseException:
+                        self.follower = None
                         follower.close()
                         raise
-                    self.follower = follower
                     return
             time.sleep(0.1)
         if self._own is process:

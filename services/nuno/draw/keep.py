@@ -14,10 +14,11 @@ from nuno import scene_file, yaml_lines
 from nuno.draw.append import append_items, read_text, write_whole
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Sight
+from nuno.draw.trial import OPERATION, Trial
 from nuno.scene_file import Loaded, shipped
 from nuno_schemas.errors import BadInput
 
-OPERATION, LIST = "wrinkle", "operations"
+LIST = "operations"
 MARK = "\ufeff"
 """A byte order mark, which some editors begin a file with."""
 Lines = Mapping[str, list[dict[str, Any]]]
@@ -85,8 +86,13 @@ class Keeper:
             raise BadInput("the file was changed after lines were saved to it", str(self.path), remedy=remedy)
         before = (self._before or text).removeprefix(MARK)
         first = not yaml_lines.parse(before, str(source))[0].get(LIST)
-        after = append_items(before, LIST, as_operations(lines[first], settings), str(source))
-        self._check(base, after)
+        operations = as_operations(lines[first], settings)
+        after = append_items(before, LIST, operations, str(source))
+        scene = self._check(base, after)
+        if first:
+            trial = Trial(scene)
+            for operation in operations:
+                trial.apply(operation)
         whole = (MARK if text.startswith(MARK) else "") + after
         write_whole(self.path, whole)
         self._before, self._written = self._before or text, whole
@@ -99,8 +105,8 @@ class Keeper:
         name = self.path.name if self.path.parent == Path.cwd() else str(self.path)
         return f"nuno run {name}{roots}"
 
-    def _check(self, base: Sight, text: str) -> None:
-        """Raises BadInput for a text that is no good scene, or one of other triangles than were drawn on."""
+    def _check(self, base: Sight, text: str) -> Loaded:
+        """A text's scene. Raises BadInput for one that is not good, or of other triangles than were drawn on."""
         name = str(self.loaded.path)
         data, places = yaml_lines.parse(text, name)
         scene = scene_file.load(data, places, name, self.loaded.files)
@@ -108,3 +114,4 @@ class Keeper:
             problem = "the lines were drawn on other triangles than the file's scene has"
             remedy = "open the scene as it is in the file, without --set; or export the lines"
             raise BadInput(problem, name, remedy=remedy)
+        return scene

@@ -28,6 +28,8 @@ class Stroke(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
     points: list[tuple[int, float, float]] = Field(min_length=2, max_length=MOST_POINTS)
     height: float = Field(allow_inf_nan=False)
+    closed: bool = False
+    """Whether it goes on from its last point to its first."""
 
 
 def read_strokes(given: object, sight: Sight) -> list[Stroke]:
@@ -120,14 +122,17 @@ def by_object(strokes: Sequence[Stroke], sight: Sight, exact: bool = True) -> di
 
 
 def _as_points(stroke: Stroke, sight: Sight) -> dict[str, Any]:
-    points = np.round(positions(stroke, sight), MICRON).tolist()
-    return {"points": points, "height": round(stroke.height, MICRON)}
+    return {"points": np.round(positions(stroke, sight), MICRON).tolist(), **_said(stroke)}
 
 
 def _as_line(stroke: Stroke, piece: Piece, sight: Sight) -> dict[str, Any]:
     face, at = places(stroke)
     rows = zip(np.searchsorted(faces_of(piece, sight), face), at, strict=True)
-    return {"on_faces": [_on_face(f, row) for f, row in rows], "height": round(stroke.height, MICRON)}
+    return {"on_faces": [_on_face(f, row) for f, row in rows], **_said(stroke)}
+
+
+def _said(stroke: Stroke) -> dict[str, Any]:
+    return {"height": round(stroke.height, MICRON)} | ({"closed": True} if stroke.closed else {})
 
 
 def _on_face(face: int, at: Float) -> dict[str, Any]:
@@ -145,6 +150,7 @@ def to_obj(strokes: Sequence[Stroke], sight: Sight) -> str:
         kind = "ridge" if stroke.height > 0 else "valley"
         rows.append(f"o {kind}_{i + 1}_{abs(stroke.height) * 1e3:g}mm")
         rows += [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in points]
-        rows.append("l " + " ".join(str(start + k) for k in range(len(points))))
+        ends = [start] if stroke.closed else []
+        rows.append("l " + " ".join(map(str, [*range(start, start + len(points)), *ends])))
         start += len(points)
     return "\n".join(rows) + "\n"

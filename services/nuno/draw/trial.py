@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from nuno import build, registry
-from nuno.draw.keep import OPERATION
 from nuno.scene_file import Loaded
 from nuno_schemas.fabric import Fabric
+
+OPERATION = "wrinkle"
 
 
 class Trial:

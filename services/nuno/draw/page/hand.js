@@ -3,6 +3,8 @@ import { length, add } from "./math.js";
 
 const STEP = 3, LEAST = 8, CLOSE = 0.5;
 // Pixels between two samples of a line, that a line must have at least, and that it may be moved by thinning it.
+const RING = 18;
+// A line whose ends are as near as so many pixels is a ring.
 const LEAP = 30;
 // A line that goes on this many times further off than the pixels between two samples are wide is on another layer.
 
@@ -74,7 +76,8 @@ export class Hand {
   up(e) {
     if (this.mode === "draw") {
       this.step(e.offsetX, e.offsetY);
-      const runs = this.runs(), pieces = runs.map((run) => this.thinned(run)).filter((points) => points.length > 1);
+      const runs = this.runs();
+      const pieces = runs.map((run) => ({ points: this.thinned(run), closed: this.closes(run) })).filter(({ points }) => points.length > 1);
       this.done(pieces);
     }
     this.cancel();
@@ -94,6 +97,12 @@ export class Hand {
   }
 
   pixels(run) { return run.slice(1).reduce((sum, s, i) => sum + Math.hypot(s.x - run[i].x, s.y - run[i].y), 0); }
+
+  /** Whether a line comes back to where it began. */
+  closes(run) {
+    const a = run[0], b = run[run.length - 1];
+    return Math.hypot(a.x - b.x, a.y - b.y) <= RING && this.pixels(run) > 6 * RING;
+  }
 
   thinned(run) { return thin(run, CLOSE * Math.min(...run.map((s) => s.size))).map((s) => s.place); }
 

@@ -1,6 +1,6 @@
 /** The lines drawn, what can be undone, and what was said of each.
 
-  A line is { id, kind, height, points, base }: points are places [face, u, v] on the cloth as it is shown; base the same
+  A line is { id, kind, height, closed }; closed is one that ends where it began. Of its places, points are places [face, u, v] on the cloth as it is shown; base the same
   on the cloth that the page began with, which is what a scene's file is about. Places belong to an id and are shared by
   all states that can be gone back to; kind and height are each state's own.
 */
@@ -20,10 +20,10 @@ export class Lines {
     this.list = list;
   }
 
-  add(kind, height, points, base) {
+  add(kind, height, points, base, closed = false) {
     const id = this.next++;
     this.places.set(id, { points, base });
-    this.change([...this.list, { id, kind, height }]);
+    this.change([...this.list, { id, kind, height, closed }]);
     return id;
   }
 

@@ -76,7 +76,7 @@ function refused(answer, sent = []) {
   changed();
 }
 
-const sent = (list, of) => list.map((line) => ({ points: lines.placesOf(line.id)[of], height: line.kind === "ridge" ? line.height : -line.height }));
+const sent = (list, of) => list.map((line) => ({ points: lines.placesOf(line.id)[of], height: line.kind === "ridge" ? line.height : -line.height, closed: line.closed }));
 
 const settings = () => ({ passes: Number($("passes").value), hierarchical: $("sharp").checked, keep: $("keep").checked });
 
@@ -147,7 +147,7 @@ function setHeight(metres) {
 
 function drawn(pieces) {
   if (!pieces.length) { toast("That was too short for a line", "Keep the button down and drag over the cloth."); return; }
-  for (const points of pieces) panel.chosen = lines.add(kind, height, points, stage.basePlaces(points));
+  for (const { points, closed } of pieces) panel.chosen = lines.add(kind, height, points, stage.basePlaces(points), closed);
   if (pieces.length > 1) toast(`The line left the cloth: it is ${pieces.length} lines now`, "Undo takes them back, one after the other.");
   edited();
 }
@@ -158,7 +158,7 @@ function show(frame) {
   const { first } = stage.show(frame);
   if (first) {
     span = Number((stage.camera.size * 0.12).toPrecision(1));
-    setHeight(Number((stage.camera.size * 0.015).toPrecision(1)));
+    setHeight(Number((stage.camera.size * 0.025).toPrecision(1)));
   }
   if (frame.message && frame.state === "start" && before === "preparing") { goOn = false; toast("The simulation did not start", frame.message, true); }
   if (before !== frame.state && ENDED.includes(frame.state))

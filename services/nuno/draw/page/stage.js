@@ -102,11 +102,11 @@ export class Stage {
   }
 
   /** A line on the cloth, and as a curtain how far it will rise or sink. */
-  ribbon(points, { kind, height }, parts, fins, applied) {
+  ribbon(points, { kind, height, closed }, parts, fins, applied) {
     const colour = COLOURS[kind], tint = [...(applied ? colour.map((c) => 1 - APPLIED * (1 - c)) : colour), 1];
-    const rise = kind === "ridge" ? height : -height, sheer = [...colour, 0.3], faint = [...colour, 0.5];
+    const rise = kind === "ridge" ? height : -height, sheer = [...colour, 0.4], faint = [...colour, 0.75];
     let last = null;
-    for (const place of points) {
+    for (const place of closed ? [...points, points[0]] : points) {
       const p = this.cloth.at(place), top = add(p, this.cloth.at(place, this.normals), rise);
       if (last) {
         parts.push(...last.p, ...p, ...tint);
