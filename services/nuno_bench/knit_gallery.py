@@ -25,6 +25,8 @@ from nuno_schemas.errors import RunFailed
 
 SIZE = (480, 640)
 """Pixels of a picture of a knit on a body; those of a panel are as wide as they are high."""
+WALES = 75
+"""Of a knit on a body whose lines are a pixel wide: of more they are thinner."""
 PANEL: tuple[tuple[str, Colour], ...] = (
     ("each yarn in its colour", "cloth"),
     ("its links by their stretch", "stretch"),
@@ -122,7 +124,7 @@ def _draw(loaded: Loaded, recording: Recording, folder: Path) -> list[tuple[str,
     if not loaded.scene.bodies:
         square = (SIZE[0], SIZE[0])
         return [(told, _read(export_picture(recording, target, None, square, colour))) for told, colour in PANEL]
-    ways = list(WORN)
+    ways = [(told, style, (*settings, *_fine(loaded, style))) for told, style, settings in WORN]
     if loaded.scene.name in CLOSE:
         told, style, settings = WORN[1]
         ways.append((f"{told}, from near", style, (*settings, *CLOSE[loaded.scene.name])))
@@ -130,6 +132,12 @@ def _draw(loaded: Loaded, recording: Recording, folder: Path) -> list[tuple[str,
         (told, _read(export_yarn_picture(recording, target, style, None, SIZE, settings)))
         for told, style, settings in ways
     ]
+
+
+def _fine(loaded: Loaded, style: str) -> tuple[str, ...]:
+    """Lines as much thinner than a pixel as stitches are more than WALES: else they fill in."""
+    wales = loaded.models[0].config.model_dump()["wales"]
+    return (f"view.yarns.width={WALES / wales:g}",) if style == "lines" and wales > WALES else ()
 
 
 def _read(path: Path) -> Picture:
