@@ -9,17 +9,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from nuno_bench import dye_gallery, knit_gallery, machine, page
+from nuno_bench import dye_gallery, knit_gallery, machine, page, wrinkle_gallery
 from nuno_bench.gallery_kind import DIFFERENCE_HEADINGS, Kind, Shown
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput, nearest
 
-KINDS: dict[str, Kind[Any]] = {"dye": dye_gallery.KIND, "knit": knit_gallery.KIND}
+KINDS: dict[str, Kind[Any]] = {"dye": dye_gallery.KIND, "knit": knit_gallery.KIND, "wrinkle": wrinkle_gallery.KIND}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=list(KINDS), help="of scenes: dye, the figures of the dye paper; knit, all "
-                        "knits")  # fmt: skip
+                        "knits; wrinkle, lines drawn on cloth")  # fmt: skip
     parser.add_argument("--scenes", metavar="A,B", help="only these, by name (default: all)")
     parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
                         help="where the page goes (default: %(default)s)")  # fmt: skip

@@ -1,0 +1,168 @@
+"""Shipped wrinkles: run, shown at the stages of the wrinkle paper's figures, and measured while they settle."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno import api, scene_file
+from nuno.export.cloth import Pieces, read_frame
+from nuno.export.pictures import export_picture
+from nuno.recording.reader import Recording, open_recording
+from nuno.recording.recorded import Frame
+from nuno.scene_file import Loaded
+from nuno_bench.gallery_kind import EFFECT, Columns, Kind, Shown, difference_row
+from nuno_bench.result import number
+from nuno_bench.wrinkle_measures import Drawn, Ridge
+from nuno_schemas.dye_picture import Picture
+from nuno_schemas.errors import RunFailed
+
+NAMES = ("hung-cloth-wrinkle", "bloom-skirt", "shirt-wrinkles")
+"""Figures 4, 5 and 6, and 7 and 8."""
+SIZE = (640, 480)
+STAGES = ("as it was", "just drawn", "while it settles", "settled")
+PARAMETERS = ("scene", "vertices", "drawn at [s]", "lines", "heights", "springs", "smoothing passes", "friction")
+NUMBERS = (
+    "scene",
+    "height, just drawn [mm]",
+    "half way [mm]",
+    "settled [mm]",
+    "width, just drawn [mm]",
+    "half way [mm]",
+    "settled [mm]",
+)
+
+Measures = list[tuple[Ridge, Ridge, Ridge]]
+"""Of every line: just drawn, half way, and settled."""
+
+
+class Difference(NamedTuple):
+    """A line's height or width just drawn is above what it is when settled."""
+
+    says: str
+    scene: str
+    line: int
+    measure: str
+
+
+DIFFERENCES = (
+    Difference("the left wrinkle thins while it settles", "shirt-wrinkles", 0, "width"),
+    Difference("the right wrinkle fades", "shirt-wrinkles", 1, "height"),
+)
+
+
+def scenes() -> dict[str, Path]:
+    """Files of the shipped scenes with wrinkles by name."""
+    known = scene_file.shipped()
+    return {name: known[name] for name in NAMES if name in known}
+
+
+def run_scene(path: Path) -> Shown[Measures]:
+    """Run one to its end, or to where it fails, and draw its stages. Raises BadInput."""
+    loaded = scene_file.read(path)
+    name, description = loaded.scene.name, loaded.scene.description
+    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+        target, failed = Path(folder) / f"{name}.mcap", ""
+        try:
+            api.run(path, record=target)
+        except RunFailed as error:
+            failed = str(error).removesuffix(f"; recording kept in {target}")
+        if failed or not target.is_file():
+            return Shown(name, description, [], [_parameters(loaded, 0)], _numbers(name, []), [], failed)
+        with open_recording(target) as recording:
+            frames = _stages(recording, _operations(loaded), loaded.scene.frame_rate)
+            pictures = _draw(recording, frames, Path(folder) / "picture.png")
+            found = _measure(recording, frames, _operations(loaded))
+            parameters = _parameters(loaded, len(frames[STAGES[0]].x) if STAGES[0] in frames else 0)
+    return Shown(name, description, pictures, [parameters], _numbers(name, found), found)
+
+
+def _operations(loaded: Loaded) -> list[dict[str, Any]]:
+    """What the scene does to its cloth: the time of each and its own fields."""
+    return [{"at": float(one.at), **one.config} for one in loaded.scene.operations if one.plugin == "wrinkle"]
+
+
+def _stages(recording: Recording, operations: list[dict[str, Any]], rate: float) -> dict[str, Frame]:
+    """Frames by stage: the last before any line, where there is one, the next, one half way, and the last."""
+    last = read_frame(recording)
+    first = round(min((one["at"] for one in operations), default=0.0) * rate)
+    before = read_frame(recording, first)
+    found = {STAGES[0]: before} if len(before.x) < len(last.x) else {}
+    drawn = first + len(found)
+    half = (drawn + last.number) // 2
+    return found | {STAGES[1]: read_frame(recording, drawn), STAGES[2]: read_frame(recording, half), STAGES[3]: last}
+
+
+def _draw(recording: Recording, frames: dict[str, Frame], target: Path) -> list[tuple[str, Picture]]:
+    from PIL import Image
+
+    found = []
+    for label, frame in frames.items():
+        with Image.open(export_picture(recording, target, frame.number, SIZE, "cloth")) as image:
+            found.append((f"{label}, {frame.t:.3g} s", np.asarray(image.convert("RGB"))))
+    return found
+
+
+def _measure(recording: Recording, frames: dict[str, Frame], operations: list[dict[str, Any]]) -> Measures:
+    """Of every line that is given by points, on cloth that lay without it in a frame before; else none."""
+    lines = [np.array(line["points"], float) for one in operations for line in one["lines"] if "points" in line]
+    if not lines or STAGES[0] not in frames:
+        return []
+    pieces = Pieces(recording)
+    before, after = (frames[stage] for stage in STAGES[:2])
+    drawn = Drawn(before.x, pieces.at(before.t)[0].faces, after.x, pieces.at(after.t)[0].faces, lines)
+    return list(zip(*(drawn.measure(frames[stage].x) for stage in STAGES[1:]), strict=True))
+
+
+def _parameters(loaded: Loaded, vertices: int) -> list[str]:
+    """A row under PARAMETERS."""
+    operations = _operations(loaded)
+    lines = [line for one in operations for line in one["lines"]]
+    return [
+        loaded.scene.name, f"{vertices:,}" if vertices else "", ", ".join(f"{one['at']:g}" for one in operations),
+        str(len(lines)), ", ".join(dict.fromkeys(str(line["height"]) for line in lines)),
+        ", ".join(dict.fromkeys(one.get("springs", "paper") for one in operations)),
+        ", ".join(dict.fromkeys(str(one.get("smoothing", {}).get("passes", "")) or "8" for one in operations)),
+        ", ".join(f"{body.friction:g}" for body in loaded.scene.bodies),
+    ]  # fmt: skip
+
+
+def _numbers(name: str, found: Measures) -> list[str]:
+    """A row under NUMBERS: the lines' heights and widths [mm] in turn."""
+
+    def told(measure: str, stage: int) -> str:
+        return "; ".join(number(1e3 * float(getattr(line[stage], measure))) for line in found)
+
+    return [name, *(told(measure, stage) for measure in ("height", "width") for stage in range(3))]
+
+
+def compare(shown: Mapping[str, Shown[Measures]]) -> list[list[str]]:
+    """Rows under DIFFERENCE_HEADINGS, of scenes that were measured."""
+    rows = []
+    for one in DIFFERENCES:
+        if one.scene in shown and len(shown[one.scene].measured) > one.line:
+            first, _, last = shown[one.scene].measured[one.line]
+            sides = [(stage, 1e3 * float(getattr(ridge, one.measure))) for stage, ridge in
+                     ((STAGES[1], first), (STAGES[3], last))]  # fmt: skip
+            rows.append(difference_row(one.says, f"{one.measure} [mm]", sides[0], sides[1]))
+    return rows
+
+
+KIND = Kind(
+    title="Wrinkles",
+    lead="Ridges and valleys drawn on cloth, at the stages of the wrinkle paper's figures 4 to 8.",
+    scenes=scenes,
+    run_scene=run_scene,
+    compare=compare,
+    parameters=(Columns(PARAMETERS, "Lines with their heights, the rule of new springs, and friction on the body."),),
+    numbers=Columns(
+        NUMBERS,
+        "Height: mean of a line's vertices over the cloth as it lay before. Width: area that stands at half of it or "
+        "more, over the line's length. Lines in turn, of scenes whose lines are drawn on cloth in a frame.",
+    ),
+    differences=f"What the paper says of its figure 8, as a ratio of two measures; at least {EFFECT:g} is asked for.",
+)

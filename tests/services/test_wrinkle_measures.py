@@ -1,0 +1,55 @@
+"""Heights and widths of wrinkles are those of ridges whose shape is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nuno_bench.wrinkle_gallery import KIND, compare
+from nuno_bench.wrinkle_measures import Drawn, Ridge
+from nuno_schemas.fabric import Float, Int
+
+STEP = 0.005
+
+
+def sheet(rows: int, columns: int) -> tuple[Float, Int]:
+    """A level sheet of cells STEP wide, facing up, its middle line along x at z = 0."""
+    z, x = np.meshgrid(STEP * (np.arange(rows) - rows // 2), STEP * np.arange(columns), indexing="ij")
+    row, column = np.divmod(np.arange((rows - 1) * (columns - 1)), columns - 1)
+    a = row * columns + column
+    b, c, d = a + 1, a + columns, a + columns + 1
+    faces = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)]).astype(np.int32)
+    return np.stack([x.reshape(-1), 0.0 * x.reshape(-1), z.reshape(-1)], axis=1), faces
+
+
+@pytest.mark.parametrize(("height", "base"), [(0.004, 0.02), (-0.002, 0.03)])
+def test_a_roof_is_as_high_and_half_as_wide_at_half_its_height(height: float, base: float) -> None:
+    """A roof of slopes from z = -base to base stands above half its height over a strip that is `base` wide."""
+    before, faces = sheet(41, 61)
+    line = np.array([[0.0, 0.0, 0.0], [STEP * 60, 0.0, 0.0]])
+    # New vertices, as lines add them behind the old ones, in no triangle here: they lie on the ridge.
+    new = np.stack([STEP * (np.arange(60) + 0.5), np.zeros(60), np.zeros(60)], axis=1)
+    x = np.concatenate([before, new])
+    drawn = Drawn(before, faces, x, faces, [line])
+    x[:, 1] = height * np.maximum(1.0 - np.abs(x[:, 2]) / base, 0.0)
+    (found,) = drawn.measure(x)
+    assert found.height == pytest.approx(height)
+    # Whole vertices count, those at just half the height or not: within a row on either side.
+    assert found.width == pytest.approx(base, abs=1.1 * STEP)
+    (flat,) = drawn.measure(np.concatenate([before, new]))
+    assert flat.height == 0.0
+
+
+def test_what_thins_and_fades_meets_the_bar_and_what_stays_misses() -> None:
+    class One:
+        failed = ""
+
+        def __init__(self, measured: list[tuple[Ridge, Ridge, Ridge]]) -> None:
+            self.measured = measured
+
+    wide, thin, low = Ridge(4e-3, 0.05), Ridge(4e-3, 0.02), Ridge(1e-3, 0.05)
+    rows = compare({"shirt-wrinkles": One([(wide, thin, thin), (wide, low, low)])})  # type: ignore[dict-item]
+    assert [row[-1] for row in rows] == ["bar met", "bar met"]
+    rows = compare({"shirt-wrinkles": One([(wide, wide, wide), (wide, wide, wide)])})  # type: ignore[dict-item]
+    assert [row[-1] for row in rows] == ["missed", "missed"]
+    assert "shirt-wrinkles" in KIND.scenes()
