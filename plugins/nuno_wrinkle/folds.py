@@ -11,6 +11,10 @@ from nuno_wrinkle.edges import Edges, any_of, edges_of, fold_angles, keys_of, qu
 from nuno_wrinkle.near import BENDING, Near, Rule, damping_of, ones, stiffness_of
 from nuno_wrinkle.raised import Raised, Region
 
+KEPT = 4.0
+"""How much stiffer kept folds are than the cloth, as pressed ones are. Folds of the cloth's own stiffness hold half
+the height of a ridge that runs down a hung cloth, four times as stiff ones nine tenths."""
+
 
 def bend_springs(
     fabric: Fabric, springs: Springs, across: Int, raised: Raised, mass: Float, model: Mapping[str, float], rule: Rule,
@@ -80,7 +84,7 @@ def build_hinges(
     anew = quads_of(raised.faces, raised.across, raised.changed)
     place, _ = edges.rows(keys_of(anew[:, :2]))
     total = np.bincount(edges.of_face.reshape(-1), np.repeat(areas[1], 3))
-    stiff = rigidity * np.square(rest[place]) / total[place]
+    stiff = (KEPT if keep else 1.0) * rigidity * np.square(rest[place]) / total[place]
     folds = np.zeros(len(anew))
     if keep:
         folds = fold_angles(raised.x, anew) - fold_angles(raised.flat, anew)

@@ -52,6 +52,8 @@ class Raised:
     share: Float
     flipped: int
     left: int
+    normal: Float
+    """(m, 3) of the triangles that were split"""
 
 
 def find_region(faces: Int, n: int, crossed: Crossed) -> Region:
@@ -91,7 +93,7 @@ def raise_lines(
     same = (faces[region.face] == old[region.face]).all(axis=1)
     changed = np.append(region.face[~same], local[len(region.face) :]).astype(np.int32)
     smoothed = beside.vertex if smoothing.passes else np.arange(n, len(flat), dtype=np.int32)
-    return Raised(faces, beyond, raised, flat, smoothed, held, local, changed, shares, flipped, left)
+    return Raised(faces, beyond, raised, flat, smoothed, held, local, changed, shares, flipped, left, normal)
 
 
 @dataclass(frozen=True)

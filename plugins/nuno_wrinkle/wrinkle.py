@@ -14,6 +14,7 @@ from nuno_schemas.lines import Line, Smoothing
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
+from nuno_wrinkle.crests import find_crests
 from nuno_wrinkle.lines import Crossed, follow_lines, read_lines
 from nuno_wrinkle.near import Rule, describe, find_near
 from nuno_wrinkle.net import Net, build_net
@@ -43,7 +44,9 @@ class WrinkleConfig(Config):
     k_std: Tensile | Literal["auto"] = Field(
         default="auto", description="stiffness of a spring of mean length [N/m]; auto: the mean of the cloth's springs"
     )
-    keep: bool = Field(default=False, description="whether folds of the lines are at rest, so that they do not fade")
+    keep: bool = Field(
+        default=False, description="whether folds of the lines are at rest, and stiffer, so that they do not fade"
+    )
 
 
 class Wrinkle:
@@ -138,7 +141,8 @@ def _outcome(
         "mass": float(net.mass.sum() - fabric.mass.sum()),
     }
     after = State(np.ascontiguousarray(raised.x), extended(state.v), state.t)
-    return Outcome(facts, changed=Changed(changed, after, source))
+    crests = find_crests(fabric.number, crossed, raised)
+    return Outcome(facts, arrays={"crests": crests}, changed=Changed(changed, after, source))
 
 
 def _bound(binding: Binding, fabric: Fabric, crossed: Crossed) -> Binding:

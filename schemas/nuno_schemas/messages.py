@@ -50,6 +50,8 @@ class Status(FrameStatus):
     """Joules by kind: kinetic, gravitational, springs, hinges. None: not finite, which JSON cannot say."""
     stretch: float | None
     """Largest |d| / rest - 1 over the springs. None: not finite."""
+    wrinkles: dict[str, float | None] = {}
+    """Height and width of what each change raised [m], by its number: 0_height."""
 
 
 class DyeStatus(FrameStatus):

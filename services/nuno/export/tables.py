@@ -68,5 +68,5 @@ def export_csv(source: Recording | Path | str, path: Path) -> Path:
 
 
 def _heading(name: str) -> str:
-    unit = "J" if name.startswith("energy_") else UNITS.get(name)
+    unit = "J" if name.startswith("energy_") else "m" if name.startswith("wrinkles_") else UNITS.get(name)
     return name if unit is None else f"{name} [{unit}]"

@@ -14,7 +14,7 @@ FIELDS = ("frame", "t", "steps", "step_seconds", "stretch", "time", "balance")
 """Of a status; only those that it has."""
 OWN = ("steps", "step_seconds")
 """Of each service; of the dye of a garment as dye_steps, dye_step_seconds."""
-TABLES = ("energy", "mobile", "fixed", "supplied")
+TABLES = ("energy", "wrinkles", "mobile", "fixed", "supplied")
 """Mappings in a status: each entry is a column, `energy_kinetic`."""
 
 

@@ -49,6 +49,9 @@ class Changing(ABC):
         """What operations did to the cloth, in their order: frame, t [s], operation, object and its facts."""
         self.applied = 0
         """Of the scene's operations."""
+        self.crests: list[Int] = []
+        """Of each change (5, c) vertices of its object by which its height is measured: on the line, to the left and to
+        the right of it, and before and after on it; c may be 0."""
         self._fabrics: list[Fabric] | None = None
 
     def add(self, item: str) -> str:
@@ -103,6 +106,7 @@ class Changing(ABC):
         before, kept = dict(vars(self)), dict(self.memory.arrays)
         told = {"frame": self.frame, "t": self.t, "operation": chosen.name, "object": piece.name}
         self.changes = [*self.changes, told | {"facts": dict(outcome.facts)}]
+        self.crests = [*self.crests, np.asarray(outcome.arrays.get("crests", np.zeros((5, 0))), np.int32)]
         try:
             self._take(fabrics, State(x, v, self.state.t))
             self._prepare(kept, source.astype(np.int32))
@@ -116,6 +120,25 @@ class Changing(ABC):
             self.steps, self.dt = before["steps"], before["dt"]
         self.slow_frames[0] = 0
         self.balanced = False
+        self.changes[-1]["measured"] = [self.heights(len(self.changes) - 1)]
+
+    def heights(self, number: int) -> dict[str, float]:
+        """Mean height of what a change raised over the chord across it, along the normal to chord and line, and length
+        of that chord [m]; empty for none. Both follow the cloth wherever it goes.
+        """
+        crest = self.crests[number]
+        if not crest.size:
+            return {}
+        start = next(piece.start for piece in self.pieces if piece.name == self.changes[number]["object"])
+        top, one, other, before, after = self.state.x[start + crest]
+        normal = np.cross(other - one, after - before)
+        height = np.abs(np.einsum("ck,ck->c", top - one, normal)) / np.linalg.norm(normal, axis=1)
+        return {"height": float(height.mean()), "width": float(np.linalg.norm(other - one, axis=1).mean())}
+
+    def wrinkles(self) -> dict[str, float]:
+        """`heights` of all changes, as 0_height, 0_width and so on."""
+        each = ((i, self.heights(i)) for i in range(len(self.changes)))
+        return {f"{i}_{name}": value for i, found in each for name, value in found.items()}
 
     def _take(self, fabrics: list[Fabric], state: State) -> None:
         """Have these objects, where `state` says."""
@@ -130,6 +153,7 @@ class Changing(ABC):
         changed = sorted({names.index(change["object"]) for change in self.changes})
         fabrics = self.parts() if changed else []
         arrays = {f"fabric/{i}/{name}": a for i in changed for name, a in fabric_arrays(fabrics[i]).items()}
+        arrays |= {f"fabric/crests/{i}": crest for i, crest in enumerate(self.crests)}
         origins = {str(i): dict(fabrics[i].origin) for i in changed}
         return arrays, {"changes": self.changes, "applied": self.applied, "origins": origins}
 
@@ -144,6 +168,7 @@ class Changing(ABC):
             own = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
             fabrics[int(number)] = fabric_from(own, fabrics[int(number)], origin)
         self.changes = list(text["changes"])
+        self.crests = [arrays[f"fabric/crests/{i}"] for i in range(len(self.changes))]
         self._take(fabrics, build.start_state(join_fabrics(fabrics, self.loaded.scene.name)))
         self._prepare({})
         self.steps, self.dt = int(text["steps"]), float(text["dt"])

@@ -123,6 +123,7 @@ class Driver(Lockstep):
                 "step_seconds": frame.seconds,
                 "energy": dict(report.energy),
                 "stretch": report.stretch,
+                "wrinkles": simulation.wrinkles(),
                 "message": report.message,
             }
         )
@@ -214,7 +215,10 @@ class Driver(Lockstep):
             "courses": measure_courses(fabric, simulation.state.x),
             "pressure": self.pressure(),
             "threads": simulation.about(),
-            "changes": simulation.changes,
+            "changes": [
+                change | {"measured": [*change["measured"], simulation.heights(i)]}
+                for i, change in enumerate(simulation.changes)
+            ],
             "vertices": fabric.number,
             "springs": fabric.springs.number if fabric.springs else 0,
             "hinges": fabric.hinges.number if fabric.hinges else 0,
