@@ -162,7 +162,7 @@ KIND = Kind(
     numbers=Columns(
         NUMBERS,
         "Height: mean of a line's vertices over the cloth as it lay before. Width: area that stands at half of it or "
-        "more, over the line's length. Lines in turn, of scenes whose lines are drawn on cloth in a frame.",
+        "more, over the line's length. In turn, lines that are given by points and drawn while the scene goes on.",
     ),
     differences=f"What the paper says of its figure 8, as a ratio of two measures; at least {EFFECT:g} is asked for.",
 )
