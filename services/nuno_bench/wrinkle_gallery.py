@@ -49,9 +49,10 @@ class Difference(NamedTuple):
     measure: str
 
 
+SHIRT = "shirt-wrinkles"
 DIFFERENCES = (
-    Difference("the left wrinkle thins while it settles", "shirt-wrinkles", 0, "width"),
-    Difference("the right wrinkle fades", "shirt-wrinkles", 1, "height"),
+    Difference("the left wrinkle thins while it settles", SHIRT, 0, "width"),
+    Difference("the right wrinkle fades", SHIRT, 1, "height"),
 )
 
 
@@ -149,6 +150,10 @@ def compare(shown: Mapping[str, Shown[Measures]]) -> list[list[str]]:
             sides = [(stage, 1e3 * float(getattr(ridge, one.measure))) for stage, ridge in
                      ((STAGES[1], first), (STAGES[3], last))]  # fmt: skip
             rows.append(difference_row(one.says, f"{one.measure} [mm]", sides[0], sides[1]))
+    if SHIRT in shown and len(shown[SHIRT].measured) > 1:
+        left, right = (last.height / first.height for first, _, last in shown[SHIRT].measured[:2])
+        sides = [("left", left), ("right", right)]
+        rows.append(difference_row("the left one stays where the right one fades", "height kept", *sides))
     return rows
 
 
