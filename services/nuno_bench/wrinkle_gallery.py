@@ -24,24 +24,24 @@ from nuno_schemas.errors import RunFailed
 NAMES = ("hung-cloth-wrinkle", "bloom-skirt", "shirt-wrinkles")
 """Figures 4, 5 and 6, and 7 and 8."""
 SIZE = (640, 480)
-STAGES = ("as it was", "just drawn", "while it settles", "settled")
+STAGES = ("as it was", "just drawn", "half way", "at the end")
 PARAMETERS = ("scene", "vertices", "drawn at [s]", "lines", "heights", "springs", "smoothing passes", "friction")
 NUMBERS = (
     "scene",
     "height, just drawn [mm]",
     "half way [mm]",
-    "settled [mm]",
+    "at the end [mm]",
     "width, just drawn [mm]",
     "half way [mm]",
-    "settled [mm]",
+    "at the end [mm]",
 )
 
 Measures = list[tuple[Ridge, Ridge, Ridge]]
-"""Of every line: just drawn, half way, and settled."""
+"""Of every line: just drawn, half way, and at the end."""
 
 
 class Difference(NamedTuple):
-    """A line's height or width just drawn is above what it is when settled."""
+    """A line's height or width just drawn is above what it is at the end."""
 
     says: str
     scene: str
