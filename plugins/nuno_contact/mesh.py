@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import ClassVar, Literal, cast
 
 import numpy as np
@@ -105,25 +106,39 @@ class MeshCollider:
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         """Raises BadInput for a mesh that is not closed, passes through itself, or cannot be read."""
         c = cast(MeshConfig, config)
-        frames, frame = find_frame(c.joint, mover)
-        if c.file is not None:
-            x, faces = read_closed(files.resolve(c.file), c.scale, c.mend)
-            x = x[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0]) if c.up == "z" else x
-        else:
-            x, faces = leg_mesh(c.resolution) if c.shape == "leg" else make_torso(c)
-            x = x * c.scale
-        x = np.ascontiguousarray(x @ turn_of(c.rotate).T + np.asarray(c.centre))
-        return BodyShape(
-            frames=frames,
-            kind=np.array([MESH], np.int8),
-            frame=np.array([frame], np.int32),
-            a=x.min(axis=0)[None],
-            b=x.max(axis=0)[None],
-            radius=np.zeros(1),
-            vertices=x,
-            faces=faces,
-            owner=np.zeros(len(faces), np.int32),
-        )
+        return mesh_shape(c, mover, *find_mesh(c, files, read_closed), MESH)
+
+
+def find_mesh(
+    config: MeshConfig, files: Files, read: Callable[[Path, float, bool], tuple[Float, Int]]
+) -> tuple[Float, Int]:
+    """Vertices (n, 3) [m] in the joint's frame and triangles (f, 3) of a scene's mesh; `read` reads a file's.
+
+    Raises BadInput for one that cannot be read or made, and for a turn without axis.
+    """
+    if config.file is not None:
+        x, faces = read(files.resolve(config.file), config.scale, config.mend)
+        x = x[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0]) if config.up == "z" else x
+    else:
+        x, faces = leg_mesh(config.resolution) if config.shape == "leg" else make_torso(config)
+        x = x * config.scale
+    return np.ascontiguousarray(x @ turn_of(config.rotate).T + np.asarray(config.centre)), faces
+
+
+def mesh_shape(config: OnJoint, mover: Mover | None, x: Float, faces: Int, kind: int) -> BodyShape:
+    """A body of one primitive that has a mesh. Raises BadInput for a joint that the motion does not have."""
+    frames, frame = find_frame(config.joint, mover)
+    return BodyShape(
+        frames=frames,
+        kind=np.array([kind], np.int8),
+        frame=np.array([frame], np.int32),
+        a=x.min(axis=0)[None],
+        b=x.max(axis=0)[None],
+        radius=np.zeros(1),
+        vertices=x,
+        faces=faces,
+        owner=np.zeros(len(faces), np.int32),
+    )
 
 
 def make_torso(config: MeshConfig) -> tuple[Float, Int]:

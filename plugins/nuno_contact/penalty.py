@@ -50,7 +50,11 @@ def check(geometry: Geometry) -> None:
     """Raises BadInput for a body that is a mesh, or whose contact constants make no sense."""
     for primitive in np.flatnonzero(geometry.kind == MESH).tolist():
         body = geometry.bodies[geometry.body[primitive]]
-        raise BadInput("penalty contact knows no meshes", field=body, remedy="contact: {plugin: sliding}")
+        raise BadInput(
+            "penalty contact knows no meshes",
+            field=body,
+            remedy="contact: {plugin: sliding}, or collider: {plugin: sdf, ...}",
+        )
     for index, body in enumerate(geometry.bodies):
         stiffness = geometry.stiffness[index]
         if not (np.isnan(stiffness) or 0.0 < stiffness < np.inf):

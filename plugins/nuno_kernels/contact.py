@@ -28,7 +28,7 @@ for any number of threads. All scratch is in `Contact`; nothing is allocated in 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.acceleration import provide
-from nuno_kernels.contact_distance import find_bounds
+from nuno_kernels.contact_distance import FIELD, find_bounds
 from nuno_kernels.contact_poses import pose_bodies, set_poses
 from nuno_kernels.contact_response import add_body, commit_body, drop_anchors, find_deepest
 from nuno_schemas.bodies import Geometry
@@ -109,7 +109,11 @@ class Contact(NamedTuple):
     bounds: Float
     """(B, 6) scratch: bounds of a block's vertices"""
     tally: NDArray[np.int64]
-    """(B, 2) vertices touching after the last step; evaluations on a capsule's axis so far"""
+    """(B, 2) vertices touching after the last step; evaluations without a normal so far"""
+    field_head: Float | None = None
+    """Distance fields as nuno_kernels.field_sample.Fields has them, read only; None where no body is one"""
+    field_cells: Int | None = None
+    field_corners: NDArray[np.float32] | None = None
 
 
 def count_contacts(contact: Contact) -> dict[str, int]:
@@ -127,11 +131,13 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
         if find_deepest(
             x, low, high, contact.first[body], contact.first[body + 1], contact.kind, contact.frame, contact.posed,
             contact.frames, contact.bounds, block, contact.distance, contact.deepest, contact.near, body,
+            contact.field_head, contact.field_cells, contact.field_corners,
         ):  # fmt: skip
             contact.tally[block, 1] += add_body(
                 x, v, low, high, body, contact.kind, contact.frame, contact.stiffness, contact.damping,
                 contact.friction, contact.posed, contact.frames, contact.deepest, contact.anchor,
-                contact.anchor_frame, contact.rate[0], force,
+                contact.anchor_frame, contact.rate[0], contact.field_head, contact.field_cells,
+                contact.field_corners, force,
             )  # fmt: skip
 
 
@@ -145,7 +151,8 @@ def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
             touching += commit_body(
                 x, v, low, high, body, contact.kind, contact.frame, contact.stiffness, contact.damping,
                 contact.friction, contact.posed, contact.frames, contact.deepest, contact.anchor,
-                contact.anchor_frame, contact.rate[0],
+                contact.anchor_frame, contact.rate[0], contact.field_head, contact.field_cells,
+                contact.field_corners,
             )  # fmt: skip
         else:
             drop_anchors(low, high, body, contact.anchor_frame)
@@ -207,16 +214,24 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
     bodies, frames, n = len(g.bodies), len(g.frames), stiffness.shape[1]
     blocks = -(-n // BLOCK)
 
+    kind, a, b, radius = g.kind[order], g.a[order], g.b[order], g.radius[order].astype(np.float64)
+    of_field = kind == FIELD
+    a, b = np.where(of_field[:, None], 0.5 * (a + b), a), np.where(of_field[:, None], 0.5 * (b - a), b)
+    # A field's surface may lie outside of its mesh by the tolerance.
+    radius[of_field] = (np.cumsum(g.kind == FIELD) - 1)[order][of_field]
+    for p in np.flatnonzero(of_field).tolist():
+        b[p] += g.fields[int(radius[p])].tolerance
+
     def floats(array: Float) -> Float:
         return np.array(array, np.float64, order="C")
 
     return Contact(
-        kind=np.ascontiguousarray(g.kind[order], np.int8),
+        kind=np.ascontiguousarray(kind, np.int8),
         frame=np.ascontiguousarray(g.frame[order], np.int32),
         first=np.searchsorted(g.body[order], np.arange(bodies + 1)).astype(np.int32),
-        a=floats(g.a[order]),
-        b=floats(g.b[order]),
-        radius=floats(g.radius[order]),
+        a=floats(a),
+        b=floats(b),
+        radius=floats(radius),
         stiffness=floats(stiffness),
         damping=floats(damping),
         friction=floats(g.friction),
@@ -235,4 +250,15 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         near=np.zeros((bodies, blocks), np.bool_),
         bounds=np.zeros((blocks, 6)),
         tally=np.zeros((blocks, 2), np.int64),
+        **(pack_fields(g) if of_field.any() else {}),
     )
+
+
+def pack_fields(geometry: Geometry) -> dict[str, NDArray[Any]]:
+    """The arrays of a geometry's distance fields, read only: solvers share them."""
+    from nuno_kernels.field_sample import join_fields
+
+    head, cells, corners = join_fields(geometry.fields)
+    for array in (head, cells, corners):
+        array.setflags(write=False)
+    return {"field_head": head, "field_cells": cells, "field_corners": corners}

@@ -7,10 +7,10 @@ inside, where the nearest face gives the normal.
 
 `posed` (p, 14) holds one primitive a row, in world coordinates:
 
-    0:3   capsule end a, plane point or box centre [m]
-    3:6   capsule b - a, plane normal (unit), or box half extents in the axes of its frame
+    0:3   capsule end a, plane point, or centre of a box or field [m]
+    3:6   capsule b - a, plane normal (unit), or half extents of a box or field in the axes of its frame
     6     1 / |b - a|^2, 0 for a sphere, plane or box
-    7     radius [m]
+    7     radius [m]; of a distance field, its number
     8:14  lowest and highest corner of its bounds, infinite for a plane
 
 `frames` (f, 18) holds one frame a row: 0:9 rotation matrix by rows, 9:12 origin, 12:15 velocity
@@ -48,7 +48,7 @@ def inlined(function: F) -> F:
     return cast(F, numba.njit(forceinline=True, **FLAGS)(function))
 
 
-CAPSULE, PLANE, BOX = 0, 1, 2
+CAPSULE, PLANE, BOX, FIELD = 0, 1, 2, 4
 
 EPSILON = 2.0**-52
 
@@ -123,20 +123,6 @@ def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames
         frames[f, 6] * nx + frames[f, 7] * ny + frames[f, 8] * nz,
         0,
     )
-
-
-@inlined
-def primitive_distance(
-    px: float, py: float, pz: float, kind: int, posed: Float, p: Index, frames: Float, f: Index
-) -> Reading:
-    """(distance, normal x, y, z, on-axis mark) of any posed primitive."""
-    if kind == CAPSULE:
-        return capsule_distance(px, py, pz, posed, p)
-    if kind == BOX:
-        return box_distance(px, py, pz, posed, p, frames, f)
-    nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
-    distance = (px - posed[p, 0]) * nx + (py - posed[p, 1]) * ny + (pz - posed[p, 2]) * nz
-    return distance, nx, ny, nz, 0
 
 
 @kernel

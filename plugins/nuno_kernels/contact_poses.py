@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.contact_distance import BOX, CAPSULE
+from nuno_kernels.contact_distance import BOX, CAPSULE, FIELD
 from nuno_schemas.bodies import Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 
@@ -85,7 +85,7 @@ def pose_primitive(p: int, kind: int, f: int, a: Float, b: Float, radius: Float,
             along = m0 * (b[p, 0] - a[p, 0]) + m1 * (b[p, 1] - a[p, 1]) + m2 * (b[p, 2] - a[p, 2])
             square += along * along
             low, high = min(start, start + along) - radius[p], max(start, start + along) + radius[p]
-        elif kind == BOX:
+        elif kind in (BOX, FIELD):
             along = b[p, c]
             size = abs(m0) * b[p, 0] + abs(m1) * b[p, 1] + abs(m2) * b[p, 2]
             low, high = start - size, start + size

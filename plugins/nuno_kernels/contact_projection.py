@@ -48,7 +48,7 @@ def place_block(low: int, high: int, x: Any, u: Any, inverse_step: float, held: 
 def push_body(
     low: int, high: int, body: int, u: Any, y: Any, w: Any, inverse_step: float, mobility: Any, held: Any,
     kind: Any, frame: Any, stiffness: Any, damping: Any, friction: Any, posed: Any, frames: Any,
-    deepest: Any, anchor: Any, anchor_frame: Any,
+    deepest: Any, anchor: Any, anchor_frame: Any, head: Any, cells: Any, corners: Any,
 ) -> int:  # fmt: skip
     """Solve one body's contact with vertices [low, high); returns how many lay on a capsule's axis."""
     on_axis, mu = 0, friction[body]
@@ -58,8 +58,9 @@ def push_body(
         p = np.uint64(deepest[body, i])
         k, c = stiffness[body, i], damping[body, i]
         _, normal, ex, ey, ez, nx, ny, nz, tx, ty, tz, mark = respond(
-            y, w, i, body, p, kind[p], np.uint64(frame[p]), k, c, posed, frames, anchor, anchor_frame, inverse_step
-        )
+            y, w, i, body, p, kind[p], np.uint64(frame[p]), k, c, posed, frames, anchor, anchor_frame, inverse_step,
+            head, cells, corners,
+        )  # fmt: skip
         on_axis += mark
         normal *= 1.0 / (1.0 + (k + c * inverse_step) * mobility[0, i])
         # A vertex without anchor is held by the dashpot alone.
@@ -91,11 +92,13 @@ def push_block(
         if find_deepest(
             y, low, high, contact.first[body], contact.first[body + 1], contact.kind, contact.frame, contact.posed,
             contact.frames, contact.bounds, block, contact.distance, contact.deepest, contact.near, body,
+            contact.field_head, contact.field_cells, contact.field_corners,
         ):  # fmt: skip
             contact.tally[block, 1] += push_body(
                 low, high, body, u, y, w, inverse_step, mobility, held, contact.kind, contact.frame,
                 contact.stiffness, contact.damping, contact.friction, contact.posed, contact.frames,
-                contact.deepest, contact.anchor, contact.anchor_frame,
+                contact.deepest, contact.anchor, contact.anchor_frame, contact.field_head, contact.field_cells,
+                contact.field_corners,
             )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ tuple counts a reference, atomically, each time round.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +17,15 @@ from nuno_kernels import kernel
 from nuno_kernels.contact_distance import (
     BOX,
     CAPSULE,
+    FIELD,
     Index,
     are_apart,
     inlined,
     lower_box,
     lower_capsule,
     lower_plane,
-    primitive_distance,
 )
+from nuno_kernels.contact_field import lower_field, primitive_distance
 from nuno_schemas.fabric import Float, Int
 
 Response = tuple[float, float, float, float, float, float, float, float, float, float, float, int]
@@ -46,6 +48,9 @@ def find_deepest(
     deepest: NDArray[np.int64],
     near: NDArray[np.bool_],
     body: int,
+    head: Any,
+    cells: Any,
+    corners: Any,
 ) -> bool:
     """Deepest of primitives [first, last) for vertices [low, high), into row `body` of deepest
     (-1 where a vertex is inside of none), and near[body, block]: whether any can be inside.
@@ -65,8 +70,10 @@ def find_deepest(
             lower_capsule(x, low, high, posed, p, distance, deepest, body)
         elif kind[p] == BOX:
             lower_box(x, low, high, posed, p, frames, frame[p], distance, deepest, body)
-        else:
+        elif kind[p] != FIELD:
             lower_plane(x, low, high, posed, p, distance, deepest, body)
+        elif head is not None:
+            lower_field(x, low, high, posed, p, frames, frame[p], head, cells, corners, distance, deepest, body)
     if was_near and not near[body, block]:
         for i in range(np.uint64(low), np.uint64(high)):
             deepest[body, i] = -1
@@ -89,6 +96,9 @@ def respond(
     anchor: Float,
     anchor_frame: Int,
     rate: float,
+    head: Any,
+    cells: Any,
+    corners: Any,
 ) -> Response:
     """Contact of vertex i with primitive p, which moves with frame f.
 
@@ -98,7 +108,7 @@ def respond(
     plane [m], the normal, the tangential velocity relative to the body [m/s], the on-axis mark.
     """
     px, py, pz = x[0, i], x[1, i], x[2, i]
-    distance, nx, ny, nz, on_axis = primitive_distance(px, py, pz, kind, posed, p, frames, f)
+    distance, nx, ny, nz, on_axis = primitive_distance(px, py, pz, kind, posed, p, frames, f, head, cells, corners)
     rx, ry, rz = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
     ux = v[0, i] - frames[f, 12] - (frames[f, 16] * rz - frames[f, 17] * ry)
     uy = v[1, i] - frames[f, 13] - (frames[f, 17] * rx - frames[f, 15] * rz)
@@ -164,6 +174,9 @@ def add_body(
     anchor: Float,
     anchor_frame: Int,
     rate: float,
+    head: Any,
+    cells: Any,
+    corners: Any,
     force: Float,
 ) -> int:
     """Add one body's force [N] on vertices [low, high); returns how many lay on a capsule's axis."""
@@ -175,8 +188,9 @@ def add_body(
         p = np.uint64(deepest[body, i])
         k, c = stiffness[body, i], damping[body, i]
         _, normal, ex, ey, ez, nx, ny, nz, tx, ty, tz, mark = respond(
-            x, v, i, body, p, kind[p], np.uint64(frame[p]), k, c, posed, frames, anchor, anchor_frame, rate
-        )
+            x, v, i, body, p, kind[p], np.uint64(frame[p]), k, c, posed, frames, anchor, anchor_frame, rate,
+            head, cells, corners,
+        )  # fmt: skip
         fx, fy, fz = -k * ex - c * tx, -k * ey - c * ty, -k * ez - c * tz
         size, limit = math.sqrt(fx * fx + fy * fy + fz * fz), mu * normal
         share = limit / size if size > limit else 1.0
@@ -205,6 +219,9 @@ def commit_body(
     anchor: Float,
     anchor_frame: Int,
     rate: float,
+    head: Any,
+    cells: Any,
+    corners: Any,
 ) -> int:
     """Set, drag along or drop the anchors of vertices [low, high); returns how many touch."""
     touching = 0
@@ -218,8 +235,9 @@ def commit_body(
         p = np.uint64(deepest[body, i])
         f, k = np.uint64(frame[p]), stiffness[body, i]
         distance, normal, ex, ey, ez, _, _, _, _, _, _, _ = respond(
-            x, v, i, body, p, kind[p], f, k, damping[body, i], posed, frames, anchor, anchor_frame, rate
-        )
+            x, v, i, body, p, kind[p], f, k, damping[body, i], posed, frames, anchor, anchor_frame, rate, head, cells,
+            corners,
+        )  # fmt: skip
         if distance >= 0.0:
             anchor_frame[body, i] = -1
             continue

@@ -7,8 +7,9 @@ SIGGRAPH 2000). With d the distance of a point the error that is allowed there i
     tolerance max(1, d / band),
 
 and a cell is left whole if the largest error in its lattice (nuno_kernels.field_cells) is at most half of that which
-is allowed at its nearest, or if its size alone keeps it there: distance changes by no more than one goes, so that
-no point of a cell of edge h is off by more than sqrt(3)/2 h.
+is allowed at its nearest, and its gradient at the surface does not turn away, as that of a cell does which reaches
+across a plate; or if its size alone keeps the error there: distance changes by no more than one goes, so that no
+point of a cell of edge h is off by more than sqrt(3)/2 h.
 
 Corners of a small cell on the face of a larger one take the larger one's interpolated values, from large to
 small (`join_leaves`): the field is continuous, and so is its gradient. That shifts small cells by up to their larger
@@ -48,10 +49,14 @@ WHOLE = 16
 """Whole cells along the longest side of the box, about."""
 PROBE, EACH = 4096, 15
 """As soon as there are so many cells to cut, every so many of them are, to foresee how large the field will be."""
+ALONG = 0.3
+"""Least cosine between interpolated and exact gradient at the surface."""
 ROUNDS = 12
 """Times that cells are cut again beside larger ones."""
 DEEPEST = 15
 """Halvings of a whole cell at most: places in a lattice then have 21 bits."""
+TORN = 2.0
+"""Cells across which the distance jumps, in the hole of a mesh, are no smaller than half of so many tolerances."""
 PIECE = 1 << 15
 """Cells examined together."""
 BYTES_PER_LEAF = 128 + 5
@@ -74,7 +79,7 @@ class Exact:
 
     def __init__(self, tree: Tree, closed: bool) -> None:
         """Signs of a mesh that is not `closed` are the winding number's."""
-        self.tree = tree
+        self.tree, self.closed = tree, closed
         dipoles: tuple[Any, Any] = (None, None) if closed else make_dipoles(tree)
         self.arrays = (
             tree.boxes, tree.child, tree.corners, tree.face, tree.faces, tree.edges, tree.vertex_normals,
@@ -146,7 +151,7 @@ class Builder:
         return self.tolerance * np.maximum(1.0, distance / self.band)
 
     def examine(self, cells: Cells) -> tuple[Single, Float]:
-        """Lattices (m, 27, 4), and errors and least distances (m, 2). Points that cells share are measured once."""
+        """Lattices (m, 27, 4), and what `measure_errors` finds (m, 3). Points that cells share are measured once."""
         lattice = np.empty((len(cells.at), LATTICE, 4), np.float32)
         lattice[:, CORNER] = cells.corners
         places = (2 * cells.at[:, None] + BETWEEN_AT).reshape(-1, 3)
@@ -157,8 +162,8 @@ class Builder:
         points = self.low + 0.5 * self.size / 2**cells.level * places[first]
         lattice[:, BETWEEN] = self.exact.measure(points, near)[number.reshape(-1)].reshape(len(cells.at), -1, 4)
         cells.near[:] = near[number.reshape(len(cells.at), -1)[:, MIDDLE]]
-        found = np.empty((len(cells.at), 2))
-        measure_errors(lattice, found)
+        found = np.empty((len(cells.at), 3))
+        measure_errors(lattice, self.size / 2**cells.level, self.tolerance, found)
         return lattice, found
 
     def refine(self, cells: Cells) -> list[Leaves]:
@@ -178,8 +183,11 @@ class Builder:
             lattice, found = self.examine(piece)
             # Every point of a cell is within sqrt(3)/4 of its edge from a point of the lattice.
             allowed = self.allowed(np.maximum(0.0, found[:, 1] - 0.433013 * size))
-            whole = np.minimum(found[:, 0], 0.866026 * size) <= SHARE * allowed
+            whole = (found[:, 0] <= SHARE * allowed) & (found[:, 2] >= ALONG)
+            whole |= 0.866026 * size <= SHARE * allowed
             whole |= cells.level >= DEEPEST
+            if not self.exact.closed:
+                whole |= are_torn(lattice[:, :, 0], size) & (size <= TORN * self.tolerance)
             done.append(_leaves(piece, lattice, whole))
             parts.append(self.cut(piece, lattice, ~whole))
             self.leaves += int(whole.sum())
@@ -303,6 +311,15 @@ def whole_cells(builder: Builder) -> Cells:
     return Cells(0, at, number, np.zeros(len(number), np.int64), corners)
 
 
+def are_torn(lattice: Single, size: Any) -> NDArray[np.bool_]:
+    """(m,) whether distances in lattices (m, 27) of cells of edge `size` [m] differ by more than their places do: they
+    do where a hole is between them, on both sides of which the surface is as far away.
+    """
+    values = lattice.reshape(-1, 3, 3, 3)
+    steps = [np.abs(np.diff(values, axis=axis)).reshape(len(values), -1).max(axis=1) for axis in (1, 2, 3)]
+    return np.asarray(np.max(steps, axis=0) > 1.05 * 0.5 * size)
+
+
 def find_bad(builder: Builder, leaves: Leaves, made: DistanceField, x: Float) -> NDArray[np.bool_]:
     """(l,) leaves to cut, because they or smaller ones beside them are off by more than SHARE_AFTER of what is
     allowed, in their lattices or at the mesh's vertices, where the distance is 0.
@@ -316,5 +333,6 @@ def find_bad(builder: Builder, leaves: Leaves, made: DistanceField, x: Float) ->
         leaves.tests, allowed, x, SHARE_AFTER * builder.tolerance, leaves.at, leaves.level, int(leaves.level.max()),
         made.shape, head, made.child, made.corners, bad,
     )  # fmt: skip
-    # Across a hole the distance jumps, whatever the size of a cell.
+    if not builder.exact.closed:
+        bad &= ~are_torn(leaves.tests, size)
     return bad & (leaves.level < DEEPEST) & (0.866026 * size > 0.5 * SHARE * builder.tolerance)

@@ -16,6 +16,7 @@ from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.closest_point import DEPTH, closest
+from nuno_kernels.contact_distance import inlined
 from nuno_kernels.field_winding import winding
 
 BLOCK = 256
@@ -66,26 +67,35 @@ def measure_points(
             out[i, 0], out[i, 1], out[i, 2], out[i, 3] = d, gx, gy, gz
 
 
-@kernel
-def error_of(lattice: Any, cell: int) -> float:
-    """Largest error [m] of a cell's interpolation between its corners at the other points of its lattice."""
-    worst = 0.0
-    for p in range(LATTICE):
-        i, j, k = p // 9, p // 3 % 3, p % 3
-        value = 0.0
-        for c in range(8):
-            a, b, d = c // 4, c // 2 % 2, c % 2
-            weight = 0.125 * (i if a else 2 - i) * (j if b else 2 - j) * (k if d else 2 - k)
-            value += weight * lattice[cell, 18 * a + 6 * b + 2 * d, 0]
-        worst = max(worst, abs(value - lattice[cell, p, 0]))
-    return worst
+@inlined
+def blend_lattice(lattice: Any, cell: int, p: int, part: int) -> float:
+    """Quantity `part` at point p of a cell's lattice, interpolated from the cell's corners."""
+    i, j, k = p // 9, p // 3 % 3, p % 3
+    value = 0.0
+    for c in range(8):
+        a, b, d = c // 4, c // 2 % 2, c % 2
+        weight = 0.125 * (i if a else 2 - i) * (j if b else 2 - j) * (k if d else 2 - k)
+        value += weight * lattice[cell, 18 * a + 6 * b + 2 * d, part]
+    return value
 
 
 @parallel_kernel
-def measure_errors(lattice: Any, found: Any) -> None:
-    """found (m, 2): the error of cells with lattices (m, 27, 4), and the least distance to the surface [m] there."""
+def measure_errors(lattice: Any, size: float, near: float, found: Any) -> None:
+    """found (m, 3) of cells of edge `size` [m] with lattices (m, 27, 4): the largest error of the interpolation [m],
+    the least distance to the surface [m], and, of cells that it may pass through, the least cosine between
+    interpolated and exact gradient at points within `near` [m] or half of its edge.
+    """
     for cell in prange(lattice.shape[0]):
-        least = math.inf
+        worst, least, along = 0.0, math.inf, 1.0
         for p in range(LATTICE):
+            worst = max(worst, abs(blend_lattice(lattice, cell, p, 0) - lattice[cell, p, 0]))
             least = min(least, abs(lattice[cell, p, 0]))
-        found[cell, 0], found[cell, 1] = error_of(lattice, cell), least
+        for p in range(LATTICE):
+            if least <= 0.433013 * size and abs(lattice[cell, p, 0]) <= max(near, 0.5 * size):
+                cosine, square = 0.0, 0.0
+                for part in range(1, 4):
+                    value = blend_lattice(lattice, cell, p, part)
+                    cosine += value * lattice[cell, p, part]
+                    square += value * value
+                along = min(along, cosine / math.sqrt(square) if square > 0.0 else -1.0)
+        found[cell, 0], found[cell, 1], found[cell, 2] = worst, least, along

@@ -25,16 +25,24 @@ def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Flo
     Raises BadInput, with face or edge and place, for a file that cannot be read, or is not a closed
     surface without self-intersections.
     """
+    x, faces = read_mesh(path, scale, mend)
     try:
-        x, faces = clean_mesh(*_load(path), scale)
-        if mend:
-            x, faces = mend_mesh(x, faces)
         check_closed(x, faces)
         check_crossings(x, faces)
     except BadInput as error:
         error.file = str(path)
         raise
     return x, faces
+
+
+def read_mesh(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Float, Int]:
+    """As `read_closed`, of a file whose surface may have holes and pass through itself."""
+    try:
+        x, faces = clean_mesh(*_load(path), scale)
+        return mend_mesh(x, faces) if mend else (x, faces)
+    except BadInput as error:
+        error.file = str(path)
+        raise
 
 
 def _load(path: Path) -> tuple[Float, Int]:

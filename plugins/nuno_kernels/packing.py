@@ -158,8 +158,11 @@ def _find_fused(system: System) -> dict[str, Any]:
 
 
 def own_copy(data: Any) -> Any:
-    """A term's tuple with arrays of its own: anchors and scratch belong to one solver's memory."""
-    return type(data)(*(value.copy() if isinstance(value, np.ndarray) else value for value in data))
+    """A term's tuple with arrays of its own: anchors and scratch belong to one solver's memory. What is read only
+    is nobody's.
+    """
+    return type(data)(*(value.copy() if isinstance(value, np.ndarray) and value.flags.writeable else value
+                        for value in data))  # fmt: skip
 
 
 def python_terms(system: System, start: float, end: float) -> Extra | None:

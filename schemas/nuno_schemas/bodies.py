@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.field import DistanceField
 
-CAPSULE, PLANE, BOX, MESH = 0, 1, 2, 3
+CAPSULE, PLANE, BOX, MESH, FIELD = 0, 1, 2, 3, 4
+OF_TRIANGLES = (MESH, FIELD)
+"""Kinds of primitives that have a mesh; that of a FIELD may have holes."""
 
 
 def no_rows(kind: type[np.generic], *columns: int) -> NDArray[Any]:
@@ -24,18 +27,19 @@ class Geometry:
     """Everything about bodies that does not change: sent once.
 
     bodies     names of the b bodies; frames: names "body/frame" of the f frames
-    kind       (p,) int8     CAPSULE (a sphere where a = b), PLANE, BOX or MESH
+    kind       (p,) int8     CAPSULE (a sphere where a = b), PLANE, BOX, MESH or FIELD
     frame      (p,) int32    frame that carries the primitive
     body       (p,) int32    body it belongs to; a body is the union of its primitives
     a, b       (p, 3)        in the frame [m]: capsule ends; plane point and unit normal;
-                             box centre and half extents; lowest and highest corner of a mesh
+                             box centre and half extents; lowest and highest corner of a mesh or field
     radius     (p,)          [m], capsules only, else 0
     stiffness  (b,)          penalty stiffness per cloth vertex [N/m]; NaN = chosen by the solver
     damping    (b,)          damping of the normal velocity in contact, as a ratio of critical
     friction   (b,)          Coulomb coefficient
     vertices   (v, 3)        of all meshes, in their primitives' frames [m]
-    faces      (t, 3) int32  triangles of them, counter-clockwise seen from outside, each mesh closed
+    faces      (t, 3) int32  triangles of them, counter-clockwise seen from outside, each MESH closed
     owner      (t,) int32    primitive that the triangle belongs to
+    fields                   of the primitives of kind FIELD, in their order; empty where they are only to be drawn
     """
 
     bodies: tuple[str, ...]
@@ -52,9 +56,10 @@ class Geometry:
     vertices: Float = field(default_factory=partial(no_rows, np.float64, 3))
     faces: Int = field(default_factory=partial(no_rows, np.int32, 3))
     owner: Int = field(default_factory=partial(no_rows, np.int32))
+    fields: tuple[DistanceField, ...] = ()
 
     def mesh(self, primitive: int) -> tuple[Float, Int]:
-        """Vertices (n, 3) [m] and faces (f, 3) of a primitive that is a mesh."""
+        """Vertices (n, 3) [m] and faces (f, 3) of a primitive that has a mesh."""
         return pick_mesh(self.vertices, self.faces[self.owner == primitive])
 
 

@@ -20,12 +20,13 @@ from pydantic import BaseModel, ConfigDict
 
 from nuno_schemas.bodies import Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Memory, State
+from nuno_schemas.field import DistanceField
 
 GROUPS: Mapping[str, str] = {
     "nuno.models": "build a fabric: sheet, skirt, mesh, net",
     "nuno.forces": "forces beyond springs, hinges, gravity and damping: wind, drag",
     "nuno.integrators": "advance a fabric's state in time",
-    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh",
+    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh, sdf",
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
     "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure, wrinkle",
@@ -234,6 +235,9 @@ class BodyShape:
     vertices: Float = field(default_factory=partial(no_rows, np.float64, 3))
     faces: NDArray[np.int32] = field(default_factory=partial(no_rows, np.int32, 3))
     owner: NDArray[np.int32] = field(default_factory=partial(no_rows, np.int32))
+    fields: tuple[DistanceField, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What the user should know of it, in words: where a mesh is open."""
 
 
 class Motion(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry
+from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry
 from nuno_schemas.fabric import Float, Int
 
 AROUND, RINGS = 24, 6
@@ -83,7 +83,7 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
             points, triangles = box_mesh(a, np.maximum(b - inset, 0.1 * b))
         elif kind == PLANE:
             points, triangles = plane_mesh(a - inset * b, b, plane_size)
-        elif kind == MESH:
+        elif kind in OF_TRIANGLES:
             points, triangles = geometry.mesh(i)
         else:
             raise ValueError(f"unknown primitive kind {int(kind)}")

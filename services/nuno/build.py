@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nuno.join import join_fabrics
 from nuno.scene_file import Chosen, Loaded
 from nuno.worn import check_worn
-from nuno_schemas.bodies import MESH, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.plugin import BodyShape, Mover, System, Term
@@ -122,7 +122,7 @@ def mesh_of(name: str, geometry: Geometry | None, poses: Poses | None) -> tuple[
         remedy = nearest(name, geometry.bodies if geometry else ())
         raise BadInput("there is no such body to draw it over", field="over.body", value=name, remedy=remedy)
     own = np.flatnonzero(geometry.body == geometry.bodies.index(name))
-    if len(own) != 1 or geometry.kind[own[0]] != MESH:
+    if len(own) != 1 or geometry.kind[own[0]] not in OF_TRIANGLES:
         remedy = "give the body collider: {plugin: mesh, ...}"
         raise BadInput("only a mesh can be drawn over", field="over.body", value=name, remedy=remedy)
     return place_mesh(geometry, poses, int(own[0]))
@@ -158,6 +158,8 @@ class Bodies:
 
     geometry: Geometry
     movers: tuple[Mover | None, ...]
+    notes: tuple[str, ...] = ()
+    """What the user should know of them, in words."""
 
     def poses(self, t: float) -> Poses:
         """Poses of all frames at time t [s]."""
@@ -178,7 +180,8 @@ def build_bodies(loaded: Loaded) -> Bodies:
         except BadInput as error:
             raise loaded.at(field, error) from None
         movers.append(mover)
-    return Bodies(_geometry(loaded, shapes), tuple(movers))
+    notes = (f"{body.name}: {n}" for body, shape in zip(loaded.scene.bodies, shapes, strict=True) for n in shape.notes)
+    return Bodies(_geometry(loaded, shapes), tuple(movers), tuple(notes))
 
 
 def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
@@ -198,6 +201,7 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
         np.array([b.damping for b in bodies]),
         np.array([b.friction for b in bodies]),
         *_join_meshes(shapes),
+        tuple(field for shape in shapes for field in shape.fields),
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from nuno.collision.distance import signed_distance
-from nuno_schemas.bodies import BOX, MESH, PLANE, Geometry, Poses
+from nuno_schemas.bodies import BOX, FIELD, OF_TRIANGLES, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -58,12 +58,14 @@ def _nearest(places: Float, geometry: Geometry, poses: Poses, frame: int) -> tup
 def _only(geometry: Geometry, i: int) -> Geometry:
     chosen = {name: getattr(geometry, name)[i : i + 1] for name in ("kind", "frame", "body", "a", "b", "radius")}
     faces = geometry.faces[geometry.owner == i]
-    return replace(geometry, **chosen, faces=faces, owner=np.zeros(len(faces), np.int32))
+    before = int((geometry.kind[:i] == FIELD).sum())
+    own = geometry.fields[before : before + 1] if geometry.kind[i] == FIELD else ()
+    return replace(geometry, **chosen, faces=faces, owner=np.zeros(len(faces), np.int32), fields=own)
 
 
 def _radius(geometry: Geometry, i: int) -> float:
     if geometry.kind[i] == PLANE:
         return np.inf
-    if geometry.kind[i] == MESH:
+    if geometry.kind[i] in OF_TRIANGLES:
         return float(0.5 * (geometry.b[i] - geometry.a[i]).max())
     return float(geometry.b[i].max() if geometry.kind[i] == BOX else geometry.radius[i])

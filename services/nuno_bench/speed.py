@@ -22,6 +22,7 @@ CASES = {
     "stiffness": ("nuno_bench.stiffness", "stiffness"),
     "closest": ("nuno_bench.closest", "closest"),
     "fit": ("nuno_bench.fit_speed", "fits"),
+    "sdf": ("nuno_bench.sdf", "sdf"),
     "render": ("nuno_bench.render_speed", "render"),
     "dye": ("nuno_bench.dye_speed", "dye"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from contact_world import box, capsule, contact_for, geometry, move, plane
 
-from nuno_kernels.contact_distance import primitive_distance
+from nuno_kernels.contact_field import primitive_distance
 from nuno_kernels.contact_poses import pose_bodies
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.surface import surface
@@ -29,7 +29,9 @@ def posed(shape):
 
 
 def measure(contact, points):
-    return np.array([primitive_distance(*p, contact.kind[0], contact.posed, 0, contact.frames, 0) for p in points])
+    return np.array(
+        [primitive_distance(*p, contact.kind[0], contact.posed, 0, contact.frames, 0, None, None, None) for p in points]
+    )
 
 
 def cloud(number=300, seed=1):

@@ -11,7 +11,8 @@ from nuno.service import Context
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import RunFailed
 
-START_TIMEOUT = 30.0
+START_TIMEOUT = 1800.0
+"""A distance field may have to be built there, and what builds it to be compiled: the supervisor gives up sooner."""
 POSES_TIMEOUT = 60.0
 """For poses [s]: the service answers between two measurements, which on a busy machine take long; and what is asked
 ahead waits while the cloth steps. A service that dies is noticed by whoever supervises it.

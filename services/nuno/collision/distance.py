@@ -10,8 +10,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from nuno.collision.field import field_distance
 from nuno.collision.mesh import are_inside, columns_of, distances
-from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 
 
@@ -56,7 +57,7 @@ def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[in
         frame = geometry.frame[i]
         local = (points - poses.translation[frame]) @ turns[frame]
         kind, a, b = int(geometry.kind[i]), geometry.a[i], geometry.b[i]
-        if kind == MESH:
+        if kind in OF_TRIANGLES:
             distance = _mesh(local, geometry, i, inside_only)
         else:
             distance = _primitive(local, kind, a, b, float(geometry.radius[i]))
@@ -65,6 +66,11 @@ def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[in
 
 
 def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
+    """To a mesh; of a field what it says, exact to its tolerance: cloth that rests on it lies inside by the depth of
+    penalty contact, and the distance of so many vertices to every triangle would take longer than the run.
+    """
+    if geometry.kind[i] == FIELD and geometry.fields:
+        return field_distance(p, geometry.fields[int((geometry.kind[:i] == FIELD).sum())])
     vertices, faces = geometry.mesh(i)
     inside = are_inside(p, columns_of(vertices, faces, geometry.faces, i))
     if not inside_only:

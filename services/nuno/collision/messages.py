@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.field import DistanceField
 
 GEOMETRY_QUESTION = "collision/ask/geometry"
 POSES_QUESTION = "collision/ask/poses"
@@ -14,18 +19,35 @@ _ARRAYS = ("kind", "frame", "body", "a", "b", "radius", "stiffness", "damping", 
 _MESHES = ("vertices", "faces", "owner")
 
 
-def encode_geometry(geometry: Geometry) -> bytes:
+_FIELDS = ("low", "shape", "child", "corners")
+_NUMBERS = ("size", "tolerance", "band")
+
+
+def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:
+    """Bytes of a geometry; one that is not `whole` is only to be drawn, and leaves the distance fields out."""
     arrays = {name: getattr(geometry, name) for name in (*_ARRAYS, *_MESHES)}
-    return encode_arrays(arrays, {"bodies": geometry.bodies, "frames": geometry.frames})
+    text: dict[str, Any] = {"bodies": geometry.bodies, "frames": geometry.frames, "fields": []}
+    for number, field in enumerate(geometry.fields if whole else ()):
+        arrays |= {f"field{number}.{name}": getattr(field, name) for name in _FIELDS}
+        text["fields"].append({name: getattr(field, name) for name in _NUMBERS})
+    return encode_arrays(arrays, text)
 
 
 def decode_geometry(payload: bytes) -> Geometry:
     """Raises BadMessage."""
     arrays, text = decode_arrays(payload)
     try:
-        return Geometry(tuple(text["bodies"]), tuple(text["frames"]), *(arrays[name] for name in (*_ARRAYS, *_MESHES)))
+        fields = tuple(_field(arrays, number, text["fields"][number]) for number in range(len(text.get("fields", ()))))
+        plain = {name: arrays[name] for name in (*_ARRAYS, *_MESHES)}
+        return Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields)
     except (KeyError, TypeError) as error:
         raise BadMessage(f"geometry without {error}") from None
+
+
+def _field(arrays: Mapping[str, NDArray[Any]], number: int, numbers: Mapping[str, float]) -> DistanceField:
+    low, shape, child, corners = (arrays[f"field{number}.{name}"] for name in _FIELDS)
+    size, tolerance, band = (float(numbers[name]) for name in _NUMBERS)
+    return DistanceField(low, size, shape, tolerance, band, child, corners)
 
 
 def encode_poses(poses: Poses, frame: int) -> bytes:

@@ -57,7 +57,9 @@ class Collision:
         Not before: until the first frame some services may still be starting.
         """
         if GEOMETRY.name not in self.context.bus.publishers:
-            self.context.bus.publisher(GEOMETRY).put(encode_geometry(self.bodies.geometry), header.frame, header.t)
+            self.context.bus.publisher(GEOMETRY).put(
+                encode_geometry(self.bodies.geometry, whole=False), header.frame, header.t
+            )
         self.context.bus.publisher(BODIES).put(
             encode_poses(self.poses(header.frame), header.frame), header.frame, header.t
         )
@@ -90,7 +92,10 @@ class Collision:
 def main(context: Context) -> None:
     """Serve one run's bodies until asked to finish."""
     inbox = Inbox(context.bus, [STATE])
-    collision = Collision(context, build_bodies(context.loaded), inbox)
+    bodies = build_bodies(context.loaded)
+    for note in bodies.notes:
+        context.event("warning", note)
+    collision = Collision(context, bodies, inbox)
     inbox.answer(GEOMETRY_QUESTION)
     inbox.answer(POSES_QUESTION)
 

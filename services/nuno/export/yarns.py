@@ -21,7 +21,7 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
 from nuno.scene_file import Chosen, Loaded
-from nuno_schemas.bodies import MESH
+from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
@@ -165,7 +165,7 @@ def body_surface(loaded: Loaded, t: float) -> Surface | None:
     bodies = build_bodies(loaded)
     geometry, poses = bodies.geometry, bodies.poses(t)
     vertices, faces, count = [], [], 0
-    for primitive in np.flatnonzero(geometry.kind == MESH).tolist():
+    for primitive in np.flatnonzero(np.isin(geometry.kind, OF_TRIANGLES)).tolist():
         placed, triangles = place_mesh(geometry, poses, primitive)
         vertices.append(placed)
         faces.append(triangles + count)
