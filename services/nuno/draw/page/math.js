@@ -70,9 +70,9 @@ export class Camera {
     this.target = [0, 1, 2].map((k) => (low[k] + high[k]) / 2);
     this.size = length(add(high, low, -1)) || 1;
     if (normal) {
-      const n = unit(normal), flat = Math.hypot(n[0], n[2]);
-      this.azimuth = (flat > 0.3 ? Math.atan2(n[0], n[2]) : 0) + 0.3;
-      this.elevation = length(normal) > 0.2 ? Math.max(-1.2, Math.min(1.2, Math.atan2(n[1], flat) * 0.75 + 0.15)) : 0.15;
+      // A mean of normals: that of a skirt, which faces all ways, is short, and says little of where to look from.
+      this.azimuth = (Math.hypot(normal[0], normal[2]) > 0.3 ? Math.atan2(normal[0], normal[2]) : 0) + 0.3;
+      this.elevation = 0.7 * Math.asin(Math.max(-1, Math.min(1, normal[1]))) + 0.15;
     }
     const room = Math.max(0.3, (this.width - 560) / this.width);
     this.distance = 0.56 * this.size / this.slope / Math.min(0.86, room * this.width / this.height);
