@@ -84,8 +84,11 @@ class Desk:
         if self.loaded is None or self.follower is not None or self._own is not None:
             raise BadInput("a run goes on already", remedy="pause it, or go back to the start")
         run = runs.new_id(self.loaded.scene.name)
+        saved = self._keeper is not None and self._keeper.saved
         log = tempfile.TemporaryFile()  # noqa: SIM115 - the run's own, for as long as it goes on
-        self._own = subprocess.Popen(_command(self.loaded, run), stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        self._own = subprocess.Popen(
+            _command(self.loaded, run, saved), stdin=subprocess.DEVNULL, stdout=log, stderr=log
+        )
         self.board.show(state="preparing", run=run)
         self._waiting = threading.Thread(target=self._join, args=(run, self._own, log), daemon=True)
         self._waiting.start()
@@ -220,11 +223,11 @@ class Desk:
         return {"name": f"{name}-lines.obj", "text": to_obj(read_strokes(request.get("lines"), sight), sight)}
 
 
-def _command(loaded: Loaded, run: str) -> list[str]:
+def _command(loaded: Loaded, run: str, saved: bool) -> list[str]:
     roots = [text for root in loaded.files.roots for text in ("--root", str(root))]
     # The scene as it was opened: what is saved to its file meanwhile, the page adds itself.
     opened = f"{keep.LIST}={json.dumps(loaded.data.get(keep.LIST) or [])}"
-    changes = [text for item in (*loaded.overrides, opened) for text in ("--set", item)]
+    changes = [text for item in (*loaded.overrides, *([opened] if saved else [])) for text in ("--set", item)]
     # -P: a module of the user's folder must not stand in for one of ours.
     head = [sys.executable, "-P", "-m", "nuno", "run", str(loaded.path)]
     return [*head, "--paused", "--no-view", "--run", run, *roots, *changes]

@@ -73,6 +73,11 @@ class Keeper:
         self.loaded, self.path = loaded, target(loaded)
         self._before = self._written = ""
 
+    @property
+    def saved(self) -> bool:
+        """Whether lines of this page are in the file."""
+        return bool(self._written)
+
     def save(self, base: Sight, lines: Mapping[bool, Lines], settings: object) -> dict[str, Any]:
         """Write the file; what the page says of it. Raises BadInput, the file being as it was then.
 
