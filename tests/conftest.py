@@ -8,6 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from nuno import process
+
+process.collect_rarely()  # as every process of nuno does
+
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 

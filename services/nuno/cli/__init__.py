@@ -46,6 +46,7 @@ class _Parser(argparse.ArgumentParser):
 def command() -> NoReturn:
     """The console script: run a command, then leave with its exit code."""
     process.return_large_arrays()
+    process.collect_rarely()
     process.leave(main())
 
 
