@@ -33,7 +33,7 @@ def _cache_folder() -> Path:
             (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3], sorted(FLAGS.items()))
         ).encode()
     )
-    for folder in (here, here.parent / "nuno_integrators", here.parent / "nuno_dye"):
+    for folder in (here, *(here.parent / name for name in ("nuno_integrators", "nuno_dye", "nuno_wrinkle"))):
         for source in sorted(folder.glob("*.py")):
             digest.update(source.name.encode() + b"\0" + source.read_bytes())
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from nuno import scene_file
@@ -52,8 +53,9 @@ def find_own(scene: Path, overrides: list[str]) -> tuple[list[str], list[Path]]:
     named, folders = [], []
     for item in overrides:
         key, equals, value = item.partition("=")
-        own = Path(value).expanduser()
-        if not (equals and own.suffix and "\n" not in value and len(value) < 1000 and own.is_file()):
+        own = Path(os.path.expanduser(value))
+        # os.path says no where pathlib raises: for a mapping longer than the name of a file may be, or no user's ~.
+        if not (equals and own.suffix and os.path.isfile(own)):
             named.append(item)
             continue
         other = scene.resolve().parent / own.name
