@@ -50,6 +50,6 @@ def _compile(function: Callable[..., Any], **flags: str) -> Any:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(CACHE)
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy", **flags)(function)
+        return numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **flags)(function)
     finally:
         numba.config.CACHE_DIR = before

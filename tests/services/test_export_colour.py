@@ -49,7 +49,7 @@ def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_cloth_without_a_colour_is_plain_or_shows_its_stretch(plain: Path) -> None:
     with open_recording(plain) as recording:
         last = list(recording.frames())[-1]
-        piece = Painter(recording, [last], SIZE).pieces[0]
+        piece = Painter(recording, [last], SIZE).pieces(last.t)[0]
     stretch = paint_stretch(piece.stretch(last.x))
     for colour in ("auto", "stretch"):
         painter, colours, _ = painted(plain, colour)  # type: ignore[arg-type]

@@ -91,7 +91,7 @@ def test_a_table_and_a_picture_have_it_point_by_point(ran: tuple[Path, dict[str,
         assert painter.legend is not None and painter.legend["label"] == "pressure [Pa]"
         assert shown is not None and painter.pressure is not None
         by_point = colours(np.maximum(painter.pressure(last.x), 0.0), 0.0, painter.most)
-        owner = np.repeat(painter.pieces[0].edges, SIDES, axis=1).reshape(-1)
+        owner = np.repeat(painter.pieces(last.t)[0].edges, SIDES, axis=1).reshape(-1)
         assert np.array_equal(shown, by_point[owner])
 
 
