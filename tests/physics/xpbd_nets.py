@@ -28,14 +28,18 @@ def advance(system, steps, dt, poses=None, plugin=None, **config):
     return state
 
 
-def sheet(n, k=50.0, c=0.02, bend=1e-4, shuffle=False, mass=1e-3):
-    """n x n vertices in the plane z = 0 with all kinds of springs and hinges, two corners pinned."""
+def sheet(n, k=50.0, c=0.02, bend=1e-4, shuffle=0.0, mass=1e-3):
+    """n x n vertices in the plane z = 0 with all kinds of springs and hinges, two corners pinned.
+
+    The last of them, a share of `shuffle`, are numbered at random.
+    """
     x, springs = grid_springs(n, n, 0.02, k, c)
     quads = hinge_corners(triangulate(n, n))
     pinned = np.zeros(n * n, bool)
     pinned[[0, n - 1]] = True
     if shuffle:
-        new = np.random.default_rng(3).permutation(n * n)
+        still = round((1.0 - shuffle) * n * n)
+        new = np.append(np.arange(still), still + np.random.default_rng(3).permutation(n * n - still))
         pairs = new[springs.pairs()].astype(np.int32)
         springs = Springs.from_pairs(pairs, *(springs.per_spring(a) for a in (springs.k, springs.rest, springs.c)))
         x, pinned, quads = x[np.argsort(new)], pinned[np.argsort(new)], new[quads].astype(np.int32)
