@@ -4,7 +4,7 @@ BIN := .venv/bin
 SCENE ?= skirt-hula
 ARGS ?=
 
-.PHONY: run test lint bench clean
+.PHONY: run test lint bench soak clean
 
 run: .venv/run.stamp  ## simulate the default scene: record it, show it, report on it
 	@$(BIN)/nuno run $(SCENE) $(ARGS)
@@ -20,6 +20,9 @@ lint: .venv/dev.stamp  ## ruff and mypy
 bench: .venv/dev.stamp  ## speed against the measured bars, and the skirt paper's experiment
 	$(BIN)/nuno bench speed $(ARGS)
 	$(BIN)/nuno bench integrators skirt-paper
+
+soak: .venv/dev.stamp  ## reliability at length, into its page: hours
+	$(BIN)/nuno soak --docs docs/reliability.md $(ARGS)
 
 .venv/bin/python:
 	@echo "making .venv with $$($(PYTHON) --version)"
