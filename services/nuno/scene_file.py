@@ -12,8 +12,9 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from nuno import registry, yaml_lines
-from nuno.explain import OVERRIDDEN, UNNUMBERED, explain, located
+from nuno.explain import UNNUMBERED, explain, located
 from nuno.files import SceneFiles
+from nuno.override import apply_override, item_at, overridden, parts_of
 from nuno.yaml_lines import dotted
 from nuno_schemas.applied import Applied
 from nuno_schemas.errors import BadInput, nearest
@@ -97,7 +98,7 @@ class Loaded:
         """What a field such as `forces.0.velocity` holds, given or by default, in SI units; None if there is none."""
         data = self.scene.model_dump(mode="json")
         data["forces"] = [{"plugin": force.name, **force.config.model_dump(mode="json")} for force in self.forces]
-        return _item(data, tuple(int(part) if part.isdecimal() else part for part in _parts(field)))
+        return item_at(data, tuple(int(part) if part.isdecimal() else part for part in parts_of(field)))
 
     def at(self, field: str, error: BadInput) -> BadInput:
         """The same error with this scene's file, line and the field's full path."""
@@ -109,24 +110,9 @@ class Loaded:
             names = {error.value}
         if names:
             inside = (path for path in yaml_lines.places(self.data) if dotted(path).startswith(f"{field}."))
-            texts = ((path, _item(self.data, path)) for path in inside)
+            texts = ((path, item_at(self.data, path)) for path in inside)
             field = next((dotted(path) for path, text in texts if isinstance(text, str) and text in names), field)
         return located(error, self.file, self.lines, field)
-
-
-def _parts(key: str) -> list[str]:
-    """`a.b[0].c` -> a, b, 0, c."""
-    return key.replace("[", ".").replace("]", "").split(".")
-
-
-def _item(data: Any, path: yaml_lines.Path) -> Any:
-    """What stands at a path, None where nothing does."""
-    for part in path:
-        try:
-            data = data[part]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return data
 
 
 def shipped(folder: str = "") -> dict[str, Path]:
@@ -177,56 +163,6 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), 
         lines = overridden(lines, apply_override(data, item))
     loaded = load(data, lines, named or str(path), SceneFiles(path.resolve().parent, roots))
     return replace(loaded, overrides=tuple(overrides), path=path)
-
-
-def overridden(lines: Mapping[yaml_lines.Path, int], place: yaml_lines.Path) -> dict[yaml_lines.Path, int]:
-    """Lines of a scene, one place of which the user has replaced."""
-    kept = {path: n for path, n in lines.items() if path[: len(place)] != place}
-    return {place[:i]: OVERRIDDEN for i in range(1, len(place) + 1)} | kept
-
-
-def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
-    """Set `a.b.0.c=value` in place; where that is. Raises BadInput for a path that cannot be there."""
-    key, equals, text = item.partition("=")
-    parts = _parts(key)
-    if not equals or not all(parts):
-        raise BadInput(
-            "an override is written key=value", "--set", value=item, remedy="for example --set solver.dt=1ms"
-        )
-    try:
-        value = yaml_lines.parse_value(text)
-    except BadInput as error:
-        raise BadInput(error.problem, "--set", None, key, text, error.limit, error.remedy) from None
-    here: Any = data
-    place: list[str | int] = []
-    for i, part in enumerate(parts):
-        number = _number(here, part) if isinstance(here, list) else None
-        if number is not None:
-            place.append(number)
-        elif isinstance(here, dict):
-            place.append(part)
-        else:
-            remedy = f"{dotted(tuple(place))} holds {_kind(here)}; name what is there"
-            raise BadInput("no such field", "--set", field=key, value=part, remedy=remedy)
-        if i < len(parts) - 1:
-            here = here.setdefault(part, {}) if isinstance(here, dict) else here[place[-1]]
-    here[place[-1]] = value
-    return tuple(place)
-
-
-def _number(parts: list[Any], part: str) -> int | None:
-    """Which of a list's parts is meant, by its number or by its name; None for neither."""
-    if part.isdecimal():
-        return int(part) if int(part) < len(parts) else None
-    names = [one.get("name") if isinstance(one, dict) else None for one in parts]
-    return names.index(part) if part in names else None
-
-
-def _kind(value: Any) -> str:
-    if isinstance(value, list):
-        names = [str(one["name"]) for one in value if isinstance(one, dict) and "name" in one]
-        return f"a list of {len(value)}, counted from 0{''.join(f', {name}' for name in names)}"
-    return f"the value {value!r:.60}"
 
 
 def _solver(scene: Scene) -> Choice:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nuno import scene_file, yaml_lines
+from nuno.override import apply_override, overridden
 from nuno_schemas.errors import BadInput
 
 GOOD: dict[str, Any] = {
@@ -236,7 +237,7 @@ def reads_or_refuses(text: str, *overrides: str) -> None:
     with contextlib.suppress(BadInput):
         data, lines = yaml_lines.parse(text, "scene.yaml")
         for item in overrides:
-            lines = scene_file.overridden(lines, scene_file.apply_override(data, item))
+            lines = overridden(lines, apply_override(data, item))
         scene_file.load(data, lines, "scene.yaml", scene_file.SceneFiles(Path()))
 
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from nuno import build
 from nuno.choose import decide
-from nuno.scene_file import Loaded, apply_override, load, overridden
+from nuno.override import apply_override, overridden
+from nuno.scene_file import Loaded, load
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
 from nuno.simulation.relax import BALANCED, Relaxation, unsettled
