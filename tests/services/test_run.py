@@ -15,7 +15,7 @@ from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import scene_file, supervisor
+from nuno import oversight, scene_file, supervisor
 from nuno.cli import main
 from nuno.recording.restore import control_events
 from nuno.recording.writer import RecordingWriter
@@ -42,7 +42,7 @@ def test_threads_and_processes_end_in_the_same_bits(tmp_path: Path) -> None:
 
 def test_only_services_that_were_started_by_hand_are_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those started here are alive, and may compile their kernels for as long as a slow machine takes."""
-    monkeypatch.setattr(supervisor, "START_TIMEOUT", 0.0)
+    monkeypatch.setattr(oversight, "START_TIMEOUT", 0.0)
     scene = scene_file.read(write_scene(tmp_path, duration=0.1))
     assert supervisor.supervise(scene, Options()).state == "done"
     with hub_at(None, None) as (_, endpoint):

@@ -1,0 +1,181 @@
+"""Watches the services of one run: until they are ready, while they work, and while they finish in order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from nuno.bus import Bus, Inbox, Message, Watch
+from nuno.launch import FINISH_TIMEOUT
+from nuno.plan import Plan
+from nuno.scene_file import Loaded
+from nuno.service import SUPERVISOR, Options
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
+
+START_TIMEOUT, COMPILE_TIMEOUT = 120.0, 1800.0
+"""Longest that services may take to be ready [s]: started by hand, which may have been forgotten; and started here,
+which are seen to be alive, and on a slow machine's first run compile kernels for minutes."""
+FOLLOWERS = ("dye", "collision", "render", "viewer", "recorder")
+"""Services in the order in which they finish, after the one that leads."""
+DRAWING_TIMEOUT = 3600.0
+"""How long pictures that are still to be drawn at the end may take [s]."""
+DRAWING = "drawing what is left of the pictures"
+LAST_WORDS = 2.0
+"""How long the reason is waited for when a service has gone [s]."""
+
+COMPILING_AFTER = 1.5
+"""Preparing takes this long [s] only where kernels are compiled, and then it is said."""
+COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
+
+Summarise = Callable[[dict[str, dict[str, Any]]], dict[str, Any]]
+Progress = Callable[[FrameStatus | str], None]
+"""Told each frame's status, and what services have to say."""
+
+
+class Supervisor:
+    """One run, from start to report."""
+
+    def __init__(self, loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str) -> None:
+        self.loaded, self.options, self.plan, self.run = loaded, options, plan, run
+        self.bus = Bus(session, run, SUPERVISOR)
+        self.alive = self.bus.alive()
+        self.watch = Watch(self.bus)
+        self.inbox = Inbox(
+            self.bus, [STATUS if loaded.scene.moves else DYE_STATUS, Topic("run/event/*", "json", "nuno.Event")]
+        )
+        self.errors: dict[str, str] = {}
+        self.bad_input: BadInput | None = None
+        self.blamed = ""
+        self.ended: dict[str, Any] | None = None
+        self.patience = START_TIMEOUT
+        self.paused = False
+        self.exited: Callable[[], dict[str, str]] = dict
+        """Services whose thread or process is over, with a reason; set by what starts them."""
+
+    def wait_until_ready(self, progress: Progress | None) -> None:
+        """Wait for every service. Raises BadInput if one refuses the scene, RunFailed if one dies or does not come."""
+        begin, told = time.monotonic(), progress is None
+        while missing := set(self.plan.services) - self.watch.alive():
+            self._drain(progress)
+            if self.bad_input is not None:
+                raise self.bad_input
+            over = self.exited()
+            if gone := missing & set(over):
+                name = min(gone)
+                self._hear(name, progress)
+                raise RunFailed(self.errors.get(name) or over[name] or f"the {name} service ended before it was ready")
+            waited = time.monotonic() - begin
+            if progress is not None and not told and waited > COMPILING_AFTER:
+                told = True
+                progress(COMPILING)
+            if waited > self.patience:
+                raise RunFailed(f"not ready within {self.patience:g} s: {', '.join(sorted(missing))}")
+            self.watch.wait_for(missing, 0.05)
+
+    def _hear(self, name: str, progress: Progress | None) -> None:
+        """Wait for the last words of a service that is over: they may still be on the way."""
+        end = time.monotonic() + 0.5
+        while name not in self.errors and time.monotonic() < end:
+            self._drain(progress, timeout=0.05)
+        if self.bad_input is not None:
+            raise self.bad_input
+
+    def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> bool:
+        """Take in what services say; whether the run has ended."""
+        item = self.inbox.get(timeout)
+        while isinstance(item, Message):
+            try:
+                if item.topic in STATUSES:
+                    status = STATUSES[item.topic].model_validate_json(item.payload)
+                    if progress is not None:
+                        progress(status)
+                else:
+                    self._note(item.topic, Event.model_validate_json(item.payload), progress)
+            except ValueError:
+                self.inbox.refuse(item)
+            item = self.inbox.get(0)
+        return self.ended is not None
+
+    def _note(self, topic: str, event: Event, progress: Progress | None) -> None:
+        """Take in one event. Raises ValueError where it does not come from a service of this run."""
+        if topic != f"{EVENT.name}/{event.service}" or event.service not in self.plan.services:
+            raise ValueError(f"{topic} speaks for {event.service}")
+        if event.kind == "error":
+            self.errors[event.service] = event.text
+            self.blamed = self.blamed or str(event.args.get("peer", ""))
+            if event.args.get("bad_input"):
+                self.bad_input = BadInput(event.text)
+        elif event.kind == "end":
+            summary = event.args.get("summary")
+            if event.service != self.plan.leader or not isinstance(summary, dict):
+                raise ValueError("not the end of the run")
+            self.ended = summary
+        elif event.kind in ("start", "warning") and progress is not None:
+            progress(event.text)
+
+    def follow(self, progress: Progress | None) -> str:
+        """Let the run go to its end; the error that ended it early, or ""."""
+        if self.paused:
+            if progress is not None:
+                progress(f"paused before its first frame; to go on: nuno control {self.run} resume")
+        else:
+            self.bus.ask_json("control", {"action": "start"})
+        while self.ended is None:
+            self._drain(progress, timeout=0.2)
+            if dead := [name for name in self.plan.services if name not in self.watch.alive()]:
+                if self._last_words(set(dead), progress):
+                    break
+                name = self.blamed or dead[0]
+                why = self.errors.get(name) or self.exited().get(name) or "its process ended or the connection broke"
+                return f"the {name} service died: {why}"
+        return ""
+
+    def _last_words(self, dead: set[str], progress: Progress | None) -> bool:
+        """Hear why services died, which may come after their tokens are gone; whether the run was over."""
+        end = time.monotonic() + LAST_WORDS
+        while not self._drain(progress, timeout=0.1) and time.monotonic() < end:
+            if any(self.errors.get(name) or self.exited().get(name) for name in dead):
+                break
+        return self.ended is not None
+
+    def finish(
+        self, error: str, report: Summarise, discard: bool = False, progress: Progress | None = None
+    ) -> dict[str, dict[str, Any]]:
+        """Ask each service to finish, the recorder last, and collect what they counted.
+
+        `discard` leaves no recording behind: nothing has happened that could be in it.
+        Services that are not ready yet learn from the supervisor's absence that they are not needed.
+        """
+        answers: dict[str, dict[str, Any]] = {}
+        if "recorder" in self.plan.services:
+            self._await_recorder()
+        order = [self.plan.leader, *(n for n in FOLLOWERS if n in self.plan.services[1:])]
+        for name in order:
+            if name not in self.watch.alive():
+                continue
+            request: dict[str, Any] = {"error": error}
+            if name == "recorder":
+                sent = {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
+                state = "failed" if error else str((self.ended or {}).get("state", "failed"))
+                request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
+            patience = DRAWING_TIMEOUT if name == "render" else FINISH_TIMEOUT
+            if name == "render" and progress is not None and not error:
+                progress(DRAWING)
+            try:
+                answers[name] = self.bus.ask_json(f"finish/{name}", request, patience)
+            except RunFailed as failure:
+                self.errors.setdefault(name, str(failure))
+        answers[SUPERVISOR] = {"missing": dict(self.inbox.counts.missing), "refused": dict(self.inbox.counts.refused)}
+        self.alive.undeclare()
+        return answers
+
+    def _await_recorder(self) -> None:
+        """Wait until the recorder can be told what becomes of its file: it may be creating it just now."""
+        end = time.monotonic() + FINISH_TIMEOUT
+        while "recorder" not in self.exited() and not self.watch.gone("recorder") and time.monotonic() < end:
+            if not self.watch.wait_for({"recorder"}, 0.05):
+                return
