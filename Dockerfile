@@ -7,8 +7,12 @@ COPY schemas schemas
 COPY services services
 COPY plugins plugins
 COPY scenes scenes
+COPY deploy deploy
 RUN pip install --no-cache-dir ".[view]"
-RUN useradd --create-home nuno && mkdir /recordings && chown nuno /recordings
+# Any user may be given to run as: who may read the files with the keys.
+RUN useradd --create-home --uid 1000 nuno && mkdir --mode 1777 /recordings
+ENV XDG_CACHE_HOME=/tmp/cache
+WORKDIR /tmp
 USER nuno
 VOLUME /recordings
 ENTRYPOINT ["nuno"]

@@ -11,9 +11,12 @@ import pytest
 import yaml
 
 import nuno
+from nuno.access import folder
 from nuno.sessions import free_port
 
 FILE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
+ROLES = {"run": "supervisor"}
+"""Containers that are not called after their role."""
 
 
 @pytest.fixture(scope="module")
@@ -31,20 +34,32 @@ def test_file_fits_the_compose_schema() -> None:
 
 def test_everything_it_names_is_there(compose: dict[str, Any]) -> None:
     services = compose["services"]
-    for service in services.values():
+    for name, service in services.items():
         assert set(service.get("depends_on", [])) <= set(services)
         assert set(service["networks"]) <= set(compose["networks"])
-        assert {volume.split(":")[0] for volume in service.get("volumes", [])} <= set(compose["volumes"])
+        role, *others = service["volumes"]
+        assert role == f"./certs/{ROLES.get(name, name)}.json5:/role.json5:ro", "a role's file, and no other's"
+        assert {volume.split(":")[0] for volume in others} <= set(compose["volumes"])
     assert compose["networks"]["bus"]["internal"] is True
 
 
+def test_every_container_needs_a_certificate(compose: dict[str, Any]) -> None:
+    for service in compose["services"].values():
+        command = service["command"]
+        assert command[command.index("--config") + 1] == "/role.json5"
+        assert command[command.index("--listen" if "--listen" in command else "--connect") + 1].startswith("tls/")
+
+
 def test_its_commands_make_a_complete_recording(compose: dict[str, Any], tmp_path: Path) -> None:
+    """With the certificates that `nuno certs` makes, each service with its own."""
     port = free_port()
-    swaps = {"tcp/0.0.0.0:7447": f"tcp/127.0.0.1:{port}", "tcp/router:7447": f"tcp/127.0.0.1:{port}"}
+    swaps = {"tls/0.0.0.0:7447": f"tls/127.0.0.1:{port}", "tls/router:7447": f"tls/localhost:{port}"}
+    folder.make(tmp_path / "certs", ("localhost",), folder.roles(), 1)
 
     def command(name: str) -> list[str]:
         words = [swaps.get(word, word) for word in compose["services"][name]["command"]]
-        words = [word.replace("/recordings", str(tmp_path)) for word in words]
+        role = str(tmp_path / "certs" / f"{ROLES.get(name, name)}.json5")
+        words = [word.replace("/recordings", str(tmp_path)).replace("/role.json5", role) for word in words]
         short = [] if name == "router" else ["--set", "duration=0.1"]
         return [sys.executable, "-m", "nuno", *words, *short]
 
@@ -66,5 +81,9 @@ def test_its_commands_make_a_complete_recording(compose: dict[str, Any], tmp_pat
 def test_the_commands_it_gives_follow_the_service_that_leaves_last(compose: dict[str, Any]) -> None:
     """`run` asks the others to finish, and starts them: what a user types must wait for it alone."""
     given = [line.split("#")[1].split() for line in FILE.read_text().splitlines() if line.startswith("#   ")]
-    assert given == [["docker", "compose", "run", "--rm", "run"], ["docker", "compose", "down"]]
+    assert given == [
+        ["nuno", "certs", "certs", "--hosts", "router"],
+        ["docker", "compose", "run", "--rm", "run"],
+        ["docker", "compose", "down"],
+    ]
     assert set(compose["services"]["run"]["depends_on"]) == set(compose["services"]) - {"run"}

@@ -21,6 +21,7 @@ COMMANDS = {
     "control": ("nuno.cli.control", "pause, resume, step, stop, change or add to a run that goes on"),
     "draw": ("nuno.cli.draw", "a page for drawing ridges and valleys on a cloth by hand"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
+    "certs": ("nuno.cli.certs", "certificates and access control, for a run on several hosts"),
     "bench": (
         "nuno_bench.cli",
         "measurements: speed, integrators, precision, accuracy, compare, stability, peers",

@@ -1,0 +1,139 @@
+"""`nuno certs`: who can read its files, what it refuses, what each certificate is good for, and who may do what."""
+
+from __future__ import annotations
+
+import base64
+import json
+import stat
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from nuno.access import certificates, folder
+from nuno.access.rights import IN, access_control, read_rights
+from nuno.cli import main
+from nuno.service import MODULES, SUPERVISOR
+from nuno_schemas.errors import BadInput
+from nuno_schemas.messages import ACK, EVENT, REPORT, TOPICS
+
+
+@pytest.fixture(scope="module")
+def certs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("made") / "certs"
+    folder.make(path, ("router", "10.0.0.1"), folder.roles(), 30)
+    return path
+
+
+def secrets(path: Path) -> dict[str, Any]:
+    tls: dict[str, Any] = json.loads(path.read_text())["transport"]["link"]["tls"]
+    return tls
+
+
+def certificate(path: Path) -> x509.Certificate:
+    tls = secrets(path)
+    (text,) = (tls[name] for name in tls if name.endswith("certificate_base64") and not name.startswith("root"))
+    return x509.load_pem_x509_certificate(base64.b64decode(text))
+
+
+def test_only_the_owner_reads_the_files(certs: Path) -> None:
+    assert stat.S_IMODE(certs.stat().st_mode) == 0o700
+    assert {stat.S_IMODE(path.stat().st_mode) for path in certs.iterdir()} == {0o600}
+
+
+def test_a_role_has_its_own_key_and_no_other(certs: Path) -> None:
+    keys = [secrets(certs / f"{role}.json5") for role in folder.roles()]
+    private = [tls[name] for tls in keys for name in tls if "private_key" in name]
+    assert len(set(private)) == len(folder.roles())
+    authority = base64.b64encode((certs / "authority.key").read_bytes()).decode()
+    assert authority not in private
+
+
+def test_only_the_router_can_be_a_server(certs: Path) -> None:
+    for role in folder.roles():
+        found = certificate(certs / f"{role}.json5")
+        usage = found.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        serves = ExtendedKeyUsageOID.SERVER_AUTH in usage
+        assert (serves, len(usage), certificates.name_of(found)) == (role == "router", 1, role)
+    assert certificates.hosts_of(certificate(certs / "router.json5")) == ["router", "10.0.0.1"]
+
+
+def test_nothing_is_overwritten(certs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path: path.read_bytes() for path in certs.iterdir()}
+    assert main(["certs", str(certs), "--roles", "observer,router"]) == 2
+    assert "would be overwritten" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in certs.iterdir()} == before
+
+
+def test_one_that_was_moved_away_is_made_again_by_the_same_authority(certs: Path, tmp_path: Path) -> None:
+    (certs / "dye.json5").rename(tmp_path / "old.json5")
+    assert main(["certs", str(certs), "--roles", "dye"]) == 0
+    assert [kept.wrong for kept in folder.check(certs)] == [""] * len(folder.roles())
+
+
+@pytest.mark.parametrize(
+    ("hosts", "roles", "days", "problem"),
+    [
+        (("router",), ["observers"], 30, "no such role"),
+        (("a b",), ["router"], 30, "neither a host's name nor an address"),
+        (("",), ["router"], 30, "neither a host's name nor an address"),
+        (("router",), ["router"], 0, "holds for 1 day or more"),
+        (("router",), ["router"], 10**9, "holds for 1 day or more"),
+    ],
+)
+def test_what_cannot_be_made_is_said(
+    hosts: tuple[str, ...], roles: list[str], days: int, problem: str, tmp_path: Path
+) -> None:
+    with pytest.raises(BadInput, match=problem):
+        folder.make(tmp_path / "certs", hosts, roles, days)
+    assert not list(tmp_path.iterdir()), "nothing is written"
+
+
+def test_check_names_what_is_amiss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, other = tmp_path / "certs", tmp_path / "other"
+    assert main(["certs", str(path), "--check"]) == 2
+    folder.make(path, ("router",), ["router", "dye", "render", "viewer", "observer", "operator"], 1)
+    folder.make(other, ("router",), ["viewer"], 1)
+    authority = certificates.load((path / "authority.pem").read_bytes(), (path / "authority.key").read_bytes())
+    old = folder.configuration("dye", certificates.sign(authority, "dye", -1), authority)
+    (path / "dye.json5").write_bytes(old)
+    (path / "viewer.json5").write_bytes((other / "viewer.json5").read_bytes())
+    (path / "render.json5").write_bytes((path / "observer.json5").read_bytes())
+    (path / "router.json5").chmod(0o644)
+    (path / "operator.json5").write_text("{}")
+    found = {kept.role: kept.wrong for kept in folder.check(path)}
+    assert "expired" in found["dye"]
+    assert "another authority" in found["viewer"] and "another role's" in found["render"]
+    assert "chmod 600" in found["router"] and "cannot be used" in found["operator"]
+    assert found["observer"] == ""
+    capsys.readouterr()
+    assert main(["certs", str(path), "--check"]) == 1
+    assert "expired" in capsys.readouterr().out
+
+
+def test_each_topic_is_published_by_the_service_that_makes_it_and_by_no_other() -> None:
+    rights = read_rights()
+    assert set(rights) == {*MODULES, SUPERVISOR, "operator", "observer"}
+    for topic in set(TOPICS) - {EVENT.name, ACK.name, REPORT.name}:
+        owners = [role for role, right in rights.items() if topic in right.publishes]
+        assert len(owners) == 1, (topic, owners)
+    for role, right in rights.items():
+        assert not any("*" in topic for topic in right.publishes), "each topic is named"
+        spoken = {topic.rpartition("/")[2] for topic in right.publishes if topic.startswith(("run/event/", "ack/"))}
+        assert spoken <= {role}, "nobody speaks for another"
+    assert [role for role, right in rights.items() if "control" in right.asks] == ["supervisor", "operator"]
+    assert not rights["observer"].publishes and not rights["observer"].asks and not rights["observer"].answers
+
+
+def test_what_is_not_allowed_is_denied() -> None:
+    control = access_control(read_rights())
+    assert control["default_permission"] == "deny"
+    assert {rule["permission"] for rule in control["rules"]} == {"allow"}
+    rules = {rule["id"]: rule for rule in control["rules"]}
+    assert len(rules) == len(control["rules"])
+    for policy in control["policies"]:
+        sent = [rules[name] for name in policy["rules"] if rules[name]["flows"] == [IN]]
+        own = {key for rule in sent for key in rule["key_exprs"] if "put" in rule["messages"]}
+        assert own == {f"nuno/*/{topic}" for topic in read_rights()[policy["subjects"][0]].publishes}
