@@ -8,10 +8,11 @@ import shlex
 import sys
 import time
 from importlib.metadata import version
-from pathlib import Path
 
 import numba
 import psutil
+
+from nuno.recording.provenance import processor
 
 DISTURBED = 0.05
 """Share of the machine from which on others are said to disturb the times."""
@@ -55,21 +56,12 @@ def describe() -> dict[str, str]:
     Call it after the kernels have run: numba names its threading layer only then.
     """
     return {
-        "processor": f"{_processor()}, {cores()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB",
+        "processor": f"{processor()}, {cores()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB",
         "system": platform.platform(),
         "kernels": f"at most {numba.config.NUMBA_NUM_THREADS} threads, {_layer()}",
         "versions": ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in PACKAGES)]),
         "date": time.strftime("%Y-%m-%d"),
     }
-
-
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
 
 
 def _layer() -> str:

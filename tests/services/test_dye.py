@@ -73,12 +73,14 @@ def test_the_recording_verifies_and_tells_where_it_differs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = nuno.run(write_scene(tmp_path), record=tmp_path / "run.mcap").path
-    assert main(["replay", str(path), "--verify"]) == 0
+    assert main(["verify", str(path)]) == 0
     assert "equal to the last bit: 11 frames" in capsys.readouterr().out
     monkeypatch.setattr("nuno_dye.isotherms.Langmuir.prepare", _weaker)
     with nuno.open(path) as recording:
         found = verify(recording)
-    assert found.frame == 1 and found.compared == 1
+    assert found.frame == 1 and found.compared == 1 and found.part == "dye"
+    assert found.difference is not None and found.difference.frame == 1
+    assert found.difference.quantity == "mobile dye" and " of cell (" in found.difference.index
 
 
 def _weaker(self: Any, config: Any) -> Any:

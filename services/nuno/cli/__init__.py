@@ -15,7 +15,8 @@ from nuno_schemas.errors import BadInput, RunFailed, nearest
 COMMANDS = {
     "run": ("nuno.cli.run", "simulate a scene, record it, show it, report on it"),
     "plan": ("nuno.cli.plan", "what a scene will run, what is left out, cost and stable step"),
-    "replay": ("nuno.cli.replay", "publish a recording again, show it, or re-simulate and compare"),
+    "replay": ("nuno.cli.replay", "publish a recording again, and show it"),
+    "verify": ("nuno.cli.verify", "simulate a recording again and compare every frame to the last bit"),
     "info": ("nuno.cli.info", "what a recording holds"),
     "export": ("nuno.cli.export", "meshes, arrays, tables, pictures and animations of a recording"),
     "control": ("nuno.cli.control", "pause, resume, step, stop, change or add to a run that goes on"),

@@ -49,17 +49,21 @@ class ProgressLine:
         if isinstance(status, str):
             print(status, file=sys.stderr)
             return
+        self.show(status.t)
+
+    def show(self, t: float) -> None:
+        """Show how far a run is [s]."""
         now = time.perf_counter()
         if not self.start:
-            self.start, self.first = now, status.t
-        times = (status.t - self.first) / max(now - self.start, 1e-9)
-        rate = f"{factor(times)} real time" if status.t > self.first else ""
+            self.start, self.first = now, t
+        times = (t - self.first) / max(now - self.start, 1e-9)
+        rate = f"{factor(times)} real time" if t > self.first else ""
         unit, name = time_of(self.scene.duration) if self.scene.duration > LONG else (1.0, "s")
-        done = f"{status.t / unit:.2f} of {self.scene.duration / unit:g} {name}"
+        done = f"{t / unit:.2f} of {self.scene.duration / unit:g} {name}"
         if self._bar is not None:
-            self._bar.update(self._task, completed=status.t, description=done, rate=rate)
+            self._bar.update(self._task, completed=t, description=done, rate=rate)
             return
-        tenth = int(10 * status.t / self.scene.duration + 1e-9)
+        tenth = int(10 * t / self.scene.duration + 1e-9)
         if tenth > self.tenth:
             self.tenth = tenth
             print(f"{done}  {rate}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""`nuno replay`: publish a recording again, show it, or re-simulate and compare."""
+"""`nuno replay`: publish a recording again, and show it."""
 
 from __future__ import annotations
 
@@ -27,9 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     speed.add_argument("--fast", action="store_true", help="as fast as the subscribers take it")
     parser.add_argument("--start", type=float, default=0.0, metavar="SECONDS", help="begin at this simulation time")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
-    parser.add_argument(
-        "--verify", action="store_true", help="simulate it again and compare every frame to the last bit"
-    )
     view = parser.add_mutually_exclusive_group()
     view.add_argument("--view", nargs="?", const="window", choices=["window", "web"], help="show it in rerun")
     view.add_argument("--no-view", action="store_true", help="only publish")
@@ -43,19 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     with open_recording(args.recording) as recording:
-        return _verify(recording) if args.verify else _replay(recording, args)
-
-
-def _verify(recording: Recording) -> int:
-    from nuno.verify import verify
-
-    found = verify(recording)
-    if found.frame is None:
-        dyed = f" of cloth, {found.dyed} of dye" if found.dyed else ""
-        print(f"equal to the last bit: {found.compared} frames{dyed}")
-        return 0
-    print(f"differs first at frame {found.frame} (t = {found.t:g} s): {found.difference}", file=sys.stderr)
-    return 1
+        return _replay(recording, args)
 
 
 def _replay(recording: Recording, args: argparse.Namespace) -> int:

@@ -35,17 +35,18 @@ class DyeCheckpoint:
 def read_checkpoints(recording: Recording) -> Iterator[DyeCheckpoint]:
     """All of them, in order. Raises BadInput for a damaged one."""
     for message in recording.messages([DYE_CHECKPOINT.name]):
-        yield _checkpoint(recording, message)
+        yield read_checkpoint(recording, message)
 
 
 def last_checkpoint(recording: Recording, before: float | None = None) -> DyeCheckpoint:
     """The last one with t <= before [s]. Raises BadInput where there is none."""
-    return _checkpoint(recording, recording.last_checkpoint_message(before, (DYE_CHECKPOINT.name,)))
+    return read_checkpoint(recording, recording.last_checkpoint_message(before, (DYE_CHECKPOINT.name,)))
 
 
 def additions(recording: Recording) -> list[tuple[int, str]]:
-    """What was added while the run went on, as (frame, item), in order. Raises BadInput for a damaged event."""
-    return [(event.frame, str(event.args["item"])) for event in control_events(recording) if event.text == "add"]
+    """What dye was added while the run went on, as (frame, item), in order. Raises BadInput for a damaged event."""
+    events = control_events(recording)
+    return [(event.frame, str(event.args["item"])) for event in events if (event.service, event.text) == ("dye", "add")]
 
 
 def per_dye(amounts: Float) -> Float:
@@ -53,7 +54,8 @@ def per_dye(amounts: Float) -> Float:
     return amounts[0] if len(amounts) == 1 else amounts
 
 
-def _checkpoint(recording: Recording, message: Recorded) -> DyeCheckpoint:
+def read_checkpoint(recording: Recording, message: Recorded) -> DyeCheckpoint:
+    """What a message of `dye/checkpoint` holds. Raises BadInput for a damaged one."""
     arrays, text = recording.arrays(message)
     try:
         phi, fixed = (np.asarray(arrays[name], np.float64) for name in ("phi", "fixed"))

@@ -1,51 +1,78 @@
-"""Spreads the dye of a recording again and compares it, frame by frame, to the last bit."""
+"""The dye of a recording, spread again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 
 import numpy as np
 
-from nuno.dye.checkpoint import DyeCheckpoint, additions, read_checkpoints
+from nuno.arrays import decode_arrays
+from nuno.dye.checkpoint import additions, read_checkpoint
 from nuno.dye.run import DyeRun
 from nuno.recording.reader import Recording
+from nuno.recording.recorded import Arrays, Recorded
 from nuno.scene_file import Loaded
-from nuno.verify import Verification
+from nuno.verify import Again
+from nuno_schemas.messages import CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS
+
+MOBILE, FIXED = "mobile dye", "fixed dye"
 
 
-def verify_dye(
-    recording: Recording,
-    loaded: Loaded,
-    wanted: Mapping[int, str],
-    threads: int,
-    progress: Callable[[float], None] | None,
-) -> Verification:
-    """Compare every digest in `wanted`, by frame. Raises BadInput."""
-    checkpoints = {point.frame: point for point in read_checkpoints(recording)}
-    added = additions(recording)
-    dyeing = DyeRun(loaded, threads)
-    compared = 0
-    for frame in range(max(wanted) + 1):
-        if frame:
-            for at, item in added:
-                if at == frame - 1:
-                    dyeing.add(item)
-            dyeing.advance()
-        if frame in wanted:
-            if dyeing.digest() != wanted[frame]:
-                return Verification(compared, frame, dyeing.t, _explain(dyeing, checkpoints.get(frame)))
-            compared += 1
-        if progress is not None:
-            progress(dyeing.t)
-    return Verification(compared)
+class DyeAgain(Again):
+    """A dyeing with what was added to that of a recording."""
 
+    part = "dye"
+    status, published, checkpoint = DYE_STATUS.name, CONCENTRATION.name, DYE_CHECKPOINT.name
 
-def _explain(dyeing: DyeRun, recorded: DyeCheckpoint | None) -> str:
-    if recorded is None:
-        return "amounts of dye differ; the recording has no checkpoint of that frame to say where"
-    for name, amount in (("mobile", recorded.phi), ("fixed", recorded.fixed)):
-        apart = np.abs((dyeing.state.phi if name == "mobile" else dyeing.state.fixed) - amount)
-        if apart.any():
-            index = tuple(int(i) for i in np.unravel_index(int(np.argmax(apart)), apart.shape))
-            return f"{name} dye differs by {apart[index]:.3g} in cell {index[1:]} of {dyeing.names[index[0]]}"
-    return "the checkpoint holds the same amounts, but not those of its frame"
+    def __init__(self, recording: Recording, loaded: Loaded, threads: int) -> None:
+        """Raises BadInput."""
+        self.additions = additions(recording)
+        """Still to be made."""
+        self.dyeing = DyeRun(loaded, threads)
+        self._recording = recording
+
+    @property
+    def frame(self) -> int:
+        """See `Again`."""
+        return self.dyeing.frame
+
+    @property
+    def t(self) -> float:
+        """See `Again`."""
+        return self.dyeing.t
+
+    def go_to(self, frame: int) -> None:
+        """See `Again`."""
+        while self.frame < frame:
+            self.change()
+            self.dyeing.advance()
+
+    def change(self) -> None:
+        """See `Again`; each addition once, in their order."""
+        for one in [one for one in self.additions if one[0] == self.frame]:
+            self.additions.remove(one)
+            self.dyeing.add(one[1])
+
+    def digest(self) -> str:
+        """See `Again`."""
+        return self.dyeing.digest()
+
+    def arrays(self) -> Arrays:
+        """See `Again`."""
+        return {MOBILE: self.dyeing.state.phi, FIXED: self.dyeing.state.fixed}
+
+    def shown(self, payload: bytes) -> tuple[Arrays, Arrays]:
+        """See `Again`."""
+        ours = {name: amounts.astype(np.float32) for name, amounts in self.arrays().items()}
+        arrays, _ = decode_arrays(payload)
+        return ours, {MOBILE: arrays["phi"], FIXED: arrays["fixed"]}
+
+    def kept(self, message: Recorded) -> tuple[str, Arrays]:
+        """See `Again`."""
+        point = read_checkpoint(self._recording, message)
+        return point.digest, {MOBILE: point.phi, FIXED: point.fixed}
+
+    def name(self, quantity: str, index: Sequence[int]) -> str:
+        """See `Again`."""
+        dye, layer, row, column = index
+        return f"{self.dyeing.names[dye]} in the {('weft', 'warp')[layer]} of cell ({column}, {row})"

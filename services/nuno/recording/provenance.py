@@ -14,7 +14,7 @@ from nuno.scene_file import Chosen, Loaded
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
 
-PACKAGES = ("nuno", "numpy", "numba", "pydantic", "eclipse-zenoh", "mcap", "foxglove-sdk")
+PACKAGES = ("nuno", "numpy", "numba", "llvmlite", "pydantic", "eclipse-zenoh", "mcap", "foxglove-sdk")
 
 
 def describe_run(loaded: Loaded, run: str) -> dict[str, dict[str, str]]:
@@ -29,14 +29,25 @@ def describe_run(loaded: Loaded, run: str) -> dict[str, dict[str, str]]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what can change a result."""
+    """Versions of what can change a result, and the processor that kernels are compiled for."""
     found = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
+    found["processor"] = processor()
     for package in PACKAGES:
         try:
             found[package] = version(package)
         except PackageNotFoundError:
             found[package] = "not installed"
     return found
+
+
+def processor() -> str:
+    """The processor's name, as far as the system tells."""
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
 
 
 def plugins(loaded: Loaded) -> dict[str, str]:

@@ -178,7 +178,7 @@ class Recording:
 
     def checkpoints(self) -> Iterator[Checkpoint]:
         for message in self.messages([CHECKPOINT.name]):
-            yield self._checkpoint(message)
+            yield self.checkpoint(message)
 
     def last_checkpoint_message(self, before: float | None = None, topics: tuple[str, ...] = CHECKPOINTS) -> Recorded:
         """The last checkpoint with t <= before [s] of one of the topics. Raises BadInput where there is none."""
@@ -211,7 +211,7 @@ class Recording:
 
     def last_checkpoint(self, before: float | None = None) -> Checkpoint:
         """The last checkpoint of cloth with t <= before [s]. Raises BadInput where there is none."""
-        return self._checkpoint(self.last_checkpoint_message(before, (CHECKPOINT.name,)))
+        return self.checkpoint(self.last_checkpoint_message(before, (CHECKPOINT.name,)))
 
     def series(self) -> dict[str, NDArray[Any]]:
         """Columns over the frames; see nuno.recording.series."""
@@ -246,7 +246,8 @@ class Recording:
         with self._damage_reported(message):
             return decode_arrays(message.payload)
 
-    def _checkpoint(self, message: Recorded) -> Checkpoint:
+    def checkpoint(self, message: Recorded) -> Checkpoint:
+        """What a message of `sim/checkpoint` holds. Raises BadInput for a damaged one."""
         arrays, text = self.arrays(message)
         try:
             x, v = (np.asarray(arrays[name], np.float64) for name in ("x", "v"))

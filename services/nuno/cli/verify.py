@@ -1,0 +1,57 @@
+"""`nuno verify`: simulate a recording again and compare it to the last bit."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from nuno.cli.progress import ProgressLine
+from nuno.recording.reader import open_recording
+from nuno.recording.restore import restored_scene
+from nuno.verify import Verification, verify
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", type=Path, metavar="FILE")
+    parser.add_argument("--threads", type=int, default=0, metavar="N", help="most threads for kernels (default: all)")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Compare; 1 where the recording differs."""
+    with open_recording(args.recording) as recording:
+        with restored_scene(recording) as loaded:
+            scene = loaded.scene
+        with ProgressLine(scene) as progress:
+            found = verify(recording, args.threads, progress.show)
+        cut = "; it was cut short, and is compared up to its last whole chunk" if recording.recovered else ""
+    if found.frame is None:
+        dyed = f" of cloth, {found.dyed} of dye" if found.dyed else ""
+        print(f"equal to the last bit: {found.compared} frames{dyed}{cut}")
+        return 0
+    print("\n".join(describe(found)), file=sys.stderr)
+    return 1
+
+
+def describe(found: Verification) -> list[str]:
+    """Lines about what differs."""
+    lines = [f"the {found.part} differs first at frame {found.frame} (t = {found.t:g} s)"]
+    if (value := found.difference) is None:
+        lines.append(
+            "  where: not to be said: its digest is another, and what is kept of this frame and later is equal"
+        )
+    else:
+        later = (
+            f", seen at frame {value.frame}: of earlier ones too little is kept" if value.frame != found.frame else ""
+        )
+        kept = "the checkpoint" if value.kept == "checkpoint" else "what was published, which is float32"
+        lines += [
+            f"  where:    {value.quantity}, {value.index}{later}",
+            f"  here:     {value.here!r}",
+            f"  recorded: {value.recorded!r}, in {kept}",
+            f"  in all:   {value.number:,} of {value.of:,} values differ, by at most {value.farthest:.3g}",
+        ]
+    if found.others:
+        lines.append("equal bits are promised for the same versions and processor only; the recording was made with")
+        lines += [f"  {text}" for text in found.others]
+    return lines

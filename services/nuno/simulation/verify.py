@@ -1,0 +1,83 @@
+"""The cloth of a recording, stepped again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from nuno import build
+from nuno.arrays import decode_points, encode_points
+from nuno.recording.reader import Recording
+from nuno.recording.recorded import Arrays, Recorded
+from nuno.recording.restore import control_events
+from nuno.scene_file import Loaded
+from nuno.simulation.run import Simulation
+from nuno.verify import Again
+from nuno_schemas.messages import CHECKPOINT, STATE, STATUS
+
+
+class ClothAgain(Again):
+    """A simulation with the control events of a recording."""
+
+    part = "cloth"
+    status, published, checkpoint = STATUS.name, STATE.name, CHECKPOINT.name
+
+    def __init__(self, recording: Recording, loaded: Loaded, threads: int) -> None:
+        """Raises BadInput."""
+        self.changes = [event for event in control_events(recording) if event.text in ("set", "add")]
+        """Still to be made."""
+        self.bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+        self.rate = loaded.scene.frame_rate
+        self.poses = self.bodies.poses(0.0) if self.bodies else None
+        self.simulation = Simulation(loaded, self.bodies.geometry if self.bodies else None, self.poses, threads)
+        self.simulation.measure(self.poses)
+        self._recording = recording
+
+    @property
+    def frame(self) -> int:
+        """See `Again`."""
+        return self.simulation.frame
+
+    @property
+    def t(self) -> float:
+        """See `Again`."""
+        return self.simulation.t
+
+    def go_to(self, frame: int) -> None:
+        """See `Again`."""
+        while self.frame < frame:
+            self.change()
+            end = self.bodies.poses((self.frame + 1) / self.rate) if self.bodies else None
+            self.simulation.advance(self.poses, end)
+            self.poses = end
+
+    def change(self) -> None:
+        """See `Again`; each change once, in their order. Those of dye are not the cloth's."""
+        for event in [event for event in self.changes if event.frame == self.frame]:
+            self.changes.remove(event)
+            item = str(event.args["item"])
+            if event.text == "set":
+                self.simulation.set(item)
+            elif event.service == "simulation":
+                self.simulation.add(item)
+
+    def digest(self) -> str:
+        """See `Again`."""
+        return self.simulation.digest()
+
+    def arrays(self) -> Arrays:
+        """See `Again`."""
+        return {"position": self.simulation.state.x, "velocity": self.simulation.state.v}
+
+    def shown(self, payload: bytes) -> tuple[Arrays, Arrays]:
+        """See `Again`."""
+        ours = decode_points(encode_points(self.simulation.state.x, self.t))
+        return {"position": ours}, {"position": decode_points(payload)}
+
+    def kept(self, message: Recorded) -> tuple[str, Arrays]:
+        """See `Again`."""
+        point = self._recording.checkpoint(message)
+        return point.digest, {"position": point.x, "velocity": point.v}
+
+    def name(self, quantity: str, index: Sequence[int]) -> str:
+        """See `Again`."""
+        return f"vertex {index[0]}, axis {'xyz'[index[1]]}"
