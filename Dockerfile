@@ -8,7 +8,7 @@ COPY services services
 COPY plugins plugins
 COPY scenes scenes
 COPY deploy deploy
-RUN pip install --no-cache-dir ".[view]"
+RUN pip install --no-cache-dir --require-hashes -r deploy/requirements.txt && pip install --no-cache-dir --no-deps .
 # Any user may be given to run as: who may read the files with the keys.
 RUN useradd --create-home --uid 1000 nuno && mkdir --mode 1777 /recordings
 ENV XDG_CACHE_HOME=/tmp/cache

@@ -4,7 +4,7 @@ BIN := .venv/bin
 SCENE ?= skirt-hula
 ARGS ?=
 
-.PHONY: run test lint bench soak clean
+.PHONY: run test lint bench soak lock audit clean
 
 run: .venv/run.stamp  ## simulate the default scene: record it, show it, report on it
 	@$(BIN)/nuno run $(SCENE) $(ARGS)
@@ -23,6 +23,15 @@ bench: .venv/dev.stamp  ## speed against the measured bars, and the skirt paper'
 
 soak: .venv/dev.stamp  ## reliability at length, into its page: hours
 	$(BIN)/nuno soak --docs docs/reliability.md $(ARGS)
+
+lock: | .venv/bin/python  ## versions and hashes of all that a container installs
+	$(BIN)/python -m pip install --disable-pip-version-check uv
+	$(BIN)/uv pip compile pyproject.toml --extra view --universal --python-version 3.11 --upgrade \
+		--generate-hashes --no-header --no-annotate --quiet --output-file deploy/requirements.txt
+
+audit: | .venv/bin/python  ## known vulnerabilities of these versions
+	$(BIN)/python -m pip install --disable-pip-version-check pip-audit
+	$(BIN)/pip-audit --disable-pip --require-hashes --requirement deploy/requirements.txt
 
 .venv/bin/python:
 	@echo "making .venv with $$($(PYTHON) --version)"

@@ -51,7 +51,7 @@ class Sheet:
 
     @classmethod
     def load(cls, path: Path) -> Sheet:
-        with np.load(path) as data:
+        with np.load(path, allow_pickle=False) as data:
             return cls(**{field.name: data[field.name] for field in fields(cls)})
 
 

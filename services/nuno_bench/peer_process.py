@@ -68,7 +68,7 @@ def measure(kind: Kind, setting: Setting, name: str, sheet: Sheet, exact: Float,
         failure = next((line["failure"] for line in lines if "failure" in line), failure)
         if not seconds:
             return Point(kind.name, name, start, failure=failure or "its process ended without a result")
-        x, remark = np.load(end), next((line["remark"] for line in lines if line.get("remark")), "")
+        x, remark = np.load(end, allow_pickle=False), next((line["remark"] for line in lines if line.get("remark")), "")
     if failure:  # what broke while it repeated itself has been measured all the same
         remark = f"a repeat: {failure}"
     if not np.isfinite(x).all():

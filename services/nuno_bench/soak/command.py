@@ -11,7 +11,9 @@ from collections.abc import Callable
 from nuno_bench import machine, markdown, options
 from nuno_bench.result import HEADINGS, Result, number, rows, text_table
 
-PARTS: dict[str, str] = {}
+PARTS: dict[str, str] = {
+    "access": "nuno_bench.soak.access",
+}
 """Module of each part; its `run(quick, seed)` gives results, of which every bar is a law: a missed one is a failure."""
 
 
