@@ -19,6 +19,8 @@ from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import Header, Topic
 
+WAITING_AFTER = 5.0
+"""Whoever waits this long [s] for another service says so."""
 FURTHEST = 100_000
 """A message this far ahead of the last is none of the run's: believing it would refuse all others."""
 
@@ -214,19 +216,37 @@ class Bus:
         """The answer of one service's queryable. Raises RunFailed if none comes."""
         return self.ask_ahead(name, payload, timeout)()
 
-    def ask_ahead(self, name: str, payload: bytes = b"", timeout: float = 10.0) -> Callable[[], bytes]:
-        """Ask now; the function that is returned waits for the answer and raises as `ask` does."""
-        replies = self.session.get(
-            self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK
+    def ask_ahead(
+        self, name: str, payload: bytes = b"", timeout: float = 10.0, slow: Callable[[], None] | None = None
+    ) -> Callable[[], bytes]:
+        """Ask now; the function that is returned waits for the answer and raises as `ask` does.
+
+        It calls `slow` once where it has waited for WAITING_AFTER.
+        """
+        replies: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
+        begin = time.monotonic()
+        self.session.get(
+            self.key(name),
+            handler=zenoh.handlers.Callback(replies.put, lambda: replies.put(None)),
+            payload=payload,
+            timeout=timeout,
+            congestion_control=zenoh.CongestionControl.BLOCK,
         )
 
         def answer() -> bytes:
-            for reply in replies:
-                if reply.ok is not None:
-                    return reply.ok.payload.to_bytes()
-                if reply.err is not None:
-                    raise RunFailed(f"{name}: {reply.err.payload.to_bytes().decode(errors='replace')}")
-            raise RunFailed(f"no answer from {name} within {timeout:g} s", peer=name.split("/")[0])
+            try:
+                reply = replies.get(timeout=WAITING_AFTER)
+            except queue.Empty:
+                if slow is not None:
+                    slow()
+                reply = replies.get()  # zenoh itself ends it when the time is over
+            if reply is not None and reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+            # An error that no one sent is this session's own word for the end of the time.
+            if reply is not None and reply.err is not None and reply.replier_id is not None:
+                raise RunFailed(f"{name}: {reply.err.payload.to_bytes().decode(errors='replace')}")
+            waited = min(timeout, time.monotonic() - begin)
+            raise RunFailed(f"no answer from {name} within {waited:.3g} s", peer=name.split("/")[0])
 
         return answer
 

@@ -13,16 +13,17 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from nuno.bus import Inbox, Message, Question
+from nuno.bus import WAITING_AFTER, Inbox, Message, Question
 from nuno.service import Context, ack_topic, asks_to_finish
+from nuno.sessions import PATIENCE
 from nuno.work import Report, Work
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import Ack, FrameStatus, Topic
 
 WINDOW = 4
 """Frames that the steps may run ahead of a service that must see every one."""
-ACK_TIMEOUT = 60.0
-"""Silence [s] after which such a service counts as hung."""
+SAID_AGAIN_AFTER = 60.0
+"""A run that waits again and again, as for a slow disk, says so this often [s]."""
 CONTROL = "control"
 OF_FOLLOWERS = ("status", "add")
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
@@ -52,6 +53,8 @@ class Lockstep(ABC):
         self.inbox = Inbox(context.bus, [follows or ack_topic("*")])
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
         self.inbox.answer(f"finish/{context.bus.service}")
+        self.silent_until = 0.0
+        """When it may be said again that the run waits."""
         self.answers: dict[str, Callable[[], bytes]] = {}
         """What else it can be asked, between frames."""
 
@@ -259,13 +262,20 @@ class Lockstep(ABC):
         return frame
 
     def wait_for(self, frame: int) -> None:
-        """Wait until every service that must see `frame` has. Raises RunFailed for a hung one."""
-        start = time.perf_counter()
-        while self.finish is None and min(self.acked.values(), default=frame) < frame:
+        """Wait until every service that must see `frame` has, and say for whom. Raises RunFailed for a hung one."""
+        start, waited, told = time.perf_counter(), 0.0, ""
+        while self.finish is None and (late := [name for name, seen in self.acked.items() if seen < frame]):
             self.listen(0.5)
-            if time.perf_counter() - start > ACK_TIMEOUT:
-                late = [name for name, seen in self.acked.items() if seen < frame]
-                raise RunFailed(f"{', '.join(late)} has not acknowledged frame {frame} within {ACK_TIMEOUT:g} s")
+            waited, names = time.perf_counter() - start, " and ".join(late)
+            if waited > PATIENCE:
+                text = f"the {names} service has not acknowledged frame {frame} within {PATIENCE:g} s"
+                raise RunFailed(text, peer=late[0])
+            if waited > WAITING_AFTER and not told and start > self.silent_until:
+                told, text = names, f"frame {frame} is not acknowledged yet (given up after {PATIENCE:g} s)"
+                self.context.event("warning", f"waiting for the {names} service: {text}", self.work.frame, self.work.t)
+        if told and self.finish is None:
+            self.context.event("warning", f"the {told} service goes on after {waited:.3g} s")
+            self.silent_until = time.perf_counter() + SAID_AGAIN_AFTER
         self.seconds["waiting"] += time.perf_counter() - start
 
     def summary(self, ended: str, wall: float) -> dict[str, Any]:

@@ -9,10 +9,12 @@ from typing import Any
 import zenoh
 
 from nuno.bus import Bus, Inbox, Message, Watch
+from nuno.laggards import Laggards
 from nuno.launch import FINISH_TIMEOUT
 from nuno.plan import Plan
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
+from nuno.sessions import identity
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
 
@@ -24,6 +26,9 @@ FOLLOWERS = ("dye", "collision", "render", "viewer", "recorder")
 DRAWING_TIMEOUT = 3600.0
 """How long pictures that are still to be drawn at the end may take [s]."""
 DRAWING = "drawing what is left of the pictures"
+WRITING_TIMEOUT = 1800.0
+"""How long the recorder may take to close its file [s]: a slow disk is still to take what the system has kept."""
+PATIENCE_AT_END = {"render": DRAWING_TIMEOUT, "recorder": WRITING_TIMEOUT}
 LAST_WORDS = 2.0
 """How long the reason is waited for when a service has gone [s]."""
 
@@ -53,6 +58,11 @@ class Supervisor:
         self.ended: dict[str, Any] | None = None
         self.patience = START_TIMEOUT
         self.paused = False
+        self.dispensable = {"viewer"} & set(plan.services) - set(plan.must_see)
+        """Services without which the run goes on: a window, but no file that is to be written."""
+        self.needed = [name for name in plan.services if name not in self.dispensable]
+        self.missed = False
+        self.laggards = Laggards(session, {identity(run, name): name for name in plan.services})
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
 
@@ -126,13 +136,25 @@ class Supervisor:
             self.bus.ask_json("control", {"action": "start"})
         while self.ended is None:
             self._drain(progress, timeout=0.2)
-            if dead := [name for name in self.plan.services if name not in self.watch.alive()]:
+            if progress is not None:
+                self.laggards.look(progress)
+            if self.dispensable - self.watch.alive():
+                self._miss_window("the viewer has gone", progress)
+            if dead := [name for name in self.needed if name not in self.watch.alive()]:
                 if self._last_words(set(dead), progress):
                     break
+                if self.blamed in self.watch.alive():
+                    return f"the run gave up: {self.errors[dead[0]]}"
                 name = self.blamed or dead[0]
                 why = self.errors.get(name) or self.exited().get(name) or "its process ended or the connection broke"
                 return f"the {name} service died: {why}"
         return ""
+
+    def _miss_window(self, why: str, progress: Progress | None) -> None:
+        """Say it, once, where a viewer that the run can do without is no more."""
+        if progress is not None and not self.missed:
+            progress(f"the run goes on without a view: {self.errors.get('viewer') or why}")
+        self.missed = True
 
     def _last_words(self, dead: set[str], progress: Progress | None) -> bool:
         """Hear why services died, which may come after their tokens are gone; whether the run was over."""
@@ -162,13 +184,16 @@ class Supervisor:
                 sent = {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
                 state = "failed" if error else str((self.ended or {}).get("state", "failed"))
                 request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
-            patience = DRAWING_TIMEOUT if name == "render" else FINISH_TIMEOUT
+            # One that the run gave up waiting for has had its time.
+            patience = FINISH_TIMEOUT if name == self.blamed else PATIENCE_AT_END.get(name, FINISH_TIMEOUT)
             if name == "render" and progress is not None and not error:
                 progress(DRAWING)
             try:
                 answers[name] = self.bus.ask_json(f"finish/{name}", request, patience)
             except RunFailed as failure:
                 self.errors.setdefault(name, str(failure))
+                if name in self.dispensable:
+                    self._miss_window(str(failure), progress)
         answers[SUPERVISOR] = {"missing": dict(self.inbox.counts.missing), "refused": dict(self.inbox.counts.refused)}
         self.alive.undeclare()
         return answers

@@ -12,6 +12,7 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import topic_of
 from nuno.service import ack_topic
+from nuno.sessions import PATIENCE
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import (
     BODIES,
@@ -28,8 +29,6 @@ from nuno_schemas.messages import (
 
 WINDOW = 4
 """Frames that may be out before they are acknowledged."""
-ACK_TIMEOUT = 60.0
-"""Silence [s] after which a service that must see every frame counts as hung."""
 DIGESTED = (*FRAMES, *STATUSES, *CHECKPOINTS)
 """Topics whose headers carry the digest of the float64 state."""
 
@@ -134,9 +133,9 @@ class _Acks:
         self._inbox = Inbox(bus, [ack_topic(name) for name in services])
         self._seen = {ack_topic(name).name: 0 for name in services}
         self._watch = Watch(bus)
-        missing = self._watch.wait_for(set(services), ACK_TIMEOUT)
+        missing = self._watch.wait_for(set(services), PATIENCE)
         if missing:
-            raise RunFailed(f"not ready within {ACK_TIMEOUT:g} s: {', '.join(sorted(missing))}")
+            raise RunFailed(f"not ready within {PATIENCE:g} s: {', '.join(sorted(missing))}")
 
     def wait(self, frames: int, stop: threading.Event) -> None:
         """Until every service has acknowledged this many frames, or `stop`."""
@@ -150,8 +149,8 @@ class _Acks:
             late = sorted(topic.removeprefix("ack/") for topic, seen in self._seen.items() if seen < frames)
             if gone := [name for name in late if name not in self._watch.alive()]:
                 raise RunFailed(f"the {gone[0]} service died during the replay")
-            if time.monotonic() - quiet > ACK_TIMEOUT:
-                raise RunFailed(f"{', '.join(late)} has not acknowledged a frame within {ACK_TIMEOUT:g} s")
+            if time.monotonic() - quiet > PATIENCE:
+                raise RunFailed(f"{', '.join(late)} has not acknowledged a frame within {PATIENCE:g} s")
 
     def close(self) -> None:
         self._inbox.close()

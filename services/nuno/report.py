@@ -78,6 +78,7 @@ def _traffic(outcome: Outcome) -> Report:
             "shown": viewer.get("shown", 0),
         },
         "missing": _count("missing", services),
+        "lost": dict(recorder.get("missing") or {}),
         "refused": _count("refused", services),
         "recorded_bytes": recorder.get("bytes", 0),
     }
@@ -145,6 +146,9 @@ def lines(report: Report) -> list[tuple[str, str]]:
     if "viewer" in report["services"]:
         text += f", {frames['shown']} shown"
     rows.append(("frames", f"{text}, {report['missing']} missing, {report['refused']} refused"))
+    if report.get("lost"):
+        lost = ", ".join(f"{number:,} of {topic}" for topic, number in report["lost"].items())
+        rows.append(("INCOMPLETE", f"the recording lacks {lost}"))
     rows.append(("digest", str(report["digest"])))
     rows += [("left out" if i == 0 else "", text) for i, text in enumerate(report["left_out"])]
     return rows

@@ -1,20 +1,34 @@
-"""zenoh sessions that expose nothing: loopback unless told otherwise, no scouting."""
+"""zenoh sessions that expose nothing: loopback unless told otherwise, no scouting.
+
+What a run must not lose is sent with blocking congestion control. zenoh blocks for a limited time, then closes the
+session of whoever does not read; and one that does not read holds up all others of its hub. So the limit is longer
+than a run waits for its services, and the hub blocks for the services of its run only: to everyone else it passes on
+what they keep up with.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import socket
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 import zenoh
 
 from nuno_schemas.errors import BadInput
 
-LEASE_MS = 2000
-"""A peer that stays silent this long is gone; zenoh's default of 10 s hides a dead service."""
+PATIENCE = 120.0
+"""How long [s] a run waits for a service that it cannot do without and that neither answers nor ends."""
+SILENCE_SECONDS = 1.25 * PATIENCE
+"""A session that is silent, or does not read, this long is closed: after whoever waits for it has said so.
 
+A process that ends closes its connections, which is noticed at once; only a host that vanishes takes this long. A
+shorter time would take a service that is stopped for a while, or pages to a slow disk, for a dead one.
+"""
+QUEUED_BATCHES = 16
+"""Batches of 64 KiB that wait for a session, at most (16 is zenoh's most): what a slow reader may lag behind."""
 
 ATTEMPTS = 20
 """Free ports that are tried: between finding one and listening there another run may take it."""
@@ -31,6 +45,21 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def identity(run: str, service: str) -> str:
+    """The zenoh id of a service's session: its hub knows it from anyone else's."""
+    return "6e" + hashlib.blake2b(f"{run}/{service}".encode(), digest_size=15).hexdigest()
+
+
+def _favour(trusted: Sequence[str]) -> list[dict[str, Any]]:
+    """Rules of a hub that waits for the sessions of `trusted` (identities), and for no other, to take messages."""
+
+    def rule(control: str, **whom: Any) -> dict[str, Any]:
+        what = {"messages": ["put"], "key_exprs": ["nuno/**"], "flows": ["egress"]}
+        return whom | what | {"overwrite": {"congestion_control": control}}
+
+    return [rule("drop"), *([rule("block", zids=list(trusted))] if trusted else [])]
+
+
 def _config(mode: str, listen: list[str], connect: list[str], extra: str | None) -> zenoh.Config:
     try:
         config = zenoh.Config.from_file(extra) if extra else zenoh.Config()
@@ -45,7 +74,9 @@ def _config(mode: str, listen: list[str], connect: list[str], extra: str | None)
         "scouting/gossip/enabled": False,
         # Nobody is scouted for, so nothing is gained by waiting half a second for an answer.
         "scouting/delay": 0,
-        "transport/link/tx/lease": LEASE_MS,
+        "transport/link/tx/lease": round(1e3 * SILENCE_SECONDS),
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": round(1e6 * SILENCE_SECONDS),
+        "transport/link/tx/queue/size/data": QUEUED_BATCHES,
     }
     for key, value in settings.items():
         try:
@@ -56,12 +87,15 @@ def _config(mode: str, listen: list[str], connect: list[str], extra: str | None)
 
 
 @contextmanager
-def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
+def hub(endpoint: str, extra: str | None = None, trusted: Sequence[str] | None = None) -> Iterator[zenoh.Session]:
     """A session that others connect to, e.g. "tcp/127.0.0.1:7447". Raises PortTaken, BadInput.
 
-    `extra` is a zenoh configuration file (TLS, access control) that is read first.
+    `extra` is a zenoh configuration file (TLS, access control) that is read first. `trusted` are the identities of
+    those that messages are held back for until they take them; None: of everyone.
     """
     config = _config("router", [endpoint], [], extra)
+    if trusted is not None:
+        config.insert_json5("qos/network", json.dumps(json.loads(config.get_json("qos/network")) + _favour(trusted)))
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
@@ -70,18 +104,20 @@ def hub(endpoint: str, extra: str | None = None) -> Iterator[zenoh.Session]:
             raise PortTaken("another program listens there", value=endpoint, remedy=remedy) from None
         remedy = "check the endpoint"
         raise BadInput(f"cannot listen: {_short(error)}", value=endpoint, remedy=remedy) from None
-    with session:
+    with _closing(session):
         yield session
 
 
 @contextmanager
-def hub_at(listen: str | None, extra: str | None = None) -> Iterator[tuple[zenoh.Session, str]]:
+def hub_at(
+    listen: str | None, extra: str | None = None, trusted: Sequence[str] | None = None
+) -> Iterator[tuple[zenoh.Session, str]]:
     """A hub and its endpoint: the one given, or a free port of loopback. Raises as `hub`."""
     with ExitStack() as stack:
         for left in reversed(range(1 if listen else ATTEMPTS)):
             endpoint = listen or f"tcp/127.0.0.1:{free_port()}"
             try:
-                session = stack.enter_context(hub(endpoint, extra))
+                session = stack.enter_context(hub(endpoint, extra, trusted))
                 break
             except PortTaken:
                 if not left:
@@ -90,9 +126,13 @@ def hub_at(listen: str | None, extra: str | None = None) -> Iterator[tuple[zenoh
 
 
 @contextmanager
-def spoke(endpoint: str, extra: str | None = None, patience: float = 0.0) -> Iterator[zenoh.Session]:
-    """A session connected to a hub. Raises BadInput if there is none within `patience` [s]."""
+def spoke(
+    endpoint: str, extra: str | None = None, patience: float = 0.0, own: str | None = None
+) -> Iterator[zenoh.Session]:
+    """A session connected to a hub, of the identity `own`. Raises BadInput if there is none within `patience` [s]."""
     config = _config("client", [], [endpoint], extra)
+    if own is not None:
+        config.insert_json5("id", json.dumps(own))
     config.insert_json5("connect/timeout_ms", json.dumps(round(1000 * patience)))
     try:
         session = zenoh.open(config)
@@ -102,8 +142,18 @@ def spoke(endpoint: str, extra: str | None = None, patience: float = 0.0) -> Ite
             value=endpoint,
             remedy="start the hub first (nuno serve router), or check --connect",
         ) from None
-    with session:
+    with _closing(session):
         yield session
+
+
+@contextmanager
+def _closing(session: zenoh.Session) -> Iterator[None]:
+    """Close a session at the end; zenoh gives up after 10 s where somebody who is connected does not read."""
+    try:
+        yield
+    finally:
+        with suppress(zenoh.ZError):
+            session.close()
 
 
 def _short(error: Exception) -> str:

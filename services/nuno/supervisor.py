@@ -13,8 +13,8 @@ from nuno.bus import Bus
 from nuno.oversight import COMPILE_TIMEOUT, Progress, Supervisor
 from nuno.plan import Plan, make_plan
 from nuno.scene_file import Loaded
-from nuno.service import Options
-from nuno.sessions import hub_at, spoke
+from nuno.service import SUPERVISOR, Options
+from nuno.sessions import hub_at, identity, spoke
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONTROL_TIMEOUT, ADD_TIMEOUT = 10.0, 120.0
@@ -79,9 +79,11 @@ def supervise(
     with contextlib.ExitStack() as stack:
         if deployment.connect:
             endpoint = deployment.connect
-            session = stack.enter_context(spoke(endpoint, deployment.config, CONNECT_PATIENCE))
+            own = identity(run, SUPERVISOR)
+            session = stack.enter_context(spoke(endpoint, deployment.config, CONNECT_PATIENCE, own))
         else:
-            session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config))
+            trusted = [identity(run, name) for name in plan.services if name != "viewer" or name in plan.must_see]
+            session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config, trusted))
         supervisor = Supervisor(loaded, options, plan, session, run)
         supervisor.paused = deployment.paused
         stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
@@ -120,7 +122,7 @@ def _conduct(
 
     answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {}, progress=progress)
     result = outcome(answers)
-    lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.plan.services]
+    lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.needed]
     if not result.error and lost:
         result.state, result.error = "failed", "; ".join(lost)
     return result

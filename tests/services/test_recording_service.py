@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -136,6 +137,23 @@ def test_messages_that_never_come_are_not_waited_for_forever(
         answer = running.finish(expected | {STATE.name: expected[STATE.name] + 3})
     assert answer["missing"] == {STATE.name: 3}
     assert not answer["complete"]
+
+
+def test_what_has_arrived_is_written_however_slow_the_disk_is(
+    tmp_path: Path, loaded: scene_file.Loaded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "DRAIN_SECONDS", 0.2)
+    real = service.RecordingWriter.write
+
+    def slow(writer: service.RecordingWriter, topic: str, header: Header, payload: bytes) -> None:
+        time.sleep(0.02)
+        real(writer, topic, header, payload)
+
+    monkeypatch.setattr(service.RecordingWriter, "write", slow)
+    with recorder(loaded, tmp_path / "a.mcap") as (running, _):
+        answer = running.finish(running.publish(sent_items()))
+    assert answer["missing"] == {}
+    assert answer["complete"]
 
 
 def test_bad_messages_are_dropped_and_counted(tmp_path: Path, loaded: scene_file.Loaded) -> None:

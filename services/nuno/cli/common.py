@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nuno import scene_file
 from nuno.scene_file import Loaded
 from nuno_schemas.errors import BadInput
+
+if TYPE_CHECKING:
+    from nuno.recording.reader import Recording
 
 
 def add_scene(parser: argparse.ArgumentParser, optional: bool = False) -> None:
@@ -35,6 +40,14 @@ def add_scene(parser: argparse.ArgumentParser, optional: bool = False) -> None:
 
 def add_config(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--config", metavar="FILE", help="zenoh configuration: TLS, access control")
+
+
+def warn(recording: Recording) -> None:
+    """Say where a recording is not complete: what is made of it is not, either."""
+    from nuno.recording.gaps import shortcoming
+
+    if problem := shortcoming(recording):
+        print(f"{recording.path}: {problem}", file=sys.stderr)
 
 
 def load_scene(args: argparse.Namespace) -> Loaded:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, get_args
 
 from pydantic import ValidationError
 
+from nuno.cli.common import warn
 from nuno.cli.export_yarns import add_yarns, check_wish, prepare_yarns
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
@@ -94,6 +95,7 @@ def _add_dyed(dye: argparse._ArgumentGroup) -> None:
 
 def main(args: argparse.Namespace) -> int:
     with open_recording(args.recording) as recording:
+        warn(recording)
         written = _export(recording, args)
     if not written:
         raise BadInput(

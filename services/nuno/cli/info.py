@@ -1,35 +1,70 @@
-"""`nuno info`: what a recording holds."""
+"""`nuno info`: what a recording holds, and what it lacks."""
 
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
+from typing import Any
 
-from nuno.recording.reader import open_recording
+from nuno.recording.gaps import find_gaps, missing, shortcoming
+from nuno.recording.reader import END, Recording, open_recording
 from nuno.report import lines
+
+MOST_GAPS = 5
+"""Gaps that are listed for a person."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="FILE")
+    parser.add_argument("--json", action="store_true", help="the same for a program, as one JSON object")
 
 
 def main(args: argparse.Namespace) -> int:
     with open_recording(args.recording) as recording:
-        metadata, span = recording.metadata, recording.span
-        end = metadata.get("end", {})
-        state = f"{end.get('state', 'unknown')}, {'complete' if recording.complete else 'INCOMPLETE'}"
-        if recording.recovered:
-            state += "; cut short, read up to the last whole chunk"
-        rows = [("file", f"{args.recording} ({args.recording.stat().st_size / 1e6:.1f} MB)"), ("state", state)]
-        rows += [(f"{topic}", f"{n} missing") for topic, n in recording.missing.items()]
-        rows.append(("time", f"{span[0]:g} to {span[1]:g} s"))
-        rows += [(topic, f"{count} messages") for topic, count in recording.counts.items()]
-        rows += [("file inside", name) for name in recording.attachments]
-        rows.append(("versions", ", ".join(f"{k} {v}" for k, v in metadata.get("versions", {}).items())))
-        rows.append(("plugins", ", ".join(metadata.get("plugins", {}))))
-        report = recording.report()
-        if report:
-            rows += [("", ""), *lines(report)]
+        if args.json:
+            print(json.dumps(describe(recording), indent=2))
+            return 0
+        rows = _rows(recording)
     for name, text in rows:
         print(f"{name:22} {text}")
     return 0
+
+
+def describe(recording: Recording) -> dict[str, Any]:
+    """What `nuno info --json` prints: the file, whether it is complete, counts, what is missing, the report."""
+    end = recording.metadata.get(END, {})
+    lost = missing(recording)
+    return {
+        "file": str(recording.path),
+        "bytes": recording.path.stat().st_size,
+        "state": end.get("state", "unknown"),
+        "complete": recording.complete,
+        "cut": recording.recovered,
+        "messages": recording.counts,
+        "missing": lost,
+        "gaps": [vars(gap) for gap in find_gaps(recording)] if lost else [],
+        "refused": recording.json(end.get("refused", "{}")),
+        "span": list(recording.span),
+        "attachments": list(recording.attachments),
+        "versions": recording.metadata.get("versions", {}),
+        "plugins": list(recording.metadata.get("plugins", {})),
+        "report": recording.report(),
+    }
+
+
+def _rows(recording: Recording) -> list[tuple[str, str]]:
+    facts = describe(recording)
+    rows = [("file", f"{facts['file']} ({facts['bytes'] / 1e6:.1f} MB)")]
+    rows.append(("state", f"{facts['state']}, {shortcoming(recording) or 'complete'}"))
+    rows += [(topic, f"{number:,} missing") for topic, number in facts["missing"].items()]
+    gaps = facts["gaps"] and [str(gap) for gap in find_gaps(recording)]
+    if len(gaps) > MOST_GAPS:
+        gaps = [*gaps[:MOST_GAPS], f"and {len(gaps) - MOST_GAPS:,} more (nuno info --json lists all)"]
+    rows += [("gap" if i == 0 else "", text) for i, text in enumerate(gaps)]
+    rows.append(("time", f"{facts['span'][0]:g} to {facts['span'][1]:g} s"))
+    rows += [(topic, f"{count} messages") for topic, count in facts["messages"].items()]
+    rows += [("file inside", name) for name in facts["attachments"]]
+    rows.append(("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())))
+    rows.append(("plugins", ", ".join(facts["plugins"])))
+    return rows + ([("", ""), *lines(facts["report"])] if facts["report"] else [])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from nuno import runs
 from nuno.bus import Bus
-from nuno.cli.common import add_config
+from nuno.cli.common import add_config, warn
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
@@ -40,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     with open_recording(args.recording) as recording:
+        warn(recording)
         return _replay(recording, args)
 
 

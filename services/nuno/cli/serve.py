@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import signal
+import sys
 import threading
 from pathlib import Path
 
 from nuno import runs, scene_file, sessions
 from nuno.choose import decide
 from nuno.cli.common import add_config
-from nuno.service import MODULES, Options, run_service
+from nuno.laggards import LOOK_SECONDS, Laggards
+from nuno.service import MODULES, SUPERVISOR, Options, run_service
 from nuno_schemas.errors import BadInput, RunFailed
 
 PATIENCE = 20.0
@@ -20,7 +22,9 @@ PATIENCE = 20.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("service", choices=["router", *MODULES])
     parser.add_argument("scene", nargs="?", help="the run's scene (not for the router)")
-    parser.add_argument("--run", metavar="ID", help="the run that this service belongs to")
+    parser.add_argument(
+        "--run", metavar="ID", help="the run that this service belongs to; router: whose services it waits for alone"
+    )
     parser.add_argument("--connect", metavar="ENDPOINT", help="the hub, e.g. tcp/127.0.0.1:7447")
     parser.add_argument(
         "--listen",
@@ -61,7 +65,8 @@ def main(args: argparse.Namespace) -> int:
     if args.service in ("simulation", "recorder", "dye"):
         loaded = decide(loaded)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
-    with sessions.spoke(args.connect, args.config, PATIENCE) as session:
+    own = sessions.identity(args.run, args.service)
+    with sessions.spoke(args.connect, args.config, PATIENCE, own) as session:
         try:
             run_service(args.service, loaded, session, args.run, options)
         except (BadInput, RunFailed) as error:
@@ -75,7 +80,11 @@ def _route(args: argparse.Namespace) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with sessions.hub(args.listen, args.config):
+    # Of a run that is not known by name, everyone is waited for.
+    services = {sessions.identity(args.run, name): name for name in (SUPERVISOR, *MODULES)} if args.run else {}
+    with sessions.hub(args.listen, args.config, list(services) or None) as session:
         print(f"router at {args.listen}", flush=True)
-        stop.wait()
+        laggards = Laggards(session, services)
+        while not stop.wait(LOOK_SECONDS):
+            laggards.look(lambda text: print(text, file=sys.stderr, flush=True))
     return 0

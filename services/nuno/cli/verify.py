@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from nuno.cli.common import warn
 from nuno.cli.progress import ProgressLine
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
@@ -20,14 +21,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Compare; 1 where the recording differs."""
     with open_recording(args.recording) as recording:
+        warn(recording)
         with restored_scene(recording) as loaded:
             scene = loaded.scene
         with ProgressLine(scene) as progress:
             found = verify(recording, args.threads, progress.show)
-        cut = "; it was cut short, and is compared up to its last whole chunk" if recording.recovered else ""
     if found.frame is None:
         dyed = f" of cloth, {found.dyed} of dye" if found.dyed else ""
-        print(f"equal to the last bit: {found.compared} frames{dyed}{cut}")
+        print(f"equal to the last bit: {found.compared} frames{dyed}")
         return 0
     print("\n".join(describe(found)), file=sys.stderr)
     return 1

@@ -8,20 +8,26 @@ from collections.abc import Callable
 
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.service import Context
+from nuno.sessions import PATIENCE
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import RunFailed
 
 START_TIMEOUT = 1800.0
 """A distance field may have to be built there, and what builds it to be compiled: the supervisor gives up sooner."""
-POSES_TIMEOUT = 60.0
-"""For poses [s]: the service answers between two measurements, which on a busy machine take long; and what is asked
-ahead waits while the cloth steps. A service that dies is noticed by whoever supervises it.
-"""
 
 
 def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
-    """Ask for a frame's poses now; the function that is returned waits for them."""
-    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode(), POSES_TIMEOUT)
+    """Ask for a frame's poses now; the function that is returned waits for them, and says so where it takes long.
+
+    The service answers between two measurements, which on a busy machine take their time; and what is asked ahead
+    waits while the cloth steps. A service that dies is noticed by whoever supervises it.
+    """
+
+    def slow() -> None:
+        limit = f"given up after {PATIENCE:g} s"
+        context.event("warning", f"waiting for the collision service: no bodies of frame {frame} yet ({limit})")
+
+    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode(), PATIENCE, slow)
     return lambda: decode_poses(answer())
 
 

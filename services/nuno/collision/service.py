@@ -52,11 +52,13 @@ class Collision:
         return self.cache[frame]
 
     def publish(self, header: Header) -> None:
-        """Where the bodies are in a published frame; at the first one also what they are.
+        """Where the bodies are in a published frame; at the first one also what they are, and what is to be said of it.
 
         Not before: until the first frame some services may still be starting.
         """
         if GEOMETRY.name not in self.context.bus.publishers:
+            for note in self.bodies.notes:
+                self.context.event("warning", note, header.frame, header.t)
             self.context.bus.publisher(GEOMETRY).put(
                 encode_geometry(self.bodies.geometry, whole=False), header.frame, header.t
             )
@@ -93,8 +95,6 @@ def main(context: Context) -> None:
     """Serve one run's bodies until asked to finish."""
     inbox = Inbox(context.bus, [STATE])
     bodies = build_bodies(context.loaded)
-    for note in bodies.notes:
-        context.event("warning", note)
     collision = Collision(context, bodies, inbox)
     inbox.answer(GEOMETRY_QUESTION)
     inbox.answer(POSES_QUESTION)

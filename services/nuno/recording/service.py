@@ -19,7 +19,8 @@ from nuno_schemas.messages import ACK, FRAMES, REPORT, Ack, Header, Topic
 ALL = Topic("**", "json", "")
 """One subscription to all topics: between several, messages overtake each other."""
 DRAIN_SECONDS = 10.0
-"""How long messages that were sent but have not arrived are waited for at the end."""
+"""How long it must be quiet at the end until what was sent but has not arrived is given up. On a slow disk what has
+arrived may take longer than that to write, and is still written."""
 
 
 def main(context: Context) -> None:
@@ -64,6 +65,8 @@ class Recorder:
         self._acks = context.bus.publisher(ack_topic(context.bus.service))
         self._digests: dict[str, str] = {}
         """Of the last frame, by topic."""
+        self._told: set[str] = set()
+        """Topics of which it was said that some are missing."""
         self._before = dict(writer.counts)
         """Messages copied from the run that this one goes on from."""
 
@@ -79,6 +82,10 @@ class Recorder:
         except BadMessage:
             self._inbox.refuse(message)
             return
+        if message.skipped and message.topic not in self._told:
+            self._told.add(message.topic)
+            text = f"{message.skipped} of {message.topic} never came: the recording is incomplete"
+            self._context.event("warning", text, header.frame, header.t)
         if message.topic in FRAMES:
             self._digests[message.topic] = header.digest
             ack = Ack(service=self._context.bus.service, frame=header.frame)
@@ -131,6 +138,7 @@ class Recorder:
             item = self._inbox.get(timeout=0.1)
             if isinstance(item, Message):
                 self.handle(item)
+                end = time.monotonic() + DRAIN_SECONDS
 
     def _seen(self, topic: str) -> int:
         """Messages that came, or never will because later ones came."""

@@ -1,0 +1,142 @@
+"""A run waits for those that it must not lose, names them, and gives up clearly; it waits for nobody else."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import zenoh
+from live_run import wait_until
+from scenes import BALL, write_scene
+
+import nuno
+from nuno import laggards, lockstep, oversight, scene_file, supervisor
+from nuno.bus import Bus, Inbox, Message
+from nuno.collision import ask
+from nuno.collision.service import Collision
+from nuno.recording.service import Recorder
+from nuno.service import Options
+from nuno.sessions import hub_at, identity, spoke
+from nuno.supervisor import Outcome
+from nuno_schemas.messages import STATE
+
+COUNT, SIZE = 400, 100_000
+"""Four times what lies between a hub and a session that reads nothing, in its queue and in the system's."""
+
+
+class Deaf:
+    """A subscriber whose first message never comes to an end."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self.called, self.wake = threading.Event(), threading.Event()
+        self._handle = session.declare_subscriber(key, self._never)
+
+    def _never(self, sample: zenoh.Sample) -> None:
+        self.called.set()
+        self.wake.wait(60.0)
+
+
+def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(laggards, "LOOK_SECONDS", 0.0)
+    monkeypatch.setattr(laggards, "BEHIND_SECONDS", 0.05)
+    run = "deaf-run"
+    with (
+        hub_at(None, None, [identity(run, "recorder")]) as (session, endpoint),
+        spoke(endpoint, own=identity(run, "recorder")) as trusted,
+        spoke(endpoint) as foreign,
+    ):
+        inbox = Inbox(Bus(trusted, run, "recorder"), [STATE])
+        deaf = Deaf(foreign, f"nuno/{run}/**")
+        sender = Bus(session, run, "simulation").publisher(STATE)
+        wait_until(lambda: bool(sender.handle.matching_status.matching) and len(session.info.transports()) == 2)
+        begin = time.monotonic()
+        for number in range(COUNT):
+            sender.put(bytes(SIZE), number)
+        assert deaf.called.wait(10.0)
+        for number in range(COUNT):
+            message = inbox.get(20.0)
+            assert isinstance(message, Message)
+            assert message.header.seq == number
+        # Blocking for the deaf one would have taken all of SILENCE_SECONDS.
+        assert time.monotonic() - begin < 60.0
+        assert not inbox.counts.missing[STATE.name]
+        said: list[str] = []
+        watch = laggards.Laggards(session, {identity(run, "recorder"): "recorder"})
+        wait_until(lambda: watch.look(said.append) or bool(said))  # type: ignore[func-returns-value]
+        deaf.wake.set()
+    assert len(said) == 1
+    assert "reads nothing and misses messages" in said[0]
+    assert f"process {os.getpid()}," in said[0]
+
+
+class Watched:
+    """A run in threads, of a chain that swings for half a second, and what it said."""
+
+    def __init__(self, folder: Path, **fields: object) -> None:
+        self.said: list[str] = []
+        self.loaded = scene_file.read(write_scene(folder, **fields))
+        self.record = folder / "a.mcap"
+
+    def supervise(self) -> Outcome:
+        options = Options(record=self.record)
+        return supervisor.supervise(
+            self.loaded, options, progress=lambda s: self.said.append(s) if isinstance(s, str) else None
+        )
+
+
+def test_a_slow_recorder_is_waited_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lockstep, "WAITING_AFTER", 0.2)
+    real = Recorder.handle
+
+    def slow(recorder: Recorder, message: Message) -> None:
+        if message.topic == STATE.name and message.header.frame == 5:
+            time.sleep(1.0)
+        real(recorder, message)
+
+    monkeypatch.setattr(Recorder, "handle", slow)
+    watched = Watched(tmp_path)
+    outcome = watched.supervise()
+    assert outcome.state == "done", outcome.error
+    waiting = [text for text in watched.said if "recorder" in text]
+    assert waiting[0].startswith("waiting for the recorder service: frame 5 is not acknowledged yet (given up after")
+    assert waiting[1].startswith("the recorder service goes on after")
+    with nuno.open(watched.record) as recording:
+        assert recording.complete
+        assert recording.counts[STATE.name] == 26
+
+
+def test_a_recorder_that_never_comes_back_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lockstep, "PATIENCE", 0.3)
+    monkeypatch.setattr(oversight, "FINISH_TIMEOUT", 0.3)
+    over = threading.Event()
+    monkeypatch.setattr(Recorder, "handle", lambda recorder, message: over.wait(5.0))
+    watched = Watched(tmp_path)
+    threading.Timer(1.5, over.set).start()
+    outcome = watched.supervise()
+    assert outcome.state == "failed"
+    assert outcome.error == "the run gave up: the recorder service has not acknowledged frame 0 within 0.3 s"
+
+
+@pytest.mark.parametrize(("pause", "ends"), [(0.5, "done"), (2.0, "failed")])
+def test_a_slow_collision_service_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pause: float, ends: str
+) -> None:
+    monkeypatch.setattr("nuno.bus.WAITING_AFTER", 0.2)
+    monkeypatch.setattr(ask, "PATIENCE", 1.0)
+    real = Collision.poses
+
+    def slow(collision: Collision, frame: int) -> object:
+        if frame == 20 and frame not in collision.cache:
+            time.sleep(pause)
+        return real(collision, frame)
+
+    monkeypatch.setattr(Collision, "poses", slow)
+    watched = Watched(tmp_path, bodies=BALL)
+    outcome = watched.supervise()
+    assert any(text.startswith("waiting for the collision service: no bodies of frame") for text in watched.said)
+    assert outcome.state == ends
+    if ends == "failed":
+        assert outcome.error == "the run gave up: no answer from collision/ask/poses within 1 s"
