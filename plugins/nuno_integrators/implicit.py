@@ -22,7 +22,7 @@ from pydantic import Field
 from nuno_integrators.adaptive import cloth_size
 from nuno_integrators.compiled import Compiled, Told, Work
 from nuno_kernels.acceleration import Packed, commit, evaluate
-from nuno_kernels.newton import Stage, compile_stage, make_stage, solve_stage
+from nuno_kernels.newton import Stage, compile_stage, limit_approach, make_stage, solve_stage
 from nuno_kernels.solver import Counts
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config, StepLimit, System
@@ -159,6 +159,8 @@ class TRBDF2(Implicit):
     ) -> tuple[bool, float]:
         """With g = gamma h / 2 both stages are x = x^ + g v: x^ = x + g v at first, then the backward formula's."""
         st, (xhat, vhat), g = work.stage, work.stages, 0.5 * GAMMA * h
+        # Also for the forces at the start: they would otherwise follow from the step before, which a checkpoint lacks.
+        limit_approach(packed, g)
         evaluate(work.x, work.v, start / span, st.a, packed, extra)
         st.counts.evaluations += 1
         np.multiply(work.v, g, out=xhat)

@@ -109,8 +109,7 @@ def solve_stage(
     force, and the most Newton steps.
     """
     tolerance, most = limits
-    if packed.contact is not None:
-        packed.contact.rate[0] = 1.0 / g
+    limit_approach(packed, g)
     guess = st.v.copy()
     np.multiply(st.v, g, out=st.x)
     st.x += xhat
@@ -129,6 +128,12 @@ def solve_stage(
         worst = _search(st, packed, extra, vhat, g, s)
         slow = worst > SLOW * before
     return False, worst
+
+
+def limit_approach(packed: Packed, g: float) -> None:
+    """Let contact's dashpots see what can be gone within g [s] at most; see Contact.rate."""
+    if packed.contact is not None:
+        packed.contact.rate[0] = 1.0 / g
 
 
 def _solve_newton(st: Stage, packed: Packed, extra: Any, g: float, s: float, exact: bool) -> bool:
