@@ -12,6 +12,7 @@ from nuno_bench import machine, markdown, options
 from nuno_bench.result import HEADINGS, Result, number, rows, text_table
 
 PARTS: dict[str, str] = {
+    "same-bits": "nuno_bench.soak.same_bits",
     "access": "nuno_bench.soak.access",
 }
 """Module of each part; its `run(quick, seed)` gives results, of which every bar is a law: a missed one is a failure."""
