@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from nuno import scene_file
+import yaml
+
+from nuno import scene_file, yaml_lines
 from nuno.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
@@ -58,23 +61,58 @@ def load_scene(args: argparse.Namespace) -> Loaded:
 
 
 def find_own(scene: Path, overrides: list[str]) -> tuple[list[str], list[Path]]:
-    """Overrides whose value is the path of a file, from where the command is typed, with its name instead, and the
-    folders of these files. What the user types may be read, wherever it lies; what a scene says may not.
+    """Overrides that name files by their paths from where the command is typed, alone or in a mapping or list, with
+    the files' names instead, and the folders of these files. What the user types may be read, wherever it lies; what a
+    scene says may not.
 
     Raises BadInput for a file that goes by the name of another one beside the scene.
     """
     named, folders = [], []
     for item in overrides:
-        key, equals, value = item.partition("=")
-        own = Path(os.path.expanduser(value))
-        # os.path says no where pathlib raises: for a mapping longer than the name of a file may be, or no user's ~.
-        if not (equals and own.suffix and os.path.isfile(own)):
-            named.append(item)
-            continue
-        other = scene.resolve().parent / own.name
-        if other.is_file() and not other.samefile(own):
-            problem, remedy = "another file of this name lies beside the scene", "give yours another name"
-            raise BadInput(problem, "--set", field=key, value=value, limit=str(other), remedy=remedy)
-        named.append(f"{key}={own.name}")
-        folders.append(own.resolve().parent if own.is_symlink() else own.parent.resolve())
+        key, equals, text = item.partition("=")
+        found: list[Path] = []
+        if equals and _is_file(text):
+            item = f"{key}={_name_of(text, key, scene, found)}"
+        elif equals and (value := _parsed(text)) is not None:
+            renamed = _rename(value, key, scene, found)
+            if found:
+                item = f"{key}={yaml.safe_dump(renamed, default_flow_style=True, width=math.inf).strip()}"
+        named.append(item)
+        folders += found
     return named, folders
+
+
+def _parsed(text: str) -> Any:
+    """The mapping or list that a text stands for; None for any other, and what is wrong is said where it is read."""
+    try:
+        value = yaml_lines.parse_value(text)
+    except BadInput:
+        return None
+    return value if isinstance(value, dict | list) else None
+
+
+def _rename(value: Any, key: str, scene: Path, folders: list[Path]) -> Any:
+    """A value with names instead of the paths of files; adds their folders."""
+    if isinstance(value, dict):
+        return {name: _rename(one, key, scene, folders) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_rename(one, key, scene, folders) for one in value]
+    return _name_of(value, key, scene, folders) if isinstance(value, str) and _is_file(value) else value
+
+
+def _is_file(text: str) -> bool:
+    """Whether a text is the path of a file, from where the command is typed."""
+    own = os.path.expanduser(text)
+    # os.path says no where pathlib raises: for a mapping longer than the name of a file may be, or no user's ~.
+    return bool(Path(own).suffix) and os.path.isfile(own)
+
+
+def _name_of(text: str, key: str, scene: Path, folders: list[Path]) -> str:
+    """What a scene may call the file at a path by; adds its folder. Raises BadInput."""
+    own = Path(os.path.expanduser(text))
+    other = scene.resolve().parent / own.name
+    if other.is_file() and not other.samefile(own):
+        problem, remedy = "another file of this name lies beside the scene", "give yours another name"
+        raise BadInput(problem, "--set", field=key, value=text, limit=str(other), remedy=remedy)
+    folders.append(own.resolve().parent if own.is_symlink() else own.parent.resolve())
+    return own.name
