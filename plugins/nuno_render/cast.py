@@ -15,6 +15,7 @@ from nuno_render.crossings import cross_yarns
 from nuno_render.ray_hits import DEPTH, meet_triangle
 from nuno_render.resolve import background
 from nuno_render.sampling import place_sample, scramble
+from nuno_render.sight import aim
 from nuno_render.surfaces import shade_floor, shade_skin, shade_yarn
 
 # mypy: disable-error-code="no-untyped-def"
@@ -65,10 +66,10 @@ def see(eye, d, y, height, lights, look, skin, threads, floor, back, sample, hit
 
 
 @kernel
-def cast_rows(first, last, camera, grid, lights, look, skin, threads, floor, back, picture):
+def cast_rows(first, last, sight, grid, lights, look, skin, threads, floor, back, picture):
     """Rows `first` to `last` of picture (h, w, 4), linear light and the yarns' share of each pixel.
 
-    camera  eye (3,), right, up and forward (3,), focal length [pixels]
+    sight   sight.Sight
     grid    columns and rows of samples, seed
     lights  direction, colour, up, sky, ground, tangent of the light's radius
     look    share of light through a yarn, capsules that a ray is followed through, strength and exponent of the
@@ -77,7 +78,7 @@ def cast_rows(first, last, camera, grid, lights, look, skin, threads, floor, bac
     floor   whether there is one, its height over the eye [m], middle and size of the scene, albedo
     back    colours at the top and bottom
     """
-    eye, right, above, forward, focal = camera
+    eye = sight.eye
     columns, rows, seed = grid
     height, width = picture.shape[0], picture.shape[1]
     hits = (np.empty(KEEP, np.int64), np.empty(KEEP), np.empty(KEEP), np.empty(DEPTH, np.int64), np.empty(DEPTH))
@@ -90,12 +91,7 @@ def cast_rows(first, last, camera, grid, lights, look, skin, threads, floor, bac
             total = (0.0, 0.0, 0.0, 0.0)
             for s in range(samples):
                 x, y = place_sample(s, columns, rows, pattern)
-                u, v = (column + x - 0.5 * width) / focal, (0.5 * height - row - y) / focal
-                for k in range(3):
-                    d[k] = forward[k] + u * right[k] + v * above[k]
-                norm = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-                for k in range(3):
-                    d[k] /= norm
+                aim(sight, column + x, row + y, width, height, d)
                 sample = (s, columns, rows, pattern)
                 see(eye, d, row + y, height, lights, look, skin, threads, floor, back, sample, hits, seen, work, out)
                 total = (total[0] + out[0], total[1] + out[1], total[2] + out[2], total[3] + out[3])

@@ -9,9 +9,8 @@ from nuno_render.config import RasterConfig
 from nuno_render.light_maps import floor_openness
 from nuno_render.lighting import tangents
 from nuno_render.scene import Scene
-from nuno_schemas.camera import Axes
+from nuno_render.sight import Sight
 from nuno_schemas.colour import parse_hex
-from nuno_schemas.drawing import Camera
 from nuno_schemas.fabric import Float
 
 GRID, REACH = 96, 3.0
@@ -32,9 +31,8 @@ def floor_height(config: RasterConfig, scene: Scene, origin: Float, up: Float) -
 def prepare_floor(
     config: RasterConfig,
     scene: Scene,
-    camera: Camera,
-    basis: Axes,
-    focal: float,
+    size: tuple[int, int],
+    sight: Sight,
     up: Float,
     height: float | None,
     skies: tuple[object, ...],
@@ -45,10 +43,9 @@ def prepare_floor(
     pixel, the point eye + z ray lies on the floor n . p = d where 1/z = n . ray / (d - n . eye),
     affine too: so the floor takes part in the depth test without a triangle.
     """
-    right, above, forward = basis
-    eye = np.asarray(camera.eye, np.float64) - np.asarray(camera.target, np.float64)
+    eye, right, above, forward, focal = sight
     rays = np.stack([right / focal, -above / focal, forward], axis=1)
-    rays[:, 2] -= rays[:, 0] * camera.size[0] / 2.0 + rays[:, 1] * camera.size[1] / 2.0
+    rays[:, 2] -= rays[:, 0] * size[0] / 2.0 + rays[:, 1] * size[1] / 2.0
     level = height if height is not None else 0.0
     drop = level - SUNK * scene.radius - eye @ up
     active = height is not None and bool(drop < 0.0)

@@ -8,6 +8,7 @@ from nuno_render.compiled import kernel
 from nuno_render.near import sum_near
 from nuno_render.ray_hits import DEPTH, meet_triangle
 from nuno_render.sampling import place_sample, scramble
+from nuno_render.sight import aim
 from nuno_render.surfaces import find_weights
 
 # mypy: disable-error-code="no-untyped-def"
@@ -33,12 +34,12 @@ def value_at(p, face, weights, skin, mode, values, cells):
 
 
 @kernel
-def map_rows(first, last, camera, grid, light, skin, mode, values, cells, found):
+def map_rows(first, last, sight, grid, light, skin, mode, values, cells, found):
     """Rows `first` to `last` of found (h, w, s, 2): value, and cosine of the smooth normal to the light (3,).
 
-    camera and grid as in cast.cast_rows; mode, values and cells say what the value is.
+    sight and grid as in cast.cast_rows; mode, values and cells say what the value is.
     """
-    eye, right, above, forward, focal = camera
+    eye = sight.eye
     columns, rows, seed = grid
     height, width = found.shape[0], found.shape[1]
     waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
@@ -49,12 +50,7 @@ def map_rows(first, last, camera, grid, light, skin, mode, values, cells, found)
             pattern = scramble(row * width + column, seed)
             for sample in range(columns * rows):
                 sx, sy = place_sample(sample, columns, rows, pattern)
-                u, v = (column + sx - 0.5 * width) / focal, (0.5 * height - row - sy) / focal
-                for k in range(3):
-                    d[k] = forward[k] + u * right[k] + v * above[k]
-                norm = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-                for k in range(3):
-                    d[k] /= norm
+                aim(sight, column + sx, row + sy, width, height, d)
                 face, t = meet_triangle(
                     eye[0], eye[1], eye[2], d[0], d[1], d[2], 0.0, np.inf, skin.tree, waiting, bound
                 )

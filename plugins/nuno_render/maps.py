@@ -13,7 +13,8 @@ from nuno_render.config import Legend
 from nuno_render.lighting import key_direction, unit
 from nuno_render.map_rows import BACKGROUND, COUNTS, MEANS, ON_FACES, ON_VERTICES, map_rows
 from nuno_render.near import sort_points
-from nuno_render.raster import check_camera, encode_picture
+from nuno_render.raster import encode_picture
+from nuno_render.sight import sight_of
 from nuno_render.worn import check_eye, gather_skin
 from nuno_render.yarn_config import MapConfig, grid_of
 from nuno_render.yarns import in_parts
@@ -78,7 +79,7 @@ def map_values(
     """(h, w, samples, 2): the value at each sample, NaN where there is none and BACKGROUND where no body is, and the
     cosine of the surface to the light. Raises BadInput.
     """
-    basis = check_camera(camera)
+    sight = sight_of(camera)
     check_eye(worn.bodies, camera)
     origin = np.asarray(camera.target, np.float64)
     skin = gather_skin(worn.bodies, origin, config.skin, keep_faces=True)
@@ -95,13 +96,11 @@ def map_values(
     columns, rows = grid_of(config.samples)
     up = unit(np.array(config.up))
     light = key_direction(config, camera, up)
-    eye = np.asarray(camera.eye, np.float64) - origin
-    seen = (eye, *basis, camera.size[1] / 2.0 / math.tan(camera.fov / 2.0))
     found = np.empty((camera.size[1], camera.size[0], columns * rows, 2))
     values = np.ascontiguousarray(shown.values, np.float64)
 
     def draw(first: int, last: int) -> None:
-        map_rows(first, last, seen, (columns, rows, config.seed), light, skin, mode, values, cells, found)
+        map_rows(first, last, sight, (columns, rows, config.seed), light, skin, mode, values, cells, found)
 
     in_parts(draw, camera.size[1], None, progress)
     return found

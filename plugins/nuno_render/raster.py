@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from typing import ClassVar
 
 import numpy as np
@@ -16,11 +15,10 @@ from nuno_render.floor import floor_depth, floor_height, prepare_floor
 from nuno_render.lighting import GROUND, KEY, SKY, key_direction, shadow_maps, sky_maps, unit
 from nuno_render.resolve import encode, resolve
 from nuno_render.scene import gather
+from nuno_render.sight import Sight, sight_of
 from nuno_render.visibility import rasterise, sample_offsets
-from nuno_schemas.camera import Axes, axes
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.drawing import Camera, Mesh
-from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
 NEAR = 1e-3
@@ -53,22 +51,19 @@ class Raster:
 
 def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
     """(height, width, 3) linear light, before the shoulder and sRGB. Raises as `Raster.render`."""
-    basis = check_camera(camera)
+    sight = sight_of(camera)
     width, height = camera.size
     up = unit(np.array(config.up))
-    # Everything is relative to the target, so that a scene far from the origin keeps its digits.
     origin = np.asarray(camera.target, np.float64)
-    eye = np.asarray(camera.eye, np.float64) - origin
     scene = gather(meshes, origin, up)
-    focal = height / 2.0 / math.tan(camera.fov / 2.0)
-    clip = _project(scene.positions - eye, basis, focal, camera.size)
+    clip = _project(scene.positions - sight.eye, sight, camera.size)
     light, skies = key_direction(config, camera, up), sky_maps(config, scene, up)
     level = floor_height(config, scene, origin, up)
-    floor = prepare_floor(config, scene, camera, basis, focal, up, level, skies)
+    floor = prepare_floor(config, scene, camera.size, sight, up, level, skies)
     offsets = sample_offsets(config.samples)
     depth = floor_depth(floor, camera.size, offsets)
     owner = np.full(depth.shape, -1, np.int32)
-    near = NEAR * float(np.linalg.norm(eye))
+    near = NEAR * float(np.linalg.norm(sight.eye))
     rasterise(clip, scene.faces, scene.mesh, scene.two_sided, near, offsets, 128, depth, owner)
     picture = np.empty((height, width, 3))
     surfaces = (scene.positions, scene.normals, scene.albedo, scene.uv, scene.faces, scene.mesh, scene.two_sided)
@@ -76,23 +71,15 @@ def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
     lights = (light, KEY, up, SKY, GROUND, config.light_size)
     maps, back = shadow_maps(config, scene, light), tuple(parse_hex(colour) for colour in config.background)
     resolve(
-        owner, offsets, clip, surfaces, textures, eye, lights, maps, skies, floor, back, config.sheen, picture
+        owner, offsets, clip, surfaces, textures, sight.eye, lights, maps, skies, floor, back, config.sheen, picture
     )  # fmt: skip
     return picture
 
 
-def check_camera(camera: Camera) -> Axes:
-    """Axes of a camera. Raises BadInput for one without size, field of view or direction."""
-    if not (min(camera.size) >= 1 and max(camera.size) <= 16384):
-        raise BadInput("no such picture", field="camera.size", value=camera.size, limit="1 to 16384 pixels a side")
-    if not 0.0 < camera.fov < math.pi:
-        raise BadInput("no such field of view", field="camera.fov", value=camera.fov, limit="between 0 and pi rad")
-    return axes(camera)
-
-
-def _project(relative: Float, basis: Axes, focal: float, size: tuple[int, int]) -> Float:
+def _project(relative: Float, sight: Sight, size: tuple[int, int]) -> Float:
     """(n, 3) homogeneous pixels (X w, Y w, w) of points (n, 3) relative to the eye."""
-    x, y, w = (relative[:, 0] * axis[0] + relative[:, 1] * axis[1] + relative[:, 2] * axis[2] for axis in basis)
+    _, *axes, focal = sight
+    x, y, w = (relative[:, 0] * axis[0] + relative[:, 1] * axis[1] + relative[:, 2] * axis[2] for axis in axes)
     return np.stack([focal * x + size[0] / 2.0 * w, size[1] / 2.0 * w - focal * y, w], axis=1)
 
 

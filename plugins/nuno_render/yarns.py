@@ -15,7 +15,8 @@ from pydantic import BaseModel
 from nuno_render.annotate import annotate
 from nuno_render.cast import KEEP, cast_rows
 from nuno_render.lighting import GROUND, KEY, SKY, key_direction, unit
-from nuno_render.raster import check_camera, encode_picture
+from nuno_render.raster import encode_picture
+from nuno_render.sight import sight_of
 from nuno_render.worn import Skin, Threads, check_eye, gather_skin, gather_threads
 from nuno_render.yarn_config import CastConfig, LinesConfig, YarnsConfig, grid_of
 from nuno_schemas.colour import parse_hex
@@ -56,9 +57,8 @@ class Lines:
 
     def draw(self, config: LinesConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """(height, width, 3) uint8 sRGB, the same bytes with any number of threads. Raises BadInput."""
-        check_camera(camera)
-        distance = float(np.linalg.norm(np.asarray(camera.eye) - np.asarray(camera.target)))
-        pixel = 2.0 * distance * math.tan(camera.fov / 2.0) / camera.size[1]
+        sight = sight_of(camera)
+        pixel = float(np.linalg.norm(sight.eye)) / sight.focal
         flat = replace(worn, yarns=straight(worn, 0.5 * config.width * pixel))
         shared = config.model_dump(include=set(CastConfig.model_fields))
         plain = YarnsConfig(**shared, colour=config.colour, translucency=0.0)
@@ -89,16 +89,14 @@ def radiance(
     Raises BadInput for an eye inside of a body, a camera without size, field of view or direction, a yarn without
     thickness, arrays of the wrong shape, and where there are no yarns.
     """
-    basis = check_camera(camera)
+    sight = sight_of(camera)
     if worn.yarns is None or not len(worn.yarns.points):
         raise BadInput("there are no yarns to draw", remedy="draw a knit, or leave the style out")
     check_eye(worn.bodies, camera)
-    # Everything is relative to the target, so that a scene far from the origin keeps its digits.
     origin = np.asarray(camera.target, np.float64)
     skin = gather_skin(worn.bodies, origin, config.skin)
     yarns = gather_threads(worn.yarns, origin, config.radius, yarn_colours(config, worn.yarns))
     up = unit(np.array(config.up))
-    eye = np.asarray(camera.eye, np.float64) - origin
     drawn = np.concatenate([skin.x[np.unique(skin.faces)], yarns.start, yarns.end, np.zeros((1, 3))])
     centre = 0.5 * (drawn.min(axis=0) + drawn.max(axis=0))
     radius = float(np.sqrt(((drawn - centre) ** 2).sum(axis=1).max())) or 1.0
@@ -109,14 +107,13 @@ def radiance(
         OFF * radius, flat,
     )  # fmt: skip
     lights = (key_direction(config, camera, up), KEY, up, SKY, GROUND, config.light_size)
-    floor = _floor(config, skin, yarns, origin, eye, up, centre, radius)
+    floor = _floor(config, skin, yarns, origin, sight.eye, up, centre, radius)
     back = tuple(parse_hex(colour) for colour in config.background)
-    seen = (eye, *basis, height / 2.0 / math.tan(camera.fov / 2.0))
     grid = (*grid_of(config.samples), config.seed)
     picture = np.empty((height, width, 4))
 
     def draw(first: int, last: int) -> None:
-        cast_rows(first, last, seen, grid, lights, look, skin, yarns, floor, back, picture)
+        cast_rows(first, last, sight, grid, lights, look, skin, yarns, floor, back, picture)
 
     in_parts(draw, height, threads, progress)
     return picture
