@@ -69,4 +69,7 @@ def _text(draw: ImageDraw, place: tuple[int, int], text: str, font: FreeTypeFont
 
 
 def _number(value: float, style: str) -> str:
-    return f"{value * 100:.3g} %" if style == "percent" else f"{value:.3g}"
+    if style == "percent":
+        return f"{value * 100:.3g} %"
+    # Three digits, but no power of ten where thousands are told apart as easily.
+    return f"{float(f'{value:.3g}'):,.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"

@@ -84,11 +84,15 @@ def _render(kind: Kind[Any], shown: list[Shown[Any]], found: list[list[str]], ab
 
 
 def _pictures(kind: Kind[Any], shown: list[Shown[Any]]) -> list[page.Image]:
-    """Those of one section, those that stand apart last."""
-    found = [(label == kind.apart != "", label, one, picture) for one in shown for label, picture in one.pictures]
+    """Those of one section, those that stand apart last; what a scene is stands below its first picture alone."""
+    found = [
+        (label == kind.apart != "", f"{one.name}{', ' if label else ''}{label}.", "" if i else one.description, picture)
+        for one in shown
+        for i, (label, picture) in enumerate(one.pictures)
+    ]
     return [
-        page.Image(_embed(picture), f"{one.name}{', ' if label else ''}{label}. {one.description}")
-        for _, label, one, picture in sorted(found, key=lambda each: each[0])
+        page.Image(_embed(picture), f"{name} {description}".strip())
+        for _, name, description, picture in sorted(found, key=lambda each: each[0])
     ]
 
 

@@ -27,23 +27,25 @@ SIZE = (480, 640)
 """Pixels of a picture of a knit on a body; those of a panel are as wide as they are high."""
 WALES = 75
 """Of a knit on a body whose lines are a pixel wide: of more they are thinner."""
+RADIUS = 2.5e-4
+"""Of the yarns of a knit of so many wales on a body [m]."""
 PANEL: tuple[tuple[str, Colour], ...] = (
     ("each yarn in its colour", "cloth"),
     ("its links by their stretch", "stretch"),
 )
 WORN = (
     ("straight links, as in the paper's figure 14", "lines", ()),
-    ("yarns, as in the paper's figure 17", "yarns", ("view.yarns.samples=9", "view.yarns.colour=#1e1715")),
+    ("yarns, as in the paper's figure 17", "yarns", ("view.yarns.samples=16", "view.yarns.colour=#1e1715")),
     ("density of points, as in the paper's figure 18", "density", ()),
-    ("pressure on the skin", "map", ("view.yarns.low=0",)),
+    ("pressure on the skin", "map", ("view.yarns.low=0", "view.yarns.radius=15mm")),
 )
 """Pictures of a knit on a body: what each shows, its style and its settings."""
-CLOSE = {"stocking-leg": ("view.target=[0,0.33,0.03]", "view.distance=0.16")}
+CLOSE = {"stocking-leg": ("view.target=[0,0.33,0.03]", "view.distance=0.16", "view.yarns.radius=0.2mm")}
 """Scenes whose yarns are shown from near, too, and where."""
 
 Measures = Mapping[tuple[str, str], float]
 """What was measured, by measure and part: ("stretch", "nylon arcs")."""
-COURSE, WALE = "stitch-stretch-course", "stitch-stretch-wale"
+COURSE, WALE, COMPRESSION = "stitch-stretch-course", "stitch-stretch-wale", "stocking-compression"
 STRETCH, ZIGZAG, OPENING = "stretch of links", "zigzag of wales", "most open course over the least"
 DENSITY, PRESSURE = "stitches [1/m2]", "pressure [Pa]"
 
@@ -66,11 +68,9 @@ DIFFERENCES = (
         Difference("stitches are closer at the ankle", DENSITY, (name, "ankle"), (name, "knee"))
         for name in ("stocking-150", "stocking-300", "stocking-leg")
     ),
-    Difference(
-        "pressure falls from ankle to thigh",
-        PRESSURE,
-        ("stocking-compression", "ankle"),
-        ("stocking-compression", "thigh"),
+    *(
+        Difference(f"pressure falls from {high} to {low}", PRESSURE, (COMPRESSION, high), (COMPRESSION, low))
+        for high, low in (("ankle", "calf"), ("calf", "thigh"))
     ),
 )
 
@@ -135,8 +135,12 @@ def _draw(loaded: Loaded, recording: Recording, folder: Path) -> list[tuple[str,
 
 
 def _fine(loaded: Loaded, style: str) -> tuple[str, ...]:
-    """Lines as much thinner than a pixel as stitches are more than WALES: else they fill in."""
+    """Yarns as much thinner than RADIUS as stitches are more than WALES; so are lines thinner than a pixel, which
+    would fill in.
+    """
     wales = loaded.models[0].config.model_dump()["wales"]
+    if style == "yarns":
+        return (f"view.yarns.radius={RADIUS * WALES / wales:g}",)
     return (f"view.yarns.width={WALES / wales:g}",) if style == "lines" and wales > WALES else ()
 
 

@@ -47,6 +47,7 @@ tr:last-child td { border-bottom: 0; }
 figure { margin: 1.4rem 0; }
 figure svg { width: 100%; height: auto; display: block; }
 .pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1.2rem; }
+.pairs { grid-template-columns: repeat(auto-fill, minmax(22rem, 1fr)); }
 .pictures figure { margin: 0; }
 .pictures img { width: 100%; height: auto; display: block; border-radius: 3px; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .15rem 1.2rem; font-size: .85rem; }
@@ -125,7 +126,8 @@ def _part(part: Part) -> str:
         picture = f'<div class="wide" role="img" aria-label="{label}">{part.svg}</div>'
         return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
     if isinstance(part, Pictures):
-        return '<div class="pictures">' + "".join(map(_image, part.images)) + "</div>"
+        kind = "pictures pairs" if len(part.images) in (2, 4) else "pictures"
+        return f'<div class="{kind}">' + "".join(map(_image, part.images)) + "</div>"
     if isinstance(part, Facts):
         return "<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in part.values.items()) + "</dl>"
     return f"<p>{escape(part)}</p>"

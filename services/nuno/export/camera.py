@@ -30,9 +30,13 @@ def read_view(recording: Recording) -> View:
         raise BadInput(f"the recording's view is damaged: {first}", str(recording.path), field="view") from None
 
 
-def place_camera(view: View, meshes: Iterable[Mesh], size: tuple[int, int]) -> Camera:
-    """Fitted to the meshes; target and distance of the view win."""
-    fitted = fit_camera(meshes, view.azimuth, view.elevation, size)
+MARGIN = 0.08
+"""Share of a picture that is left free on each side."""
+
+
+def place_camera(view: View, meshes: Iterable[Mesh], size: tuple[int, int], room: float = 0.0) -> Camera:
+    """Fitted to the meshes, with so much more `room` on each side; target and distance of the view win."""
+    fitted = fit_camera(meshes, view.azimuth, view.elevation, size, margin=MARGIN + room)
     if view.target is None and view.distance is None:
         return fitted
     toward = fitted.eye - fitted.target

@@ -45,12 +45,15 @@ class Piece:
     colour: str | None
     yarns: NDArray[np.int8] | None = None
 
-    def stretch(self, x: Float) -> Float:
-        """(n,) largest |d| / rest - 1 of each vertex's springs, for x (n, 3) [m] of this piece."""
+    def link_stretch(self, x: Float) -> Float:
+        """(e,) |d| / rest - 1 of every spring, for x (n, 3) [m] of this piece."""
         d = x[self.edges[:, 1]] - x[self.edges[:, 0]]
         with np.errstate(divide="ignore", invalid="ignore"):
-            value = np.sqrt((d * d).sum(axis=1)) / self.rest - 1.0
-        most = np.full(len(x), -1.0)
+            return np.asarray(np.sqrt((d * d).sum(axis=1)) / self.rest - 1.0)
+
+    def stretch(self, x: Float) -> Float:
+        """(n,) largest |d| / rest - 1 of each vertex's springs, for x (n, 3) [m] of this piece."""
+        value, most = self.link_stretch(x), np.full(len(x), -1.0)
         for end in (0, 1):
             np.maximum.at(most, self.edges[:, end], value)
         return most

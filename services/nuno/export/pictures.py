@@ -35,6 +35,8 @@ Colour = Literal["auto", "cloth", "stretch", "pressure"]
 stretch: how far its threads are stretched; pressure: what a knit presses with; auto: cloth where a texture or colour
 is given, else stretch."""
 RENDERER = "raster"
+ROOM = 0.04
+"""Share of a picture that is left free on each side for a legend, more than without one."""
 LOOKS = 16
 """Frames that the camera of an animation is fitted to."""
 
@@ -68,7 +70,6 @@ class Painter:
         self.renderer = registry.load("nuno.renderers", RENDERER)
         view = read_view(self.recording)
         meshes = [mesh for frame in self.shown for mesh in self.meshes(frame)]
-        self.camera = place_camera(view, meshes, self.size or view.size)
         self.ground = self._ground(meshes)
         dyed = "" if self.dyed is None else self.dyed.name
         first = self.pieces(self.shown[0].t if self.shown else 0.0)
@@ -78,6 +79,7 @@ class Painter:
         self.legend = legend if by_stretch else None
         if self.pressure is not None:
             self.legend = {"label": "pressure [Pa]", "low": 0.0, "high": self.most}
+        self.camera = place_camera(view, meshes, self.size or view.size, ROOM if self.legend else 0.0)
 
     def draw(self, frame: Frame) -> Picture:
         """(h, w, 3) uint8 sRGB."""
@@ -210,9 +212,8 @@ def choose_frames(recording: Recording, fps: float, start: float | None, end: fl
 def _cloth_mesh(piece: Piece, x: Float) -> Mesh:
     """A piece with faces as it is, a net as thin tubes along its springs."""
     if not len(piece.faces):
-        vertices, faces, owner = tubes(x, piece.edges)
-        by_point = None if piece.yarns is None else np.repeat(paint_yarns(piece.yarns), 2 * SIDES, axis=0)
-        return Mesh(vertices, faces, _paint(piece, x)[owner] if by_point is None else by_point, two_sided=False)
+        vertices, faces, _ = tubes(x, piece.edges)
+        return Mesh(vertices, faces, np.repeat(_paint_links(piece, x), 2 * SIDES, axis=0), two_sided=False)
     if piece.image is not None and piece.uv is not None:
         # v points up on cloth and down in images.
         uv = piece.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
@@ -242,6 +243,15 @@ def _most(pressure: Pressures, shown: list[Frame]) -> float:
     """What 19 of 20 points are below in each of these frames [Pa]: edges and closed toes have many times more."""
     found = [np.percentile(pressure(frame.x), 95.0) for frame in shown if np.isfinite(frame.x).all()]
     return float(max(found, default=0.0)) or 1.0
+
+
+def _paint_links(piece: Piece, x: Float) -> Float:
+    """(e, 3) linear light of a net's links: of their yarns, else the net's own, else of each by its stretch."""
+    if piece.yarns is not None:
+        return paint_yarns(piece.yarns)
+    if piece.colour is not None:
+        return np.tile(parse_hex(piece.colour), (len(piece.edges), 1))
+    return paint_stretch(piece.link_stretch(x))
 
 
 def _paint(piece: Piece, x: Float) -> Float:
