@@ -21,6 +21,8 @@ from nuno_schemas.messages import Header, Topic
 
 WAITING_AFTER = 5.0
 """Whoever waits this long [s] for another service says so."""
+TIMEOUT = b"Timeout"
+"""zenoh's own answer, of whichever session on the way, where none came in time."""
 FURTHEST = 100_000
 """A message this far ahead of the last is none of the run's: believing it would refuse all others."""
 
@@ -242,9 +244,9 @@ class Bus:
                 reply = replies.get()  # zenoh itself ends it when the time is over
             if reply is not None and reply.ok is not None:
                 return reply.ok.payload.to_bytes()
-            # An error that no one sent is this session's own word for the end of the time.
-            if reply is not None and reply.err is not None and reply.replier_id is not None:
-                raise RunFailed(f"{name}: {reply.err.payload.to_bytes().decode(errors='replace')}")
+            problem = TIMEOUT if reply is None or reply.err is None else reply.err.payload.to_bytes()
+            if problem != TIMEOUT:
+                raise RunFailed(f"{name}: {problem.decode(errors='replace')}")
             waited = min(timeout, time.monotonic() - begin)
             raise RunFailed(f"no answer from {name} within {waited:.3g} s", peer=name.split("/")[0])
 
