@@ -47,12 +47,18 @@ class Publisher:
     handle: zenoh.Publisher
     sent: int = 0
     seconds: float = 0.0
+    payload_bytes: int = 0
+    frame: int = -1
+    """Last one published."""
+    t: float = 0.0
 
     def put(self, payload: bytes, frame: int = -1, t: float = 0.0, digest: str = "") -> None:
         start = time.perf_counter()
         header = Header(run=self.bus.run, service=self.bus.service, seq=self.sent, frame=frame, t=t, digest=digest)
         self.handle.put(payload, attachment=header.model_dump_json())
         self.sent += 1
+        self.payload_bytes += len(payload)
+        self.frame, self.t = max(self.frame, frame), t if frame >= 0 else self.t
         self.seconds += time.perf_counter() - start
 
 
@@ -110,6 +116,9 @@ class Inbox:
 
     def __init__(self, bus: Bus, topics: list[Topic], newest_only: bool = False) -> None:
         self.counts = Counts()
+        self.payload_bytes = 0
+        self.frame = -1
+        """Last one taken in."""
         self._bus = bus
         self._next: dict[str, int] = {}
         self._queue: queue.SimpleQueue[zenoh.Sample | Question] = queue.SimpleQueue()
@@ -137,6 +146,11 @@ class Inbox:
             message = self._check(item)
             if message is not None:
                 return message
+
+    @property
+    def waiting(self) -> int:
+        """What has come and is not taken in yet."""
+        return self._queue.qsize()
 
     def refuse(self, item: Message | Question) -> None:
         """Drop what is not what its topic promises, and count it.
@@ -178,7 +192,11 @@ class Inbox:
         self.counts.missing[topic] += skipped
         self._next[topic] = header.seq + 1
         self.counts.received[topic] += 1
-        return Message(topic, header, sample.payload.to_bytes(), skipped)
+        payload = sample.payload.to_bytes()
+        self.payload_bytes += len(payload)
+        if not topic.startswith("ack/"):
+            self.frame = max(self.frame, header.frame)
+        return Message(topic, header, payload, skipped)
 
 
 class Bus:
@@ -188,6 +206,8 @@ class Bus:
         self.session, self.run, self.service = session, run, service
         self.publishers: dict[str, Publisher] = {}
         self.inboxes: list[Inbox] = []
+        self.offers: list[Any] = []
+        """What else this service answers, apart from its inboxes."""
 
     def close(self) -> None:
         """Withdraw everything this service offers: a question to it then fails at once.
@@ -196,8 +216,8 @@ class Bus:
         """
         for inbox in self.inboxes:
             inbox.close()
-        for publisher in self.publishers.values():
-            publisher.handle.undeclare()
+        for handle in (*self.offers, *(publisher.handle for publisher in self.publishers.values())):
+            handle.undeclare()
 
     def key(self, name: str) -> str:
         return f"nuno/{self.run}/{name}"
@@ -260,6 +280,11 @@ class Bus:
         if not isinstance(answer, dict):
             raise RunFailed(f"the answer of {name} cannot be read", peer=name.split("/")[0])
         return answer
+
+    def present(self, timeout: float = 2.0) -> set[str]:
+        """Services that are alive now, asked of the hub."""
+        replies = self.session.liveliness().get(self.key("alive/*"), timeout=timeout)
+        return {str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in replies if reply.ok is not None}
 
     def alive(self) -> zenoh.LivelinessToken:
         """A token that disappears with this service."""

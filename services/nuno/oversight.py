@@ -9,6 +9,7 @@ from typing import Any
 import zenoh
 
 from nuno.bus import Bus, Inbox, Message, Watch
+from nuno.health import offer_health
 from nuno.laggards import Laggards
 from nuno.launch import FINISH_TIMEOUT
 from nuno.plan import Plan
@@ -47,6 +48,7 @@ class Supervisor:
     def __init__(self, loaded: Loaded, options: Options, plan: Plan, session: zenoh.Session, run: str) -> None:
         self.loaded, self.options, self.plan, self.run = loaded, options, plan, run
         self.bus = Bus(session, run, SUPERVISOR)
+        offer_health(self.bus)
         self.alive = self.bus.alive()
         self.watch = Watch(self.bus)
         self.inbox = Inbox(

@@ -19,6 +19,7 @@ import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nuno.bus import Bus, Inbox, Message, Question, Watch
+from nuno.health import offer_health
 from nuno.scene_file import Loaded
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, Event, Topic
@@ -151,6 +152,7 @@ def run_service(
 ) -> None:
     """Run one service until it is asked to finish, or `stop`. Raises what the service raised."""
     bus = Bus(session, run, name)
+    offer_health(bus)
     context = Context(loaded, bus, options, stop or threading.Event())
     try:
         importlib.import_module(MODULES[name]).main(context)
