@@ -8,12 +8,9 @@ import numpy as np
 
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
 from nuno_wrinkle.edges import Edges, any_of, edges_of, fold_angles, keys_of, quads_of
+from nuno_wrinkle.kept import most_stiffness
 from nuno_wrinkle.near import BENDING, Near, Rule, damping_of, ones, stiffness_of
 from nuno_wrinkle.raised import Raised, Region
-
-KEPT = 4.0
-"""How much stiffer kept folds are than the cloth, as pressed ones are. Folds of the cloth's own stiffness hold half
-the height of a ridge that runs down a hung cloth, four times as stiff ones nine tenths."""
 
 
 def bend_springs(
@@ -67,9 +64,11 @@ def _length(x: Float, one: Int, other: Int) -> Float:
 
 def build_hinges(
     fabric: Fabric, raised: Raised, near: Near, region: Region, edges: Edges, rest: Float,
-    areas: tuple[Float, Float], keep: bool, moved: Bool,
+    areas: tuple[Float, Float], kept: float | None, moved: Bool, mass: Float, springs: Springs,
 ) -> Hinges | None:  # fmt: skip
-    """Hinges across the edges of changed triangles made anew; kept ones have the folds of the line at rest."""
+    """Hinges across the edges of changed triangles made anew; those of rigidity `kept` [N m] have the folds of the
+    line at rest.
+    """
     old = fabric.hinges
     if old is None:
         return None
@@ -84,17 +83,19 @@ def build_hinges(
     anew = quads_of(raised.faces, raised.across, raised.changed)
     place, _ = edges.rows(keys_of(anew[:, :2]))
     total = np.bincount(edges.of_face.reshape(-1), np.repeat(areas[1], 3))
-    stiff = (KEPT if keep else 1.0) * rigidity * np.square(rest[place]) / total[place]
-    folds = np.zeros(len(anew))
-    if keep:
+    shape = np.square(rest[place]) / total[place]
+    stiff, folds = rigidity * shape, np.zeros(len(anew))
+    if kept is not None:
+        pinned = np.append(fabric.pinned, np.zeros(len(mass) - fabric.number, np.bool_))
+        stiff = np.maximum(stiff, np.minimum(kept * shape, most_stiffness(raised.x, anew, mass, pinned, springs)))
         folds = fold_angles(raised.x, anew) - fold_angles(raised.flat, anew)
         turned = near_by[any_of(moved, quads[near_by])]
         angle[turned] += fold_angles(raised.x, quads[turned]) - fold_angles(raised.flat, quads[turned])
-    kept = np.ones(len(quads), np.bool_)
-    kept[gone] = False
+    stays = np.ones(len(quads), np.bool_)
+    stays[gone] = False
     return Hinges(
-        np.ascontiguousarray(np.concatenate([quads[kept], anew])),
-        *ones(int(kept.sum()) + len(anew)),
-        np.concatenate([k[kept], stiff]),
-        np.concatenate([angle[kept], folds]),
+        np.ascontiguousarray(np.concatenate([quads[stays], anew])),
+        *ones(int(stays.sum()) + len(anew)),
+        np.concatenate([k[stays], stiff]),
+        np.concatenate([angle[stays], folds]),
     )

@@ -38,9 +38,12 @@ class Net:
 
 def build_net(
     fabric: Fabric, across: Int, raised: Raised, near: Near, region: Region, model: Mapping[str, float], rule: Rule,
-    keep: bool,
+    kept: float | None,
 ) -> Net:  # fmt: skip
-    """The net of the raised surface; `across` are the neighbours of the fabric's triangles."""
+    """The net of the raised surface; `across` are the neighbours of the fabric's triangles.
+
+    `kept` is the rigidity [N m] of the folds of a wrinkle that is kept, None for one that is not.
+    """
     n = fabric.number
     moved = np.zeros(len(raised.x), np.bool_)
     moved[raised.smoothed] = moved[n:] = True
@@ -57,7 +60,7 @@ def build_net(
     mass = _masses(fabric, raised, moved, before, after, model["density"])
     structural = _structural(fabric, raised, near, edges, rest, stays, mass, model, rule)
     springs = bend_springs(fabric, structural, across, raised, mass, model, rule, moved, edges, share)
-    hinges = build_hinges(fabric, raised, near, region, edges, rest, (before, after), keep, moved)
+    hinges = build_hinges(fabric, raised, near, region, edges, rest, (before, after), kept, moved, mass, springs)
     return Net(springs, hinges, mass, float(after.sum() - before.sum()))
 
 

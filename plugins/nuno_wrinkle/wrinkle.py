@@ -9,12 +9,13 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Binding, Fabric, Float, Springs, State
+from nuno_schemas.fabric import Binding, Fabric, Float, Int, Springs, State
 from nuno_schemas.lines import Line, Smoothing
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
 from nuno_wrinkle.crests import find_crests
+from nuno_wrinkle.kept import kept_rigidity
 from nuno_wrinkle.lines import Crossed, follow_lines, read_lines
 from nuno_wrinkle.near import Rule, describe, find_near
 from nuno_wrinkle.net import Net, build_net
@@ -93,8 +94,10 @@ class Wrinkle:
         region = find_region(fabric.faces, fabric.number, crossed)
         near = find_near(fabric, state.x, region)
         raised = raise_lines(fabric, state.x, across, crossed, config.smoothing, region, near.stretch)
-        net = build_net(fabric, across, raised, near, region, used, config.springs, config.keep)
-        return _outcome(fabric, state, crossed, raised, net, model)
+        crests = find_crests(fabric.number, crossed, raised)
+        kept = kept_rigidity(model["density"], raised.x, crests) if config.keep else None
+        net = build_net(fabric, across, raised, near, region, used, config.springs, kept)
+        return _outcome(fabric, state, crossed, raised, net, model, crests)
 
 
 def _require_triangles(fabric: Fabric) -> None:
@@ -105,7 +108,7 @@ def _require_triangles(fabric: Fabric) -> None:
 
 
 def _outcome(
-    fabric: Fabric, state: State, crossed: Crossed, raised: Raised, net: Net, model: dict[str, float]
+    fabric: Fabric, state: State, crossed: Crossed, raised: Raised, net: Net, model: dict[str, float], crests: Int
 ) -> Outcome:
     corners = fabric.faces[crossed.face]
 
@@ -141,7 +144,6 @@ def _outcome(
         "mass": float(net.mass.sum() - fabric.mass.sum()),
     }
     after = State(np.ascontiguousarray(raised.x), extended(state.v), state.t)
-    crests = find_crests(fabric.number, crossed, raised)
     return Outcome(facts, arrays={"crests": crests}, changed=Changed(changed, after, source))
 
 

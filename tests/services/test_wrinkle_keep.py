@@ -19,32 +19,39 @@ LINES = {
     "level": [[-0.15, -0.12, 0], [0.15, -0.1, 0]],
     "upright": [[0.02, -0.2, 0], [0.03, 0.15, 0]],
 }
+MOVED = ((0.0, 0.0, 0.0), (0.001, 0.0007, 0.001), (-0.001, -0.0007, -0.001))
+"""Of the line [m], and of its second end: triangles are crossed elsewhere, and a line's end lies on a vertex or not."""
 
 
-def hung(folder: Path, line: str, keep: bool, passes: int = 3) -> Path:
+def hung(folder: Path, line: str, keep: bool, passes: int = 3, moved: tuple[float, float, float] = MOVED[0]) -> Path:
     """A cloth hung at its upper corners, with one line."""
     model = {"plugin": "sheet", "resolution": [21, 21], "size": [0.6, 0.6], "cells": "triangles", "fabric": FABRIC}
     drawn = {"plugin": "wrinkle", "keep": keep, "smoothing": {"passes": passes}}
+    points = np.array(LINES[line]) + np.array([*moved[:2], 0.0])
+    points[1, 0] += moved[2]
     return write_scene(
         folder,
         objects=[{"name": "cloth", "model": model | {"pin": ["top-corners"]}}],
-        operations=[drawn | {"lines": [{"height": 0.03, "points": LINES[line]}]}],
+        operations=[drawn | {"lines": [{"height": 0.03, "points": points.tolist()}]}],
         duration=2.0,
         damping=3,
         solver="leapfrog",
     )
 
 
+def left_of(scene: Path) -> float:
+    """The share of a wrinkle's height that is left at the end."""
+    simulation = Simulation(scene_file.read(scene), None, None, 1)
+    begin = simulation.heights(0)["height"]
+    while not simulation.finished:
+        assert simulation.advance(None, None).report.status == "ok"
+    return simulation.heights(0)["height"] / begin
+
+
 @pytest.mark.parametrize("line", LINES)
 def test_a_kept_wrinkle_holds_four_fifths_of_its_height_and_others_fade_more(line: str, tmp_path: Path) -> None:
-    left = {}
-    for keep in (True, False):
-        simulation = Simulation(scene_file.read(hung(tmp_path, line, keep)), None, None, 1)
-        begin = simulation.heights(0)["height"]
-        while not simulation.finished:
-            assert simulation.advance(None, None).report.status == "ok"
-        left[keep] = simulation.heights(0)["height"] / begin
-    assert left[True] >= 0.8 and left[True] > left[False] + 0.03
+    kept = [left_of(hung(tmp_path, line, True, moved=moved)) for moved in MOVED]
+    assert min(kept) >= 0.8 and kept[0] > left_of(hung(tmp_path, line, False)) + 0.03
 
 
 def test_the_height_of_an_unsmoothed_ridge_is_the_one_asked_for(tmp_path: Path) -> None:
