@@ -9,11 +9,12 @@ from typing import NoReturn
 
 import numpy as np
 
+from nuno_kernels.closest_point import scan_triangles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.lines import Line
 from nuno_schemas.plugin import Files
-from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, nearest_faces, walk_lines
+from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, walk_line
 
 INSIDE = 1e-3
 """Least barycentric coordinate of a line's points: on an edge a point would belong to two triangles."""
@@ -127,8 +128,7 @@ def _lay(fabric: Fabric, x: Float, line: Line, i: int, tolerance: float) -> tupl
         raise BadInput(
             "all points of the line are one", field=f"lines[{i}]", value=points[0].tolist(), remedy="draw it longer"
         )
-    face, at, distance = np.zeros(len(points), np.int32), np.zeros((len(points), 3)), np.zeros(len(points))
-    nearest_faces(points, x, fabric.faces, face, at, distance)
+    face, at, distance = scan_triangles(points, x, fabric.faces)
     worst, most = int(np.argmax(distance)), tolerance if line.points is not None else TEXTURE_TOLERANCE
     if not distance[worst] <= most:
         name, unit = ("points", " m") if line.points is not None else ("texture", "")
@@ -158,10 +158,7 @@ def _walk(
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     total[-1, 0] = TOUCH * max(float(step.max()), 1e-300)
     path = np.empty(2 * len(faces) + len(face), np.int32)
-    part, first = np.empty_like(path), np.array([0, len(face)], np.int32)
-    ended, point, passed = walk_lines(
-        x, faces, across, face, at, normal, first, np.array([line.height]), total, up, path, part
-    )
+    ended, point, passed = walk_line(x, faces, across, face, at, points, normal, float(line.height), total, up, path)
     if ended != WAY:
         _refuse(ended, i, point, len(line.points or line.texture or line.on_faces or ()))
     chain = path[:passed]

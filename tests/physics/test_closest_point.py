@@ -6,7 +6,7 @@ import closed_meshes as meshes
 import numpy as np
 import pytest
 
-from nuno_kernels.closest_point import closest_points
+from nuno_kernels.closest_point import closest_points, scan_triangles
 from nuno_kernels.surface_tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -45,6 +45,16 @@ def slack(x: Float, faces: Int) -> Float:
     with np.errstate(divide="ignore", invalid="ignore"):
         steep, width = np.nan_to_num(size / area, nan=np.inf), np.nan_to_num(area / longest)
     return np.asarray(4e-15 + np.minimum(4e-15 * steep, width))
+
+
+@pytest.mark.parametrize("count", [3, 9, 400])
+def test_a_scan_of_all_triangles_finds_what_the_tree_finds(count: int) -> None:
+    x, faces = soup(2, count)
+    p = places(2, x, faces)
+    found = closest_points(build_tree(x, faces), p)
+    face, weights, distance = scan_triangles(p, x, faces)
+    assert np.array_equal(face, found.face) and weights.tobytes() == found.weights.tobytes()
+    np.testing.assert_allclose(distance, np.abs(found.distance), rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("count", [3, 5, 9, 33, 400])
