@@ -12,7 +12,7 @@ import numpy as np
 
 from nuno_integrators.explicit import Explicit
 from nuno_kernels import kernel
-from nuno_kernels.acceleration import commit, evaluate
+from nuno_kernels.acceleration import commit, evaluate, hold, slow
 from nuno_kernels.updates import add, add_twice
 from nuno_schemas.fabric import Float
 
@@ -22,17 +22,24 @@ def advance_leapfrog(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any,
     """`steps` steps of x, v (3, n); stages (3, 3, n).
 
     Half a kick comes first: x + v dt + a dt^2/2 is x + (v + a dt/2) dt, one update less.
+
+    Vertices that slide on bodies are held off them between the kicks, and their velocities again after the second. Held
+    off after it, they would be inside while the second force is found: cloth that stands still would then have the
+    mean of two forces at rest, 0, but keep half a step of their difference as velocity.
     """
     a, b, u = stages[0], stages[1], stages[2]
     for step in range(steps):
         if step == 0 or p.velocity_matters:
             evaluate(x, v, step / steps, a, p, extra)
         add_twice(v, v, 0.5 * dt, a, x, x, dt, v, p.threads)
+        hold(x, v, (step + 1) / steps, p.slides, p.threads)
         if p.velocity_matters:
             add(u, v, 0.5 * dt, a, p.threads)
+            slow(x, u, p.slides, p.threads)
         evaluate(x, u if p.velocity_matters else v, (step + 1) / steps, b, p, extra)
         add(v, v, 0.5 * dt, b, p.threads)
-        commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.slides, p.threads)
+        slow(x, v, p.slides, p.threads)
+        commit(x, v, (step + 1) / steps, p.bindings, p.contact, None, p.threads)
         a, b = b, a
 
 

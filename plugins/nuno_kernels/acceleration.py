@@ -34,6 +34,8 @@ commit_contact: Any = None
 commit_contact_parallel: Any = None
 commit_slides: Any = None
 commit_slides_parallel: Any = None
+slow_slides: Any = None
+slow_slides_parallel: Any = None
 add_particle_wind: Any = None
 add_wind_lists: Any = None
 add_wind_runs: Any = None
@@ -254,3 +256,20 @@ def commit(x: Any, v: Any, s: float, bindings: Any, contact: Any, slides: Any, t
             commit_slides(x, v, s, slides)
         else:
             commit_slides_parallel(x, v, s, slides)
+
+
+@kernel
+def hold(x: Any, v: Any, s: float, slides: Any, threads: Any) -> None:
+    """Hold vertices that have moved up to fraction s of the frame off the bodies that they slide on."""
+    if slides is not None:
+        commit(x, v, s, None, None, slides, threads)
+
+
+@kernel
+def slow(x: Any, v: Any, slides: Any, threads: Any) -> None:
+    """Hold velocities off the planes that hold the vertices since they were last held off."""
+    if slides is not None:
+        if threads is None:
+            slow_slides(x, v, slides)
+        else:
+            slow_slides_parallel(x, v, slides)

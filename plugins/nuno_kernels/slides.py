@@ -73,6 +73,8 @@ class Slides(NamedTuple):
     """(b, n) how far they may move without meeting the surface [m]; negative inside"""
     place: NDArray[np.int64]
     """(b, n) the triangle that was nearest"""
+    planes: Float
+    """(b, 7, n) normals, in the body's frame, of the planes that held vertices off in the last step, and how many"""
     impulse: Float
     """(B, b, 3) what the vertices of each block have given to the body so far [N s]"""
     tally: NDArray[np.int64]
@@ -83,11 +85,12 @@ class Slides(NamedTuple):
 def slide_block(
     block: int, x: Any, v: Any, body: int, root: int, f: int, mu: float, gap: float, mass: Any, frames: Any,
     boxes: Any, child: Any, corners: Any, face: Any, faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any,
-    before: Any, clear: Any, place: Any, impulse: Any, tally: Any,
+    before: Any, clear: Any, place: Any, held: Any, impulse: Any, tally: Any,
 ) -> None:  # fmt: skip
     """Hold the vertices of one block off one body, in place in x and v (3, n)."""
     waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
     for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+        held[body, 6, i] = 0.0
         if mass[i] == 0.0:
             continue
         px, py, pz = to_body(x[0, i], x[1, i], x[2, i], frames, f)
@@ -108,6 +111,9 @@ def slide_block(
             continue
         p = (start[0] + made[0], start[1] + made[1], start[2] + made[2])
         before[body, 0, i], before[body, 1, i], before[body, 2, i] = p
+        for c in range(3):
+            held[body, c, i], held[body, 3 + c, i] = n1[c], n2[c]
+        held[body, 6, i] = planes
         moved = turn_out(p, frames, f)
         x[0, i], x[1, i], x[2, i] = moved[0] + frames[f, 9], moved[1] + frames[f, 10], moved[2] + frames[f, 11]
         change = slow_down(v, i, (x[0, i], x[1, i], x[2, i]), n1, n2, planes, mu, frames, f)
@@ -126,8 +132,39 @@ def slide_bodies(block: int, x: Any, v: Any, s: Any) -> None:
         slide_block(
             block, x, v, body, s.root[body], s.frame[body], s.friction[body], s.gap[0], s.mass, s.frames, s.boxes,
             s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals, s.edge_normals, s.before, s.clear,
-            s.place, s.impulse, s.tally,
+            s.place, s.planes, s.impulse, s.tally,
         )  # fmt: skip
+
+
+@kernel
+def slow_block(block: int, x: Any, v: Any, s: Any) -> None:
+    """Hold velocities v (3, n) of one block off the planes that hold its vertices."""
+    for body in range(s.root.shape[0]):
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+            planes = int(s.planes[body, 6, i])
+            if planes == 0:
+                continue
+            n1 = (s.planes[body, 0, i], s.planes[body, 1, i], s.planes[body, 2, i])
+            n2 = (s.planes[body, 3, i], s.planes[body, 4, i], s.planes[body, 5, i])
+            at = (x[0, i], x[1, i], x[2, i])
+            change = slow_down(v, i, at, n1, n2, planes, s.friction[body], s.frames, s.frame[body])
+            for c in range(3):
+                v[c, i] += change[c]
+                s.impulse[block, body, c] -= s.mass[i] * change[c]
+
+
+@kernel
+def slow_slides(x: Any, v: Any, s: Any) -> None:
+    """Hold velocities v (3, n) off the planes that hold vertices x (3, n) since commit_slides, with friction."""
+    for block in range(s.tally.shape[0]):
+        slow_block(block, x, v, s)
+
+
+@parallel_kernel
+def slow_slides_parallel(x: Any, v: Any, s: Any) -> None:
+    """slow_slides on several threads: the same bits."""
+    for block in prange(s.tally.shape[0]):
+        slow_block(block, x, v, s)
 
 
 @kernel
@@ -183,7 +220,10 @@ def find_room(x: Any, s: Any) -> None:
         find_block_room(block, x, s)
 
 
-provide(commit_slides=commit_slides, commit_slides_parallel=commit_slides_parallel)
+provide(
+    commit_slides=commit_slides, commit_slides_parallel=commit_slides_parallel,
+    slow_slides=slow_slides, slow_slides_parallel=slow_slides_parallel,
+)  # fmt: skip
 
 
 def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:
@@ -229,6 +269,7 @@ def make_slides(trees: list[Tree], frame: Int, friction: Float, frames: int, gap
         before=np.full((b, 3, n), np.nan),
         clear=np.full((b, n), -np.inf),
         place=np.repeat((8 * leaves[:-1]).astype(np.int64)[:, None], n, axis=1),
+        planes=np.zeros((b, 7, n)),
         impulse=np.zeros((blocks, b, 3)),
         tally=np.zeros((blocks, 2), np.int64),
     )  # fmt: skip

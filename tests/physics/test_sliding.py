@@ -110,6 +110,19 @@ def net(n: int, size: float, at: Float, k: float) -> Fabric:
     return replace(loose(x, mass=1e-3), springs=springs)
 
 
+@pytest.mark.parametrize("damping", [0.0, 0.02])
+def test_what_is_pressed_against_a_body_stands_still_and_so_does_what_presses(damping: float) -> None:
+    """Held off after its step only, it would be inside where forces are found, and shake what hangs on it."""
+    x = np.array([[0.0, 1.0 + GAP + height, 0.0] for height in (0.0, 0.02, 0.04)])
+    pressed = Springs.from_pairs(
+        np.array([[0, 1], [1, 2]], np.int32), np.full(2, 60.0), np.full(2, 0.03), np.full(2, damping)
+    )
+    cloth = replace(loose(x, mass=1e-4), springs=pressed, pinned=np.array([False, False, True]))
+    world = World(cloth, body(meshes.box((2.0, 2.0, 2.0)), 0.4), np.zeros(3), "leapfrog")
+    world.go(200, 3e-4)
+    assert np.abs(world.state.v).max() < 1e-10 and np.abs(world.state.x - x).max() < 1e-12
+
+
 @pytest.mark.parametrize("name", ["symplectic_euler", "implicit_euler"])
 def test_cloth_never_enters_a_ring_that_turns_and_flies_up_through_it(name: str) -> None:
     mesh = meshes.torus(48, 20, 0.2, 0.07)
