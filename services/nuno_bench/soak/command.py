@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable
 
 from nuno_bench import machine, markdown, options
-from nuno_bench.result import HEADINGS, Result, number, rows, text_table
+from nuno_bench.result import Result, number, text_table
 
 PARTS: dict[str, str] = {
     "same-bits": "nuno_bench.soak.same_bits",
@@ -17,6 +17,9 @@ PARTS: dict[str, str] = {
     "lost": "nuno_bench.soak.lost",
 }
 """Module of each part; its `run(quick, seed)` gives results, of which every bar is a law: a missed one is a failure."""
+
+HEADINGS = ("case", "what", "found", "must be", "verdict")
+VERDICTS = {"bar met": "holds", "aim met": "holds", "missed": "BROKEN", "failed": "FAILED", "": ""}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,6 +67,22 @@ def show(part: str, results: list[Result]) -> int:
         print(line)
     print(f"{part}: {summary(results)}")
     return len([r for r in results if r.verdict in ("missed", "failed")])
+
+
+def rows(results: list[Result]) -> list[list[str]]:
+    """One row of text per result, under HEADINGS; of several samples the median and what they lie between."""
+    table = []
+    for result in results:
+        found, wanted = "-", ""
+        if result.samples:
+            found = number(result.median)
+            if len(result.samples) > 1:
+                found += f" ({number(min(result.samples))} to {number(max(result.samples))})"
+            found = f"{found} {result.unit}".rstrip()
+        if result.bar is not None:
+            wanted = f"at {'most' if result.at_most else 'least'} {number(result.bar)}"
+        table.append([result.case, result.what, found, wanted, VERDICTS[result.verdict]])
+    return table
 
 
 def summary(results: list[Result]) -> str:
