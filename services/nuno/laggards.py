@@ -40,7 +40,7 @@ def queues(tables: tuple[Path, ...] = TABLES) -> dict[Ports, tuple[int, int]]:
 
 
 class Laggards:
-    """Watches the sessions of a hub; `names` are those of known ones, by identity."""
+    """Watches the sessions of a hub, other routers' left out; `names` are those of known ones, by identity."""
 
     def __init__(self, hub: zenoh.Session, names: Mapping[str, str]) -> None:
         self._hub, self._names = hub, names
@@ -55,7 +55,9 @@ class Laggards:
         if now - self._looked < LOOK_SECONDS:
             return
         self._looked = now
-        links = {(_port(link.src), _port(link.dst)): link for link in self._hub.info.links()}
+        routers = {str(router) for router in self._hub.info.routers_zid()}
+        readers = [link for link in self._hub.info.links() if str(link.zid) not in routers]
+        links = {(_port(link.src), _port(link.dst)): link for link in readers}
         waiting = queues() if links else {}
         for (own, other), link in links.items():
             unsent, unread = waiting.get((own, other), (0, 0))[0], waiting.get((other, own), (0, 0))[1]
