@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from nuno.recording.reader import END, Recording
+from nuno.recording.recorded import Recorded
 
 
 @dataclass(frozen=True)
@@ -26,14 +28,19 @@ class Gap:
 
 
 def find_gaps(recording: Recording) -> list[Gap]:
-    """Every gap, in the file's order. Reads the whole file.
+    """Every gap, in the file's order. Reads the whole file. Raises BadInput."""
+    return gaps_of(recording.messages())
+
+
+def gaps_of(messages: Iterable[Recorded]) -> list[Gap]:
+    """Every gap in messages as they stand in a file.
 
     Every sender numbers each of its topics from 0 on. A run that goes on from another's checkpoint counts anew; the
-    part that was copied ends where the checkpoint stood, and lacks nothing before it. Raises BadInput.
+    part that was copied ends where the checkpoint stood, and lacks nothing before it.
     """
     following: dict[str, int] = {}
     gaps = []
-    for message in recording.messages():
+    for message in messages:
         expected = following.get(message.topic, 0)
         if message.seq > expected:
             gaps.append(Gap(message.topic, expected, message.seq - 1, message.t))

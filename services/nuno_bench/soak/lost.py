@@ -8,6 +8,7 @@ import signal
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +19,9 @@ from mcap.writer import CompressionType, Writer
 
 from nuno import runs
 from nuno.bus import Bus, Watch
-from nuno.recording.gaps import find_gaps
-from nuno.recording.reader import open_recording
+from nuno.recording.gaps import gaps_of
+from nuno.recording.reader import Recording, open_recording
+from nuno.recording.recorded import Recorded
 from nuno.service import SUPERVISOR
 from nuno.sessions import hub_at, identity
 from nuno_bench.result import Result
@@ -185,11 +187,16 @@ def count_lost(path: Path, stream: Stream) -> tuple[int, int]:
     """Messages that are not in the file, and those that are not what was sent under their number."""
     head, tail = template(stream.size)
     seen = wrong = 0
-    with open_recording(path) as recording:
+
+    def read(recording: Recording) -> Iterator[Recorded]:
+        nonlocal seen, wrong
         for message in recording.messages([STATE.name]):
-            wrong += message.payload != payload_of(message.seq, head, tail)
             seen += 1
-        gaps = sum(gap.number for gap in find_gaps(recording) if gap.topic == STATE.name)
+            wrong += message.payload != payload_of(message.seq, head, tail)
+            yield message
+
+    with open_recording(path) as recording:
+        gaps = sum(gap.number for gap in gaps_of(read(recording)))
     return max(stream.count - seen, gaps), wrong
 
 
