@@ -228,12 +228,23 @@ def test_a_shipped_scene_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.Monk
     assert path.read_text() == SHEET
 
 
-def test_lines_that_could_not_be_raised_are_not_saved(tmp_path: Path) -> None:
+def test_cloth_that_lines_cannot_be_raised_on_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:
     path = tmp_path / "quads.yaml"
-    path.write_text(quads := SHEET.replace("cells: triangles, ", ""))
+    path.write_text(SHEET.replace("cells: triangles, ", ""))
+    with pytest.raises(BadInput, match="edges of its triangles") as refused:
+        scene_desk(path)
+    assert refused.value.field == "objects[0].model" and "cells: triangles" in refused.value.remedy
+
+
+def test_lines_that_could_not_be_raised_are_not_saved(tmp_path: Path) -> None:
+    path = tmp_path / "two.yaml"
+    quads = "  - {name: plain, model: {plugin: sheet, resolution: [5, 5], fabric: denim}}\n# the end"
+    path.write_text(two := SHEET.replace("# the end", quads))
+    desk = scene_desk(path)
+    line = LINE | {"points": [[288, 0.2, 0.3], [290, 0.3, 0.3]]}
     with pytest.raises(BadInput, match="edge of its triangles"):
-        scene_desk(path).act({"do": "save", "lines": [LINE]})
-    assert path.read_text() == quads
+        desk.act({"do": "save", "lines": [line]})
+    assert path.read_text() == two
 
 
 def test_a_run_that_the_page_starts_waits_for_lines_and_takes_none_twice(

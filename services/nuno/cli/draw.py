@@ -11,7 +11,7 @@ from nuno.cli.common import add_config, add_scene
 from nuno.draw.desk import Desk
 from nuno.draw.follow import Follower
 from nuno.draw.server import Server
-from nuno.draw.shown import require_cloth, see_scene
+from nuno.draw.shown import see_scene
 from nuno.draw.sight import NO_FACES, NO_POINTS, Board, Sight
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
@@ -62,7 +62,7 @@ def _follow(run: str, endpoint: str, config: str | None) -> Desk:
     path = runs.scene_path(run)
     loaded = scene_file.read(path) if path is not None else None
     if loaded is not None:
-        require_cloth(loaded)
+        see_scene(loaded)
     board = Board(Sight(NO_POINTS, NO_FACES, ()))
     follower = Follower(run, endpoint, board, config)
     follower.start()

@@ -14,9 +14,11 @@ from nuno.draw.sight import NO_FACES, NO_POINTS, Piece, Sight
 from nuno.scene_file import Loaded
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.surface import surface
 
+STRUCTURAL = 0
+"""Kind of springs that are the cloth's threads (nuno_schemas.fabric.Springs)."""
 GROUND = 4.0
 """Edge of the patch that a plane is drawn as, in sizes of the cloth."""
 
@@ -51,6 +53,7 @@ def see_scene(loaded: Loaded) -> Sight:
     fabric, pieces = build.build_fabric(loaded, geometry, poses)
     if not len(fabric.faces):
         raise loaded.at("objects[0].model", no_triangles())
+    require_springs(loaded, fabric)
     drawn = Bodies(geometry, size_of(fabric.position))
     return Sight(
         fabric.position,
@@ -67,6 +70,19 @@ def require_cloth(loaded: Loaded) -> None:
     if not loaded.scene.moves:
         remedy = "name a scene with objects, such as hanging-sheet"
         raise BadInput("there is no cloth here to draw ridges and valleys on", value=loaded.scene.name, remedy=remedy)
+
+
+def require_springs(loaded: Loaded, fabric: Fabric) -> None:
+    """Raises BadInput for cloth of no edge of whose triangles lines could be raised: those need springs there."""
+    springs = fabric.springs
+    count = fabric.number
+    structural = np.zeros((0, 2), np.int64) if springs is None else springs.of_kind(STRUCTURAL).pairs().astype(np.int64)
+    known = np.sort(structural, axis=1) @ np.array([count, 1])
+    edges = np.sort(np.stack([fabric.faces, np.roll(fabric.faces, -1, axis=1)], axis=2).astype(np.int64), axis=2)
+    if not np.isin(edges @ np.array([count, 1]), known).all(axis=1).any():
+        remedy = "draw on a mesh or a shirt, or give the sheet or skirt cells: triangles"
+        problem = "lines cannot be drawn on this cloth: it has no springs along the edges of its triangles"
+        raise loaded.at("objects[0].model", BadInput(problem, remedy=remedy))
 
 
 def no_triangles() -> BadInput:
