@@ -8,6 +8,7 @@ from typing import Any
 
 import zenoh
 
+from nuno import log
 from nuno.bus import Bus, Inbox, Message, Watch
 from nuno.health import offer_health
 from nuno.laggards import Laggards
@@ -83,7 +84,7 @@ class Supervisor:
             waited = time.monotonic() - begin
             if progress is not None and not told and waited > COMPILING_AFTER:
                 told = True
-                progress(COMPILING)
+                self._say(COMPILING, progress)
             if waited > self.patience:
                 raise RunFailed(f"not ready within {self.patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
@@ -116,6 +117,7 @@ class Supervisor:
         """Take in one event. Raises ValueError where it does not come from a service of this run."""
         if topic != f"{EVENT.name}/{event.service}" or event.service not in self.plan.services:
             raise ValueError(f"{topic} speaks for {event.service}")
+        log.note_event(self.run, event)
         if event.kind == "error":
             self.errors[event.service] = event.text
             self.blamed = self.blamed or str(event.args.get("peer", ""))
@@ -132,14 +134,13 @@ class Supervisor:
     def follow(self, progress: Progress | None) -> str:
         """Let the run go to its end; the error that ended it early, or ""."""
         if self.paused:
-            if progress is not None:
-                progress(f"paused before its first frame; to go on: nuno control {self.run} resume")
+            self._say(f"paused before its first frame; to go on: nuno control {self.run} resume", progress)
         else:
             self.bus.ask_json("control", {"action": "start"})
         while self.ended is None:
             self._drain(progress, timeout=0.2)
             if progress is not None:
-                self.laggards.look(progress)
+                self.laggards.look(lambda text: self._say(text, progress))
             if self.dispensable - self.watch.alive():
                 self._miss_window("the viewer has gone", progress)
             if dead := [name for name in self.needed if name not in self.watch.alive()]:
@@ -152,10 +153,16 @@ class Supervisor:
                 return f"the {name} service died: {why}"
         return ""
 
+    def _say(self, text: str, progress: Progress | None) -> None:
+        """Tell who watches, and the log."""
+        log.note(self.run, text)
+        if progress is not None:
+            progress(text)
+
     def _miss_window(self, why: str, progress: Progress | None) -> None:
         """Say it, once, where a viewer that the run can do without is no more."""
         if progress is not None and not self.missed:
-            progress(f"the run goes on without a view: {self.errors.get('viewer') or why}")
+            self._say(f"the run goes on without a view: {self.errors.get('viewer') or why}", progress)
         self.missed = True
 
     def _last_words(self, dead: set[str], progress: Progress | None) -> bool:
@@ -189,7 +196,7 @@ class Supervisor:
             # One that the run gave up waiting for has had its time.
             patience = FINISH_TIMEOUT if name == self.blamed else PATIENCE_AT_END.get(name, FINISH_TIMEOUT)
             if name == "render" and progress is not None and not error:
-                progress(DRAWING)
+                self._say(DRAWING, progress)
             try:
                 answers[name] = self.bus.ask_json(f"finish/{name}", request, patience)
             except RunFailed as failure:

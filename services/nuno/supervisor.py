@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from nuno import launch, runs
+from nuno import launch, log, runs
 from nuno.bus import Bus
 from nuno.oversight import COMPILE_TIMEOUT, Progress, Supervisor
 from nuno.plan import Plan, make_plan
@@ -84,6 +84,7 @@ def supervise(
         else:
             trusted = [identity(run, name) for name in plan.services if name != "viewer" or name in plan.must_see]
             session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config, trusted))
+        log.note_start(run, loaded, plan.services)
         supervisor = Supervisor(loaded, options, plan, session, run)
         supervisor.paused = deployment.paused
         stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
@@ -104,6 +105,7 @@ def _conduct(
     try:
         supervisor.wait_until_ready(progress)
         ready = time.perf_counter()
+        log.note(supervisor.run, "all services are ready", {"seconds": ready - began})
         error = supervisor.follow(progress)
     except BadInput:
         supervisor.finish("refused", lambda answers: {}, discard=True)
@@ -125,6 +127,7 @@ def _conduct(
     lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.needed]
     if not result.error and lost:
         result.state, result.error = "failed", "; ".join(lost)
+    log.note_end(supervisor.run, result)
     return result
 
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nuno import runs, supervisor
+from nuno import log, runs, supervisor
 from nuno.choose import decide
 from nuno.cli.common import add_config, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
@@ -37,6 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help="go on from the last checkpoint of a recording, with its own scene",
+    )
+    recording.add_argument(
+        "--log",
+        type=Path,
+        metavar="FILE",
+        help="what happened, as lines of JSON: a file, or - for standard output (default: beside the recording)",
     )
     view = parser.add_argument_group("viewing").add_mutually_exclusive_group()
     view.add_argument(
@@ -105,12 +111,10 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     loaded = decide(loaded)
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
-    return execute(
-        loaded,
-        options,
-        Deployment(args.processes, args.listen, args.connect, run, args.config, args.paused),
-        picture=_wants_picture(args, options),
-    )
+    deployment = Deployment(args.processes, args.listen, args.connect, run, args.config, args.paused)
+    beside = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
+    with log.written(run, args.log or beside):
+        return execute(loaded, options, deployment, picture=_wants_picture(args, options))
 
 
 def _options(args: argparse.Namespace, run: str) -> Options:

@@ -1,0 +1,117 @@
+"""What happened to a run, through Python's logging: as JSON, a line for each record, for other programs.
+
+A record has time (UTC), level, run, service, message and fields. They go to the logger `nuno.run`: a program
+that runs scenes through `nuno.run` takes them with handlers of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import logging
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nuno.scene_file import Loaded
+from nuno_schemas.errors import BadInput
+from nuno_schemas.messages import Event
+
+if TYPE_CHECKING:
+    from nuno.supervisor import Outcome
+
+LOGGER = logging.getLogger("nuno.run")
+LOGGER.addHandler(logging.NullHandler())
+SUFFIX = ".log.jsonl"
+LEVELS = {"error": logging.ERROR, "warning": logging.WARNING}
+
+
+class JsonLines(logging.Formatter):
+    """A record as a line of JSON."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """See logging.Formatter."""
+        line = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "run": getattr(record, "run", ""),
+            "service": getattr(record, "service", ""),
+            "message": record.getMessage(),
+            "fields": getattr(record, "fields", {}),
+        }
+        return json.dumps(line, default=str)
+
+
+def note(
+    run: str,
+    message: str,
+    fields: Mapping[str, Any] | None = None,
+    level: int = logging.INFO,
+    service: str = "supervisor",
+) -> None:
+    """Log that something happened to a run."""
+    LOGGER.log(level, "%s", message, extra={"run": run, "service": service, "fields": dict(fields or {})})
+
+
+def note_start(run: str, loaded: Loaded, services: Sequence[str]) -> None:
+    """What begins: version, scene and its hash, services."""
+    data = json.dumps(loaded.data, sort_keys=True, default=str).encode()
+    scene: dict[str, Any] = {
+        "scene": loaded.scene.name,
+        "file": loaded.file,
+        "scene_hash": hashlib.sha256(data).hexdigest(),
+    }
+    note(run, "start", {"version": version("nuno"), "services": services} | scene)
+
+
+def note_event(run: str, event: Event) -> None:
+    """What a service told the run: control, warnings, errors, its end."""
+    fields = {name: value for name, value in event.args.items() if name != "summary"}
+    fields |= {"frame": event.frame, "t": event.t}
+    note(run, f"{event.kind}: {event.text}", fields, LEVELS.get(event.kind, logging.INFO), event.service)
+
+
+def note_end(run: str, outcome: Outcome) -> None:
+    """How it ended, why, and in which bits."""
+    missing = {name: answer["missing"] for name, answer in outcome.services.items() if answer.get("missing")}
+    level = logging.ERROR if outcome.problem else logging.INFO
+    digests = {name: a["summary"]["digest"] for name, a in outcome.services.items() if "summary" in a}
+    facts: dict[str, Any] = {"state": outcome.state, "reason": outcome.problem, "digests": digests, "missing": missing}
+    frame = {name: outcome.summary[name] for name in ("frame", "t") if name in outcome.summary}
+    note(run, f"end: {outcome.state}", facts | frame | {"seconds": outcome.seconds}, level)
+
+
+@contextlib.contextmanager
+def written(run: str, target: Path | None) -> Iterator[None]:
+    """Write a run's records to a file, - for standard output, None for nowhere.
+
+    A run that is refused leaves no file. Raises BadInput where it cannot be written.
+    """
+    if target is None:
+        yield
+        return
+    handler: logging.Handler
+    try:
+        handler = logging.StreamHandler(sys.stdout) if str(target) == "-" else logging.FileHandler(target, "w", "utf-8")
+    except OSError as error:
+        remedy = "choose a folder that exists and can be written"
+        raise BadInput(f"cannot write there: {error.strerror}", "--log", value=str(target), remedy=remedy) from None
+    handler.setFormatter(JsonLines())
+    handler.addFilter(lambda record: getattr(record, "run", "") == run)
+    level = LOGGER.level
+    LOGGER.addHandler(handler)
+    LOGGER.setLevel(logging.INFO)
+    try:
+        yield
+    except BadInput:
+        if str(target) != "-":
+            target.unlink(missing_ok=True)
+        raise
+    finally:
+        LOGGER.removeHandler(handler)
+        LOGGER.setLevel(level)
+        handler.close()

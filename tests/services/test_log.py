@@ -1,0 +1,72 @@
+"""What happened to a run is told in lines of JSON, each whole, with the run's id."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live_run import start_long
+from scenes import write_scene
+
+import nuno
+from nuno import log
+from nuno.cli import main
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def test_a_run_leaves_its_log_beside_its_recording(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, duration=0.1)
+    record = tmp_path / "a.mcap"
+    assert main(["run", str(scene), "--record", str(record), "--no-view", "--run", "a1"]) == 0
+    lines = read(tmp_path / "a.log.jsonl")
+    assert {(line["run"], *line) for line in lines} == {("a1", "time", "level", "run", "service", "message", "fields")}
+    assert [line["time"] for line in lines] == sorted(line["time"] for line in lines)
+    start, end = lines[0], lines[-1]
+    assert start["message"] == "start" and start["fields"]["services"] == ["simulation", "recorder"]
+    assert start["fields"]["version"] and len(start["fields"]["scene_hash"]) == 64
+    assert "all services are ready" in [line["message"] for line in lines]
+    with nuno.open(record) as recording:
+        assert end["fields"]["digests"]["simulation"] == recording.metadata["end"]["digest"]
+    assert (end["message"], end["level"], end["fields"]["frame"]) == ("end: done", "info", 5)
+
+
+def test_control_and_failure_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "own.jsonl"
+    run = start_long(tmp_path, bodies=[])
+    with log.written(run.run, path):
+        run.control("set", item="damping=3.0")
+        run.stop()
+    with log.written("another", tmp_path / "other.jsonl"):
+        log.note(run.run, "not of the other")
+    lines = read(path)
+    (changed,) = [line for line in lines if line["message"] == "control: set"]
+    assert changed["service"] == "simulation" and changed["fields"]["item"] == "damping=3.0"
+    assert lines[-1]["fields"]["state"] == "stopped"
+    assert read(tmp_path / "other.jsonl") == []
+    solver = {"plugin": "symplectic_euler", "dt": "20 ms"}
+    scene = write_scene(tmp_path, solver=solver, allow_unstable=True, duration=200)
+    assert main(["run", str(scene), "--no-record", "--no-view", "--log", str(path)]) == 1
+    end = read(path)[-1]
+    assert end["level"] == "error" and "diverged" in end["fields"]["reason"]
+
+
+def test_a_refused_run_leaves_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path)
+    assert main(["run", str(scene), "--no-record", "--no-view", "--log", str(tmp_path / "none" / "a.jsonl")]) == 2
+    assert "--log" in capsys.readouterr().err
+    record = tmp_path / "a.mcap"
+    record.write_text("not a recording")
+    assert main(["run", str(scene), "--record", str(record), "--no-view"]) == 2
+    assert not (tmp_path / "a.log.jsonl").exists()
+
+
+def test_lines_go_to_standard_output_for_a_dash(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path, duration=0.04)
+    assert main(["run", str(scene), "--no-record", "--no-view", "--log", "-"]) == 0
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    assert [told[0]["message"], told[-1]["message"]] == ["start", "end: done"]
