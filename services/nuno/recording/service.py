@@ -27,8 +27,8 @@ def main(context: Context) -> None:
     """Record until asked to finish.
 
     The finishing question holds `expected` (messages sent per topic), `report` and `state`; the
-    answer holds the file, its counts and what is missing. If the supervisor goes, the file is
-    closed as incomplete and kept. Raises BadInput where the file cannot be created, RunFailed
+    answer holds the file, its counts and what is missing. If the supervisor goes, or this service is
+    interrupted, the file is closed as incomplete and kept. Raises BadInput where the file cannot be created, RunFailed
     when the disk is full.
     """
     path = context.options.record
@@ -43,7 +43,7 @@ def main(context: Context) -> None:
     try:
         question = each_message(context, inbox, recorder.handle)
         answer = {} if question.json().get("discard") else recorder.finish(question)
-    except RunFailed:
+    except (RunFailed, KeyboardInterrupt):
         if not writer.closed:
             recorder.close("failed", {})
         raise

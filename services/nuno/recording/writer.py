@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
@@ -190,13 +191,16 @@ class RecordingWriter:
 
     def _flush(self) -> None:
         self._file.flush()
+        if os.fstat(self._stream.fileno()).st_nlink == 0:
+            raise OSError(errno.ENOENT, "its file or folder was removed")
         self._whole = self._stream.tell()
         self._flushed = time.monotonic()
 
     def _failed(self, error: OSError) -> RunFailed:
         part, whole = part_of(self.path), self._whole
         self.abort()
-        return RunFailed(f"recording stopped: {error.strerror or error}; {part} reads up to byte {whole}")
+        kept = f"{part} reads up to byte {whole}" if part.exists() else f"nothing is left of {part}"
+        return RunFailed(f"recording stopped: {error.strerror or error}; {kept}")
 
 
 def _close_cut(stream: BinaryIO, size: int) -> None:
