@@ -180,7 +180,7 @@ def _dye(report: Report) -> list[tuple[str, str]]:
     if report["dye_steps"]:
         rows += [("dye step", _step(report["dye_steps"])), ("dye digest", report["dye_steps"]["digest"])]
     seconds, simulated = dye["seconds"], report["began"] + report["simulated_seconds"]
-    if seconds != simulated:
+    if simulated and seconds != simulated:  # a run whose simulation died has not said how long it went on
         rows.append(("dyeing", f"{duration(seconds)}, {seconds / simulated:g} times as fast as the scene"))
     first = next(iter(dye["supplied"]))
     for name, supplied in dye["supplied"].items():
