@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
@@ -12,8 +11,6 @@ from nuno.sessions import PATIENCE
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import RunFailed
 
-START_TIMEOUT = 1800.0
-"""A distance field may have to be built there, and what builds it to be compiled: the supervisor gives up sooner."""
 
 
 def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
@@ -32,11 +29,11 @@ def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
 
 
 def ask_geometry(context: Context) -> Geometry:
-    """The bodies of a run, once their service is there. Raises RunFailed if it does not come."""
-    end = time.monotonic() + START_TIMEOUT
+    """The bodies of a run, once their service is there. Raises RunFailed if it does not come.
+
+    How long that may take is for the supervisor to say, who then goes: a distance field may have to be built there.
+    """
     while context.watch.wait_for({"collision"}, 0.1):
         if context.orphaned():
             raise RunFailed("the supervisor has gone")
-        if time.monotonic() > end:
-            raise RunFailed(f"the collision service did not start within {START_TIMEOUT:g} s")
     return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
