@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import subprocess
 import sys
 import threading
@@ -52,19 +53,16 @@ def threads(
 def processes(
     loaded: Loaded, options: Options, plan: Plan, endpoint: str, run: str, config: str | None = None
 ) -> Iterator[Callable[[], dict[str, str]]]:
-    """One process per service. `config` is the zenoh configuration of the hub at `endpoint`, for its spokes."""
-    children = {
-        name: subprocess.Popen(
-            serve_command(name, loaded, options, endpoint, run, config),
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        for name in plan.services
-    }
+    """One process per service. `config` is the zenoh configuration of the hub at `endpoint`, for its spokes.
+
+    Each holds the other end of a pipe: however this process ends, the system closes it, and the service knows.
+    """
+    children: dict[str, subprocess.Popen[bytes]] = {}
     try:
-        yield lambda: {
-            name: f"exit code {code}" for name, child in children.items() if (code := child.poll()) is not None
-        }
+        for name in plan.services:
+            command = serve_command(name, loaded, options, endpoint, run, config)
+            children[name] = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+        yield lambda: {name: _exit(code) for name, child in children.items() if (code := child.poll()) is not None}
         for child in children.values():
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.wait(FINISH_TIMEOUT)
@@ -73,6 +71,11 @@ def processes(
             if child.poll() is None:
                 child.kill()
             child.wait()
+
+
+def _exit(code: int) -> str:
+    """How a process ended, in words."""
+    return f"exit code {code}" if code >= 0 else f"ended by {signal.Signals(-code).name}"
 
 
 def serve_command(
@@ -88,4 +91,4 @@ def serve_command(
     for flag, value in flags:
         if value is not None:
             command += [flag, str(value)]
-    return [*command, "--threads", str(options.threads), "--quiet"]
+    return [*command, "--threads", str(options.threads), "--quiet", "--lifeline"]

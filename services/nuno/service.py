@@ -162,6 +162,9 @@ def run_service(
     except RunFailed as error:
         context.event("error", str(error), peer=error.peer)
         raise
+    except KeyboardInterrupt:
+        context.event("error", "interrupted")
+        raise
     except Exception as error:
         context.event("error", f"{type(error).__name__}: {error}", trace=traceback.format_exc())
         raise

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 from nuno import runs, scene_file, sessions
 from nuno.choose import decide
 from nuno.cli.common import add_config
 from nuno.laggards import LOOK_SECONDS, Laggards
+from nuno.launch import FINISH_TIMEOUT
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
 from nuno_schemas.errors import BadInput, RunFailed
 
 PATIENCE = 20.0
 """How long a service waits for its hub [s]: containers start in any order."""
+KEEPERS = ("recorder", "viewer")
+"""Services that have a file to close."""
+LINGER = 1.0
+"""How long the others may take to end once their supervisor has [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", type=Path, metavar="FILE")
     parser.add_argument("--threads", type=int, default=0, metavar="N")
     parser.add_argument("--named", metavar="NAME", help="what errors call a scene that is no file of the user's")
+    parser.add_argument("--lifeline", action="store_true", help="end when standard input does: so has the supervisor")
     parser.add_argument("--quiet", action="store_true", help="leave errors that the run hears of to its supervisor")
 
 
@@ -61,6 +69,10 @@ def main(args: argparse.Namespace) -> int:
                 remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447",
             )
     runs.check_id(args.run)
+    stop = threading.Event()
+    if args.lifeline:
+        patience = FINISH_TIMEOUT if args.service in KEEPERS else LINGER
+        threading.Thread(target=_hold, args=(stop, patience), name="lifeline", daemon=True).start()
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root, args.named)
     if args.service in ("simulation", "recorder", "dye"):
         loaded = decide(loaded)
@@ -68,12 +80,24 @@ def main(args: argparse.Namespace) -> int:
     own = sessions.identity(args.run, args.service)
     with sessions.spoke(args.connect, args.config, PATIENCE, own) as session:
         try:
-            run_service(args.service, loaded, session, args.run, options)
+            run_service(args.service, loaded, session, args.run, options, stop)
         except (BadInput, RunFailed) as error:
             if not args.quiet:
                 raise
             return 2 if isinstance(error, BadInput) else 1
     return 0
+
+
+def _hold(stop: threading.Event, patience: float) -> None:
+    """Wait until standard input ends, then end this process: in order, or after `patience` [s] whatever it does.
+
+    The liveliness of the supervisor is not enough: a service may be compiling or still connecting.
+    """
+    while os.read(sys.stdin.fileno(), 1024):
+        pass
+    stop.set()
+    time.sleep(patience)
+    os._exit(1)
 
 
 def _route(args: argparse.Namespace) -> int:
