@@ -31,12 +31,14 @@ DRAWING = "drawing what is left of the pictures"
 WRITING_TIMEOUT = 1800.0
 """How long the recorder may take to close its file [s]: a slow disk is still to take what the system has kept."""
 PATIENCE_AT_END = {"render": DRAWING_TIMEOUT, "recorder": WRITING_TIMEOUT}
-LAST_WORDS = 2.0
+LAST_WORDS = 1.0
 """How long the reason is waited for when a service has gone [s]."""
 
 COMPILING_AFTER = 1.5
 """Preparing takes this long [s] only where kernels are compiled, and then it is said."""
 COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
+
+GONE = "its process ended or the connection broke"
 
 Summarise = Callable[[dict[str, dict[str, Any]]], dict[str, Any]]
 Progress = Callable[[FrameStatus | str], None]
@@ -61,10 +63,13 @@ class Supervisor:
         self.ended: dict[str, Any] | None = None
         self.patience = START_TIMEOUT
         self.paused = False
-        self.dispensable = {"viewer"} & set(plan.services) - set(plan.must_see)
-        """Services without which the run goes on: a window, but no file that is to be written."""
+        self.dispensable = {"viewer"} & set(plan.services)
+        """Services without which the run goes on: what they show is no part of its result."""
         self.needed = [name for name in plan.services if name not in self.dispensable]
-        self.missed = False
+        self.without: dict[str, str] = {}
+        """Services that the run goes on without, and why."""
+        self.cut_off: Callable[[], str] = str
+        """What is wrong with the connection to the hub, "" for nothing."""
         self.laggards = Laggards(session, {identity(run, name): name for name in plan.services})
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
@@ -72,15 +77,23 @@ class Supervisor:
     def wait_until_ready(self, progress: Progress | None) -> None:
         """Wait for every service. Raises BadInput if one refuses the scene, RunFailed if one dies or does not come."""
         begin, told = time.monotonic(), progress is None
-        while missing := set(self.plan.services) - self.watch.alive():
+        while missing := set(self.plan.services) - self.watch.alive() - self.without.keys():
             self._drain(progress)
             if self.bad_input is not None:
                 raise self.bad_input
+            if broken := self.cut_off():
+                raise RunFailed(broken)
             over = self.exited()
-            if gone := missing & set(over):
+            if gone := {name for name in missing if name in over or self.watch.gone(name)}:
                 name = min(gone)
                 self._hear(name, progress)
-                raise RunFailed(self.errors.get(name) or over[name] or f"the {name} service ended before it was ready")
+                if self.bad_input is not None:
+                    raise self.bad_input
+                why = self.errors.get(name) or f"the {name} service ended before it was ready: {over.get(name) or GONE}"
+                if name not in self.dispensable:
+                    raise RunFailed(why)
+                self._miss(name, why, progress)
+                continue
             waited = time.monotonic() - begin
             if progress is not None and not told and waited > COMPILING_AFTER:
                 told = True
@@ -94,8 +107,6 @@ class Supervisor:
         end = time.monotonic() + 0.5
         while name not in self.errors and time.monotonic() < end:
             self._drain(progress, timeout=0.05)
-        if self.bad_input is not None:
-            raise self.bad_input
 
     def _drain(self, progress: Progress | None = None, timeout: float = 0.0) -> bool:
         """Take in what services say; whether the run has ended."""
@@ -141,15 +152,18 @@ class Supervisor:
             self._drain(progress, timeout=0.2)
             if progress is not None:
                 self.laggards.look(lambda text: self._say(text, progress))
-            if self.dispensable - self.watch.alive():
-                self._miss_window("the viewer has gone", progress)
+            if broken := self.cut_off():
+                return broken
+            for name in self.dispensable - self.watch.alive() - self.without.keys():
+                self._hear(name, progress)
+                self._miss(name, self.exited().get(name) or GONE, progress)
             if dead := [name for name in self.needed if name not in self.watch.alive()]:
                 if self._last_words(set(dead), progress):
                     break
                 if self.blamed in self.watch.alive():
                     return f"the run gave up: {self.errors[dead[0]]}"
                 name = self.blamed or dead[0]
-                why = self.errors.get(name) or self.exited().get(name) or "its process ended or the connection broke"
+                why = self.errors.get(name) or self.exited().get(name) or GONE
                 return f"the {name} service died: {why}"
         return ""
 
@@ -159,11 +173,11 @@ class Supervisor:
         if progress is not None:
             progress(text)
 
-    def _miss_window(self, why: str, progress: Progress | None) -> None:
-        """Say it, once, where a viewer that the run can do without is no more."""
-        if progress is not None and not self.missed:
-            self._say(f"the run goes on without a view: {self.errors.get('viewer') or why}", progress)
-        self.missed = True
+    def _miss(self, name: str, why: str, progress: Progress | None) -> None:
+        """Go on without a service that the run can do without, and say so, once."""
+        if name not in self.without:
+            self.without[name] = self.errors.get(name) or why
+            self._say(f"the run goes on without a view: the {name} service died: {self.without[name]}", progress)
 
     def _last_words(self, dead: set[str], progress: Progress | None) -> bool:
         """Hear why services died, which may come after their tokens are gone; whether the run was over."""
@@ -200,9 +214,10 @@ class Supervisor:
             try:
                 answers[name] = self.bus.ask_json(f"finish/{name}", request, patience)
             except RunFailed as failure:
+                self._hear(name, progress)
                 self.errors.setdefault(name, str(failure))
                 if name in self.dispensable:
-                    self._miss_window(str(failure), progress)
+                    self._miss(name, str(failure), progress)
         answers[SUPERVISOR] = {"missing": dict(self.inbox.counts.missing), "refused": dict(self.inbox.counts.refused)}
         self.alive.undeclare()
         return answers

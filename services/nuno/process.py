@@ -6,7 +6,11 @@ import contextlib
 import ctypes
 import gc
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from types import FrameType
 from typing import NoReturn
 
 M_MMAP_THRESHOLD = -3
@@ -31,6 +35,52 @@ def collect_rarely() -> None:
     is a tenth of the first run of a scene.
     """
     gc.set_threshold(50_000, 20, 20)
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end by SIGTERM, which it does as on Ctrl-C."""
+
+
+def end_when_terminated() -> None:
+    """Take SIGTERM, which service managers and containers send, for what Ctrl-C is: an end in order."""
+
+    def terminate(number: int, frame: FrameType | None) -> NoReturn:
+        raise Terminated
+
+    signal.signal(signal.SIGTERM, terminate)
+
+
+@contextlib.contextmanager
+def ending_at_once(after: int = 2) -> Iterator[None]:
+    """End the process at the second SIGINT or SIGTERM, whatever it is doing.
+
+    Python runs handlers in the main thread alone, which may be compiling or waiting in foreign code; so a
+    thread counts the signals.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    source, sink = os.pipe()
+    os.set_blocking(sink, False)
+    counter = threading.Thread(target=_count_signals, args=(source, after), name="signals", daemon=True)
+    counter.start()
+    before = signal.set_wakeup_fd(sink, warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(sink)
+        counter.join()
+        os.close(source)
+
+
+def _count_signals(source: int, after: int) -> None:
+    seen = 0
+    while numbers := os.read(source, 64):
+        seen += sum(number in (signal.SIGINT, signal.SIGTERM) for number in numbers)
+        if seen >= after:
+            os.write(2, b"ended at once\n")
+            os._exit(1)
 
 
 def leave(code: int) -> NoReturn:

@@ -156,5 +156,10 @@ def _closing(session: zenoh.Session) -> Iterator[None]:
             session.close()
 
 
+def cut_off(session: zenoh.Session, endpoint: str) -> str:
+    """What is wrong where a spoke has lost the hub at its endpoint; "" where it has not."""
+    return "" if session.info.routers_zid() else f"the connection to the hub at {endpoint} broke, or the hub ended"
+
+
 def _short(error: Exception) -> str:
     return str(error).split(" at /")[0].strip()

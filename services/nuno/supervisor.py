@@ -6,15 +6,17 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from nuno import launch, log, runs
 from nuno.bus import Bus
 from nuno.oversight import COMPILE_TIMEOUT, Progress, Supervisor
 from nuno.plan import Plan, make_plan
+from nuno.process import Terminated
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
-from nuno.sessions import hub_at, identity, spoke
+from nuno.sessions import cut_off, hub_at, identity, spoke
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONTROL_TIMEOUT, ADD_TIMEOUT = 10.0, 120.0
@@ -88,7 +90,9 @@ def supervise(
         supervisor = Supervisor(loaded, options, plan, session, run)
         supervisor.paused = deployment.paused
         stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
-        if not deployment.connect:
+        if deployment.connect:
+            supervisor.cut_off = partial(cut_off, session, endpoint)
+        else:
             supervisor.patience = COMPILE_TIMEOUT
         if deployment.processes:
             supervisor.exited = stack.enter_context(
@@ -112,8 +116,10 @@ def _conduct(
         raise
     except RunFailed as failure:
         ready, error = time.perf_counter(), str(failure)
-    except KeyboardInterrupt:
-        ready, error = time.perf_counter(), "interrupted"
+    except KeyboardInterrupt as signal:
+        ready, error = time.perf_counter(), "terminated" if isinstance(signal, Terminated) else "interrupted"
+        if progress is not None:
+            progress(f"{error}: the services end in order; once more, and the run ends at once")
     ended = time.perf_counter()
 
     def outcome(answers: dict[str, dict[str, Any]]) -> Outcome:
@@ -125,6 +131,9 @@ def _conduct(
     answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {}, progress=progress)
     result = outcome(answers)
     lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.needed]
+    if supervisor.options.save is not None:
+        words = f"{supervisor.options.save} is not whole"
+        lost += [f"{words}: the {name} service died: {why}" for name, why in supervisor.without.items()]
     if not result.error and lost:
         result.state, result.error = "failed", "; ".join(lost)
     log.note_end(supervisor.run, result)

@@ -51,6 +51,7 @@ def command() -> NoReturn:
     """The console script: run a command, then leave with its exit code."""
     process.return_large_arrays()
     process.collect_rarely()
+    process.end_when_terminated()
     process.leave(main())
 
 
@@ -65,8 +66,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except RunFailed as error:
         print(f"failed: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print("terminated" if isinstance(error, process.Terminated) else "interrupted", file=sys.stderr)
         return 1
     except BrokenPipeError:
         sys.stderr.close()

@@ -13,6 +13,7 @@ from nuno import log, runs, supervisor
 from nuno.choose import decide
 from nuno.cli.common import add_config, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
+from nuno.process import ending_at_once
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.report import make_report, show_report
@@ -160,7 +161,7 @@ def _draw(loaded: Loaded, recording: Path, target: Path) -> None:
 def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool) -> int:
     """Run, show progress, print the report; the exit code."""
     started = time.perf_counter()
-    with ProgressLine(loaded.scene) as progress:
+    with ending_at_once(), ProgressLine(loaded.scene) as progress:
         outcome = supervisor.supervise(
             loaded, options, deployment, progress.update, lambda outcome: make_report(loaded, outcome)
         )

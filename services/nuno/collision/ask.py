@@ -12,7 +12,6 @@ from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import RunFailed
 
 
-
 def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
     """Ask for a frame's poses now; the function that is returned waits for them, and says so where it takes long.
 
