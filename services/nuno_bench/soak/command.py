@@ -14,6 +14,7 @@ from nuno_bench.result import Result, number, text_table
 PARTS: dict[str, str] = {
     "same-bits": "nuno_bench.soak.same_bits",
     "access": "nuno_bench.soak.access",
+    "faults": "nuno_bench.soak.faults",
     "lost": "nuno_bench.soak.lost",
 }
 """Module of each part; its `run(quick, seed)` gives results, of which every bar is a law: a missed one is a failure."""

@@ -1,0 +1,159 @@
+"""What goes wrong around a run ends in a word, an exit code and a recording that can be read."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import garment_scene
+import pytest
+from live_run import wait_until
+from recorded_sheet import Sheet, items, metadata
+from scenes import BALL, write_scene
+
+import nuno
+from nuno import scene_file, supervisor
+from nuno.cli import main
+from nuno.recording.writer import RecordingWriter, part_of
+from nuno.service import Options
+from nuno.sessions import hub_at
+from nuno.supervisor import Deployment, Outcome
+from nuno.viewer.service import Viewer
+from nuno_bench.soak.fault_run import started
+from nuno_schemas.errors import RunFailed
+
+
+@pytest.mark.parametrize("early", [True, False])
+def test_a_viewer_that_dies_does_not_end_the_run(early: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is it waited for, though the run would otherwise wait until it has written each frame."""
+
+    def fail(self: Viewer, *arguments: object) -> None:
+        raise OSError("no more colours")
+
+    monkeypatch.setattr(Viewer, "__init__" if early else "show", fail)
+    options = Options(record=tmp_path / "run.mcap", save=tmp_path / "run.rrd")
+    said: list[str] = []
+    outcome = supervisor.supervise(
+        scene_file.read(write_scene(tmp_path)),
+        options,
+        progress=lambda s: said.append(s) if isinstance(s, str) else None,
+    )
+    assert any("the run goes on without a view" in line and "no more colours" in line for line in said)
+    assert outcome.state == "failed" and "run.rrd is not whole" in outcome.error
+    with nuno.open(tmp_path / "run.mcap") as recording:
+        assert recording.complete
+        assert recording.metadata["end"]["state"] == "done"
+        assert sum(1 for _ in recording.frames()) == 26
+
+
+def test_when_the_supervisor_is_killed_nothing_stays_behind(tmp_path: Path) -> None:
+    write_scene(tmp_path, bodies=BALL, duration=400.0)
+    with started(tmp_path, by_hand=False, services=("simulation", "collision", "recorder")) as run:
+        assert run.wait_for("0.00 of", 120.0)
+        run.supervisor.kill()
+        assert run.wait_end(20.0) < 20.0
+        assert run.stop() == []
+    with nuno.open(run.record) as recording:
+        assert not recording.complete
+        assert next(recording.frames()).number == 0
+
+
+def test_a_service_ends_with_its_supervisor_though_it_never_met_it(tmp_path: Path) -> None:
+    """It is still looking for the hub, which it would do for longer."""
+    words = ["serve", "recorder", str(write_scene(tmp_path)), "--run", "r", "--connect", "tcp/127.0.0.1:1"]
+    code = """
+import sys
+from nuno.cli import main, serve
+serve.PATIENCE, serve.FINISH_TIMEOUT = 1e6, 0.0
+main(sys.argv[1:])
+"""
+    command = [sys.executable, "-c", code, *words, "--record", str(tmp_path / "r.mcap"), "--lifeline"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as child:
+        assert child.stdin is not None
+        child.stdin.close()
+        assert child.wait(60.0) == 1
+
+
+@pytest.mark.parametrize(("number", "word"), [(signal.SIGTERM, "terminated"), (signal.SIGINT, "interrupted")])
+def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, tmp_path: Path) -> None:
+    write_scene(tmp_path, duration=400.0)
+    with started(tmp_path, by_hand=False, services=("simulation", "recorder"), threads=True) as run:
+        assert run.wait_for("0.00 of", 120.0)
+        run.supervisor.send_signal(number)
+        assert run.wait_end(20.0) < 20.0
+        assert run.code == 1
+        assert run.said.splitlines()[-1] == f"failed: {word}"
+    with nuno.open(run.record) as recording:
+        assert recording.metadata["end"]["state"] == "failed"
+
+
+def test_a_second_signal_ends_a_process_whatever_it_does() -> None:
+    """Here the main thread goes on after each."""
+    code = """
+import os, signal, threading
+from nuno.process import ending_at_once
+signal.signal(signal.SIGINT, lambda *_: print("once", flush=True))
+with ending_at_once():
+    print("ready", flush=True)
+    while True:
+        signal.pause()
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.stdout is not None and child.stderr is not None
+        assert child.stdout.readline() == b"ready\n"
+        child.send_signal(signal.SIGINT)
+        assert child.stdout.readline() == b"once\n"
+        child.send_signal(signal.SIGINT)
+        assert child.wait(20.0) == 1
+        assert child.stderr.read() == b"ended at once\n"
+
+
+def test_a_hub_that_ends_is_named(tmp_path: Path) -> None:
+    loaded = scene_file.read(write_scene(tmp_path))
+    found: list[Outcome] = []
+    with hub_at(None) as (session, endpoint):
+        deployment = Deployment(connect=endpoint)
+        thread = threading.Thread(target=lambda: found.append(supervisor.supervise(loaded, Options(), deployment)))
+        thread.start()
+        wait_until(lambda: bool(list(session.liveliness().get("nuno/*/alive/supervisor"))))
+    thread.join(20.0)
+    assert f"the connection to the hub at {endpoint} broke" in found[0].error
+
+
+def test_a_recording_that_is_removed_stops_the_run(tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    writer = RecordingWriter(folder / "a.mcap", metadata(), {})
+    part_of(folder / "a.mcap").unlink()
+    folder.rmdir()
+    event = next(m for m in items(Sheet(3, 2), 2) if m[0].startswith("run/event"))
+    with pytest.raises(RunFailed, match=r"its file or folder was removed; nothing is left of .*a\.mcap\.part"):
+        writer.write(*event)
+
+
+def test_a_disk_that_is_full_at_the_end_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(handle: int) -> None:
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr("nuno.recording.writer.os.fsync", fail)
+    outcome = supervisor.supervise(scene_file.read(write_scene(tmp_path)), Options(record=tmp_path / "a.mcap"))
+    assert outcome.state == "failed"
+    assert "recording stopped: No space left on device" in outcome.error
+
+
+def test_a_dyed_run_that_dies_at_once_has_a_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from nuno.simulation.run import Simulation
+
+    def fail(self: Simulation, *poses: object) -> None:
+        raise OSError("the loom is on fire")
+
+    monkeypatch.setattr(Simulation, "advance", fail)
+    scene = garment_scene.write(tmp_path)
+    assert main(["run", str(scene), "--no-view", "--record", str(tmp_path / "a.mcap")]) == 1
+    assert "the loom is on fire" in capsys.readouterr().err
