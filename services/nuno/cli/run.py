@@ -15,7 +15,7 @@ from nuno.cli.common import add_config, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
 from nuno.process import ending_at_once
 from nuno.recording.reader import open_recording
-from nuno.recording.restore import restored_scene
+from nuno.recording.restore import check_unfinished, restored_scene
 from nuno.report import make_report, show_report
 from nuno.scene_file import Loaded
 from nuno.service import Options
@@ -103,6 +103,9 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
                 remedy="change the others while it runs: nuno control last set ...",
             )
     with open_recording(args.resume) as recording, restored_scene(recording, tuple(args.overrides)) as loaded:
+        t = check_unfinished(recording, loaded)
+        cut = ", which was not finished" if recording.recovered else ""
+        print(f"going on at {t:g} s of {args.resume}{cut}", flush=True)
         yield loaded
 
 

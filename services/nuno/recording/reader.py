@@ -206,7 +206,12 @@ class Recording:
         raise self._no_checkpoint()
 
     def _no_checkpoint(self) -> BadInput:
-        remedy = "record with record: {checkpoint_every: 1 s}"
+        every = self.scene.get("record", {}).get("checkpoint_every")
+        early, never = (
+            "its run ended before the first: run its scene again",
+            "record with --set record.checkpoint_every=1s",
+        )
+        remedy = early if every else never
         return BadInput("the recording holds no checkpoint", str(self.path), remedy=remedy)
 
     def last_checkpoint(self, before: float | None = None) -> Checkpoint:

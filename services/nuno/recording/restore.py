@@ -56,6 +56,23 @@ def restored_scene(recording: Recording, overrides: tuple[str, ...] = ()) -> Ite
         yield scene_file.read(scene, overrides, named=f"the scene in {recording.path}")
 
 
+def check_unfinished(recording: Recording, loaded: Loaded) -> float:
+    """The time [s] at which a run of the recording's scene goes on. Raises BadInput where it cannot or need not."""
+    t = recording.common_checkpoint().t
+    frame, frames = round(t * loaded.scene.frame_rate), loaded.scene.frames
+    if frame > frames or (frame == frames and recording.complete):
+        problem = "the run has come to the end of its scene" if frame == frames else "the recording goes on after that"
+        raise BadInput(
+            problem,
+            str(recording.path),
+            field="duration",
+            value=f"{loaded.scene.duration:g} s",
+            limit=f"its last checkpoint is at {t:g} s",
+            remedy=f"lengthen it, for example --set duration={2 * t:g}s",
+        )
+    return t
+
+
 def copy_until(recording: Recording, writer: RecordingWriter) -> None:
     """Write everything from before the last checkpoint, and the checkpoint itself: what a resumed run
     has in common with the one it goes on from.

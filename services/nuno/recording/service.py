@@ -37,8 +37,12 @@ def main(context: Context) -> None:
     inbox = Inbox(context.bus, [ALL])
     writer = RecordingWriter(path, describe_run(context.loaded, context.bus.run), assets(context.loaded))
     if context.options.resume is not None:
-        with open_recording(context.options.resume) as before:
-            copy_until(before, writer)
+        try:
+            with open_recording(context.options.resume) as before:
+                copy_until(before, writer)
+        except BaseException:
+            writer.discard()  # what is gone on from is still whole
+            raise
     recorder = Recorder(context, inbox, writer)
     try:
         question = each_message(context, inbox, recorder.handle)
