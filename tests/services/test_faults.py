@@ -157,3 +157,49 @@ def test_a_dyed_run_that_dies_at_once_has_a_report(
     scene = garment_scene.write(tmp_path)
     assert main(["run", str(scene), "--no-view", "--record", str(tmp_path / "a.mcap")]) == 1
     assert "the loom is on fire" in capsys.readouterr().err
+
+
+def refusal(capsys: pytest.CaptureFixture[str], recording: Path, *flags: str) -> str:
+    """What is said of a recording that cannot be gone on from, and that nothing else is left of the attempt."""
+    target = recording.with_name("on.mcap")
+    assert main(["run", "--resume", str(recording), "--no-view", "--record", str(target), *flags]) == 2
+    assert not target.exists() and not part_of(target).exists()
+    return capsys.readouterr().err
+
+
+@pytest.fixture
+def many_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every message is a chunk of its own, so that a recording can be cut between any two."""
+    monkeypatch.setattr("nuno.recording.writer.FLUSH_SECONDS", -1.0)
+
+
+def test_what_cannot_be_gone_on_from_is_refused(
+    many_chunks: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done, cut = tmp_path / "done.mcap", tmp_path / "cut.mcap.part"
+    nuno.run(write_scene(tmp_path), record=done)
+    assert "has come to the end of its scene" in refusal(capsys, done)
+    assert "goes on after that" in refusal(capsys, done, "--set", "duration=0.2")
+    with nuno.open(done) as recording:
+        second = recording.layout.chunks[1]
+    cut.write_bytes(done.read_bytes()[: second.offset - 9])
+    said = refusal(capsys, cut)
+    assert "holds no checkpoint" in said and "run its scene again" in said
+    cut.write_bytes(done.read_bytes()[:100])
+    assert "cut before its first record" in refusal(capsys, cut)
+
+
+def test_a_recording_damaged_at_its_end_is_gone_on_from(many_chunks: None, tmp_path: Path) -> None:
+    whole = nuno.run(write_scene(tmp_path, bodies=BALL), record=tmp_path / "whole.mcap")
+    with nuno.open(whole.path) as recording:
+        place = recording.layout.chunks[len(recording.layout.chunks) * 2 // 3]
+    data = bytearray(whole.path.read_bytes())
+    data[place.offset + place.length // 2] ^= 0x55
+    damaged, on = tmp_path / "damaged.mcap", tmp_path / "on.mcap"
+    damaged.write_bytes(data[:-100])
+    assert main(["run", "--resume", str(damaged), "--no-view", "--record", str(on)]) == 0
+    with nuno.open(damaged) as recording:
+        assert 5 < sum(1 for _ in recording.frames()) < 26
+    with nuno.open(on) as recording:
+        assert recording.metadata["end"]["digest"] == whole.digest
+        assert sum(1 for _ in recording.frames()) == 26

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import subprocess
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -101,34 +103,43 @@ def disturb(folder: Path, target: str, by_hand: bool, span: Span, rng: random.Ra
     """One run, one kill; what came of it goes to the tally. False where it came too late."""
     phase = rng.choices(list(PHASES), list(PHASES.values()))[0]
     delay = rng.random() * span.seconds[phase]
-    with started(folder, by_hand) as live:
-        there = phase == "start" or live.wait_for({"run": FIRST, "close": LAST}[phase], 120.0)
+    where = f"{target} {'by hand' if by_hand else 'processes'} {phase} {delay:.2f} s"
+    with started(folder, by_hand) as live, _removed(folder, live.run):
+        if phase != "start":
+            live.wait_for({"run": FIRST, "close": LAST}[phase], COLD)
         time.sleep(delay)
         victim = live.find(target)
-        while there and victim is None and phase == "start" and live.supervisor.poll() is None:
+        while victim is None and phase == "start" and live.supervisor.poll() is None:
             time.sleep(0.01)  # not started yet
             victim = live.find(target)
         if victim is None:
-            return False  # it was over already
+            return False
         kill(victim)
         at = time.monotonic()
-        tally.kills += 1
-        where = f"{target} {'by hand' if by_hand else 'processes'} {phase} {delay:.2f} s"
         ended = live.wait_end()
-        notice = _noticed(live, target, at, ended)
-        code = live.code
-        left = live.stop()
-    tally.ended.append(ended)
-    tally.notice.append(notice)
-    if left or ended >= HUNG:
-        tally.faults["left over"].append(f"{where}: {', '.join(left)}")
-    if problem := _wrong_words(target, phase, code, live.said):
-        tally.faults["other words"].append(f"{where}: exit code {code}, {problem}")
-    _read_and_resume(folder, live, span, tally, where, early=phase == "start")
+        code, left = live.code, live.stop()
+        tally.kills += 1
+        tally.ended.append(ended)
+        tally.notice.append(_noticed(live, at, ended))
+        if left or ended >= HUNG:
+            tally.faults["left over"].append(f"{where}: {', '.join(left)}")
+        if problem := _wrong_words(target, phase, code, live.said):
+            tally.faults["other words"].append(f"{where}: exit code {code}, {problem}")
+        _read_and_resume(folder, live, span, tally, where, early=phase == "start")
     return True
 
 
-def _noticed(live: FaultRun, target: str, at: float, ended: float) -> float:
+@contextlib.contextmanager
+def _removed(folder: Path, run: str) -> Iterator[None]:
+    """Leave no file of a run behind."""
+    try:
+        yield
+    finally:
+        for path in folder.glob(f"{run}*"):
+            path.unlink()
+
+
+def _noticed(live: FaultRun, at: float, ended: float) -> float:
     """Seconds until the supervisor says something of the kill, or until all have ended."""
     words = ("died", "goes on without", "connection", "ended before")
     times = [t - at for t, line in live.lines if t >= at and any(word in line for word in words)]
@@ -160,15 +171,11 @@ def _read_and_resume(folder: Path, live: FaultRun, span: Span, tally: Tally, whe
         if not early:
             tally.faults["unreadable"].append(f"{where}: {error}")
         return
-    finally:
-        live.record.with_suffix(".rrd").unlink(missing_ok=True)
-        live.record.with_suffix(".rrd.part").unlink(missing_ok=True)
-    target = folder / "resumed.mcap"
+    target = folder / f"{live.run}-resumed.mcap"
     if not whole:
         words = nuno("run", "--resume", path, "--no-view", "--threads", "1", "--record", target)
         done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
         if done.returncode == 2 and "holds no checkpoint" in done.stderr:
-            path.unlink()
             return
         if done.returncode != 0:
             tally.faults["other digests"].append(f"{where}: not resumed: {done.stderr[-300:]}")
@@ -176,8 +183,6 @@ def _read_and_resume(folder: Path, live: FaultRun, span: Span, tally: Tally, whe
         tally.resumed += 1
     if digests_of(path if whole else target) != span.digests:
         tally.faults["other digests"].append(where)
-    path.unlink()
-    target.unlink(missing_ok=True)
 
 
 def _rows(name: str, tally: Tally) -> list[Result]:
