@@ -58,7 +58,8 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "penetration": services.get("collision", {}).get("deepest"),
         "last_penetration": services.get("collision", {}).get("last_depth"),
         "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
-        "dye": dyer.get("dye"),
+        # One that was asked to finish before its first frame has no amounts.
+        "dye": dyer["dye"] if "supplied" in (dyer.get("dye") or {}) else None,
         "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,
         **_traffic(outcome),
         "services": list(outcome.plan.services),

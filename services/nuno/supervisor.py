@@ -119,8 +119,10 @@ def _conduct(
     except KeyboardInterrupt as signal:
         ready, error = time.perf_counter(), "terminated" if isinstance(signal, Terminated) else "interrupted"
         if progress is not None:
-            progress(f"{error}: the services end in order; once more, and the run ends at once")
+            progress("once more, and the run ends at once")
     ended = time.perf_counter()
+    if error and progress is not None:
+        progress(f"the services end in order: {error}")
 
     def outcome(answers: dict[str, dict[str, Any]]) -> Outcome:
         summary = supervisor.ended or {}

@@ -53,7 +53,7 @@ def test_a_viewer_that_dies_does_not_end_the_run(early: bool, tmp_path: Path, mo
 def test_when_the_supervisor_is_killed_nothing_stays_behind(tmp_path: Path) -> None:
     write_scene(tmp_path, bodies=BALL, duration=400.0)
     with started(tmp_path, by_hand=False, services=("simulation", "collision", "recorder")) as run:
-        assert run.wait_for("0.00 of", 120.0)
+        assert run.wait_for("0.00 of", 300.0)
         run.supervisor.kill()
         assert run.wait_end(20.0) < 20.0
         assert run.stop() == []
@@ -82,7 +82,7 @@ main(sys.argv[1:])
 def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, tmp_path: Path) -> None:
     write_scene(tmp_path, duration=400.0)
     with started(tmp_path, by_hand=False, services=("simulation", "recorder"), threads=True) as run:
-        assert run.wait_for("0.00 of", 120.0)
+        assert run.wait_for("0.00 of", 300.0)
         run.supervisor.send_signal(number)
         assert run.wait_end(20.0) < 20.0
         assert run.code == 1
@@ -145,15 +145,16 @@ def test_a_disk_that_is_full_at_the_end_is_named(tmp_path: Path, monkeypatch: py
     assert "recording stopped: No space left on device" in outcome.error
 
 
+@pytest.mark.parametrize("when", ["measure", "advance"])
 def test_a_dyed_run_that_dies_at_once_has_a_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from nuno.simulation.run import Simulation
 
     def fail(self: Simulation, *poses: object) -> None:
         raise OSError("the loom is on fire")
 
-    monkeypatch.setattr(Simulation, "advance", fail)
+    monkeypatch.setattr(Simulation, when, fail)
     scene = garment_scene.write(tmp_path)
     assert main(["run", str(scene), "--no-view", "--record", str(tmp_path / "a.mcap")]) == 1
     assert "the loom is on fire" in capsys.readouterr().err

@@ -156,7 +156,7 @@ class FaultRun:
             for stream in (child.stdout, child.stderr):
                 if stream is not None and child is not self.supervisor:
                     stream.close()
-        return [role for role in map(_role, left) if role != "router"]
+        return [role for role in map(_role, left) if role not in ("router", "gone")]
 
 
 @contextlib.contextmanager

@@ -23,7 +23,8 @@ from nuno_schemas.messages import DYE_STATUS
 TARGETS = (*SERVICES, "router", "supervisor")
 KILLS, FEW, ATTEMPTS = 100, 4, 5
 PHASES = {"start": 0.25, "run": 0.5, "close": 0.25}
-"""Parts of a run that moments are drawn from, and how often."""
+"""Parts of a run that moments are drawn from, and how often. By hand nothing is killed at the start: what dies before
+it has said that it is there cannot be told from what is yet to be started."""
 COLD = 400.0
 """Longest that a run may take that compiles its kernels [s]."""
 FIRST, LAST = "0.00 of", "2.00 of"
@@ -101,7 +102,8 @@ def digests_of(path: Path) -> Digests:
 
 def disturb(folder: Path, target: str, by_hand: bool, span: Span, rng: random.Random, tally: Tally) -> bool:
     """One run, one kill; what came of it goes to the tally. False where it came too late."""
-    phase = rng.choices(list(PHASES), list(PHASES.values()))[0]
+    phases = {name: share for name, share in PHASES.items() if name != "start" or not by_hand}
+    phase = rng.choices(list(phases), list(phases.values()))[0]
     delay = rng.random() * span.seconds[phase]
     where = f"{target} {'by hand' if by_hand else 'processes'} {phase} {delay:.2f} s"
     with started(folder, by_hand) as live, _removed(folder, live.run):
@@ -141,7 +143,7 @@ def _removed(folder: Path, run: str) -> Iterator[None]:
 
 def _noticed(live: FaultRun, at: float, ended: float) -> float:
     """Seconds until the supervisor says something of the kill, or until all have ended."""
-    words = ("died", "goes on without", "connection", "ended before")
+    words = ("the services end in order", "goes on without")
     times = [t - at for t, line in live.lines if t >= at and any(word in line for word in words)]
     return min([*times, ended])
 
