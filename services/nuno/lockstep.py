@@ -181,6 +181,8 @@ class Lockstep(ABC):
         self.publish_start()
         while not self.work.finished:
             self.listen(0)
+            if self.context.orphaned():  # nobody would end what goes on, nor hear how it ended
+                raise RunFailed("the supervisor has gone")
             self.stand_still()
             if self.finish is not None:
                 return "failed"

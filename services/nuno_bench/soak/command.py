@@ -16,6 +16,7 @@ PARTS: dict[str, str] = {
     "access": "nuno_bench.soak.access",
     "faults": "nuno_bench.soak.faults",
     "lost": "nuno_bench.soak.lost",
+    "hosts": "nuno_bench.soak.hosts",
 }
 """Module of each part; its `run(quick, seed)` gives results, of which every bar is a law: a missed one is a failure."""
 

@@ -19,7 +19,7 @@ def write(folder: Path, duration: float, columns: int = 6, **fields: Any) -> Pat
         "damping": 0.5,
         "solver": {"plugin": "symplectic_euler", "dt": "auto"},
         "objects": [{"name": "sheet", "model": model}],
-        "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "centre": [0.0, -0.3, 0.05], "radius": 0.1}}],
+        "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "centre": [0.0, -0.3, 0.05], "radius": 0.15}}],
         "record": {"checkpoint_every": 0.5},
     }
     path = folder / f"{scene['name']}.yaml"
