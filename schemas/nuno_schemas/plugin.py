@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -272,4 +272,13 @@ class Collider(Protocol):
 
     def build(self, config: Any, mover: Mover | None, files: Files) -> BodyShape:
         """Primitives; without a mover there is one frame, the world."""
+        ...
+
+
+@runtime_checkable
+class Landmarked(Protocol):
+    """A collider that knows places of its shape by name."""
+
+    def heights(self, config: Any) -> Mapping[str, float]:
+        """Heights of these places in the joint's frame [m]; none where the shape does not stand upright."""
         ...

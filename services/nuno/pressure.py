@@ -6,6 +6,7 @@ from nuno import registry
 from nuno.scene_file import Loaded
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Outcome
+from nuno_schemas.plugin import Landmarked
 
 OPERATION = "pressure"
 
@@ -21,8 +22,8 @@ def named_heights(loaded: Loaded) -> dict[str, float]:
     """
     heights: dict[str, float] = {}
     for collider, motion in zip(loaded.colliders, loaded.motions, strict=True):
-        if motion is None and hasattr(collider.plugin, "heights"):
-            heights = collider.plugin.heights(collider.config) | heights
+        if motion is None and isinstance(collider.plugin, Landmarked):
+            heights = {**collider.plugin.heights(collider.config), **heights}
     return heights
 
 
