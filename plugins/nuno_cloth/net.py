@@ -13,8 +13,9 @@ from pydantic import BaseModel, Field
 
 from nuno_cloth.net_yarns import check_yarns
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Fabric, Int, Springs, Yarns
+from nuno_schemas.fabric import Fabric, Int, Springs
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.yarns import Yarns
 
 # Name, shape after the leading n (vertices) or s (springs), and kind of dtype allowed.
 KEYS: dict[str, tuple[str, tuple[int, ...], str]] = {

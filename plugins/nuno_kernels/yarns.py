@@ -28,7 +28,8 @@ from nuno_kernels.simd import WIDTH, add_at, gather, load, root
 from nuno_kernels.simd_choose import where_not_zero
 from nuno_kernels.spring_packing import spring_constants
 from nuno_kernels.springs import listed_lock, tensions
-from nuno_schemas.fabric import Float, Int, Springs, Yarns
+from nuno_schemas.fabric import Float, Int, Springs
+from nuno_schemas.yarns import Yarns
 
 
 class YarnLists(NamedTuple):

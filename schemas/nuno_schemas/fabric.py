@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_schemas.yarns import Yarns
+
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 Bool = NDArray[np.bool_]
@@ -163,73 +165,6 @@ class Hinges:
     def per_hinge(self, values: Float) -> Float:
         """(h,) values of a constant that may be stored per run."""
         return values if values.shape[0] == self.number else np.repeat(values, self.count)
-
-
-@dataclass(frozen=True)
-class Yarns:
-    """Springs that are links of yarns, along which tension passes: T'_n = T_n + mu (T_(n-1) + T_(n+1)).
-
-    links (l,)    int32    springs yarn by yarn, each following the one before it: they share a vertex.
-                           A yarn that ends with the link it began with is a ring; apart from that a
-                           spring occurs once at most
-    ptr   (y + 1,) int32   yarn y is links[ptr[y]:ptr[y + 1]]
-    mu    (y,)    float64  share of tension passed on, 0 <= mu < 1/2
-    kind  (y,)    int8     which of `names` it is, for reports and pictures
-    names                  e.g. ("nylon", "support")
-    density (y,)  float64  linear density [kg/m], how thick it is in pictures; None: not known
-
-    The force T' acts along the link, equal and opposite on its ends. A spring in no yarn, or in one of
-    its own, keeps its tension.
-    """
-
-    links: Int
-    ptr: Int
-    mu: Float
-    kind: NDArray[np.int8]
-    names: tuple[str, ...] = ("yarn",)
-    density: Float | None = None
-
-    @property
-    def number(self) -> int:
-        return int(self.mu.shape[0])
-
-    def thickness(self) -> Float:
-        """(y,) of every yarn as a ratio of that of one of their mean linear density, its root; 1 where none is known.
-
-        Yarns of one bulk density have cross sections as their linear densities.
-        """
-        return np.ones(self.number) if self.density is None else np.sqrt(self.density / self.density.mean())
-
-    def neighbours(self) -> tuple[Int, Int]:
-        """(p, 2) links that follow each other on one yarn, and the yarn (p,) of each pair."""
-        yarn = np.repeat(np.arange(self.number, dtype=np.int32), np.diff(self.ptr))
-        same = yarn[1:] == yarn[:-1]
-        return np.stack([self.links[:-1], self.links[1:]], axis=1)[same], yarn[1:][same]
-
-    def lengths(self, springs: Springs, each: Float | None = None) -> Float:
-        """(y,) rest length of every yarn [m], each link of a ring counted once; or its length by that of each
-        spring (s,) [m].
-        """
-        rest = (springs.per_spring(springs.rest) if each is None else each)[self.links]
-        total = np.add.reduceat(rest, self.ptr[:-1]) if self.number else np.zeros(0)
-        first, last = self.ptr[:-1], self.ptr[1:] - 1
-        ring = (last > first) & (self.links[first] == self.links[last])
-        return np.asarray(total - np.where(ring, rest[last], 0.0))
-
-    @staticmethod
-    def join(parts: list[tuple[Yarns, int]]) -> Yarns:
-        """One set from several (at least one), each with what its spring indices grow by."""
-        names = tuple(dict.fromkeys(name for yarns, _ in parts for name in yarns.names))
-        sizes = np.concatenate([np.diff(yarns.ptr) for yarns, _ in parts])
-        known = [yarns.density for yarns, _ in parts if yarns.density is not None]
-        return Yarns(
-            np.concatenate([(yarns.links + at).astype(np.int32) for yarns, at in parts]),
-            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
-            np.concatenate([yarns.mu for yarns, _ in parts]),
-            np.concatenate([[names.index(yarns.names[k]) for k in yarns.kind] for yarns, _ in parts]).astype(np.int8),
-            names,
-            np.concatenate(known) if len(known) == len(parts) else None,
-        )
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Binding, Fabric, Hinges, Springs, Yarns
+from nuno_schemas.fabric import Binding, Fabric, Hinges, Springs
+from nuno_schemas.yarns import Yarns
 
 
 def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:

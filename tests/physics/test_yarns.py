@@ -23,8 +23,9 @@ from nuno_kernels.packing import pack, to_rows
 from nuno_kernels.stability import measure_rates
 from nuno_kernels.yarns import pack_yarns
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Springs, Yarns
+from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.plugin import System
+from nuno_schemas.yarns import Yarns
 
 
 @pytest.mark.parametrize("c", [0.0, 0.4])
