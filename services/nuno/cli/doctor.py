@@ -1,21 +1,41 @@
-"""`nuno doctor`: whether this machine has what nuno can use."""
+"""`nuno doctor`: whether this machine has what nuno needs and what it can use."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import os
 import platform
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 import psutil
 
 from nuno import scene_file
-from nuno.sessions import hub_at
+from nuno.recording.provenance import processor
+from nuno.sessions import free_port, hub_at
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
+
+LEAST_MEMORY = 2**29
+"""[bytes] that a run of a small scene takes, compiling its kernels included."""
+LEAST_DISK = 2**28
+PROBE = 2**24
+"""Bytes that are written to see how fast the disk is."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line: verdict is ok, note (something that nuno can do without) or failed (a run could not work)."""
+
+    name: str
+    verdict: str
+    text: str
+    remedy: str = ""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,43 +43,119 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Print a line for each; 1 where a run could not work."""
     del args
-    rows = [
-        ("python", platform.python_version()),
-        ("machine", f"{platform.machine()}, {os.cpu_count()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB"),
-        *((name, version(name)) for name in ("nuno", "numpy", "numba", "eclipse-zenoh", "mcap")),
-        ("kernels", _kernels()),
-        ("bus", _bus()),
-        ("rerun", version("rerun-sdk") if importlib.util.find_spec("rerun") else "missing: pip install 'nuno[view]'"),
-        ("mp4", "ok" if importlib.util.find_spec("imageio_ffmpeg") else "missing: pip install 'nuno[video]'"),
-        ("screen", "yes" if has_screen() else "no: runs write a picture instead of opening a window"),
-        ("recordings", _recordings()),
-    ]
-    for name, text in rows:
-        print(f"{name:14} {text}")
-    return 1 if any(text.startswith("failed") for _, text in rows) else 0
+    checks = (_machine, _memory, _kernels, _threads, _cache, _gpu, _bus, _port, _rerun, _mp4, _screen, _disk)
+    names = ("nuno", "numpy", "numba", "llvmlite", "eclipse-zenoh", "mcap")
+    rows = [Row("python", "ok", platform.python_version()), *(Row(name, "ok", version(name)) for name in names)]
+    rows += [_checked(check) for check in checks]
+    for row in rows:
+        print(f"{row.verdict:6} {row.name:14} {row.text}")
+        if row.remedy:
+            print(f"{'':6} {'':14} remedy: {row.remedy}")
+    return 1 if any(row.verdict == "failed" for row in rows) else 0
 
 
-def _kernels() -> str:
+def _checked(check: Callable[[], Row]) -> Row:
+    try:
+        return check()
+    except Exception as error:  # whatever breaks here would break a run
+        return Row(check.__name__.strip("_"), "failed", f"{type(error).__name__}: {error}")
+
+
+def _machine() -> Row:
+    return Row("machine", "ok", f"{processor()}, {platform.machine()}, {os.cpu_count()} cores")
+
+
+def _memory() -> Row:
+    memory = psutil.virtual_memory()
+    text = f"{memory.available / 2**30:.1f} of {memory.total / 2**30:.1f} GiB are free"
+    if memory.available < LEAST_MEMORY:
+        return Row("memory", "failed", text, f"a small run takes {LEAST_MEMORY / 2**30:g} GiB: end other programs")
+    return Row("memory", "ok", text)
+
+
+def _kernels() -> Row:
+    start = time.perf_counter()
+    simulation = Simulation(scene_file.read(scene_file.find("net")), None, None, 0)
+    simulation.advance(None, None)
+    simulation.about()  # chooses numba's threading layer, which `_threads` reads
+    return Row("kernels", "ok", f"ready, and a scene stepped, in {time.perf_counter() - start:.1f} s")
+
+
+def _threads() -> Row:
+    from numba import config
+
+    if config.THREADING_LAYER in ("omp", "tbb"):
+        return Row("threads", "ok", f"at most {config.NUMBA_NUM_THREADS}, threading layer {config.THREADING_LAYER}")
+    text = "large meshes run on one thread: numba has neither OpenMP nor TBB here; results are the same"
+    return Row("threads", "note", text, "pip install tbb")
+
+
+def _cache() -> Row:
+    from numba import config
+
+    folder = Path(config.CACHE_DIR)
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    text = f"{folder}, {size / 2**20:.0f} MiB"
+    if not os.access(folder, os.W_OK):
+        text = f"{folder} cannot be written: each run compiles its kernels again"
+        return Row("kernel cache", "note", text, "make it writable, or set XDG_CACHE_HOME to a folder that is")
+    return Row("kernel cache", "ok", text)
+
+
+def _gpu() -> Row:
+    found = [*Path("/dev").glob("nvidia[0-9]*"), *Path("/dev").glob("dri/renderD*")]
+    if found:
+        return Row("gpu", "ok", f"{', '.join(map(str, found))}: not used, kernels run on the processor")
+    return Row("gpu", "ok", "none is seen, and none is needed: kernels run on the processor")
+
+
+def _bus() -> Row:
+    with hub_at(None):
+        return Row("bus", "ok", "listens on loopback only, no scouting")
+
+
+def _port() -> Row:
+    return Row("port", "ok", f"{free_port()} is free on loopback; each run takes one of its own")
+
+
+def _rerun() -> Row:
+    if importlib.util.find_spec("rerun"):
+        return Row("rerun", "ok", version("rerun-sdk"))
+    return Row("rerun", "note", "missing: runs are not shown live", "pip install 'nuno[view]'")
+
+
+def _mp4() -> Row:
+    if importlib.util.find_spec("imageio_ffmpeg"):
+        return Row("mp4", "ok", "can be exported")
+    return Row("mp4", "note", "missing: no animations in MP4", "pip install 'nuno[video]'")
+
+
+def _screen() -> Row:
+    if has_screen():
+        return Row("screen", "ok", "yes")
+    return Row("screen", "note", "none: runs write a picture instead of opening a window", "nuno run SCENE --view web")
+
+
+def _disk() -> Row:
+    """Whether recordings can be written, and how fast they come to rest on the disk."""
+    folder = Path("recordings") if Path("recordings").exists() else Path.cwd()
+    free = psutil.disk_usage(str(folder)).free
+    probe, name = folder / f".nuno-doctor-{os.getpid()}", "recordings"
+    remedy = "record elsewhere with --record FILE"
+    if free < LEAST_DISK:
+        return Row(name, "failed", f"{folder.resolve()}: {free / 2**20:.0f} MiB are free", remedy)
     try:
         start = time.perf_counter()
-        simulation = Simulation(scene_file.read(scene_file.find("net")), None, None, 0)
-        simulation.advance(None, None)
-        return f"compiled and stepped in {time.perf_counter() - start:.1f} s, {simulation.about()}"
-    except Exception as error:
-        return f"failed: {error}"
-
-
-def _bus() -> str:
-    try:
-        with hub_at(None):
-            return "listens on loopback only, no scouting"
-    except Exception as error:
-        return f"failed: {error}"
-
-
-def _recordings() -> str:
-    folder = Path("recordings")
-    if not folder.is_dir():
-        return "made in ./recordings at the first run"
-    return f"{folder.resolve()}, {psutil.disk_usage(str(folder)).free / 2**30:.0f} GiB free"
+        with probe.open("wb") as stream:
+            stream.write(os.urandom(PROBE))
+            stream.flush()
+            os.fsync(stream.fileno())
+        rate = PROBE / 1e6 / (time.perf_counter() - start)
+    except OSError as error:
+        return Row(name, "failed", f"{folder.resolve()} cannot be written: {error.strerror}", remedy)
+    finally:
+        with contextlib.suppress(OSError):
+            probe.unlink()
+    return Row(name, "ok", f"{folder.resolve()}: {free / 2**30:.0f} GiB free, {rate:.0f} MB/s to disk")

@@ -19,7 +19,7 @@ from nuno.supervisor import Deployment, Outcome
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import DYE_STATUS, STATUS, FrameStatus
 
-PATIENCE = 300.0
+PATIENCE = 1800.0
 """Longest that a run, or its answer, is waited for [s]; a first one compiles kernels."""
 
 Changes = tuple[tuple[int, str, str], ...]

@@ -7,6 +7,7 @@ from typing import Any
 
 Fields = dict[str, Any]
 
+BRIEF = ("until=rest", "damping=5", "duration=1")
 NET = ("net", ("duration=0.4", "record.checkpoint_every=0.1"))
 FABRIC = {"density": 0.12, "structural": 60, "bending": 2, "hinge": 2e-5, "damping_ratio": 0.05}
 SHEET = {"plugin": "sheet", "size": [0.4, 0.4], "resolution": [12, 12], "cells": "triangles", "fabric": FABRIC}
@@ -82,5 +83,5 @@ CASES: dict[str, Case] = {
         (),
         ((8, "add", "wrinkle: {lines: [{texture: [[0.2, 0.4], [0.8, 0.5]], height: 2 cm}]}"),),
     ),
-    "stocking": Case("knit/stocking-150", ("objects.0.model.wales=12", "objects.0.model.courses=16", "duration=3")),
+    "stocking": Case("knit/stocking-150", ("objects.0.model.wales=12", "objects.0.model.courses=16", *BRIEF)),
 }
