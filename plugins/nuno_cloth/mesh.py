@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,12 @@ from nuno_cloth.placement import STILL, TEXTURE, VELOCITY, Direction, Point, Rot
 from nuno_cloth.presets import Material
 from nuno_cloth.quantities import Scale
 from nuno_cloth.triangles import Edges, face_areas, find_edges, hinge_stiffness, spring_stiffness, yarn_axes
+from nuno_kernels.mesh_file import load_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
 
+KINDS = ("obj", "ply", "stl")
 STRUCTURAL, BENDING = 0, 2
 BYTES_PER_VERTEX = 2000
 """What a run takes at most: 1,896 were measured between meshes of 262,144 and 640,000 vertices, with
@@ -76,7 +78,7 @@ class Mesh:
     Config: ClassVar[type[BaseModel]] = MeshConfig
 
     def count(self, config: MeshConfig, files: Files) -> int:
-        return len(load_mesh(files.resolve(config.file), config.merge)[0])
+        return len(read_mesh(files.resolve(config.file), config.merge)[0])
 
     def memory(self, config: MeshConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
@@ -85,7 +87,7 @@ class Mesh:
     def build(self, config: MeshConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a mesh that is empty, degenerate, not manifold, not oriented."""
         path = files.resolve(config.file)
-        points, faces, uv = load_mesh(path, config.merge)
+        points, faces, uv = read_mesh(path, config.merge)
         edges = find_edges(faces)
         check_mesh(path, points, faces, edges)
         turn = np.eye(3) if config.rotate is None else config.rotate.matrix()
@@ -148,27 +150,16 @@ def _hinges(edges: Edges, k: Float, rest: Float) -> Hinges | None:
     return Hinges(edges.quads, one, one, k, rest)
 
 
-def load_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] | None]:
-    """Vertices (n, 3), faces (f, 3) and texture coordinates (n, 2) or None of a file."""
-    import trimesh
-
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in ("obj", "ply", "stl"):
-        raise BadInput("unknown kind of mesh", field="file", value=path.name, limit=".obj, .ply or .stl")
+def read_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] | None]:
+    """Vertices (n, 3), faces (f, 3) and texture coordinates (n, 2) or None of a file. Raises BadInput."""
     try:
-        with path.open("rb") as stream:
-            mesh: Any = trimesh.load(
-                stream, file_type=kind, force="mesh", process=False, maintain_order=True, skip_materials=True
-            )
-    except Exception as error:
-        raise BadInput(f"cannot be read as {kind.upper()}: {error}", file=str(path), field="file") from None
-    points = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64).reshape(-1, 3)
-    faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
-    if len(faces) == 0:
-        raise BadInput("the mesh has no triangles", file=str(path), field="file")
+        points, faces, mesh = load_mesh(path, KINDS, maintain_order=True)
+    except BadInput as error:
+        error.file = str(path)
+        raise
     uv = getattr(getattr(mesh, "visual", None), "uv", None)
     uv = None if uv is None or len(uv) != len(points) else np.ascontiguousarray(uv, np.float32)
-    if merge or kind == "stl":
+    if merge or path.suffix.lower() == ".stl":
         _, kept, joined = np.unique(points, axis=0, return_index=True, return_inverse=True)
         order = np.argsort(np.argsort(kept))
         faces, kept = order[joined.reshape(-1)][faces], np.sort(kept)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import zipfile
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from nuno_cloth.net_yarns import check_yarns
+from nuno_kernels.npz_file import NpzFile, open_npz
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Int, Springs
 from nuno_schemas.plugin import Config, Files
@@ -61,15 +60,13 @@ class Net:
     Config: ClassVar[type[BaseModel]] = NetConfig
 
     def count(self, config: NetConfig, files: Files) -> int:
-        path = files.resolve(config.file)
-        with _open(path) as archive:
-            return read_sizes(path, archive)["n"]
+        with open_npz(files.resolve(config.file)) as file:
+            return read_sizes(file)["n"]
 
     def memory(self, config: NetConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]; from the file's headers, like count."""
-        path = files.resolve(config.file)
-        with _open(path) as archive:
-            return vertices * BYTES_PER_VERTEX + read_sizes(path, archive)["s"] * BYTES_PER_SPRING
+        with open_npz(files.resolve(config.file)) as file:
+            return vertices * BYTES_PER_VERTEX + read_sizes(file)["s"] * BYTES_PER_SPRING
 
     def build(self, config: NetConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput that names the key, the index and the value."""
@@ -95,15 +92,6 @@ def _yarns(data: dict[str, NDArray[Any]]) -> Yarns:
     return Yarns(data["yarn_links"], data["yarn_ptr"], data["mu"], kind)
 
 
-def _open(path: Path) -> zipfile.ZipFile:
-    try:
-        return zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, OSError) as error:
-        raise BadInput(
-            f"not a readable .npz file: {error}", file=str(path), remedy="write it with numpy.savez"
-        ) from None
-
-
 def _require_keys(path: Path, names: list[str]) -> None:
     for name in KEYS:
         if name not in names:
@@ -118,19 +106,20 @@ def _require_keys(path: Path, names: list[str]) -> None:
             raise BadInput("unknown key", file=str(path), field=name, remedy=nearest(name, ALL_KEYS))
 
 
-def read_sizes(path: Path, archive: zipfile.ZipFile) -> dict[str, int]:
+def read_sizes(file: NpzFile) -> dict[str, int]:
     """Numbers of vertices "n" and springs "s", and of yarns where it has any, from the headers alone.
 
     Raises BadInput for a missing or unknown key, a wrong dtype or shape, and a header that
     announces more than the file holds: nothing is allocated for a lie.
     """
-    names = [name.removesuffix(".npy") for name in archive.namelist()]
-    _require_keys(path, names)
+    path = file.path
+    _require_keys(path, file.names)
     sizes: dict[str, int] = {}
     for name, (letter, rest, kinds) in ALL_KEYS.items():
-        if name not in names:
+        if name not in file.names:
             continue
-        shape, dtype, start = _read_header(path, archive, name)
+        header = file.header(name)
+        shape, dtype = header.shape, header.dtype
         if dtype.kind not in kinds and 0 not in shape:
             raise BadInput("wrong dtype", file=str(path), field=name, value=str(dtype), limit=DTYPES[kinds])
         leading = sizes.get(letter)
@@ -138,25 +127,9 @@ def read_sizes(path: Path, archive: zipfile.ZipFile) -> dict[str, int]:
             wanted = ", ".join([letter if leading is None else str(leading), *map(str, rest)])
             limit = f"({wanted}{',' if not rest else ''})"
             raise BadInput("wrong shape", file=str(path), field=name, value=shape, limit=limit)
-        held = archive.getinfo(f"{name}.npy").file_size - start
-        if math.prod(shape) * dtype.itemsize > held:
-            raise BadInput(
-                "holds less than its header says", file=str(path), field=name, value=shape, limit=f"{held} bytes"
-            )
+        header.check(path, name)
         sizes[letter] = shape[0]
     return sizes
-
-
-def _read_header(path: Path, archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any], int]:
-    """Shape, dtype and length of the header of one array."""
-    try:
-        with archive.open(f"{name}.npy") as stream:
-            version = np.lib.format.read_magic(stream)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, _, dtype = read(stream)
-            return shape, dtype, stream.tell()
-    except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
-        raise BadInput(f"not a numpy array: {error}", file=str(path), field=name) from None
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -164,17 +137,13 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
     Pickles are never read.
     """
-    with _open(path) as archive:
-        sizes = read_sizes(path, archive)
     arrays: dict[str, NDArray[Any]] = {}
-    with np.load(path, allow_pickle=False) as file:
+    with open_npz(path) as file:
+        sizes = read_sizes(file)
         for name in ALL_KEYS:
-            if name not in file:
+            if name not in file.names:
                 continue
-            try:
-                array = file[name]
-            except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
-                raise BadInput(f"cannot be read: {error}", file=str(path), field=name) from None
+            array = file.array(name)
             if name == "springs":
                 _require_indices(path, array, sizes["n"])
             if name in YARN_KEYS:

@@ -19,6 +19,10 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files, Mover
 
 LARGEST_FILE = 256 * 2**20
+STEPS = (1e-6, 1e4)
+"""Times between two frames that a motion can have [s]."""
+FARTHEST = 1e6
+"""From the origin that a body, or a bone's end from its joint, can be [m]."""
 
 
 class BvhConfig(Config):
@@ -59,7 +63,7 @@ def read_bvh(path: Path) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = pybvh.read_bvh_file(path, world_up="+y")
-    except (ValueError, IndexError, KeyError, UnicodeDecodeError, AttributeError) as error:
+    except Exception as error:  # whatever a broken file makes of the reader
         raise BadInput(f"cannot be read as BVH: {error}", file=str(path)) from None
     offsets = np.array([node.offset for node in found.nodes])
     for what, values in (("offsets", offsets), ("positions", found.root_pos), ("angles", found.joint_angles)):
@@ -180,6 +184,9 @@ class BVH:
         found = read_bvh(path)
         names, parents, offsets, rows = read_tree(found, path)
         dt = 1.0 / c.frame_rate if c.frame_rate else float(found.frame_time)
+        if not STEPS[0] <= dt <= STEPS[1]:
+            limit, remedy = f"{STEPS[0]:g} to {STEPS[1]:g} s", "give frame_rate"
+            raise BadInput("no time between two frames", file=str(path), value=dt, limit=limit, remedy=remedy)
         part = cut_frames(c, found.frame_count, dt, path)
         upright = from_axis_angle(AXES[0], -0.5 * math.pi if c.up == "z" else 0.0)
         scale = c.scale or c.height / find_extent(parents, offsets, "xyz".index(c.up), path)
@@ -189,6 +196,9 @@ class BVH:
         local[:, rows >= 0] = quaternions[part][:, rows[rows >= 0]]
         local[:, 0] = multiply(upright, local[:, 0])
         root = scale * found.root_pos[part] @ rotation_matrices(upright[None])[0].T
+        if not (np.abs(scale * offsets).max() <= FARTHEST and np.abs(root).max() <= FARTHEST):
+            remedy = "check the file's numbers, or give a scale"
+            raise BadInput("a body of no size", file=str(path), limit=f"{FARTHEST:g} m", remedy=remedy)
         loop = c.end == "loop" and root.shape[0] > 1
         blend = min(c.blend, 0.25 * (root.shape[0] - 1) * dt) if loop else 0.0
         clip = _Clip(parents, scale * offsets, local, root, dt, loop, blend, c.ramp, np.zeros(3))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno_kernels.mesh_check import check_closed, check_crossings, place_of
 from nuno_kernels.surface_normals import face_normals
@@ -38,30 +40,42 @@ def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Flo
 def read_mesh(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Float, Int]:
     """As `read_closed`, of a file whose surface may have holes and pass through itself."""
     try:
-        x, faces = clean_mesh(*_load(path), scale)
+        points, triangles, _ = load_mesh(path, KINDS)
+        x, faces = clean_mesh(points, triangles.astype(np.int32), scale)
         return mend_mesh(x, faces) if mend else (x, faces)
     except BadInput as error:
         error.file = str(path)
         raise
 
 
-def _load(path: Path) -> tuple[Float, Int]:
+def load_mesh(path: Path, kinds: tuple[str, ...], **how: bool) -> tuple[Float, NDArray[np.int64], Any]:
+    """Vertices (n, 3) and triangles (f, 3) of a file as they stand there, and trimesh's mesh with all else.
+
+    `how` goes to the library's reader. Raises BadInput for another kind of file, one that cannot be read, and
+    triangles of vertices that are not there.
+    """
     import trimesh
 
     kind = path.suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        limit = ", ".join(f".{name}" for name in KINDS)
+    if kind not in kinds:
+        limit = ", ".join(f".{name}" for name in kinds)
         raise BadInput("unknown kind of mesh", field="file", value=path.name, limit=limit)
     size = path.stat().st_size
-    if not 0 < size <= LARGEST_FILE:
-        raise BadInput("empty or too large for a mesh", value=size, limit=f"1 to {LARGEST_FILE} bytes")
+    if size > LARGEST_FILE:
+        raise BadInput("too large for a mesh", value=size, limit=f"{LARGEST_FILE} bytes")
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs traces of what is refused in words here
     try:
         with path.open("rb") as stream:
-            mesh: Any = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
-    except Exception as error:
+            mesh: Any = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True, **how)
+        x = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64).reshape(-1, 3)
+        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
+        if faces.size and not 0 <= faces.min() <= faces.max() < len(x):
+            raise ValueError(f"triangles of vertices {faces.min()} to {faces.max()}, and there are {len(x)}")
+    except Exception as error:  # whatever a broken file makes of the decoder
         raise BadInput(f"cannot be read as {kind.upper()}: {error}", field="file") from None
-    x = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64).reshape(-1, 3)
-    return x, np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3).astype(np.int32)
+    if not faces.size:
+        raise BadInput("the mesh has no triangles", field="file")
+    return x, faces, mesh
 
 
 def clean_mesh(x: Float, faces: Int, scale: float = 1.0) -> tuple[Float, Int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from nuno_kernels.closest_point import scan_triangles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
-from nuno_schemas.lines import Line
+from nuno_schemas.lines import MOST_POINTS, Line
 from nuno_schemas.plugin import Files
 from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, walk_line
 
@@ -21,6 +22,7 @@ INSIDE = 1e-3
 APART = 0.1
 """Least barycentric coordinate of a new vertex: nearer to an edge its triangles would be slivers."""
 TEXTURE_TOLERANCE = 1e-6
+LARGEST_FILE = 64 * 2**20
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,9 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
             found.append(line)
             continue
         path = files.resolve(line.file)
-        for points in read_obj(path):
-            found.append(Line(points=points, height=line.height, closed=line.closed))
-        if not found or found[-1].height != line.height:
+        rows = read_obj(path)
+        found += [Line(points=points, height=line.height, closed=line.closed) for points in rows]
+        if not rows:
             raise BadInput(
                 "the file holds no lines", str(path), field=f"lines[{i}].file", remedy="an element is written: l 1 2 3"
             )
@@ -56,6 +58,9 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
 
 def read_obj(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
     """Points of each element `l` of an OBJ file; numbers below 0 count back from the last vertex. Raises BadInput."""
+    size = path.stat().st_size
+    if size > LARGEST_FILE:
+        raise BadInput("too large for lines", str(path), value=size, limit=f"{LARGEST_FILE} bytes")
     vertices: list[tuple[float, float, float]] = []
     lines = []
     for number, text in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
@@ -63,9 +68,13 @@ def read_obj(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
         try:
             if words[:1] == ["v"]:
                 x, y, z = (float(word) for word in words[1:4])
+                if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+                    raise ValueError("not a finite position")
                 vertices.append((x, y, z))
             elif words[:1] == ["l"]:
                 corners = [int(word.split("/")[0]) for word in words[1:]]
+                if len(corners) > MOST_POINTS:
+                    raise ValueError(f"a line has {MOST_POINTS} points at most")
                 if len(corners) < 2 or any(not 1 <= abs(c) <= len(vertices) for c in corners):
                     raise ValueError("a line has two vertices at least, which stand before it")
                 lines.append(tuple(vertices[c - 1 if c > 0 else c] for c in corners))

@@ -83,7 +83,7 @@ def test_a_mesh_that_passes_through_itself_is_refused_with_both_faces(tmp_path: 
     ("name", "text", "problem"),
     [
         ("a.txt", "x", "unknown kind"),
-        ("a.obj", "", "empty"),
+        ("a.obj", "", "no triangles"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangles"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "not a finite|cannot be read"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle of the mesh has an area"),

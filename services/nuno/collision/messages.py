@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,9 +40,48 @@ def decode_geometry(payload: bytes) -> Geometry:
     try:
         fields = tuple(_field(arrays, number, text["fields"][number]) for number in range(len(text.get("fields", ()))))
         plain = {name: arrays[name] for name in (*_ARRAYS, *_MESHES)}
-        return Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields)
-    except (KeyError, TypeError) as error:
+        geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields)
+        _check(geometry)
+        return geometry
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"geometry without {error}") from None
+
+
+def _check(geometry: Geometry) -> None:
+    """Raises BadMessage for arrays of other shapes than Geometry says, and indices of what is not there: kernels
+    take both as they are.
+    """
+    g = geometry
+    p, b, v, t = len(g.kind), len(g.bodies), len(g.vertices), len(g.faces)
+    shapes = {"kind": (p,), "frame": (p,), "body": (p,), "a": (p, 3), "b": (p, 3), "radius": (p,), "stiffness": (b,),
+              "damping": (b,), "friction": (b,), "vertices": (v, 3), "faces": (t, 3), "owner": (t,)}  # fmt: skip
+    below = {"frame": len(g.frames), "body": b, "faces": v, "owner": p}
+    for name, shape in shapes.items():
+        values = getattr(g, name)
+        if values.shape != shape or values.dtype.kind != ("i" if name in (*below, "kind") else "f"):
+            raise BadMessage(f"geometry whose {name} is {values.dtype} {values.shape}, not {shape}")
+        if name in below and values.size and not 0 <= values.min() <= values.max() < below[name]:
+            raise BadMessage(f"geometry whose {name} goes from {values.min()} to {values.max()}, of {below[name]}")
+    for field in g.fields:
+        _check_field(field)
+
+
+def _check_field(field: DistanceField) -> None:
+    """Raises BadMessage for a tree of cells that leads anywhere but on to later cells and to leaves that are there."""
+    shape, child, corners = field.shape, field.child, field.corners
+    typed = shape.dtype.kind == child.dtype.kind == "i" and corners.dtype.kind == field.low.dtype.kind == "f"
+    if not typed or field.low.shape != (3,) or shape.shape != (3,) or child.ndim != 1 or corners.shape[1:] != (32,):
+        raise BadMessage("a distance field of other shapes")
+    whole, cut = math.prod(shape.tolist()), child >= 0
+    if not (shape.min() > 0 and whole <= len(child) and 0.0 < field.size < math.inf):
+        raise BadMessage(f"a distance field of {shape.tolist()} cells of {field.size} m in {len(child)}")
+    leaves = -1 - child[~cut].astype(np.int64)
+    if (
+        (child[cut] <= np.flatnonzero(cut)).any()
+        or (child[cut] > len(child) - 8).any()
+        or (leaves >= len(corners)).any()
+    ):
+        raise BadMessage("a distance field whose cells lead nowhere")
 
 
 def _field(arrays: Mapping[str, NDArray[Any]], number: int, numbers: Mapping[str, float]) -> DistanceField:
@@ -59,11 +99,12 @@ def decode_poses(payload: bytes) -> Poses:
     arrays, text = decode_arrays(payload)
     try:
         rotation, translation, t = arrays["rotation"], arrays["translation"], float(text["t"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"poses without {error}") from None
     if (
         rotation.shape != (len(translation), 4)
         or translation.shape[1:] != (3,)
+        or not math.isfinite(t)
         or not np.isfinite(rotation).all()
         or not np.isfinite(translation).all()
     ):

@@ -66,5 +66,5 @@ def read_checkpoint(recording: Recording, message: Recorded) -> DyeCheckpoint:
         return DyeCheckpoint(
             int(text["frame"]), float(text["t"]), str(text.get("digest", "")), phi, fixed, memory, text, resist
         )
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(recording.path)) from None

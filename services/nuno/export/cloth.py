@@ -98,7 +98,7 @@ def read_pieces(recording: Recording, t: float | None = None) -> list[Piece]:
                     rest[mine], uv, image, item.get("colour"), _kinds(yarns, mine),
                 )
             )  # fmt: skip
-    except (KeyError, ValueError, TypeError) as error:
+    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
     return pieces
 
@@ -159,7 +159,7 @@ def read_bodies(recording: Recording) -> Bodies | None:
     try:
         first = next(recording.messages([BODIES.name]), None)
         return shape_bodies(decode_geometry(message.payload), decode_poses(first.payload) if first else None)
-    except (BadMessage, ValueError, IndexError) as error:
+    except (BadMessage, ValueError, LookupError, TypeError) as error:
         raise BadInput(f"the bodies are damaged: {error}", str(recording.path)) from None
 
 

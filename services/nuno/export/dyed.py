@@ -91,7 +91,10 @@ class DyePainter:
         if not self.ready or not all(name in arrays and arrays[name].shape == shape for name in ("phi", "fixed")):
             found = {name: array.shape for name, array in arrays.items()}
             raise BadMessage(f"amounts of shapes {found} for a cloth of {shape}")
-        self.time = float(text.get("time", text.get("t", math.nan)))
+        try:
+            self.time = float(text.get("time", text.get("t", math.nan)))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise BadMessage(f"amounts at no time: {error}") from None
         amounts = amount_seen(arrays["phi"], arrays["fixed"], self.look.view)
         picture: Picture = self.chosen.plugin.draw(self.prepared, amounts)
         return picture
@@ -151,7 +154,7 @@ def read_layers(payload: bytes) -> tuple[Layers, float]:
             if yarn.shape != (cells,) or yarn.dtype.kind != "i" or not (yarn.min() >= 0 and yarn.max() <= cells):
                 raise BadMessage(f"yarns of shape {yarn.shape} for {cells} cells side by side")
         return Layers(fibre, up, v_max, yarns, _photograph(arrays, fibre.shape)), size
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"not a cloth: {error}") from None
 
 

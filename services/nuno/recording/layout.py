@@ -118,7 +118,7 @@ def parse(read: Callable[[ReadDataStream], T], body: bytes | memoryview) -> T:
     """A small record by the library's reader. Raises Damaged."""
     try:
         return read(ReadDataStream(io.BytesIO(body)))
-    except (McapError, struct.error, UnicodeDecodeError, OverflowError) as error:
+    except (McapError, struct.error, ValueError, OverflowError, LookupError, MemoryError) as error:
         raise Damaged(str(error)) from None
 
 

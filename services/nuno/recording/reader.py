@@ -97,7 +97,7 @@ class Recording:
     def missing(self) -> dict[str, int]:
         """Messages per topic that were sent but never arrived, as the recorder counted them."""
         missing = self.json(self.metadata.get(END, {}).get("missing", "{}"))
-        return {str(topic): int(number) for topic, number in missing.items()}
+        return {str(topic): self.whole(number) for topic, number in missing.items()}
 
     @property
     def scene(self) -> dict[str, Any]:
@@ -161,7 +161,9 @@ class Recording:
         name = status or (DYE_STATUS.name if self.dyed_alone else STATUS.name)
         if name not in self._marks:
             statuses = ((m.log_time, self.json(m.payload)) for m in self.messages([name]))
-            self._marks[name] = {time: (int(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses}
+            self._marks[name] = {
+                time: (self.whole(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses
+            }
         return self._marks[name]
 
     def fabric(self, t: float | None = None) -> tuple[Arrays, dict[str, Any]]:
@@ -222,7 +224,10 @@ class Recording:
         """Columns over the frames; see nuno.recording.series."""
         from nuno.recording.series import read_series
 
-        return read_series(self)
+        try:
+            return read_series(self)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise BadInput(f"a status is damaged: {error}", str(self.path)) from None
 
     def report(self) -> dict[str, Any]:
         """The closing report; empty where the run did not end by itself."""
@@ -262,16 +267,22 @@ class Recording:
             fabric = {name: a for name, a in arrays.items() if name.startswith("fabric/")}
             digest = str(text.get("digest", ""))
             return Checkpoint(int(text["frame"]), float(text["t"]), digest, x, v, memory, text, fabric)
-        except (KeyError, ValueError, TypeError) as error:
+        except (KeyError, ValueError, TypeError, OverflowError) as error:
             raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(self.path)) from None
 
     def json(self, payload: bytes | str) -> dict[str, Any]:
         """The mapping that a message holds; empty for anything else. Raises BadInput where it is damaged."""
         try:
             value = json.loads(payload)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise BadInput(f"a message is damaged: {error}", str(self.path)) from None
         return value if isinstance(value, dict) else {}
+
+    def whole(self, value: object) -> int:
+        """A whole number that a message holds. Raises BadInput for anything else."""
+        if type(value) is not int:
+            raise BadInput("a message is damaged: no whole number", str(self.path), value=value)
+        return value
 
     @contextmanager
     def _damage_reported(self, message: Recorded | None = None) -> Iterator[None]:

@@ -29,6 +29,9 @@ def recover(path: Path | str, target: Path | None = None) -> Path:
             with new.open("wb") as stream:
                 _copy(recording, McapFile(stream))
             new.replace(target)
+        except BadInput:
+            new.unlink(missing_ok=True)
+            raise
         except OSError as error:
             new.unlink(missing_ok=True)
             raise BadInput(f"cannot write there: {error.strerror}", str(target)) from None
@@ -44,7 +47,9 @@ def _copy(recording: Recording, file: McapFile) -> None:
     layout = recording.layout
     channels = {}
     for channel in layout.channels.values():
-        schema = layout.schemas[channel.schema_id]
+        schema = layout.schemas.get(channel.schema_id)
+        if schema is None:
+            raise BadInput(f"the recording is damaged: {channel.topic} has no schema", str(recording.path))
         channels[channel.topic] = file.add_channel(
             channel.topic, channel.message_encoding, schema.name, schema.encoding, schema.data
         )

@@ -31,12 +31,12 @@ def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
         for name in TABLES:
             table = value.get(name)
             row |= {f"{name}_{key}": number for key, number in table.items()} if isinstance(table, dict) else {}
-        rows.setdefault(int(value.get("frame", -1)), {}).update(row)
+        rows.setdefault(recording.whole(value.get("frame", -1)), {}).update(row)
     for message in recording.messages([PENETRATION.name]):
         value = recording.json(message.payload)
-        rows.setdefault(int(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}).update(
-            {name: value.get(name) for name in ("depth", "inside", "mean")}
-        )
+        rows.setdefault(
+            recording.whole(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}
+        ).update({name: value.get(name) for name in ("depth", "inside", "mean")})
     names = list(dict.fromkeys(name for row in rows.values() for name in row))
     return {name: _column([rows[frame].get(name) for frame in sorted(rows)]) for name in names}
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from pydantic import ValidationError
 
 from nuno.arrays import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
@@ -127,7 +126,7 @@ class Bridge:
             layout.set_time(self.recording, *self._latest)
         try:
             handler(payload)
-        except (KeyError, TypeError, IndexError, AttributeError, ValidationError, ValueError, BadInput) as error:
+        except (LookupError, TypeError, AttributeError, ArithmeticError, ValueError, RecursionError, BadInput) as error:
             raise BadMessage(f"{topic}: {error}") from None
 
     def flush(self) -> None:
@@ -163,6 +162,9 @@ class Bridge:
             cloth.clear()
         self._cloths = []
         # What does not change is static, and hides all that comes later: changed cloth has a place of its own.
+        for spec in text["objects"]:
+            if not 0 <= int(spec["start"]) <= int(spec["stop"]) <= number:
+                raise BadMessage(f"an object of vertices {spec['start']} to {spec['stop']} of {number}")
         version = self._fabrics.setdefault(hashlib.blake2b(payload).hexdigest(), len(self._fabrics))
         for spec in text["objects"]:
             place = ("world", "cloth", str(spec["name"]), *([str(version)] if version else []))
