@@ -17,6 +17,7 @@ from nuno.plan import Plan
 from nuno.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
 from nuno.sessions import identity
+from nuno.silence import Silence
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
 
@@ -71,6 +72,7 @@ class Supervisor:
         self.cut_off: Callable[[], str] = str
         """What is wrong with the connection to the hub, "" for nothing."""
         self.laggards = Laggards(session, {identity(run, name): name for name in plan.services})
+        self.silence = Silence(self.bus, plan.leader)
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
 
@@ -115,6 +117,7 @@ class Supervisor:
             try:
                 if item.topic in STATUSES:
                     status = STATUSES[item.topic].model_validate_json(item.payload)
+                    self.silence.hear(status.frame)
                     if progress is not None:
                         progress(status)
                 else:
@@ -152,6 +155,7 @@ class Supervisor:
             self._drain(progress, timeout=0.2)
             if progress is not None:
                 self.laggards.look(lambda text: self._say(text, progress))
+                self.silence.look(lambda text: self._say(text, progress))
             if broken := self.cut_off():
                 return broken
             for name in self.dispensable - self.watch.alive() - self.without.keys():

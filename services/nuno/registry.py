@@ -2,54 +2,93 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
+from nuno.foreign import Foreign
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import GROUPS
 
+OWN = "nuno"
+"""The distribution whose plugins are the project's own."""
+
 
 def installed(group: str) -> dict[str, EntryPoint]:
-    """Entry points of a group by name. Raises BadInput where two packages claim one name."""
-    found: dict[str, EntryPoint] = {}
+    """Entry points of a group by name; of several of one name the one that `claims` gives first."""
+    return {name: points[0] for name, points in claims(group).items()}
+
+
+def claims(group: str) -> dict[str, list[EntryPoint]]:
+    """For each name of a group the entry points that claim it, the project's own first: more than one is too many."""
+    found: dict[str, list[EntryPoint]] = {}
     for point in entry_points(group=group):
-        other = found.get(point.name)
-        if other is not None and other.value != point.value:
-            owners = sorted(_package(p) for p in (other, point))
-            raise BadInput(
-                f"two installed packages offer the plugin {point.name!r} in {group}",
-                value=owners,
-                remedy=f"uninstall one of them: pip uninstall {owners[-1]}",
-            )
-        found[point.name] = point
+        points = found.setdefault(point.name, [])
+        if all(point.value != other.value for other in points):
+            points.append(point)
+    for points in found.values():
+        points.sort(key=lambda point: (not is_own(point), package(point)))
     return found
 
 
 def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
-    """An instance of the plugin `name`. Raises BadInput if it is unknown or cannot be imported.
+    """An instance of the plugin `name`. Raises BadInput if it is unknown, claimed twice or cannot be imported.
 
-    `beside` are words that may stand for a plugin, such as "auto": an unknown name is answered with them, too.
+    One of another distribution is guarded: see `nuno.foreign`. `beside` are words that may stand for a plugin, such
+    as "auto": an unknown name is answered with them, too.
     """
-    points = installed(group)
-    if name not in points:
+    found = claims(group)
+    if name not in found:
+        raise _unknown(group, name, [*found, *beside])
+    point, *others = found[name]
+    if others:
+        owners = [package(one) for one in (point, *others)]
+        foreign = next(one for one in reversed((point, *others)) if not is_own(one) or one is point)
         raise BadInput(
-            f"no plugin {name!r} in {group} ({GROUPS[group]})", value=name, remedy=nearest(name, [*points, *beside])
+            f"two installed packages offer the plugin {name!r} in {group}",
+            value=owners,
+            remedy=f"uninstall one of them: pip uninstall {distribution(foreign)}",
         )
     try:
-        return points[name].load()()
-    except Exception as error:
+        plugin = point.load()()
+    except (Exception, SystemExit) as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
         raise BadInput(
-            f"the plugin {name!r} of {_package(points[name])} cannot be imported: {error}",
-            value=points[name].value,
+            f"the plugin {name!r} of {package(point)} cannot be imported: {type(error).__name__}: {error}",
+            value=f"{point.value}, {last.filename}:{last.lineno}",
             remedy="reinstall or remove that package; `nuno plugins` lists what is installed",
         ) from error
+    return plugin if is_own(point) else Foreign(plugin, group, name, package(point))
 
 
 def package_version(group: str, name: str) -> str:
     """`package version` that provides a plugin."""
-    return _package(installed(group)[name])
+    return package(installed(group)[name])
 
 
-def _package(point: EntryPoint) -> str:
+def package(point: EntryPoint) -> str:
+    """`package version` that an entry point comes from."""
     return f"{point.dist.name} {point.dist.version}" if point.dist else "unknown package"
+
+
+def distribution(point: EntryPoint) -> str:
+    """Name of the package that an entry point comes from."""
+    return point.dist.name if point.dist else "unknown package"
+
+
+def is_own(point: EntryPoint) -> bool:
+    """Whether a plugin came with the project."""
+    return distribution(point) == OWN
+
+
+def _unknown(group: str, name: str, known: list[str]) -> BadInput:
+    """What was looked for and where; and where a plugin of that name is, if it is of another kind."""
+    packages = sorted({package(point) for points in claims(group).values() for point in points})
+    elsewhere = [f"{other} has one ({GROUPS[other]})" for other in GROUPS if other != group and name in claims(other)]
+    return BadInput(
+        f"no plugin {name!r} in {group} ({GROUPS[group]})",
+        value=name,
+        limit="; ".join([f"looked in {group} of {', '.join(packages) or 'no package'}", *elsewhere]),
+        remedy=nearest(name, known),
+    )

@@ -160,7 +160,8 @@ def run_service(
         context.event("error", str(error), bad_input=True)
         raise
     except RunFailed as error:
-        context.event("error", str(error), peer=error.peer)
+        args: dict[str, Any] = {"trace": traceback.format_exc()} if error.__cause__ is not None else {}
+        context.event("error", str(error), peer=error.peer, **args)
         raise
     except KeyboardInterrupt:
         context.event("error", "interrupted")

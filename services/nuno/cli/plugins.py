@@ -16,6 +16,7 @@ def main(args: argparse.Namespace) -> int:
     for group, meaning in GROUPS.items():
         if args.group in (None, group, group.removeprefix("nuno.")):
             print(f"{group}  ({meaning})")
-            for name in sorted(registry.installed(group)):
-                print(f"  {name:20} {registry.package_version(group, name)}")
+            for name, points in sorted(registry.claims(group).items()):
+                twice = "" if len(points) == 1 else "   claimed twice: a scene that names it is refused"
+                print(f"  {name:20} {', '.join(map(registry.package, points))}{twice}")
     return 0

@@ -1,0 +1,221 @@
+"""Plugins of other distributions that do what no plugin may: named, and contained."""
+
+from __future__ import annotations
+
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import write_scene
+
+import nuno
+from nuno import registry, scene_file, silence, supervisor
+from nuno.cli import main
+from nuno.service import Options
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.fabric import State
+from nuno_schemas.messages import EVENT, FrameStatus
+
+HEAD = """\
+import numpy as np
+from nuno_schemas.plugin import Config, Mover, Term
+"""
+FORCE = """\
+class Push:
+    name = "push"
+    Config = Config
+    def prepare(self, config, fabric, seed):
+        {prepare}
+        return Term("python", push)
+def push(x, v, t, out):
+    {push}
+"""
+
+
+class Packages:
+    """Distributions in folders of their own, found as installed ones are."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self.monkeypatch = folder, monkeypatch
+
+    def add(self, name: str, code: str, *points: str, group: str = "nuno.forces") -> None:
+        """A distribution whose only module is of its own name; `points` are lines `name = module:class`."""
+        place = self.folder / name
+        about = place / f"{name}-1.2.dist-info"
+        about.mkdir(parents=True)
+        (place / f"{name}.py").write_text(HEAD + code)
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
+        (about / "entry_points.txt").write_text("\n".join([f"[{group}]", *points]) + "\n")
+        self.monkeypatch.syspath_prepend(str(place))
+        self.monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+@pytest.fixture
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Packages:
+    return Packages(tmp_path / "packages", monkeypatch)
+
+
+def force(push: str = "pass", prepare: str = "pass") -> str:
+    return FORCE.format(push=push, prepare=prepare)
+
+
+def test_a_name_that_two_packages_claim_is_refused_and_hinders_no_other(
+    packages: Packages, capsys: pytest.CaptureFixture[str]
+) -> None:
+    packages.add("otherwind", force(), "wind = otherwind:Push", "push = otherwind:Push")
+    with pytest.raises(BadInput, match="two installed packages offer the plugin 'wind'") as refusal:
+        registry.load("nuno.forces", "wind")
+    assert refusal.value.value == [f"nuno {metadata.version('nuno')}", "otherwind 1.2"]
+    assert refusal.value.remedy == "uninstall one of them: pip uninstall otherwind"
+    assert registry.load("nuno.forces", "push").name == "push"
+    assert main(["plugins", "forces"]) == 0
+    listed = capsys.readouterr().out
+    assert "otherwind 1.2   claimed twice" in listed
+    assert "particle_wind" in listed
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("import nowhere_at_all\n", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
+        ("raise SystemExit(3)\n", "SystemExit: 3"),
+        ("class Other: pass\n", "AttributeError: .*has no attribute 'Push'"),
+        ("class Push:\n    def __init__(self): 1 / 0\n", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_one_that_cannot_be_imported_is_named_with_its_package_and_line(
+    packages: Packages, code: str, words: str
+) -> None:
+    packages.add("broken", code, "push = broken:Push", "fine = broken:Push")
+    with pytest.raises(BadInput, match=f"'push' of broken 1.2 cannot be imported: {words}") as refusal:
+        registry.load("nuno.forces", "push")
+    assert str(refusal.value.value).startswith("broken:Push, ")
+    assert registry.load("nuno.forces", "wind").name == "wind"
+
+
+def test_an_unknown_name_is_answered_with_where_was_looked(packages: Packages) -> None:
+    packages.add("pushing", force(), "push = pushing:Push")
+    with pytest.raises(BadInput, match=r"no plugin 'psh' in nuno\.forces") as refusal:
+        registry.load("nuno.forces", "psh")
+    assert refusal.value.limit == f"looked in nuno.forces of nuno {metadata.version('nuno')}, pushing 1.2"
+    assert str(refusal.value.remedy).startswith("did you mean 'push'?")
+    with pytest.raises(BadInput) as refusal:
+        registry.load("nuno.forces", "leapfrog")
+    assert "nuno.integrators has one" in str(refusal.value.limit)
+
+
+FAULTS = {
+    "prepare": (force(prepare="raise KeyError('k')"), "failed in prepare: KeyError: 'k'"),
+    "exit": (force(prepare="raise SystemExit(0)"), "failed in prepare: SystemExit: 0"),
+    "infinity": (force("out[2] += np.inf"), "at 0.5 s its force is inf at row 2"),
+    "shape": (force("out += np.zeros((7, 3))"), "failed in its force: ValueError: operands could not be broadcast"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_force_that_fails_is_named(packages: Packages, fault: str) -> None:
+    code, words = FAULTS[fault]
+    packages.add("pushing", code, "push = pushing:Push")
+
+    def push() -> None:
+        term = registry.load("nuno.forces", "push").prepare(None, None, 0)
+        term.data(np.zeros((4, 3)), np.zeros((4, 3)), 0.5, np.zeros((4, 3)))
+
+    with pytest.raises(RunFailed, match=r"the plugin 'push' of pushing 1\.2 in nuno\.forces") as failure:
+        push()
+    assert words in str(failure.value)
+
+
+def test_a_force_is_not_to_blame_for_what_came_before_it(packages: Packages) -> None:
+    packages.add("pushing", force(), "push = pushing:Push")
+    push = registry.load("nuno.forces", "push").prepare(None, None, 0).data
+    lost = np.full((4, 3), np.nan)
+    push(lost, np.zeros((4, 3)), 0.0, np.zeros((4, 3)))
+    push(np.zeros((4, 3)), np.zeros((4, 3)), 0.0, lost)
+
+
+LATE = {
+    "nan": (force("out[3, 1] = np.nan if t > 0.03 else 0.0"), "s its force is nan at row 3"),
+    "raise": (force("if t > 0.03: raise ValueError('no')"), "failed in its force: ValueError: no"),
+}
+
+
+@pytest.mark.parametrize("fault", LATE)
+def test_a_run_ends_at_the_frame_that_fails_and_keeps_its_recording(
+    packages: Packages, tmp_path: Path, fault: str
+) -> None:
+    code, words = LATE[fault]
+    packages.add("pushing", code, "push = pushing:Push")
+    record = tmp_path / "run.mcap"
+    scene = write_scene(tmp_path, forces=[{"plugin": "push"}], duration=0.1)
+    with pytest.raises(RunFailed) as failure:
+        nuno.run(scene, record=record)
+    assert "the plugin 'push' of pushing 1.2 in nuno.forces" in str(failure.value)
+    assert words in str(failure.value)
+    with nuno.open(record) as recording:
+        assert not recording.complete
+        assert max(frame.t for frame in recording.frames()) == pytest.approx(0.02)
+        events = [recording.json(m.payload) for m in recording.messages([f"{EVENT.name}/simulation"])]
+    (error,) = (event for event in events if event["kind"] == "error")
+    assert fault == "nan" or "pushing.py" in error["args"]["trace"]
+
+
+def test_how_numpy_treats_errors_stays_as_it_was(packages: Packages) -> None:
+    packages.add("pushing", force(prepare="np.seterr(all='raise')"), "push = pushing:Push")
+    before = np.geterr()
+    registry.load("nuno.forces", "push").prepare(None, None, 0)
+    assert np.geterr() == before
+
+
+STEPS = {
+    "nan": ("state.x[4, 2] = np.nan", "leaves a state is nan at row 4"),
+    "shape": ("state.x = state.x[:-1]", r"leaves a state is float64 \(5, 3\), not float64 \(6, 3\)"),
+    "dtype": ("state.v = state.v.astype(np.float32)", r"leaves a state is float32 \(6, 3\)"),
+}
+
+
+@pytest.mark.parametrize("fault", STEPS)
+def test_what_a_solver_leaves_is_looked_at(packages: Packages, fault: str) -> None:
+    change, words = STEPS[fault]
+    code = f"class Step:\n    name = 'step'\n    Config = Config\n    def advance(self, state):\n        {change}\n"
+    packages.add("stepping", code, "step = stepping:Step", group="nuno.integrators")
+    state = State(np.zeros((6, 3)), np.zeros((6, 3)))
+    with pytest.raises(RunFailed, match=f"the plugin 'step' of stepping 1.2.*{words}"):
+        registry.load("nuno.integrators", "step").advance(state)
+
+
+def test_a_motion_that_is_not_finite_is_named(packages: Packages) -> None:
+    code = (
+        "class Fly:\n    name = 'fly'\n    Config = Config\n    def prepare(self, config, files):\n"
+        "        at = np.array([[1.0, 0, 0, 0]]), np.array([[0.0, np.inf, 0]])\n"
+        "        return Mover(('a',), np.array([-1], np.int32), np.zeros((1, 3)), lambda t: at)\n"
+    )
+    packages.add("flying", code, "fly = flying:Fly", group="nuno.motions")
+    mover: Any = registry.load("nuno.motions", "fly").prepare(None, None)
+    with pytest.raises(RunFailed, match="at 2 s its translation is inf at row 0"):
+        mover.pose(2.0)
+
+
+def test_a_step_that_does_not_end_is_told_with_its_frame(
+    packages: Packages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The force waits until the supervisor has said that nothing comes; then the run goes on to its end."""
+    waits = "if t > 0.03: GATE.wait(60)\nimport threading\nGATE = threading.Event()"
+    packages.add("pushing", force(waits), "push = pushing:Push")
+    monkeypatch.setattr(silence, "QUIET_SECONDS", 0.2)
+    said: list[str] = []
+
+    def hear(status: FrameStatus | str) -> None:
+        if isinstance(status, str):
+            said.append(status)
+            if "no frame for" in status:
+                sys.modules["pushing"].GATE.set()  # type: ignore[attr-defined]
+
+    scene = scene_file.read(write_scene(tmp_path, forces=[{"plugin": "push"}], duration=0.1))
+    outcome = supervisor.supervise(scene, Options(), progress=hear)
+    assert outcome.state == "done"
+    told = [text for text in said if "no frame for 0.2 s: the simulation service is still in frame" in text]
+    assert told and "Ctrl-C" in told[0]
