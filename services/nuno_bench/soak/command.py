@@ -17,6 +17,7 @@ PARTS: dict[str, str] = {
     "faults": "nuno_bench.soak.faults",
     "lost": "nuno_bench.soak.lost",
     "hosts": "nuno_bench.soak.hosts",
+    "fuzz": "nuno_bench.soak.fuzz.part",
 }
 """Module of each part; its `run(quick, seed)` gives results, of which every bar is a law: a missed one is a failure."""
 

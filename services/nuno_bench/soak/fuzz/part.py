@@ -1,0 +1,109 @@
+"""The part `fuzz` of `nuno soak`: each kind of input tried in a process of its own, and its readers' lines counted."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from nuno_bench.result import Result
+from nuno_bench.soak.fuzz.kind import Kind
+from nuno_bench.soak.fuzz.kinds import KINDS
+from nuno_bench.soak.fuzz.worker import MEMORY, SLOW
+from nuno_schemas.errors import BadInput
+
+INPUTS, SECONDS = 100_000, 1200.0
+"""Of each kind, and how long they may take at most [s]."""
+QUICK_SECONDS = 20.0
+START = 600.0
+"""Longest that a worker may take beside its inputs [s]: it may have to compile kernels."""
+NEEDED = ("atheris", "coverage")
+
+
+def run(quick: bool, seed: int) -> list[Result]:
+    """A result for each kind, and what all have in common. Raises BadInput where what it needs is not installed."""
+    for name in NEEDED:
+        if importlib.util.find_spec(name) is None:
+            raise BadInput(f"fuzzing needs {name}, which is not installed", remedy="pip install 'nuno[soak]'")
+    seconds = QUICK_SECONDS if quick else SECONDS
+    reports: list[dict[str, Any]] = []
+    results = []
+    for kind in KINDS.values():
+        report = try_kind(kind, INPUTS, seconds, seed)
+        reports.append(report)
+        results.append(judge(kind, report))
+        print(f"  {kind.name}: {results[-1].what}", file=sys.stderr, flush=True)
+    worked = [report for report in reports if "failure" not in report]
+    if worked:
+        least = None if quick else INPUTS
+        results += [
+            Result("all", "inputs", "", (sum(r["inputs"] for r in worked),), bar=least and least * len(KINDS)),
+            Result("all", "fewest of a kind", "", (min(r["inputs"] for r in worked),), bar=least),
+            Result("all", "slowest input", "s", (max(r["slowest"] for r in worked),), bar=SLOW, at_most=True),
+            Result("all", "most memory taken", "MB", (max(r["peak_mb"] for r in worked),), bar=MEMORY / 2**20,
+                   at_most=True),
+        ]  # fmt: skip
+    return results
+
+
+def judge(kind: Kind, report: dict[str, Any]) -> Result:
+    """One row: what went wrong, of how much."""
+    if "failure" in report:
+        return Result(kind.name, "crashes and hangs", "", failure=report["failure"])
+    pace, lines = report["inputs"] / max(report["seconds"], 1e-9), report["lines"]
+    what = (
+        f"crashes and hangs in {report['inputs']:,} inputs, {report['accepted']:,} accepted; {pace:,.0f} / s, "
+        f"{lines:.0f} % of lines, {report['peak_mb']:.0f} MB"
+    )
+    note = "; ".join(f"{said} ({place})" for place, said in report["found"].items())
+    return Result(kind.name, what, "", (report["crashes"] + report["hangs"],), bar=0, at_most=True, note=note)
+
+
+def try_kind(kind: Kind, inputs: int, seconds: float, seed: int) -> dict[str, Any]:
+    """What a worker counted, and `lines`, the share of its readers' lines that it reached [%]; or `failure`."""
+    with tempfile.TemporaryDirectory(prefix="nuno-fuzz-", dir=_fast_folder()) as name:
+        folder = Path(name)
+        corpus = folder / "corpus"
+        corpus.mkdir()
+        for number, data in enumerate(kind.seeds(folder)):
+            (corpus / f"seed-{number}").write_bytes(data)
+        said = _in_process("worker", kind.name, str(folder), str(inputs), str(seconds), str(seed), patience=seconds)
+        try:
+            report: dict[str, Any] = json.loads((folder / "report.json").read_text())
+        except (OSError, ValueError):
+            return {"failure": f"the process of this kind did not end well: {said[-300:].strip()}"}
+        _in_process("covered", kind.name, str(folder), patience=seconds)
+        with contextlib.suppress(OSError, ValueError):
+            report["lines"] = float((folder / "lines").read_text())
+        report.setdefault("lines", float("nan"))
+        return report
+
+
+def _in_process(module: str, *arguments: str, patience: float) -> str:
+    """Run one of this folder's programs to its end; what it said."""
+    command = [sys.executable, "-m", f"nuno_bench.soak.fuzz.{module}", *arguments]
+    with tempfile.TemporaryFile() as log:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True)
+        try:
+            process.wait(patience + START)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        log.seek(0)
+        return log.read().decode(errors="replace")
+
+
+def _fast_folder() -> str | None:
+    """In memory where there is such a folder: each input is written to a file."""
+    shared = Path("/dev/shm")
+    return str(shared) if shared.is_dir() and os.access(shared, os.W_OK) else None

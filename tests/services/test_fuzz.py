@@ -1,0 +1,243 @@
+"""What fuzzing found, each input as short as it can be; and a few hundred changed inputs of every kind."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nuno import registry
+from nuno.arrays import BadMessage, decode_arrays, encode_arrays
+from nuno.collision.messages import decode_geometry, encode_geometry
+from nuno.recording.mcap_file import McapFile
+from nuno.recording.reader import END, Recording
+from nuno.recording.recover import recover
+from nuno_bench.soak.fuzz.files import BVH
+from nuno_bench.soak.fuzz.kind import OneFile
+from nuno_bench.soak.fuzz.kinds import KINDS
+from nuno_bench.soak.fuzz.mutate_containers import CHUNK, MCAP, mcap_record, mcap_records
+from nuno_bench.soak.fuzz.worker import Trial
+from nuno_schemas.bodies import FIELD, Geometry
+from nuno_schemas.errors import BadInput
+from nuno_schemas.field import DistanceField
+
+PATIENCE = 600.0
+"""Processor time [s] after which an input is broken off: kernels may have to be compiled."""
+INPUTS = 25
+"""Of each kind; `nuno soak fuzz` tries a hundred thousand, guided by the lines they reach."""
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_changed_inputs_are_accepted_whole_or_refused_in_words(name: str, tmp_path: Path) -> None:
+    kind, random = KINDS[name], Random(1)
+    seeds, read = kind.seeds(tmp_path), kind.reader(tmp_path)
+    trial = Trial(read, kind.refusals, tmp_path, PATIENCE)
+    for data in seeds:
+        trial.one(data)
+    for _ in range(INPUTS):
+        trial.one(kind.mutate(random.choice(seeds), random)[: kind.longest])
+    # How long it takes, and in how much memory, is for the long test: here kernels may be compiled.
+    found = {place: said for place, said in trial.found.items() if place not in ("slow", "memory")}
+    assert (found, trial.crashes) == ({}, 0)
+    assert trial.accepted > 0
+
+
+def _refused(name: str, data: bytes, folder: Path) -> str:
+    with pytest.raises(BadInput) as refusal:
+        KINDS[name].reader(folder)(data)
+    return str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b"Frame Time: 0.0333333", b"Frame Time: 1e-9", "no time between two frames"),
+        (b"Frame Time: 0.0333333", b"Frame Time: nan", "BVH|no time between two frames"),
+        (b"OFFSET 0 -1 0.1", b"OFFSET 0 -1 1e300", "a body of no size"),
+        (b"0 2 0.1 0", b"1e305 2 0.1 0", "a body of no size"),
+    ],
+)
+def test_motions_of_no_size_or_pace(old: bytes, new: bytes, words: str, tmp_path: Path) -> None:
+    assert any(word in _refused("BVH", BVH.replace(old, new), tmp_path) for word in words.split("|"))
+
+
+def test_a_face_of_a_vertex_that_is_not_there(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
+    files = OneFile(tmp_path / "a.obj")
+    for group in ("nuno.models", "nuno.colliders"):
+        plugin = registry.load(group, "mesh")
+        with pytest.raises(BadInput, match="cannot be read as OBJ"):
+            plugin.build(plugin.Config(file="a.obj"), *(() if group == "nuno.models" else (None,)), files,
+                         *((0,) if group == "nuno.models" else ()))  # fmt: skip
+
+
+def _packed(change: Any = None, how: int = zipfile.ZIP_STORED, **extra: bytes) -> bytes:
+    """The first net that inputs are made from, with members of other bytes, packed otherwise."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(KINDS["npz of a net"].seeds(Path())[0])) as old:
+        parts = {member: old.read(member) for member in old.namelist()} | extra
+    with zipfile.ZipFile(stream, "w", how) as new:
+        for member, data in parts.items():
+            new.writestr(member, data)
+    return change(stream.getvalue()) if change else stream.getvalue()
+
+
+def _flagged(data: bytes) -> bytes:
+    """The first member is said to be patched data (flag bit 5), in the directory and before itself."""
+    found = bytearray(data)
+    found[6] |= 0x20
+    at = data.index(b"PK\x01\x02")
+    found[at + 8] |= 0x20
+    return bytes(found)
+
+
+def _version(data: bytes) -> bytes:
+    at = data.index(b"PK\x01\x02")
+    return data[: at + 6] + b"\xff\x00" + data[at + 8 :]
+
+
+def _header(text: bytes) -> bytes:
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+NETS = {
+    "flag": (lambda: _packed(_flagged), "not a numpy array"),
+    "version": (lambda: _packed(_version), "not a readable .npz file"),
+    "bzip2": (lambda: _packed(how=zipfile.ZIP_BZIP2), "packed in a way that no array is"),
+    "no array": (lambda: _packed(x=b"1"), "two arrays of one name, or no array"),
+    "bomb": (lambda: _packed(how=zipfile.ZIP_DEFLATED, **{"x.npy": bytes(10**6)}), "not a numpy array"),
+    "header": (lambda: _packed(**{"x.npy": _header(b"{'descr': (\n")}), "not a numpy array"),
+    "shape": (
+        lambda: _packed(**{"x.npy": _header(b"{'descr': '<f8', 'fortran_order': False, 'shape': (True, 3), }\n")}),
+        "not a numpy array: a shape of",
+    ),
+    "objects": (
+        lambda: _packed(**{"x.npy": _header(b"{'descr': '|O', 'fortran_order': False, 'shape': (1, 3), }\n")}),
+        "wrong dtype",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", NETS)
+def test_archives_that_are_none(fault: str, tmp_path: Path) -> None:
+    make, words = NETS[fault]
+    assert words in _refused("npz of a net", make(), tmp_path)
+
+
+def test_lines_that_are_no_lines(tmp_path: Path) -> None:
+    said = _refused("OBJ of lines", b"v 0 0 0\nv 1 nan 0\nl 1 2\n", tmp_path)
+    assert "input.obj:2: cannot be read: not a finite position" in said
+    (tmp_path / "none.obj").write_bytes(b"v 0 0 0\n")
+    plugin = registry.load("nuno.operations", "wrinkle")
+    lines = [{"points": [[0, 0, 0], [1, 0, 0]], "height": 0.01}, {"file": "none.obj", "height": 0.01}]
+    with pytest.raises(BadInput, match="the file holds no lines"):
+        plugin.resolve(plugin.Config(lines=lines), OneFile(tmp_path / "none.obj"))
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e400", "null", "[]"])
+@pytest.mark.parametrize(
+    ("name", "field"), [("collision/bodies", "t"), ("dye/cloth", "cell_size"), ("sim/fabric", "vertices")]
+)
+def test_messages_with_numbers_that_are_none(name: str, field: str, number: str, tmp_path: Path) -> None:
+    kind = KINDS[f"message {name}"]
+    arrays, text = decode_arrays(kind.seeds(tmp_path)[0])
+    text = json.loads(json.dumps(text | {field: None}).replace(f'"{field}": null', f'"{field}": {number}'))
+    with pytest.raises(BadMessage):
+        kind.reader(tmp_path)(encode_arrays(arrays, text))
+
+
+def test_an_object_of_vertices_that_are_not_there_is_not_made_room_for(tmp_path: Path) -> None:
+    kind = KINDS["message sim/fabric"]
+    arrays, text = decode_arrays(kind.seeds(tmp_path)[0])
+    text["objects"][0]["stop"] = 10**12
+    with pytest.raises(BadMessage, match="an object of vertices 0 to 1000000000000 of 4"):
+        kind.reader(tmp_path)(encode_arrays(arrays, text))
+
+
+def test_a_report_that_nests_too_deep(tmp_path: Path) -> None:
+    with pytest.raises(BadMessage):
+        KINDS["message run/report"].reader(tmp_path)(b'{"a":' * 100_000)
+
+
+def _geometry(**changed: Any) -> Geometry:
+    one = np.zeros(1, np.int32)
+    field = DistanceField(np.zeros(3), 1.0, np.ones(3, np.int32), 0.1, 1.0, np.full(1, -1, np.int32),
+                          np.zeros((1, 32), np.float32))  # fmt: skip
+    given: dict[str, Any] = {
+        "kind": np.full(1, FIELD, np.int8), "frame": one, "body": one, "a": np.zeros((1, 3)), "b": np.ones((1, 3)),
+        "radius": np.zeros(1), "stiffness": np.full(1, np.nan), "damping": np.zeros(1), "friction": np.zeros(1),
+        "vertices": np.eye(3), "faces": np.arange(3, dtype=np.int32)[None], "owner": one, "fields": (field,),
+    }  # fmt: skip
+    return Geometry(("a",), ("a/world",), **(given | changed))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, ""),
+        ({"faces": np.array([[0, 1, 3]], np.int32)}, "faces goes from 0 to 3, of 3"),
+        ({"owner": np.full(1, -1, np.int32)}, "owner goes from -1"),
+        ({"frame": np.ones(1, np.int32)}, "frame goes from 1"),
+        ({"a": np.zeros((1, 2))}, "a is float64"),
+        ({"radius": np.zeros(1, np.int64)}, "radius is int64"),
+    ],
+)
+def test_bodies_that_kernels_would_read_beyond(change: dict[str, Any], words: str) -> None:
+    payload = encode_geometry(_geometry(**change))
+    if not words:
+        assert len(decode_geometry(payload).fields) == 1
+        return
+    with pytest.raises(BadMessage, match=words):
+        decode_geometry(payload)
+
+
+@pytest.mark.parametrize("child", [[0] + [-1] * 8, [2] + [-1] * 8, [-2], [1]])
+def test_distance_fields_that_lead_nowhere(child: list[int]) -> None:
+    field = DistanceField(np.zeros(3), 1.0, np.ones(3, np.int32), 0.1, 1.0, np.array(child, np.int32),
+                          np.zeros((1, 32), np.float32))  # fmt: skip
+    with pytest.raises(BadMessage, match="lead nowhere"):
+        decode_geometry(encode_geometry(_geometry(fields=(field,))))
+
+
+def test_recordings_of_what_no_run_records(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        file = McapFile(stream)
+        file.add_metadata("run", {"run": "a"})
+        file.add_metadata(END, {"missing": '{"sim/state": [1]}'})
+        channel = file.add_channel("sim/status", "json", "nuno.Status", "jsonschema", b"{}")
+        file.add_message(channel, 0, 0, 0, b'{"frame": null}')
+        file.finish()
+    with Recording(path) as recording:
+        for read in (lambda: recording.missing, recording.marks, recording.series):
+            with pytest.raises(BadInput, match="no whole number"):
+                read()
+
+
+def test_a_channel_without_schema_is_named_and_nothing_is_left_behind(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap.part"
+    with path.open("wb") as stream:
+        file = McapFile(stream)
+        file.add_metadata("run", {"run": "a"})
+        channel = file.add_channel("sim/status", "json", "nuno.Status", "jsonschema", b"{}")
+        file.add_message(channel, 0, 0, 0, b"{}")
+        file.flush()
+    data = path.read_bytes()
+    records = []
+    for code, body in mcap_records(data[len(MCAP) :]):
+        if code == CHUNK:
+            inside = b"".join(mcap_record(*one) for one in mcap_records(body[40:]) if one[0] != 3)
+            body = body[:16] + struct.pack("<QIIQ", len(inside), zlib.crc32(inside), 0, len(inside)) + inside
+        records.append(mcap_record(code, body))
+    path.write_bytes(MCAP + b"".join(records))
+    with pytest.raises(BadInput, match="sim/status has no schema"):
+        recover(path)
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
