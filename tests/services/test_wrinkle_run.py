@@ -16,6 +16,7 @@ from nuno.cli import main
 from nuno.export.cloth import Pieces
 from nuno.recording.restore import control_events
 from nuno.service import Options
+from nuno.simulation.run import Simulation
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput, RunFailed
 
@@ -155,3 +156,16 @@ def test_a_scene_says_which_object_and_when(tmp_path: Path) -> None:
         with pytest.raises(BadInput) as caught:
             scene_file.read(cloths(tmp_path, operations=[applied]))
         assert caught.value.field == f"operations[0].{field}"
+
+
+def test_a_change_that_a_solver_refuses_says_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = Simulation(scene_file.read(cloths(tmp_path, operations=[])), None, None, 0)
+    before, digest = simulation.fabric.number, simulation.state.x.tobytes()
+
+    def refuse(*_: object) -> None:
+        raise BadInput("no more than this fits", remedy="fewer lines")
+
+    monkeypatch.setattr(type(simulation.loaded.integrator.plugin), "prepare", refuse)
+    with pytest.raises(BadInput, match="no more than this fits"):
+        simulation.add(f"wrinkle: {{object: sheet, lines: [{LINE}]}}".replace("'", '"'))
+    assert (simulation.fabric.number, simulation.state.x.tobytes()) == (before, digest)

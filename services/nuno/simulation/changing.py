@@ -112,6 +112,8 @@ class Changing(ABC):
             self._prepare(kept, source.astype(np.int32))
         except BadInput as error:
             vars(self).update(before)
+            if error.field != "solver.dt":
+                raise
             problem = "the changed cloth would make the present step unstable"
             remedy = "solver: {dt: auto}, a smaller dt, a line of fewer small triangles, or springs: paper"
             raise BadInput(problem, value=f"{self.dt:g} s", limit=error.limit, remedy=remedy) from None
