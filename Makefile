@@ -10,7 +10,7 @@ run: .venv/run.stamp  ## simulate the default scene: record it, show it, report 
 	@$(BIN)/nuno run $(SCENE) $(ARGS)
 
 test: .venv/dev.stamp  ## all tests; those that need a missing system package skip by name
-	$(BIN)/pytest -n auto --dist loadfile $(ARGS)
+	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: .venv/dev.stamp  ## ruff and mypy
 	$(BIN)/ruff check .

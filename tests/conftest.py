@@ -23,6 +23,26 @@ def shared_data() -> Path:
     return SHARED
 
 
+APART = "dye knit yarn stocking render ray curves field sdf wrinkle xpbd shirt draw".split()
+"""Words in the names of test files that compile few of the kernels which the others compile."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Deal files that compile different kernels in turn, those with most tests first.
+
+    Workers take files from the head of one queue. Two that compile the same kernel at once both pay for it, while
+    one after the other the second finds it in the cache.
+    """
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    halves: tuple[list[list[pytest.Item]], list[list[pytest.Item]]] = [], []
+    for path, tests in sorted(files.items(), key=lambda entry: -len(entry[1])):
+        halves[any(word in path.stem for word in APART)].append(tests)
+    places = [((k + 0.5) / len(half), tests) for half in halves for k, tests in enumerate(half)]
+    items[:] = [item for _, tests in sorted(places, key=lambda place: place[0]) for item in tests]
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
