@@ -29,6 +29,15 @@ FEW = 1 / 16
 """unless they hold no more than this share of all: then they are computed as runs too, and the
 kernel for lists is not even compiled. A grid's borders are such."""
 
+SMALL = 1024
+"""With fewer elements all go through lists, which take any constants: a step has microseconds to win by runs, and each
+combination of what a net has or lacks takes seconds to compile."""
+
+
+def is_small(elements: int) -> bool:
+    """Whether so many springs or hinges are not worth a kernel for just what they are."""
+    return elements < SMALL
+
 
 def block_count(vertices: int) -> int:
     """Blocks that `vertices` make."""
@@ -118,6 +127,8 @@ def assign_runs(cut: Long, blocks: int) -> tuple[Long, Long]:
 
 def choose_runs(count: Int, stride: Int) -> Bool:
     """(m,) which of the runs with (m,) counts and strides are taken as they are."""
+    if is_small(int(count.sum())):
+        return np.zeros(count.shape, bool)
     straight: Bool = stride == 1
     long: Bool = straight & (count >= SHORTEST)
     few = int(count[straight & ~long].sum()) <= FEW * int(count.sum())

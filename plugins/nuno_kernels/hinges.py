@@ -33,6 +33,7 @@ from nuno_kernels.blocks import (
     block_count,
     choose_runs,
     cut_runs,
+    is_small,
     local_targets,
     owned_copies,
     pad_lists,
@@ -220,7 +221,8 @@ def _pack_hinge_lists(hinges: Hinges, chosen: Bool, vertices: int) -> HingeLists
     target = local_targets(np.where(filled, quads[:, element], -1), start, vertices)
     corners = np.concatenate([np.where(filled, quads[:, element], 0), target]).astype(np.int32)
     constants = np.ascontiguousarray(np.where(filled, values[:, element], 0.0))
-    return HingeLists(start, corners, constants, True if constants[1].any() else None)
+    curved = True if is_small(hinges.number) or constants[1].any() else None
+    return HingeLists(start, corners, constants, curved)
 
 
 def hinge_angles(position: Float, quads: Int) -> Float:

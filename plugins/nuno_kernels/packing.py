@@ -109,7 +109,9 @@ def reads_velocity(packed: Packed) -> bool:
     """Whether any of the compiled forces depends on the velocity, or contact moves vertices after a step: an
     acceleration found before is then not that of the next step's start.
     """
-    damped = any(part is not None and part.damped is not None for part in (packed.runs, packed.lists, packed.yarns))
+    springs = (packed.runs, packed.lists)
+    damped = any(part is not None and part.damped is not None and part.constants[2].any() for part in springs)
+    damped |= packed.yarns is not None and packed.yarns.damped is not None
     moved = packed.contact is not None or packed.slides is not None
     return damped or moved or packed.damping != 0.0 or packed.air is not None
 

@@ -249,7 +249,7 @@ def make_slides(trees: list[Tree], frame: Int, friction: Float, frames: int, gap
     )
     return Slides(
         root=nodes[:-1].astype(np.int64),
-        frame=np.ascontiguousarray(frame, np.int32),
+        frame=np.array(frame, np.int32),
         friction=np.array(friction, np.float64),
         gap=np.full(1, gap),
         mass=np.array(mass, np.float64),

@@ -11,6 +11,7 @@ from nuno_kernels.blocks import (
     block_count,
     choose_runs,
     cut_runs,
+    is_small,
     local_targets,
     owned_copies,
     pad_lists,
@@ -43,6 +44,8 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | N
     for row, values in zip(each, named, strict=True):
         np.take(springs.per_spring(values), order, out=row)
     del order
+    if is_small(springs.number):
+        return None, _pack_lists(pairs.astype(np.int64), each, vertices, general=True)
     return _pack_pairs(pairs, each, runs, constants, vertices)
 
 
@@ -118,8 +121,8 @@ def locking(constants: Float) -> bool | None:
     return True if constants.shape[0] > 3 else None
 
 
-def _pack_lists(pairs: Long, constants: Float, vertices: int) -> SpringLists:
-    """Lists per block of (s, 2) springs in the order of their vertices."""
+def _pack_lists(pairs: Long, constants: Float, vertices: int, general: bool = False) -> SpringLists:
+    """Lists per block of (s, 2) springs in the order of their vertices; `general` ones are taken as damped."""
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
     ends, constants = pairs[order].T, constants[:, order]
     element, bounds = owned_copies(ends, block_count(vertices))
@@ -128,6 +131,6 @@ def _pack_lists(pairs: Long, constants: Float, vertices: int) -> SpringLists:
     ends = np.where(filled, ends[:, element], 0)
     target = local_targets(np.where(filled, ends, -1), start, vertices)
     constants = np.where(filled, constants[:, element], 0.0)
-    damped = True if constants[2].any() else None
+    damped = True if general or constants[2].any() else None
     table = np.concatenate([ends, target]).astype(np.int32)
     return SpringLists(start, np.ascontiguousarray(table), np.ascontiguousarray(constants), damped, locking(constants))

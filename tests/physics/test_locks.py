@@ -111,7 +111,8 @@ BUILDS = {"lists": lambda: flat(50, 1), "runs": rows_of_runs}
 
 
 @pytest.mark.parametrize("build", BUILDS.values(), ids=BUILDS)
-def test_force_is_minus_the_gradient_of_energy(build: Any) -> None:
+def test_force_is_minus_the_gradient_of_energy(build: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nuno_kernels.blocks.SMALL", 0)
     fabric = build()
     packed, x0 = pack(make_system(fabric)), fabric.position
     part = packed.runs or packed.lists

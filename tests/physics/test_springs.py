@@ -224,6 +224,23 @@ def test_runs_and_pairs_agree_to_rounding() -> None:
     assert np.abs(one.x - two.x).max() < 1e-13
 
 
+@pytest.mark.parametrize("c", [0.0, 0.01])
+def test_small_nets_have_the_same_forces_and_energy_by_lists(c: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer springs than are worth runs go through lists, whatever they have; velocity counts where it did."""
+    position, springs = grid_springs(9, 12, 0.01, c=c)
+    x, v = shaken(position, 1e-3)
+    system, found = make_system(make_fabric(position, springs)), []
+    for small in (springs.number + 1, springs.number):
+        monkeypatch.setattr("nuno_kernels.blocks.SMALL", small)
+        packed = pack(system)
+        assert (packed.runs is None) == (small > springs.number)
+        assert packed.velocity_matters == (c > 0.0)
+        energy = measure_energy(to_rows(x), to_rows(v), system.fabric.mass, packed).total
+        found.append((accelerations(system, x, v), energy))
+    assert np.abs(found[0][0] - found[1][0]).max() < 1e-13 * np.abs(found[1][0]).max()
+    assert abs(found[0][1] / found[1][1] - 1.0) < 1e-13
+
+
 def test_stretch_is_the_largest_relative_elongation() -> None:
     position, springs = grid_springs(8, 8, 0.01)
     x = position * np.array([1.25, 1.0, 1.0])
