@@ -33,18 +33,19 @@ audit: | .venv/bin/python  ## known vulnerabilities of these versions
 	$(BIN)/python -m pip install --disable-pip-version-check pip-audit
 	$(BIN)/pip-audit --disable-pip --require-hashes --requirement deploy/requirements.txt
 
+# --no-compile: Python compiles what is imported when it is; to compile all of 300 MB takes twenty seconds.
 .venv/bin/python:
 	@echo "making .venv with $$($(PYTHON) --version)"
 	$(PYTHON) -m venv .venv
 
 .venv/run.stamp: pyproject.toml | .venv/bin/python
 	@echo "installing nuno and what it needs (about 200 MB, once)"
-	$(BIN)/python -m pip install --disable-pip-version-check -e ".[view,video]"
+	$(BIN)/python -m pip install --no-compile --disable-pip-version-check -e ".[view,video]"
 	@touch $@
 
 .venv/dev.stamp: pyproject.toml | .venv/bin/python
 	@echo "installing nuno and what its tests need (about 300 MB, once)"
-	$(BIN)/python -m pip install --disable-pip-version-check -e ".[dev]"
+	$(BIN)/python -m pip install --no-compile --disable-pip-version-check -e ".[dev]"
 	@touch $@ .venv/run.stamp
 
 clean:  ## remove the environment and caches, keep recordings
