@@ -8,10 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+import yaml
 
 from nuno import build
 from nuno.cli.common import load_scene
-from nuno.scene_file import Loaded
+from nuno.scene_file import Loaded, find
 from nuno_kernels.leg import leg_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
@@ -101,8 +102,14 @@ def test_a_file_may_not_go_by_the_name_of_one_beside_the_scene(tmp_path: Path) -
 
 
 def test_only_what_the_user_names_is_read_from_outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file that the scene's own text names is looked for beside the scene alone."""
+    """What the user names in a whole collider is found too; what the scene's own text names, beside it alone."""
     save(tmp_path / "mine.obj")
     monkeypatch.chdir(tmp_path)
+    fabric("bodies.leg.collider={plugin: mesh, file: mine.obj}")
+    scene = tmp_path / "scene" / "own.yaml"
+    scene.parent.mkdir()
+    data = yaml.safe_load(find("knit/stocking-leg").read_text())
+    data["bodies"][0]["collider"] = {"plugin": "mesh", "file": "mine.obj"}
+    scene.write_text(yaml.safe_dump(data))
     with pytest.raises(BadInput, match="no such file"):
-        fabric("bodies.leg.collider={plugin: mesh, file: mine.obj}")
+        build.build_fabric(load_scene(SimpleNamespace(scene=str(scene), overrides=[], root=[])))  # type: ignore[arg-type]
