@@ -23,6 +23,7 @@ CASES = {
     "closest": ("nuno_bench.closest", "closest"),
     "fit": ("nuno_bench.fit_speed", "fits"),
     "sdf": ("nuno_bench.sdf", "sdf"),
+    "wrinkle": ("nuno_bench.wrinkle_speed", "wrinkle"),
     "render": ("nuno_bench.render_speed", "render"),
     "dye": ("nuno_bench.dye_speed", "dye"),
     "pipeline": ("nuno_bench.pipeline", "pipeline"),

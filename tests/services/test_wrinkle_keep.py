@@ -76,3 +76,15 @@ def test_heights_are_in_the_report_over_time_and_in_resumed_runs(tmp_path: Path)
     options = Options(record=tmp_path / "on.mcap", resume=tmp_path / "part.mcap")
     resumed = supervisor.supervise(scene_file.read(scene, ("duration=0.2",)), options)
     assert resumed.summary["changes"][0]["measured"][-1] == end
+
+
+def test_a_rehearsed_change_leaves_nothing_behind(tmp_path: Path) -> None:
+    scene = hung(tmp_path, "level", True)
+    later = ("operations[0].at=0.05", "duration=0.1")
+    plain, rehearsed = (Simulation(scene_file.read(scene, later), None, None, 1) for _ in range(2))
+    rehearsed.rehearse(None)
+    assert rehearsed.changes == [] and rehearsed.applied == 0 and rehearsed.fabric.number == plain.fabric.number
+    while not plain.finished:
+        ours, theirs = plain.advance(None, None), rehearsed.advance(None, None)
+        assert ours.digest == theirs.digest
+    assert rehearsed.applied == 1 and rehearsed.dt == plain.dt

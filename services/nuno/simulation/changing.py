@@ -16,6 +16,7 @@ from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, Memory, State
 from nuno_schemas.operation import Outcome
+from nuno_schemas.plugin import StepReport
 
 
 class Changing(ABC):
@@ -38,6 +39,10 @@ class Changing(ABC):
     @abstractmethod
     def t(self) -> float:
         """Simulation time [s]."""
+
+    @abstractmethod
+    def measure(self, poses: Poses | None) -> StepReport:
+        """The present state's energy and stretch, without a step; compiles what steps need."""
 
     @abstractmethod
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
@@ -78,6 +83,26 @@ class Changing(ABC):
                 raise self.loaded.at(f"operations[{i}]", error) from None
             self.applied += 1
         return self.applied > before
+
+    def rehearse(self, poses: Poses | None) -> None:
+        """Let the scene's later operations change the cloth as it is now, compile what its steps then need, and have
+        everything as it was: the run does not wait for the compiler where their time comes.
+
+        An operation that would be refused now is left for its time.
+        """
+        scene = self.loaded.scene
+        names = [spec.name for spec in scene.objects]
+        for applied, chosen in zip(scene.operations, self.loaded.operations, strict=True):
+            if round(float(applied.at) * scene.frame_rate) <= self.frame:
+                continue
+            before = dict(vars(self))
+            try:
+                self._alter(names.index(applied.object or names[0]), chosen)
+                self.measure(poses)
+            except BadInput:
+                pass
+            finally:
+                vars(self).update(before)
 
     def parts(self) -> list[Fabric]:
         """The fabric of each object as it is now."""

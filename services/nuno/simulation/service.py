@@ -44,4 +44,5 @@ def main(context: Context) -> None:
     if context.options.resume is not None:
         poses = resume(context, simulation, context.options.resume, poses)
     simulation.measure(poses)  # compiles what the steps need, so that the run itself is timed without it
+    simulation.rehearse(poses)
     Driver(context, simulation, poses).serve()
