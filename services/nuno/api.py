@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from nuno import runs, scene_file, supervisor
-from nuno.choose import decide
 from nuno.recording.reader import Recording, open_recording
 from nuno.report import Report, make_report
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.choose import decide
+from nuno.scene.scene_file import Loaded
 from nuno.service import Options
-from nuno.supervisor import Deployment
+from nuno.supervision import runs, supervisor
+from nuno.supervision.supervisor import Deployment
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
 

@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from nuno.bus import Bus, Inbox, Message, Watch
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import topic_of
 from nuno.service import ack_topic
-from nuno.sessions import PATIENCE
+from nuno.wire.bus import Bus, Inbox, Message, Watch
+from nuno.wire.sessions import PATIENCE
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import (
     BODIES,

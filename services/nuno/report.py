@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TextIO
 
-from nuno.scene_file import Loaded
-from nuno.supervisor import Outcome
+from nuno.scene.scene_file import Loaded
+from nuno.supervision.supervisor import Outcome
 from nuno.words import duration, factor
 from nuno_schemas.messages import FRAMES
 

@@ -18,9 +18,9 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from nuno.bus import Bus, Inbox, Message, Question, Watch
-from nuno.health import offer_health
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
+from nuno.wire.bus import Bus, Inbox, Message, Question, Watch
+from nuno.wire.health import offer_health
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, Event, Topic
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from nuno.health import Health
+from nuno.wire.health import Health
 from nuno.words import factor
 
 HEADINGS = (

@@ -13,7 +13,7 @@ from nuno.recording.provenance import plugins, versions
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import restored_scene
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
 Progress = Callable[[float], None]

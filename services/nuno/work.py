@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, Protocol
 
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 
 
 class Work(Protocol):

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno import scene_file
-from nuno.choose import PROMISE, decide
-from nuno.trials import GROWTH
+from nuno.scene import scene_file
+from nuno.scene.choose import PROMISE, decide
+from nuno.scene.trials import GROWTH
 from nuno_bench import machine, markdown, options, page
 from nuno_bench.horizon import DISTURBANCE, disturb
 from nuno_bench.observe import Problem, Run, make_problem, simulate

@@ -17,8 +17,8 @@ import zenoh
 
 import nuno
 from nuno.access import folder
-from nuno.bus import Bus
-from nuno.sessions import free_port, hub, spoke
+from nuno.wire.bus import Bus
+from nuno.wire.sessions import free_port, hub, spoke
 from nuno_bench import machine, markdown, options
 from nuno_bench.result import number, text_table
 from nuno_bench.soak import small

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from nuno import scene_file
 from nuno.dye.run import DyeRun
 from nuno.export.dyed import DyePainter, painter_of
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno_bench.dye_measures import Dyed, fixed_radius, follows, mottle, spread_radius, streaks
 from nuno_bench.gallery_kind import EFFECT, Columns, Kind, Shown, difference_row
 from nuno_bench.machine import cores

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from nuno import registry
 from nuno.dye.run import DyeRun
-from nuno.scene_file import Chosen, Loaded
+from nuno.scene.scene_file import Chosen, Loaded
 from nuno_bench.machine import cores
 from nuno_bench.observe import Run, Series, check_memory
 from nuno_schemas.dye import DyeState

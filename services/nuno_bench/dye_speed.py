@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_bench import limits
 from nuno_bench.dye_peers import SlicedDiffusion, devito_diffusion
 from nuno_bench.laws.dye import D0, SIZE, make_cells

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno import build, scene_file
-from nuno.build import Bodies
+from nuno.cloth import build
+from nuno.cloth.build import Bodies
 from nuno.collision.distance import signed_distance
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from typing import NamedTuple
 
-from nuno import build, scene_file
+from nuno.cloth import build
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.measure import watch_compiler
 from nuno_bench.result import Result

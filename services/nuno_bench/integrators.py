@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno_bench import findings, machine, markdown, options, page, plots
 from nuno_bench.experiment import INTEGRATORS, RUNAWAY, SERIES, Trace, run_experiment
 from nuno_bench.findings import Finding

@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno import api, scene_file
+from nuno import api
+from nuno.cloth.pressure import named_heights
 from nuno.export.cloth import read_frame, read_pieces
 from nuno.export.pictures import Colour, export_picture
 from nuno.export.yarns import export_yarn_picture
-from nuno.pressure import named_heights
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Frame
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery_kind import EFFECT, Columns, Kind, Shown, difference_row
 from nuno_bench.knit_measures import Knitted, density_at, stretch, unevenness, zigzag
 from nuno_bench.knit_rows import NUMBER_HEADINGS, PARAMETER_HEADINGS, number_row, parameter_row

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno_bench.knit_measures import Knitted, course_density
 from nuno_bench.result import number
 

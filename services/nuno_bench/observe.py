@@ -17,8 +17,8 @@ import numpy as np
 import psutil
 from pydantic import BaseModel
 
-from nuno import build
-from nuno.scene_file import Loaded
+from nuno.cloth import build
+from nuno.scene.scene_file import Loaded
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput

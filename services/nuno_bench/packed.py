@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from nuno import scene_file
 from nuno.recording.provenance import assets
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
 

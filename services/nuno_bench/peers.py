@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench import machine, markdown, options, plots, stiff
 from nuno_bench import peer_page as shown

@@ -9,11 +9,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from nuno import build, scene_file
-from nuno.scene_file import Loaded
+from nuno.cloth import build
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
-from nuno.supervisor import Outcome, supervise
+from nuno.supervision.supervisor import Outcome, supervise
 from nuno_bench.machine import cores
 from nuno_bench.measure import alternate
 from nuno_bench.result import Result

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno_bench.dye_problem import DyeProblem, make_dye_problem
 from nuno_bench.observe import Problem, make_problem
 

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry, scene_file
-from nuno.scene_file import Loaded
+from nuno import registry
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require
 from nuno_bench import executor, machine, markdown, options, plots
 from nuno_bench.dye_problem import DYE_OBSERVABLES, DyeProblem

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import registry
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_bench.machine import cores
 from nuno_schemas.fabric import Fabric, Int, State
 from nuno_schemas.plugin import System

@@ -10,7 +10,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from nuno import build, registry
+from nuno import registry
+from nuno.cloth import build
 from nuno_bench.observe import Problem, Run, simulate
 from nuno_bench.reference_closed import closed_form
 from nuno_schemas.errors import BadInput

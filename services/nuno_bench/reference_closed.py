@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno import build
+from nuno.cloth import build
 from nuno_bench.observe import Problem, Run, Watch
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import StepReport, System

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from nuno import build, registry
+from nuno import registry
+from nuno.cloth import build
 from nuno_bench.observe import Problem, Run, first_call, simulate
 from nuno_bench.reference import GROUP, Reference
 from nuno_schemas.errors import BadInput

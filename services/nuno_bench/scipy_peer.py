@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.numpy_peer import SlicedCloth
 from nuno_bench.result import Result

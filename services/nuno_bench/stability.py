@@ -7,8 +7,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from nuno import registry, scene_file
-from nuno.scene_file import Loaded
+from nuno import registry
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require as require_viewer
 from nuno_bench import executor, machine, markdown, options, plots
 from nuno_bench import stability_page as shown

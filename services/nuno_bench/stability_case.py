@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from nuno import build, registry
-from nuno.scene_file import Loaded
+from nuno import registry
+from nuno.cloth import build
+from nuno.scene.scene_file import Loaded
 from nuno_bench.packed import Packed, unpacked
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput

@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nuno import registry, scene_file
+from nuno import registry
+from nuno.scene import scene_file
 from nuno_bench.dye_problem import SCHEME, DyeProblem, make_dye_problem
 from nuno_bench.dye_reference import extrapolate
 from nuno_bench.observe import Run

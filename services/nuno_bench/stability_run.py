@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from nuno import registry, scene_file
+from nuno import registry
+from nuno.scene import scene_file
 from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
 from nuno_bench.packed import pack

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.result import Result

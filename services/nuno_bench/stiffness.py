@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.result import Result

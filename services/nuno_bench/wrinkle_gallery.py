@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno import api, scene_file
+from nuno import api
 from nuno.export.cloth import Pieces, read_frame
 from nuno.export.pictures import export_picture
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Frame
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery_kind import EFFECT, Columns, Kind, Shown, difference_row
 from nuno_bench.result import number
 from nuno_bench.wrinkle_measures import Drawn, Ridge

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.measure import seconds, watch_compiler

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from nuno import build, scene_file
-from nuno.worn import check_worn
+from nuno.cloth import build
+from nuno.cloth.worn import check_worn
+from nuno.scene import scene_file
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

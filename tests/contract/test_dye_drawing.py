@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_schemas.dye_picture import Layers, Photograph, Window
 from nuno_schemas.look import DyeColour
 

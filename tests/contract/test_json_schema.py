@@ -9,8 +9,9 @@ import jsonschema
 import pytest
 import yaml
 
-from nuno import registry, scene_file
-from nuno.json_schema import scene_schema
+from nuno import registry
+from nuno.scene import scene_file
+from nuno.scene.json_schema import scene_schema
 from nuno_schemas.plugin import GROUPS
 
 

@@ -11,8 +11,9 @@ import pytest
 import yaml
 from model_files import Folder, files, net_arrays
 
-from nuno import build, scene_file
-from nuno.scene_file import Loaded
+from nuno.cloth import build
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno_cloth.mesh import BYTES_PER_VERTEX as MESH
 from nuno_cloth.net import BYTES_PER_SPRING as SPRING
 from nuno_cloth.net import BYTES_PER_VERTEX as POINT

@@ -11,8 +11,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nuno import scene_file, yaml_lines
-from nuno.override import apply_override, overridden
+from nuno.scene import scene_file, yaml_lines
+from nuno.scene.override import apply_override, overridden
 from nuno_schemas.errors import BadInput
 
 GOOD: dict[str, Any] = {

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_dye.picture import YarnsConfig, YarnsPicture
 from nuno_dye.texture import TextureConfig
 from nuno_dye.woven import WovenConfig, YarnConfig, build_cells

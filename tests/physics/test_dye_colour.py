@@ -11,7 +11,7 @@ import pytest
 from drawn_cloth import BYTE, FLAT, INK, by_layer, cloth, draw_cloth, layers_of, spots, whole
 from pydantic import ValidationError
 
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_dye import picture as module
 from nuno_dye.colour import colour_of, mix
 from nuno_dye.picture import YarnsConfig, YarnsPicture

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from pydantic import ValidationError
 
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_dye.photograph import Colours, find_up, read_photograph, share_out, split_by_colour, to_oklab
 from nuno_dye.photograph_cloth import PhotographCloth, PhotographConfig, PhotographPicture, PhotographPictureConfig
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb

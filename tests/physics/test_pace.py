@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import build, scene_file
+from nuno.cloth import build
+from nuno.scene import scene_file
 from nuno_integrators.pace import BETTER, TRY_AGAIN, Pace
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.plugin import System, Term

@@ -9,7 +9,7 @@ import pytest
 from wrinkled import draw, ridge, sheet
 
 from nuno import registry
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_bench import wrinkles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import State

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Outcome
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import scene_file
 from nuno.cli import parser_of
+from nuno.scene import scene_file
 from nuno_bench import dye_gallery, gallery
 from nuno_bench.dye_measures import Dyed, follows, mottle, spread_radius, streaks
 from nuno_bench.gallery_kind import Shown

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import scene_file
-from nuno.arrays import encode_arrays
 from nuno.dye.run import DyeRun
 from nuno.export.dyed import painter_of
+from nuno.scene import scene_file
+from nuno.wire.arrays import encode_arrays
 from nuno_schemas.dye_picture import Layers
 
 SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in ("drops", "halo", "photograph")]

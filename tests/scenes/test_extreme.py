@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import build, scene_file
+from nuno.cloth import build
+from nuno.scene import scene_file
 from nuno.simulation.run import Frame, Simulation
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from nuno import scene_file
 from nuno.cli import parser_of
+from nuno.scene import scene_file
 from nuno_bench import gallery, knit_gallery
 from nuno_bench.gallery_kind import EFFECT, Shown, difference_row
 from nuno_bench.knit_measures import Knitted, course_density, density_at, stretch, unevenness, zigzag

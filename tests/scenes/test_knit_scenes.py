@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_integrators.implicit import ImplicitEuler
 from nuno_kernels import solver

@@ -10,9 +10,9 @@ import pytest
 import trimesh
 import yaml
 
-from nuno import build
 from nuno.cli.common import load_scene
-from nuno.scene_file import Loaded, find
+from nuno.cloth import build
+from nuno.scene.scene_file import Loaded, find
 from nuno_kernels.leg import leg_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import build, scene_file
+from nuno.cloth import build
 from nuno.collision.distance import penetration
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 
 FRAMES = 5

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import nuno
-from nuno import build, scene_file
 from nuno.cli import main
+from nuno.cloth import build
+from nuno.scene import scene_file
 from nuno.simulation.relax import BALANCED
 from nuno.simulation.run import Simulation
 from nuno_integrators.profile import profile_steps

@@ -10,7 +10,7 @@ import zenoh
 from live_run import Run, start_long
 from refusals import Refused
 
-from nuno.sessions import spoke
+from nuno.wire.sessions import spoke
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from nuno import scene_file
 from nuno.draw.desk import Desk
 from nuno.draw.server import Server
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board
+from nuno.scene import scene_file
 
 SHEET = """\
 nuno: 1

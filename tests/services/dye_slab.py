@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from dye_scene import CELL, D0, write_scene
 
-from nuno import scene_file
 from nuno.dye.run import DyeRun
+from nuno.scene import scene_file
 
 CLOTH = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": {"I": 0.5, "II": 0.5, "III": 0.1}}
 SPREAD = {"I": 0, "II": 1, "III": 1, "IV": 1, "V": 1}

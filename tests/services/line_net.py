@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno_bench.observe import Problem, make_problem
 from nuno_bench.reference import Reference, make_reference
 

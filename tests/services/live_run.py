@@ -10,10 +10,11 @@ from typing import Any
 
 from scenes import BALL, write_scene
 
-from nuno import runs, scene_file, supervisor
 from nuno.report import Report, make_report
+from nuno.scene import scene_file
 from nuno.service import Options
-from nuno.supervisor import Deployment, Outcome
+from nuno.supervision import runs, supervisor
+from nuno.supervision.supervisor import Deployment, Outcome
 from nuno_schemas.messages import FrameStatus
 
 

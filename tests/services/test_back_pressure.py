@@ -13,14 +13,16 @@ from live_run import wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import laggards, lockstep, oversight, scene_file, supervisor
-from nuno.bus import Bus, Inbox, Message
 from nuno.collision import ask
 from nuno.collision.service import Collision
 from nuno.recording.service import Recorder
+from nuno.scene import scene_file
 from nuno.service import Options
-from nuno.sessions import hub_at, identity, spoke
-from nuno.supervisor import Outcome
+from nuno.supervision import oversight, supervisor
+from nuno.supervision.supervisor import Outcome
+from nuno.wire import laggards, lockstep
+from nuno.wire.bus import Bus, Inbox, Message
+from nuno.wire.sessions import hub_at, identity, spoke
 from nuno_schemas.messages import STATE
 
 COUNT, SIZE = 400, 100_000
@@ -124,7 +126,7 @@ def test_a_recorder_that_never_comes_back_ends_the_run(tmp_path: Path, monkeypat
 def test_a_slow_collision_service_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pause: float, ends: str
 ) -> None:
-    monkeypatch.setattr("nuno.bus.WAITING_AFTER", 0.2)
+    monkeypatch.setattr("nuno.wire.bus.WAITING_AFTER", 0.2)
     monkeypatch.setattr(ask, "PATIENCE", 1.0)
     real = Collision.poses
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno_bench import findings
 from nuno_bench.experiment import SERIES, SPLIT, Trace, run_variant
 from nuno_bench.integrators import render, write

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import scene_file
 from nuno.cli import main
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench import peer_page, peers, stiff
 from nuno_bench.numpy_peer import SlicedCloth

@@ -13,8 +13,9 @@ import pytest
 from dye_scene import CELL, D0, TAU3, write_scene
 from precision_sweeps import points_of, swept
 
-from nuno import registry, scene_file
+from nuno import registry
 from nuno.cli import main as nuno_main
+from nuno.scene import scene_file
 from nuno_bench.dye_problem import AMOUNTS, DyeProblem, make_dye_problem
 from nuno_bench.dye_reference import make_dye_reference
 from nuno_bench.observe import Series

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.numpy_peer import SlicedCloth
 from nuno_bench.scipy_peer import SMOOTH, _fastest, implicit, slopes_by_vertex, structure

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
-from nuno import api, build, choose, registry, scene_file
-from nuno.scene_file import Loaded
-from nuno.trials import Method, Trials
+from nuno import api, registry
+from nuno.cloth import build
+from nuno.scene import choose, scene_file
+from nuno.scene.scene_file import Loaded
+from nuno.scene.trials import Method, Trials
 from nuno_bench.accuracy import promised_frames
 from nuno_bench.observe import make_problem, simulate
 from nuno_bench.reference import make_reference

@@ -12,7 +12,7 @@ import yaml
 
 import nuno
 from nuno.access import folder
-from nuno.sessions import free_port
+from nuno.wire.sessions import free_port
 
 FILE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
 ROLES = {"run": "supervisor"}

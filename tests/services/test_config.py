@@ -10,10 +10,10 @@ import pytest
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import runs, supervisor
-from nuno.bus import Bus, Inbox, Message, Question
 from nuno.cli import main
-from nuno.sessions import free_port, hub, spoke
+from nuno.supervision import runs, supervisor
+from nuno.wire.bus import Bus, Inbox, Message, Question
+from nuno.wire.sessions import free_port, hub, spoke
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE
 

@@ -12,15 +12,16 @@ from live_run import Run, start_long, wait_until
 from scenes import write_scene
 
 import nuno
-from nuno import runs, scene_file
-from nuno.arrays import decode_arrays
-from nuno.build import build_fabric
-from nuno.bus import Bus
 from nuno.cli import main
-from nuno.lockstep import Lockstep
+from nuno.cloth.build import build_fabric
 from nuno.recording.restore import control_events
-from nuno.sessions import spoke
+from nuno.scene import scene_file
 from nuno.simulation.driver import NOW
+from nuno.supervision import runs
+from nuno.wire.arrays import decode_arrays
+from nuno.wire.bus import Bus
+from nuno.wire.lockstep import Lockstep
+from nuno.wire.sessions import spoke
 from nuno_schemas.errors import RunFailed
 
 

@@ -15,7 +15,6 @@ from draw_desk import SHEET, scene_desk, served, write_sheet
 from live_run import wait_until
 
 import nuno
-from nuno import scene_file, yaml_lines
 from nuno.draw import keep
 from nuno.draw.append import append_items
 from nuno.draw.guard import MOST_BYTES
@@ -24,6 +23,7 @@ from nuno.draw.refusals import said_by_run
 from nuno.draw.server import Server
 from nuno.draw.sight import Piece, Sight
 from nuno.recording.restore import control_events
+from nuno.scene import scene_file, yaml_lines
 from nuno_schemas.errors import BadInput
 
 ITEM = {"plugin": "wrinkle", "object": "cloth", "lines": [{"on_faces": [{"face": 1, "at": [0.5, 0.5, 0]}]}]}

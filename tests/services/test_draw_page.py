@@ -15,11 +15,11 @@ from live_run import Run
 from numpy.typing import NDArray
 
 import nuno
-from nuno import scene_file
 from nuno.cli.draw import open_desk
 from nuno.draw.desk import Desk
 from nuno.draw.lines import positions, read_strokes
 from nuno.recording.restore import control_events
+from nuno.scene import scene_file
 from nuno_schemas.fabric import Float
 
 pytestmark = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")

@@ -17,12 +17,13 @@ from dye_scene import arrays, step_plainly, write_scene
 from live_run import Run
 
 import nuno
-from nuno import scene_file, supervisor
 from nuno.cli import main
 from nuno.dye.run import DyeRun
-from nuno.json_schema import scene_schema
 from nuno.recording.restore import control_events
+from nuno.scene import scene_file
+from nuno.scene.json_schema import scene_schema
 from nuno.service import Options
+from nuno.supervision import supervisor
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput
 

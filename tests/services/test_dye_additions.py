@@ -13,12 +13,13 @@ from live_run import Run
 from PIL import Image
 
 import nuno
-from nuno import scene_file, supervisor
 from nuno.cli import main
 from nuno.dye.checkpoint import DyeCheckpoint
 from nuno.dye.run import DyeRun
 from nuno.recording.restore import control_events
+from nuno.scene import scene_file
 from nuno.service import Options
+from nuno.supervision import supervisor
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput
 

@@ -10,8 +10,8 @@ import pytest
 import yaml
 from PIL import Image
 
-from nuno import scene_file
 from nuno.dye.run import DyeRun
+from nuno.scene import scene_file
 from nuno_schemas.errors import BadInput
 
 STENCIL = {"kind": "image", "file": "stencil.png"}

@@ -10,11 +10,11 @@ import pytest
 from dye_scene import CELL, TAU3, arrays, write_scene
 
 import nuno
-from nuno import scene_file
-from nuno.choose import decide
 from nuno.dye.choose import PROMISE
 from nuno.dye.run import DyeRun
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.choose import decide
+from nuno.scene.scene_file import Loaded
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

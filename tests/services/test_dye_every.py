@@ -10,10 +10,11 @@ from dye_scene import write_scene
 from PIL import Image
 
 import nuno
-from nuno import scene_file, supervisor
 from nuno.cli import main
 from nuno.recording.reader import Recording
+from nuno.scene import scene_file
 from nuno.service import Options
+from nuno.supervision import supervisor
 from nuno.verify import verify
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS
 

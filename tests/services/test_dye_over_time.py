@@ -12,12 +12,13 @@ from dye_scene import CELL, D0, arrays, write_scene
 from dye_slab import CLOTH, DROP, LEFT, RED, SPREAD, WHOLE, slab
 
 import nuno
-from nuno import scene_file, supervisor
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import first_step, give
 from nuno.report import lines
+from nuno.scene import scene_file
 from nuno.service import Options
+from nuno.supervision import supervisor
 from nuno.verify import verify
 from nuno_dye.explicit import Explicit
 from nuno_schemas.dye import DyeSystem

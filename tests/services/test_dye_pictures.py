@@ -18,7 +18,7 @@ import nuno
 from nuno import registry
 from nuno.cli import main
 from nuno.export.dyed_pictures import _bar, _time, caption, choose_amounts, dyed_pictures, find_amounts
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_dye.picture import YarnsPicture
 from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.errors import BadInput

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import nuno
-from nuno import scene_file
 from nuno.cli import main
 from nuno.export.cloth import read_pieces
 from nuno.export.dyed import painter_of
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.dyed_pictures import Changes
 from nuno.export.pictures import Painter
+from nuno.scene import scene_file
 from nuno_schemas.messages import CLOTH, CONCENTRATION, STATE
 
 NY, NX = 9, 11

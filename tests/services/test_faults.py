@@ -16,13 +16,14 @@ from recorded_sheet import Sheet, items, metadata
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import scene_file, supervisor
 from nuno.cli import main
 from nuno.recording.writer import RecordingWriter, part_of
+from nuno.scene import scene_file
 from nuno.service import Options
-from nuno.sessions import hub_at
-from nuno.supervisor import Deployment, Outcome
+from nuno.supervision import supervisor
+from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.viewer.service import Viewer
+from nuno.wire.sessions import hub_at
 from nuno_bench.soak.fault_run import started
 from nuno_schemas.errors import RunFailed
 

@@ -12,9 +12,11 @@ import pytest
 from scenes import write_scene
 
 import nuno
-from nuno import registry, scene_file, silence, supervisor
+from nuno import registry
 from nuno.cli import main
+from nuno.scene import scene_file
 from nuno.service import Options
+from nuno.supervision import silence, supervisor
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import State
 from nuno_schemas.messages import EVENT, FrameStatus

@@ -10,8 +10,8 @@ import zenoh
 from foreign import DEEP, key, replies, session_answer, undisturbed
 from live_run import Run
 
-from nuno import supervisor
 from nuno.collision.messages import decode_poses
+from nuno.supervision import supervisor
 
 CONTROLS: list[object] = [
     {"action": "step", "frames": "many"},

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from nuno import registry
-from nuno.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, Recording
 from nuno.recording.recover import recover
+from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno_bench.soak.fuzz.files import BVH
 from nuno_bench.soak.fuzz.kind import OneFile
 from nuno_bench.soak.fuzz.kinds import KINDS

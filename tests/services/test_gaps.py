@@ -10,13 +10,13 @@ from recorded_sheet import Sheet, items, metadata
 from scenes import write_scene
 
 import nuno
-from nuno.bus import Publisher
 from nuno.cli import main
 from nuno.recording.gaps import Gap, find_gaps, missing, shortcoming
 from nuno.recording.reader import open_recording
 from nuno.recording.recover import recover
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.report import lines
+from nuno.wire.bus import Publisher
 from nuno_schemas.messages import STATE, STATUS
 
 LOST = {7, 8, 9, 15}

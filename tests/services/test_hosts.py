@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from nuno import runs, scene_file, sessions, supervisor
 from nuno.cli import main
+from nuno.scene import scene_file
 from nuno.service import Options, run_service
-from nuno.sessions import free_port, hub, spoke
-from nuno.supervisor import Deployment, Outcome
+from nuno.supervision import runs, supervisor
+from nuno.supervision.supervisor import Deployment, Outcome
+from nuno.wire import sessions
+from nuno.wire.sessions import free_port, hub, spoke
 from nuno_bench.soak import small
 from nuno_bench.soak.hosts import differing, digests
 from nuno_bench.soak.relay import Relay, relay

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 import pytest
 from foreign import DEEP, header
 
-from nuno.bus import Bus, Inbox, Message
-from nuno.sessions import free_port, hub
+from nuno.wire.bus import Bus, Inbox, Message
+from nuno.wire.sessions import free_port, hub
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import ACK, STATE
 

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno import api, build, scene_file
+from nuno import api
 from nuno.cli import main
+from nuno.cloth import build
+from nuno.cloth.yarns import measure_courses
 from nuno.export.pictures import Painter
 from nuno.export.tables import export_npz
 from nuno.export.tubes import SIDES
 from nuno.recording.reader import open_recording
 from nuno.report import lines
-from nuno.yarns import measure_courses
+from nuno.scene import scene_file
 from nuno_schemas.colour import colours
 from nuno_schemas.errors import BadInput
 

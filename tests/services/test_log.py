@@ -11,8 +11,8 @@ from live_run import start_long
 from scenes import write_scene
 
 import nuno
-from nuno import log
 from nuno.cli import main
+from nuno.supervision import log
 
 
 def read(path: Path) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 
 SCENE = """

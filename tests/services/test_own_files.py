@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nuno.cli.common import find_own
-from nuno.yaml_lines import parse_value
+from nuno.scene.yaml_lines import parse_value
 from nuno_schemas.errors import BadInput
 
 

@@ -16,14 +16,14 @@ import pytest
 import zenoh
 from recorded_sheet import REPORT_TEXT, Item, Sheet, items
 
-from nuno import scene_file
-from nuno.bus import Bus, Inbox, Message, Watch
 from nuno.recording import service
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of, topic_of
+from nuno.scene import scene_file
 from nuno.service import SUPERVISOR, Context, Options, ack_topic
-from nuno.sessions import free_port, hub
+from nuno.wire.bus import Bus, Inbox, Message, Watch
+from nuno.wire.sessions import free_port, hub
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import REPORT, STATE, Ack, Header
 

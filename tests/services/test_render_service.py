@@ -12,13 +12,13 @@ import yaml
 from PIL import Image
 from refusals import Refused
 
-from nuno import scene_file
-from nuno.arrays import decode_picture
 from nuno.cli import main
 from nuno.export.yarns import export_yarn_picture
-from nuno.plan import make_plan
 from nuno.recording.reader import open_recording
+from nuno.scene import scene_file
+from nuno.scene.plan import make_plan
 from nuno.service import Options
+from nuno.wire.arrays import decode_picture
 from nuno_schemas.messages import PICTURE
 
 LEG = {"plugin": "mesh", "shape": "leg", "resolution": 16}

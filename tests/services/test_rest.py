@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno import scene_file
+from nuno.scene import scene_file
 from nuno.simulation.run import REST_SPEED, Simulation
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput

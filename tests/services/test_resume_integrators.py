@@ -10,9 +10,11 @@ import pytest
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import build, scene_file, supervisor
+from nuno.cloth import build
+from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
+from nuno.supervision import supervisor
 
 INTEGRATORS = sorted(point.name for point in entry_points(group="nuno.integrators"))
 

@@ -15,14 +15,15 @@ from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno import oversight, scene_file, supervisor
 from nuno.cli import main
 from nuno.recording.restore import control_events
+from nuno.scene import scene_file
 from nuno.service import Options
-from nuno.sessions import hub_at
 from nuno.simulation.run import Simulation
-from nuno.supervisor import Deployment
+from nuno.supervision import oversight, supervisor
+from nuno.supervision.supervisor import Deployment
 from nuno.verify import verify
+from nuno.wire.sessions import hub_at
 from nuno_schemas.errors import BadInput, RunFailed
 
 

@@ -10,8 +10,8 @@ import pytest
 from scenes import write_scene
 
 import nuno
-from nuno import sessions
-from nuno.sessions import ATTEMPTS, PortTaken, hub_at
+from nuno.wire import sessions
+from nuno.wire.sessions import ATTEMPTS, PortTaken, hub_at
 
 
 @pytest.fixture

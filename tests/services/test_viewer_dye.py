@@ -17,10 +17,10 @@ from PIL import Image
 from test_viewer_file import read
 
 import nuno
-from nuno import scene_file
-from nuno.arrays import decode_arrays
 from nuno.cli import main
 from nuno.export.dyed import painter_of
+from nuno.scene import scene_file
+from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import CONCENTRATION, FRAMES, STATE
 
 pytest.importorskip("rerun", reason="needs nuno[view]")
@@ -174,7 +174,7 @@ def test_the_ring_gives_up_frames_of_dye_too() -> None:
 
 
 def test_damaged_amounts_are_refused_and_leave_the_picture(run: Path, tmp_path: Path) -> None:
-    from nuno.arrays import BadMessage, encode_arrays
+    from nuno.wire.arrays import BadMessage, encode_arrays
 
     file = RerunFile(tmp_path / "a.rrd", "run", painter=painter_of(scene_file.read(run / "scene.yaml")))
     with nuno.open(run / "run.mcap") as recording:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
-from nuno.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
+from nuno.wire.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, STATE

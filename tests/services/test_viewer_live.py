@@ -18,11 +18,11 @@ import pytest
 from scenes import write_scene
 from viewer_run import messages
 
-from nuno import scene_file
-from nuno.bus import Bus, Inbox, Message, Watch
+from nuno.scene import scene_file
 from nuno.service import Options, ack_topic, run_service
-from nuno.sessions import free_port, hub
 from nuno.viewer.live import LiveView, Ring
+from nuno.wire.bus import Bus, Inbox, Message, Watch
+from nuno.wire.sessions import free_port, hub
 from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
 from nuno_schemas.view import View
 

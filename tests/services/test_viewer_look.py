@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import messages
 
-from nuno.sessions import free_port
+from nuno.wire.sessions import free_port
 
 pytest.importorskip("rerun", reason="needs nuno[view]")
 

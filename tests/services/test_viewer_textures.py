@@ -12,10 +12,10 @@ from scenes import write_scene
 from viewer_run import fabric, sheet
 
 import nuno
-from nuno.arrays import decode_arrays
 from nuno.cli import main
 from nuno.viewer.cloth import read_image
 from nuno.viewer.textures import with_own_textures
+from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import FABRIC
 
 pytest.importorskip("rerun", reason="needs nuno[view]")

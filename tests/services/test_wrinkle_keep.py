@@ -9,10 +9,11 @@ import pytest
 from scenes import write_scene
 
 import nuno
-from nuno import scene_file, supervisor
 from nuno.export.tables import export_csv
+from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
+from nuno.supervision import supervisor
 
 FABRIC = {"density": 0.12, "structural": 60, "hinge": 2e-5, "damping_ratio": 0.05}
 LINES = {

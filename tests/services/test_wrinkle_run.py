@@ -11,12 +11,13 @@ from live_run import Run, start_long, wait_until
 from scenes import write_scene
 
 import nuno
-from nuno import runs, scene_file, supervisor
 from nuno.cli import main
 from nuno.export.cloth import Pieces
 from nuno.recording.restore import control_events
+from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
+from nuno.supervision import runs, supervisor
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput, RunFailed
 

@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno import api, build, scene_file
+from nuno import api
+from nuno.cloth import build
 from nuno.export.cloth import read_pieces
 from nuno.export.paint import PLAIN, YARNS, paint_stretch, paint_yarns
 from nuno.export.pictures import Painter
 from nuno.export.tubes import SIDES
 from nuno.recording.reader import open_recording
+from nuno.scene import scene_file
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Fabric
 

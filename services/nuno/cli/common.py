@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from nuno import scene_file, yaml_lines
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file, yaml_lines
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from nuno import runs
 from nuno.cli.common import add_config
-from nuno.lockstep import ACTIONS
-from nuno.supervisor import control
+from nuno.supervision import runs
+from nuno.supervision.supervisor import control
+from nuno.wire.lockstep import ACTIONS
 from nuno_schemas.errors import BadInput
 
 

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import psutil
 
-from nuno import scene_file
 from nuno.recording.provenance import processor
-from nuno.sessions import free_port, hub_at
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
+from nuno.wire.sessions import free_port, hub_at
 
 LEAST_MEMORY = 2**29
 """[bytes] that a run of a small scene takes, compiling its kernels included."""

@@ -6,13 +6,14 @@ import argparse
 import threading
 import webbrowser
 
-from nuno import runs, scene_file
 from nuno.cli.common import add_config, add_scene
 from nuno.draw.desk import Desk
 from nuno.draw.follow import Follower
 from nuno.draw.server import Server
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import NO_FACES, NO_POINTS, Board, Sight
+from nuno.scene import scene_file
+from nuno.supervision import runs
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
 

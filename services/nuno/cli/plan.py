@@ -7,11 +7,11 @@ import math
 import time
 from pathlib import Path
 
-from nuno import build
-from nuno.choose import decide
 from nuno.cli.common import add_scene, load_scene
-from nuno.plan import make_plan
-from nuno.scene_file import Loaded
+from nuno.cloth import build
+from nuno.scene.choose import decide
+from nuno.scene.plan import make_plan
+from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 

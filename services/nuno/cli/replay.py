@@ -8,15 +8,15 @@ import sys
 import threading
 from pathlib import Path
 
-from nuno import runs
-from nuno.bus import Bus
 from nuno.cli.common import add_config, warn
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options, run_service
-from nuno.sessions import hub_at
+from nuno.supervision import runs
+from nuno.wire.bus import Bus
+from nuno.wire.sessions import hub_at
 from nuno_schemas.errors import BadInput
 
 
@@ -81,7 +81,7 @@ class _Viewer:
     """The viewer service, in a thread, for one replay."""
 
     def __init__(self, loaded: Loaded, bus: Bus, options: Options) -> None:
-        from nuno.bus import Watch
+        from nuno.wire.bus import Watch
 
         self.bus, self.view = bus, options.view
         self.thread = threading.Thread(

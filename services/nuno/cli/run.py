@@ -9,17 +9,17 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nuno import log, runs, supervisor
-from nuno.choose import decide
 from nuno.cli.common import add_config, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
 from nuno.process import ending_at_once
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import check_unfinished, restored_scene
 from nuno.report import make_report, show_report
-from nuno.scene_file import Loaded
+from nuno.scene.choose import decide
+from nuno.scene.scene_file import Loaded
 from nuno.service import Options
-from nuno.supervisor import Deployment
+from nuno.supervision import log, runs, supervisor
+from nuno.supervision.supervisor import Deployment
 from nuno_schemas.errors import BadInput
 
 RESUMABLE = ("duration", "record", "view")

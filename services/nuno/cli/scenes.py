@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nuno import scene_file, yaml_lines
+from nuno.scene import scene_file, yaml_lines
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

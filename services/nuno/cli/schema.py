@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from nuno.json_schema import scene_schema
+from nuno.scene.json_schema import scene_schema
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,12 +10,14 @@ import threading
 import time
 from pathlib import Path
 
-from nuno import runs, scene_file, sessions
-from nuno.choose import decide
 from nuno.cli.common import add_config
-from nuno.laggards import LOOK_SECONDS, Laggards
-from nuno.launch import FINISH_TIMEOUT
+from nuno.scene import scene_file
+from nuno.scene.choose import decide
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
+from nuno.supervision import runs
+from nuno.supervision.launch import FINISH_TIMEOUT
+from nuno.wire import sessions
+from nuno.wire.laggards import LOOK_SECONDS, Laggards
 from nuno_schemas.errors import BadInput, RunFailed
 
 PATIENCE = 20.0

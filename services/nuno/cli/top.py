@@ -9,13 +9,13 @@ import sys
 import time
 from collections.abc import Iterator
 
-from nuno import runs
-from nuno.bus import Bus
 from nuno.cli.common import add_config
-from nuno.health import ask_health
 from nuno.service import SUPERVISOR
-from nuno.sessions import spoke
+from nuno.supervision import runs
 from nuno.top import Line, as_json, compare, head, table
+from nuno.wire.bus import Bus
+from nuno.wire.health import ask_health
+from nuno.wire.sessions import spoke
 from nuno_schemas.errors import BadInput
 
 PATIENCE = 3.0

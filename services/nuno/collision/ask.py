@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.service import Context
-from nuno.sessions import PATIENCE
+from nuno.wire.sessions import PATIENCE
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import RunFailed
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.arrays import BadMessage, decode_arrays, encode_arrays
+from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.field import DistanceField
 

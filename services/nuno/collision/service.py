@@ -6,12 +6,12 @@ import time
 
 import numpy as np
 
-from nuno.arrays import BadMessage, decode_points
-from nuno.build import Bodies, build_bodies
-from nuno.bus import Inbox, Message, Question
+from nuno.cloth.build import Bodies, build_bodies
 from nuno.collision.distance import penetration
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, encode_geometry, encode_poses
 from nuno.service import Context, ack_topic, each_message
+from nuno.wire.arrays import BadMessage, decode_points
+from nuno.wire.bus import Inbox, Message, Question
 from nuno_schemas.bodies import Poses
 from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Header, Penetration
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from nuno import yaml_lines
+from nuno.scene import yaml_lines
 from nuno_schemas.errors import BadInput
 
 

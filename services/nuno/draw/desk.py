@@ -12,8 +12,6 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from nuno import runs
-from nuno.arrays import BadMessage
 from nuno.draw import keep
 from nuno.draw.follow import Follower
 from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
@@ -21,7 +19,9 @@ from nuno.draw.refusals import beside, describe, said_by_run
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board, Sight
 from nuno.draw.trial import Trial
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
+from nuno.supervision import runs
+from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
 
 START_PATIENCE = 1800.0

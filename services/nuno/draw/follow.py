@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from nuno import runs
-from nuno.arrays import BadMessage, decode_arrays, decode_points
-from nuno.bus import Bus, Inbox, Message
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.draw.shown import Bodies, see_now, size_of
 from nuno.draw.sight import NO_POINTS, Board, Sight
-from nuno.sessions import spoke
 from nuno.simulation.driver import NOW
+from nuno.supervision import runs
+from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
+from nuno.wire.bus import Bus, Inbox, Message
+from nuno.wire.sessions import spoke
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, EVENT, FABRIC, STATE, Event, Topic

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from nuno import scene_file, yaml_lines
 from nuno.draw.append import append_items, read_text, write_whole
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Sight
 from nuno.draw.trial import OPERATION, Trial
-from nuno.scene_file import Loaded, shipped
+from nuno.scene import scene_file, yaml_lines
+from nuno.scene.scene_file import Loaded, shipped
 from nuno_schemas.errors import BadInput
 
 LIST = "operations"

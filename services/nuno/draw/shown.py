@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno import build
-from nuno.arrays import BadMessage
+from nuno.cloth import build
 from nuno.draw.sight import NO_FACES, NO_POINTS, Piece, Sight
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
+from nuno.wire.arrays import BadMessage
 from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

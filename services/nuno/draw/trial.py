@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from nuno import build, registry
-from nuno.scene_file import Loaded
+from nuno import registry
+from nuno.cloth import build
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.fabric import Fabric
 
 OPERATION = "wrinkle"

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from nuno import scene_file
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import first_step
-from nuno.scene_file import FIRST_DYE, Loaded
+from nuno.scene import scene_file
+from nuno.scene.scene_file import FIRST_DYE, Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.scene import AUTO, Accuracy

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.arrays import encode_arrays
 from nuno.dye.run import DyeRun, Frame
-from nuno.lockstep import WINDOW, Lockstep
 from nuno.service import Context
+from nuno.wire.arrays import encode_arrays
+from nuno.wire.lockstep import WINDOW, Lockstep
 from nuno_schemas.dye import DyeReport
 from nuno_schemas.messages import CLOTH, CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, STATUS, DyeStatus
 

@@ -18,7 +18,7 @@ from nuno.dye.checkpoint import DyeCheckpoint
 from nuno.dye.step import choose_dye_step
 from nuno.dye.supply import AT_THE_START, Supplies
 from nuno.export.dyed import check_picture
-from nuno.scene_file import ChosenDye, Loaded
+from nuno.scene.scene_file import ChosenDye, Loaded
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Memory

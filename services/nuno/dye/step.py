@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from nuno.scene_file import Loaded
-from nuno.step import require_few, whole_steps
+from nuno.scene.scene_file import Loaded
+from nuno.scene.step import require_few, whole_steps
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Dyeing
 

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nuno.arrays import decode_arrays
 from nuno.dye.checkpoint import additions, read_checkpoint
 from nuno.dye.run import DyeRun
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno.verify import Again
+from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS
 
 MOBILE, FIXED = "mobile dye", "fixed dye"

@@ -11,10 +11,10 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.arrays import BadMessage, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
+from nuno.wire.arrays import BadMessage, decode_points
 from nuno_schemas.bodies import PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

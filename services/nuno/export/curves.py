@@ -8,7 +8,8 @@ from typing import Any, BinaryIO, Literal
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from nuno import build, registry
+from nuno import registry
+from nuno.cloth import build
 from nuno.export.cloth import read_frame
 from nuno.export.target import check_target, opened, writing
 from nuno.export.yarns import body_surface

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.arrays import BadMessage, decode_arrays
-from nuno.scene_file import Chosen, Loaded
+from nuno.scene.scene_file import Chosen, Loaded
+from nuno.wire.arrays import BadMessage, decode_arrays
 from nuno_schemas.dye import Cells
 from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from nuno.arrays import BadMessage
 from nuno.export.cloth import Piece
 from nuno.export.dyed import DyePainter
 from nuno.export.dyed_pictures import Changes, changed_painter
 from nuno.recording.reader import Recording
+from nuno.wire.arrays import BadMessage
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import CLOTH, CONCENTRATION

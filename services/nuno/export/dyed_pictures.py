@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno.arrays import BadMessage
 from nuno.export.dyed import PICTURE_SIDE, DyePainter, painter_of
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import restored_scene
+from nuno.wire.arrays import BadMessage
 from nuno.words import time_of
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nuno import build
-from nuno.pressure import find_pressure, has_pressure
+from nuno.cloth import build
+from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
 from nuno_schemas.fabric import Float

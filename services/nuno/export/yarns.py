@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno import registry
-from nuno.build import build_bodies, build_fabric, place_mesh, structural_edges
+from nuno.cloth.build import build_bodies, build_fabric, place_mesh, structural_edges
+from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.export.camera import place_camera, read_view, z_up
 from nuno.export.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.target import Progress, check_target, opened, writing
-from nuno.pressure import find_pressure, has_pressure
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
-from nuno.scene_file import Chosen, Loaded
+from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.drawing import Camera, Mesh

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from nuno import registry
-from nuno.scene_file import Chosen, Loaded
+from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
 

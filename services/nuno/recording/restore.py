@@ -10,10 +10,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from nuno import scene_file
 from nuno.recording.reader import Recording
 from nuno.recording.writer import RecordingWriter
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import CHECKPOINTS, EVENT, REPORT, Event, Header
 

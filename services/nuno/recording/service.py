@@ -6,13 +6,13 @@ import json
 import time
 from typing import Any
 
-from nuno.arrays import BadMessage
-from nuno.bus import Inbox, Message, Question
 from nuno.recording.provenance import assets, describe_run
 from nuno.recording.reader import END, open_recording
 from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.service import Context, ack_topic, each_message
+from nuno.wire.arrays import BadMessage
+from nuno.wire.bus import Inbox, Message, Question
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import ACK, FRAMES, REPORT, Ack, Header, Topic
 

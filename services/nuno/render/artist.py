@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from nuno import registry
-from nuno.build import build_bodies, build_fabric
+from nuno.cloth.build import build_bodies, build_fabric
 from nuno.export.camera import z_up
 from nuno.export.cloth import shape_bodies
 from nuno.export.yarns import GROUP, STYLE, captioned, find_camera, put_on
 from nuno.recording.recorded import Frame
-from nuno.scene_file import Chosen, Loaded
+from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.yarn_picture import Worn

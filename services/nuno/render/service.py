@@ -11,11 +11,11 @@ import threading
 import time
 from typing import Any
 
-from nuno.arrays import BadMessage, decode_points, encode_picture
-from nuno.bus import Inbox, Message
 from nuno.recording.recorded import Frame
 from nuno.render.artist import Artist
 from nuno.service import Context, each_message
+from nuno.wire.arrays import BadMessage, decode_points, encode_picture
+from nuno.wire.bus import Inbox, Message
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import PICTURE, STATE
 

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from nuno import registry, yaml_lines
-from nuno.explain import UNNUMBERED, explain
-from nuno.files import SceneFiles
-from nuno.scene_file import Chosen, Loaded, choose_operation
+from nuno import registry
+from nuno.scene import yaml_lines
+from nuno.scene.explain import UNNUMBERED, explain
+from nuno.scene.files import SceneFiles
+from nuno.scene.scene_file import Chosen, Loaded, choose_operation
 from nuno_schemas.applied import Applied
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Springs

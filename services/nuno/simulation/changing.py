@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno import build
-from nuno.join import join_fabrics
-from nuno.scene_file import Chosen, Loaded
+from nuno.cloth import build
+from nuno.cloth.join import join_fabrics
+from nuno.scene.scene_file import Chosen, Loaded
 from nuno.simulation.alter import fabric_arrays, fabric_from, parse
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput

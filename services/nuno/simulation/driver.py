@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import registry
-from nuno.arrays import encode_arrays, encode_points
-from nuno.build import edge_yarns, structural_edges
+from nuno.cloth.build import edge_yarns, structural_edges
+from nuno.cloth.pressure import find_pressure, has_pressure
+from nuno.cloth.tension import tension_arrays
+from nuno.cloth.yarns import measure_courses, measure_yarns
 from nuno.collision.ask import ask_poses
-from nuno.lockstep import CONTROL, Lockstep
-from nuno.pressure import find_pressure, has_pressure
 from nuno.service import Context
 from nuno.simulation.alter import name_of
 from nuno.simulation.run import Frame, Simulation
-from nuno.tension import tension_arrays
-from nuno.yarns import measure_courses, measure_yarns
+from nuno.wire.arrays import encode_arrays, encode_points
+from nuno.wire.lockstep import CONTROL, Lockstep
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status

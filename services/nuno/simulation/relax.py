@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from nuno.build import Piece
+from nuno.cloth.build import Piece
 from nuno_schemas.fabric import Float, State
 
 BALANCED = 1e-3

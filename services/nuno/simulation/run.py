@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno import build
-from nuno.choose import decide
-from nuno.override import apply_override, overridden
-from nuno.scene_file import Loaded, load
+from nuno.cloth import build
+from nuno.scene.choose import decide
+from nuno.scene.override import apply_override, overridden
+from nuno.scene.scene_file import Loaded, load
+from nuno.scene.step import choose_step
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
 from nuno.simulation.relax import BALANCED, Relaxation, unsettled
-from nuno.step import choose_step
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, Memory, State

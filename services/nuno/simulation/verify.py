@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from nuno import build
-from nuno.arrays import decode_points, encode_points
+from nuno.cloth import build
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import control_events
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno.simulation.run import Simulation
 from nuno.verify import Again
+from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno.tension import SPAN
+from nuno.cloth.tension import SPAN
 from nuno.viewer.bodies import INSET
 from nuno.words import duration
 

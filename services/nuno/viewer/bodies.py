@@ -8,10 +8,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from nuno.arrays import BadMessage
 from nuno.viewer import layout
 from nuno.viewer.cloth import pack
 from nuno.viewer.kernels import vertex_normals
+from nuno.wire.arrays import BadMessage
 from nuno_schemas.bodies import PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float

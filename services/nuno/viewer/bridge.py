@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from nuno.arrays import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.export.dyed import DyePainter
 from nuno.viewer import layout
@@ -19,6 +18,7 @@ from nuno.viewer.about import about, about_tension
 from nuno.viewer.bodies import Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth, DyedTexture
+from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -12,10 +12,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from nuno.arrays import BadMessage
+from nuno.cloth.tension import SPAN, Tensions
 from nuno.export.paint import paint_yarns
-from nuno.tension import SPAN, Tensions
 from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
+from nuno.wire.arrays import BadMessage
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 
 STRETCH = (0.001, 1.0)

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from nuno.arrays import BadMessage
 from nuno.export.cloth import read_texture
 from nuno.export.dyed import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
 from nuno.viewer.dyed import viewer_painter
 from nuno.viewer.file import RerunFile
+from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput
 from nuno_schemas.view import View
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from nuno.arrays import BadMessage
-from nuno.bus import Inbox, Message
 from nuno.recording.provenance import assets
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno.service import Context, ack_topic, each_message
 from nuno.viewer.live import LiveView
 from nuno.viewer.require import require
 from nuno.viewer.stream import scene_of
 from nuno.viewer.textures import with_own_textures
+from nuno.wire.arrays import BadMessage
+from nuno.wire.bus import Inbox, Message
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import (
     BODIES,

@@ -21,7 +21,7 @@ from nuno_schemas.view import View
 
 if TYPE_CHECKING:
     from nuno.export.dyed import DyePainter
-    from nuno.scene_file import Loaded
+    from nuno.scene.scene_file import Loaded
 
 START_SECONDS = 20.0
 """How long a viewer may take until it listens."""
@@ -110,8 +110,8 @@ def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | Non
     Each frame is flushed with a limit: that hands a slow viewer's pace on to the run's ring,
     which then skips frames, and keeps this process from collecting what nobody takes.
     """
-    from nuno.arrays import BadMessage
     from nuno.viewer.bridge import Bridge
+    from nuno.wire.arrays import BadMessage
     from nuno_schemas.messages import FRAMES
 
     bridge = Bridge(recording, view, live=True, painter=painter)
@@ -134,7 +134,7 @@ def read_painter(scene: str) -> DyePainter | None:
     """What draws the dyed cloth of a scene, given as `scene_of` writes it; None for "". Raises BadInput."""
     if not scene:
         return None
-    from nuno import scene_file
+    from nuno.scene import scene_file
     from nuno.viewer.dyed import viewer_painter
 
     said = json.loads(scene)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path, PurePath
 
-from nuno.arrays import BadMessage, decode_arrays, encode_arrays
+from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
 
 
 def with_own_textures(fabric: bytes, files: Mapping[str, Path]) -> bytes:

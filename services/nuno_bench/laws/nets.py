@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno.files import SceneFiles
+from nuno.scene.files import SceneFiles
 from nuno_bench.laws import reference
 from nuno_bench.laws.base import DOWN, NONE, Case, Found, G, Run, fit_order, make_fabric, order_slack
 from nuno_bench.laws.methods import KEEPS_ANGULAR_MOMENTUM

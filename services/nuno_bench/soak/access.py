@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from nuno.access.rights import read_rights
-from nuno.sessions import free_port, hub, spoke
+from nuno.wire.sessions import free_port, hub, spoke
 from nuno_bench.result import Result
 from nuno_bench.soak import sockets
 from nuno_bench.soak.guarded import Guarded, guarded_run, outsiders, posing_router

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from nuno import runs, supervisor
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno.service import Options
-from nuno.supervisor import Deployment, Outcome
+from nuno.supervision import runs, supervisor
+from nuno.supervision.supervisor import Deployment, Outcome
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import DYE_STATUS, STATUS, FrameStatus
 

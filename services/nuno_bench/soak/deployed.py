@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nuno import runs
 from nuno.access import folder
-from nuno.sessions import free_port, spoke
+from nuno.supervision import runs
+from nuno.wire.sessions import free_port, spoke
 from nuno_bench.soak.namespaces import Host
 from nuno_bench.soak.relay import Relay, relay
 

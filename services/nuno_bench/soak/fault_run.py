@@ -14,8 +14,8 @@ from pathlib import Path
 
 import psutil
 
-from nuno import runs
-from nuno.sessions import free_port
+from nuno.supervision import runs
+from nuno.wire.sessions import free_port
 from nuno_schemas.errors import RunFailed
 
 SERVICES = ("simulation", "collision", "dye", "render", "recorder", "viewer")

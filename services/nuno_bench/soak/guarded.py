@@ -9,11 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from nuno import runs, scene_file, supervisor
 from nuno.access import certificates, folder
+from nuno.scene import scene_file
 from nuno.service import Options
-from nuno.sessions import free_port
-from nuno.supervisor import Deployment, Outcome
+from nuno.supervision import runs, supervisor
+from nuno.supervision.supervisor import Deployment, Outcome
+from nuno.wire.sessions import free_port
 from nuno_bench.soak import small
 from nuno_schemas.messages import FrameStatus
 

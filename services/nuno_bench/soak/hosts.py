@@ -14,7 +14,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 import nuno
-from nuno.sessions import SILENCE_SECONDS
+from nuno.wire.sessions import SILENCE_SECONDS
 from nuno_bench.result import Result
 from nuno_bench.soak import namespaces, small
 from nuno_bench.soak.deployed import ROLES, Deployed, Line, deployed

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nuno.access.rights import Rights
-from nuno.sessions import spoke
+from nuno.wire.sessions import spoke
 from nuno_bench.soak.guarded import Guarded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import TOPICS

@@ -17,13 +17,13 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from nuno import runs
-from nuno.bus import Bus, Watch
 from nuno.recording.gaps import gaps_of
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Recorded
 from nuno.service import SUPERVISOR
-from nuno.sessions import hub_at, identity
+from nuno.supervision import runs
+from nuno.wire.bus import Bus, Watch
+from nuno.wire.sessions import hub_at, identity
 from nuno_bench.result import Result
 from nuno_bench.soak import small
 from nuno_bench.soak.processes import Memory, ended, started

@@ -11,9 +11,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from nuno import scene_file
-from nuno.choose import decide
-from nuno.scene_file import Loaded
+from nuno.scene import scene_file
+from nuno.scene.choose import decide
+from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.verify import verify
 from nuno_bench.result import Result

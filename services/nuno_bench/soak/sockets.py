@@ -13,9 +13,9 @@ from pathlib import Path
 
 import psutil
 
-from nuno import runs
-from nuno.bus import Bus, Watch
-from nuno.sessions import spoke
+from nuno.supervision import runs
+from nuno.wire.bus import Bus, Watch
+from nuno.wire.sessions import spoke
 from nuno_bench.result import Result
 from nuno_bench.soak import namespaces, small
 

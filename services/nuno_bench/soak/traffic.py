@@ -15,13 +15,13 @@ from typing import IO, Any, cast
 
 import numpy as np
 
-from nuno.arrays import encode_points
-from nuno.bus import Bus, Inbox, Message
 from nuno.cli import main as nuno_main
-from nuno.lockstep import WINDOW
 from nuno.recording import writer
 from nuno.service import ack_topic
-from nuno.sessions import PATIENCE, identity, spoke
+from nuno.wire.arrays import encode_points
+from nuno.wire.bus import Bus, Inbox, Message
+from nuno.wire.lockstep import WINDOW
+from nuno.wire.sessions import PATIENCE, identity, spoke
 from nuno_schemas.messages import STATE, Ack
 
 POINT_BYTES = 12

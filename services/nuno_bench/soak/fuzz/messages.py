@@ -10,20 +10,21 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from nuno import build, scene_file, yaml_lines
-from nuno.arrays import BadMessage, encode_picture
-from nuno.bus import Bus, Inbox, Question
+from nuno.cloth import build
 from nuno.collision.service import Collision
 from nuno.draw.desk import Desk
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board
 from nuno.export.dyed import painter_of
-from nuno.files import SceneFiles
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
+from nuno.scene import scene_file, yaml_lines
+from nuno.scene.files import SceneFiles
 from nuno.service import Context, Options, asks_to_finish
 from nuno.simulation.driver import Driver
 from nuno.simulation.run import Simulation
+from nuno.wire.arrays import BadMessage, encode_picture
+from nuno.wire.bus import Bus, Inbox, Question
 from nuno_bench.soak.fuzz.kind import Kind, Read, require, require_finite
 from nuno_bench.soak.fuzz.mutate_messages import mutate_arrays, mutate_json
 from nuno_bench.soak.fuzz.recordings import CLOTH, DYED, recorded
@@ -241,7 +242,7 @@ def _topic(name: str) -> Kind:
     return Kind(
         f"message {name}", partial(_payloads, name), partial(_message, name),
         mutate_arrays if protobuf else mutate_json,
-        ("nuno.arrays", "nuno.collision.messages") if protobuf else ("nuno_schemas.messages",),
+        ("nuno.wire.arrays", "nuno.collision.messages") if protobuf else ("nuno_schemas.messages",),
         follows=("nuno.viewer.bridge", "nuno.export.dyed", "nuno.viewer.dyed"), refusals=(BadMessage,),
     )  # fmt: skip
 
@@ -249,9 +250,9 @@ def _topic(name: str) -> Kind:
 UNDECODED = ("sim/checkpoint", "dye/checkpoint")
 """Topics that no service takes in but the recorder, which checks their frame alone; MCAP has them decoded."""
 MESSAGES = (
-    Kind("message header", _headers, _header, mutate_json, ("nuno.bus",), refusals=(BadMessage,)),
+    Kind("message header", _headers, _header, mutate_json, ("nuno.wire.bus",), refusals=(BadMessage,)),
     *(_topic(name) for name in TOPICS if name not in UNDECODED),
-    _question("control", _control, ("nuno.lockstep", "nuno.simulation.driver")),
+    _question("control", _control, ("nuno.wire.lockstep", "nuno.simulation.driver")),
     _question("finish", _finish, ("nuno.service",)),
     _question("poses", _poses, ("nuno.collision.service",)),
     Kind("page request", lambda folder: _texts("page"), _page, mutate_json, ("nuno.draw.desk", "nuno.draw.lines")),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.arrays import BadMessage, decode_arrays, encode_arrays
+from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno_bench.soak.fuzz.mutate_text import mutate_bytes, mutate_text
 
 WORDS = (

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import nuno
-from nuno import scene_file
 from nuno.export.cloth import read_bodies, read_pieces
 from nuno.recording.reader import Recording
 from nuno.recording.recover import recover
 from nuno.recording.restore import control_events, restored_scene
+from nuno.scene import scene_file
 from nuno_bench.soak.fuzz.kind import Kind, Read, require
 from nuno_bench.soak.fuzz.mutate_containers import mutate_mcap
 from nuno_bench.soak.fuzz.mutate_text import mutate_text
@@ -141,12 +141,12 @@ def _scene(folder: Path) -> Read:
 RECORDINGS = (
     Kind(
         "scene YAML", _scenes, _scene, lambda data, random: mutate_text(data, random, WORDS),
-        ("nuno.scene_file", "nuno.yaml_lines", "nuno.explain"), follows=("yaml", "nuno_schemas"),
+        ("nuno.scene.scene_file", "nuno.scene.yaml_lines", "nuno.scene.explain"), follows=("yaml", "nuno_schemas"),
     ),
     Kind(
         "MCAP", lambda folder: list(recorded()), _recording, mutate_mcap,
         ("nuno.recording.reader", "nuno.recording.layout", "nuno.recording.series", "nuno.recording.recover",
-         "nuno.recording.restore", "nuno.arrays"),
+         "nuno.recording.restore", "nuno.wire.arrays"),
         follows=("mcap", "nuno.export.cloth", "nuno.collision.messages"), longest=80_000,
     ),
 )  # fmt: skip

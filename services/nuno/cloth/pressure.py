@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nuno import registry
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Outcome
 from nuno_schemas.plugin import Landmarked

@@ -11,11 +11,12 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from nuno import registry, yaml_lines
-from nuno.explain import UNNUMBERED, explain, located
-from nuno.files import SceneFiles
-from nuno.override import apply_override, item_at, overridden, parts_of
-from nuno.yaml_lines import dotted
+from nuno import registry
+from nuno.scene import yaml_lines
+from nuno.scene.explain import UNNUMBERED, explain, located
+from nuno.scene.files import SceneFiles
+from nuno.scene.override import apply_override, item_at, overridden, parts_of
+from nuno.scene.yaml_lines import dotted
 from nuno_schemas.applied import Applied
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.parts import Choice
@@ -117,7 +118,7 @@ class Loaded:
 
 def shipped(folder: str = "") -> dict[str, Path]:
     """The scenes that come with the project by name, those of a folder as `folder/name`."""
-    beside = Path(__file__).resolve().parents[2] / "scenes"
+    beside = Path(__file__).resolve().parents[3] / "scenes"
     root = beside if beside.is_dir() else Path(str(package_files("nuno"))) / "scenes"
     paths = sorted((root / folder).glob("*.yaml"))
     return {path.relative_to(root).with_suffix("").as_posix(): path for path in paths}

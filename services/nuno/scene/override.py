@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from nuno import yaml_lines
-from nuno.explain import OVERRIDDEN
-from nuno.yaml_lines import dotted
+from nuno.scene import yaml_lines
+from nuno.scene.explain import OVERRIDDEN
+from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput
 
 

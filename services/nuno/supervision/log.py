@@ -17,12 +17,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import Event
 
 if TYPE_CHECKING:
-    from nuno.supervisor import Outcome
+    from nuno.supervision.supervisor import Outcome
 
 LOGGER = logging.getLogger("nuno.run")
 LOGGER.addHandler(logging.NullHandler())

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
 SECONDS_TOLERANCE = 1e-9

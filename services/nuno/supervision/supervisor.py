@@ -9,14 +9,14 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from nuno import launch, log, runs
-from nuno.bus import Bus
-from nuno.oversight import COMPILE_TIMEOUT, Progress, Supervisor
-from nuno.plan import Plan, make_plan
 from nuno.process import Terminated
-from nuno.scene_file import Loaded
+from nuno.scene.plan import Plan, make_plan
+from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
-from nuno.sessions import cut_off, hub_at, identity, spoke
+from nuno.supervision import launch, log, runs
+from nuno.supervision.oversight import COMPILE_TIMEOUT, Progress, Supervisor
+from nuno.wire.bus import Bus
+from nuno.wire.sessions import cut_off, hub_at, identity, spoke
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONTROL_TIMEOUT, ADD_TIMEOUT = 10.0, 120.0

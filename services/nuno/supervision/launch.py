@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 
 import zenoh
 
-from nuno.plan import Plan
-from nuno.scene_file import Loaded
+from nuno.scene.plan import Plan
+from nuno.scene.scene_file import Loaded
 from nuno.service import Options, run_service
 from nuno_schemas.errors import BadInput, RunFailed
 

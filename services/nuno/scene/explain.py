@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, Tag, ValidationError
 
-from nuno.yaml_lines import Path, dotted
+from nuno.scene.yaml_lines import Path, dotted
 from nuno_schemas.errors import BadInput, nearest
 
 OVERRIDDEN = 0

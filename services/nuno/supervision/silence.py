@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from nuno.bus import Bus
+from nuno.wire.bus import Bus
 from nuno_schemas.errors import RunFailed
 
 QUIET_SECONDS = 60.0

@@ -13,9 +13,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from nuno.bus import WAITING_AFTER, Inbox, Message, Question
 from nuno.service import Context, ack_topic, asks_to_finish
-from nuno.sessions import PATIENCE
+from nuno.wire.bus import WAITING_AFTER, Inbox, Message, Question
+from nuno.wire.sessions import PATIENCE
 from nuno.work import Report, Work
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import Ack, FrameStatus, Topic

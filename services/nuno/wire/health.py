@@ -11,7 +11,7 @@ import psutil
 import zenoh
 from pydantic import BaseModel, ValidationError
 
-from nuno.bus import Bus, Question
+from nuno.wire.bus import Bus, Question
 from nuno_schemas.errors import RunFailed
 
 HEALTH = "health"

@@ -10,9 +10,9 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from nuno.join import join_fabrics
-from nuno.scene_file import Chosen, Loaded
-from nuno.worn import check_worn
+from nuno.cloth.join import join_fabrics
+from nuno.cloth.worn import check_worn
+from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State

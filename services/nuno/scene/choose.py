@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nuno import build, registry, scene_file
-from nuno.scene_file import FIRST, Loaded
-from nuno.trials import Method, Trials
+from nuno import registry
+from nuno.cloth import build
+from nuno.scene import scene_file
+from nuno.scene.scene_file import FIRST, Loaded
+from nuno.scene.trials import Method, Trials
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import System
 from nuno_schemas.scene import AUTO, Accuracy

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno import build
+from nuno.cloth import build
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import System

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nuno.scene_file import Loaded
+from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 
 

@@ -1,0 +1,1 @@
+"""How services talk: sessions, numbered messages and their encodings, frames in lockstep, how each service does."""
