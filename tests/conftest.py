@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
 
-from nuno import process
-
-process.collect_rarely()  # as every process of nuno does
+gc.set_threshold(1_000_000, 50, 1000)  # between files garbage is collected once: see `_settle`
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
@@ -21,6 +20,19 @@ def shared_data() -> Path:
     if not SHARED.is_dir():
         pytest.skip("no shared data beside the project")
     return SHARED
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker more than cores: tests of services wait for other processes, a sixth of the time of two workers."""
+    return len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _settle() -> Iterator[None]:
+    """What is left after a file, compiled kernels above all, stays: it is not walked through again for garbage."""
+    yield
+    gc.collect()
+    gc.freeze()
 
 
 APART = ("dye", "knit", "yarn", "stocking", "render", "ray", "curve", "field", "sdf", "wrinkle", "xpbd", "shirt")

@@ -163,7 +163,7 @@ def test_a_recording_of_another_scene_is_not_gone_on_from(refused: Refused, tmp_
     flags = ["--resume", tmp_path / "chain.mcap", "--no-view", "--record", tmp_path / "on.mcap"]
     other = refused("run", *flags, "--set", "objects=[{name: a, model: {plugin: sheet, resolution: [4, 4]}}]")
     assert "this field cannot change when a run goes on from a checkpoint" in other
-    assert "after the end of the scene" in refused("run", *flags, "--set", "duration=0.1")
+    assert "the recording goes on after that" in refused("run", *flags, "--set", "duration=0.1")
     assert not list(tmp_path.glob("on*"))
 
 

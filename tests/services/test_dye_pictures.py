@@ -249,10 +249,10 @@ class Stripes:
 
 
 def test_a_plugin_from_elsewhere_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    installed, group = registry.installed, "nuno.dye_pictures"
+    claims, group = registry.claims, "nuno.dye_pictures"
     point = EntryPoint("stripes", f"{__name__}:Stripes", group)
     monkeypatch.setattr(
-        registry, "installed", lambda asked: installed(asked) | ({"stripes": point} if asked == group else {})
+        registry, "claims", lambda asked: claims(asked) | ({"stripes": [point]} if asked == group else {})
     )
     scene = write_scene(tmp_path, picture={"plugin": "stripes", "level": 9, "scale": 2})
     path = nuno.run(scene, record=tmp_path / "run.mcap").path

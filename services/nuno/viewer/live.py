@@ -20,7 +20,9 @@ RING_BYTES = 64 * 2**20
 """Frames on their way to the viewer; when they take more, the oldest are skipped. A window takes
 seconds to open: short runs of small cloth wait here meanwhile, and are shown whole."""
 FINISH_SECONDS, FINISH_MOST = 5.0, 20.0
-"""How long the viewer may take for one of the last frames, and for all of them."""
+"""How long the viewer may take for one of the last frames, and for all of them,"""
+CONNECT_SECONDS = 20.0
+"""once it is connected: a first import may take longer than a short run."""
 
 Item = tuple[str, int, float, bytes]
 
@@ -79,9 +81,9 @@ class LiveView:
     leader    the topic of which a frame has one message
     announce  called with what there is to tell the user ("warning" or "start", text)
 
-    `feed` returns at once, whatever the viewer does. `finish` waits while frames are shown, at
-    most FINISH_MOST, and FINISH_SECONDS for a viewer that hangs. A viewer that is closed, hangs
-    or cannot start ends the view, not the run.
+    `feed` returns at once, whatever the viewer does. `finish` waits until the viewer is connected, at most
+    CONNECT_SECONDS, and then while frames are shown, at most FINISH_MOST, and FINISH_SECONDS for a viewer
+    that hangs. A viewer that is closed, hangs or cannot start ends the view, not the run.
     """
 
     def __init__(
@@ -99,6 +101,7 @@ class LiveView:
         self.error = ""
         self._announce, self._leader = announce, leader
         self._ring = Ring()
+        self._connected = threading.Event()
         # -P: a module of the user's folder must not stand in for one of ours.
         command = [sys.executable, "-P", "-m", "nuno.viewer.stream", view, run, scene_view.model_dump_json(), scene]
         pipe = subprocess.PIPE
@@ -122,6 +125,7 @@ class LiveView:
     def finish(self) -> None:
         """Wait, not for long, until the last frames are shown; the viewer itself stays open."""
         self._ring.close()
+        self._connected.wait(CONNECT_SECONDS)
         end = time.monotonic() + FINISH_MOST
         shown = -1
         while self._process.poll() is None and self.shown > shown and time.monotonic() < end:
@@ -157,6 +161,8 @@ class LiveView:
                 continue
             said = json.loads(line)
             self.shown = said.get("shown", self.shown)
+            if "connected" in said:
+                self._connected.set()
             if "pid" in said:
                 self.pid, self.page = said["pid"], said["page"]
                 self._announce("start", f"the viewer is at {self.page}" if self.page else "the viewer is open")
@@ -164,6 +170,7 @@ class LiveView:
                 self._fail(said["error"])
         if self._process.wait() != 0:
             self._fail("it ended unexpectedly")
+        self._connected.set()
 
     def _fail(self, error: str) -> None:
         """Note and announce the first error."""

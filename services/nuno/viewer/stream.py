@@ -161,6 +161,7 @@ def main(mode: str, run: str, view: str, scene: str = "") -> None:
             viewer, address, page = start_viewer(mode)
             say(pid=viewer.pid, address=address, page=page)
         recording = connect(address, run)
+        say(connected=True)
         pump(sys.stdin.buffer, recording, View.model_validate_json(view), read_painter(scene))
         # A viewer that is left without a word shows an error; one that hangs is not waited for.
         goodbye = threading.Thread(target=recording.disconnect, daemon=True)
