@@ -63,6 +63,19 @@ def test_when_the_supervisor_is_killed_nothing_stays_behind(tmp_path: Path) -> N
         assert next(recording.frames()).number == 0
 
 
+def test_a_service_that_dies_as_it_starts_holds_nobody_up(tmp_path: Path) -> None:
+    """The others are ready only when the run has failed already, and its supervisor does not wait for them."""
+    write_scene(tmp_path, bodies=BALL)
+    with started(tmp_path, by_hand=False, services=("simulation", "collision", "recorder")) as run:
+        wait_until(lambda: run.find("recorder") is not None)
+        recorder = run.find("recorder")
+        assert recorder is not None
+        recorder.kill()
+        assert run.wait_end(20.0) < 20.0
+        assert run.code == 1
+        assert "the recorder service ended before it was ready: ended by SIGKILL" in run.said
+
+
 def test_a_service_ends_with_its_supervisor_though_it_never_met_it(tmp_path: Path) -> None:
     """It is still looking for the hub, which it would do for longer."""
     words = ["serve", "recorder", str(write_scene(tmp_path)), "--run", "r", "--connect", "tcp/127.0.0.1:1"]

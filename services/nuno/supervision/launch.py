@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import zenoh
@@ -63,9 +64,14 @@ def processes(
             command = serve_command(name, loaded, options, endpoint, run, config)
             children[name] = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
         yield lambda: {name: _exit(code) for name, child in children.items() if (code := child.poll()) is not None}
+        # Whoever was ready only after the run had failed has never seen a supervisor, and would wait for one.
+        for child in children.values():
+            assert child.stdin is not None
+            child.stdin.close()
+        end = time.monotonic() + FINISH_TIMEOUT
         for child in children.values():
             with contextlib.suppress(subprocess.TimeoutExpired):
-                child.wait(FINISH_TIMEOUT)
+                child.wait(max(0.0, end - time.monotonic()))
     finally:
         for child in children.values():
             if child.poll() is None:
