@@ -15,8 +15,9 @@ from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.closest_point import DEPTH, closest
+from nuno_kernels.contact_distance import to_frame, turn_in, turn_out
 from nuno_kernels.slide_planes import PARALLEL
-from nuno_kernels.slide_vertex import slide, to_body
+from nuno_kernels.slide_vertex import slide
 from nuno_kernels.slides import BLOCK, pose_slides
 
 TRIAL = 1e-3
@@ -51,9 +52,8 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
             size = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
             if s.mass[i] == 0.0 or s.clear[body, i] > NEAR * s.gap[0] or not 0.0 < size < math.inf:
                 continue
-            px, py, pz = to_body(x[0, i], x[1, i], x[2, i], s.frames, f)
-            ex, ey, ez = s.frames[f, 9] + g[0], s.frames[f, 10] + g[1], s.frames[f, 11] + g[2]
-            g = to_body(ex, ey, ez, s.frames, f)
+            px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, f)
+            g = turn_in(g, s.frames, f)
             m = (length / size * g[0], length / size * g[1], length / size * g[2])
             _, _, _, _, _, _, distance, _, _, _ = closest(
                 px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges,
@@ -69,11 +69,9 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
             )  # fmt: skip
             if planes == 0:
                 continue
-            g = along_planes(made, n1, n2, planes)
+            g = turn_out(along_planes(made, n1, n2, planes), s.frames, f)
             for c in range(3):
-                row = 3 * c
-                turned = s.frames[f, row] * g[0] + s.frames[f, row + 1] * g[1] + s.frames[f, row + 2] * g[2]
-                force[c, i] = size / length * turned
+                force[c, i] = size / length * g[c]
 
 
 @parallel_kernel

@@ -96,12 +96,35 @@ def capsule_distance(px: float, py: float, pz: float, posed: Float, p: Index) ->
 
 
 @inlined
+def turn_in(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
+    """A vector of the world in the axes of frame f."""
+    return (
+        frames[f, 0] * v[0] + frames[f, 3] * v[1] + frames[f, 6] * v[2],
+        frames[f, 1] * v[0] + frames[f, 4] * v[1] + frames[f, 7] * v[2],
+        frames[f, 2] * v[0] + frames[f, 5] * v[1] + frames[f, 8] * v[2],
+    )
+
+
+@inlined
+def turn_out(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
+    """A vector in the axes of frame f in those of the world."""
+    return (
+        frames[f, 0] * v[0] + frames[f, 1] * v[1] + frames[f, 2] * v[2],
+        frames[f, 3] * v[0] + frames[f, 4] * v[1] + frames[f, 5] * v[2],
+        frames[f, 6] * v[0] + frames[f, 7] * v[1] + frames[f, 8] * v[2],
+    )
+
+
+@inlined
+def to_frame(px: float, py: float, pz: float, frames: Any, f: Index) -> tuple[float, float, float]:
+    """A place in the world in the axes of frame f, from its origin."""
+    return turn_in((px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]), frames, f)
+
+
+@inlined
 def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
     """(distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
-    ex, ey, ez = px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]
-    lx = frames[f, 0] * ex + frames[f, 3] * ey + frames[f, 6] * ez
-    ly = frames[f, 1] * ex + frames[f, 4] * ey + frames[f, 7] * ez
-    lz = frames[f, 2] * ex + frames[f, 5] * ey + frames[f, 8] * ez
+    lx, ly, lz = turn_in((px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]), frames, f)
     qx, qy, qz = abs(lx) - posed[p, 3], abs(ly) - posed[p, 4], abs(lz) - posed[p, 5]
     distance = max(qx, qy, qz)
     nx, ny, nz = 0.0, 0.0, 0.0
@@ -115,14 +138,8 @@ def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames
         ny = 1.0
     else:
         nz = 1.0
-    nx, ny, nz = math.copysign(nx, lx), math.copysign(ny, ly), math.copysign(nz, lz)
-    return (
-        distance,
-        frames[f, 0] * nx + frames[f, 1] * ny + frames[f, 2] * nz,
-        frames[f, 3] * nx + frames[f, 4] * ny + frames[f, 5] * nz,
-        frames[f, 6] * nx + frames[f, 7] * ny + frames[f, 8] * nz,
-        0,
-    )
+    nx, ny, nz = turn_out((math.copysign(nx, lx), math.copysign(ny, ly), math.copysign(nz, lz)), frames, f)
+    return distance, nx, ny, nz, 0
 
 
 @kernel

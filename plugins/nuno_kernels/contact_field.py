@@ -24,20 +24,11 @@ from nuno_kernels.contact_distance import (
     box_distance,
     capsule_distance,
     inlined,
+    to_frame,
+    turn_out,
 )
 from nuno_kernels.field_sample import sample, sample_distance
 from nuno_schemas.fabric import Float
-
-
-@inlined
-def to_frame(px: float, py: float, pz: float, frames: Any, f: Index) -> tuple[float, float, float]:
-    """A place in the world in the axes of frame f."""
-    ex, ey, ez = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
-    return (
-        frames[f, 0] * ex + frames[f, 3] * ey + frames[f, 6] * ez,
-        frames[f, 1] * ex + frames[f, 4] * ey + frames[f, 7] * ez,
-        frames[f, 2] * ex + frames[f, 5] * ey + frames[f, 8] * ez,
-    )
 
 
 @inlined
@@ -51,14 +42,8 @@ def field_reading(
     if not size > 0.0:
         nx, ny, nz = across(gx, gy, gz)
         return distance, nx, ny, nz, 1
-    gx, gy, gz = gx / size, gy / size, gz / size
-    return (
-        distance,
-        frames[f, 0] * gx + frames[f, 1] * gy + frames[f, 2] * gz,
-        frames[f, 3] * gx + frames[f, 4] * gy + frames[f, 5] * gz,
-        frames[f, 6] * gx + frames[f, 7] * gy + frames[f, 8] * gz,
-        0,
-    )
+    nx, ny, nz = turn_out((gx / size, gy / size, gz / size), frames, f)
+    return distance, nx, ny, nz, 0
 
 
 @inlined

@@ -10,6 +10,7 @@ from typing import Any
 
 from nuno_kernels import kernel
 from nuno_kernels.closest_point import closest
+from nuno_kernels.contact_distance import turn_out
 from nuno_kernels.slide_planes import hold_off
 from nuno_kernels.surface_crossing import first_crossing
 
@@ -21,27 +22,6 @@ TOUCHING = 1.0 - 1e-6
 Not chosen: 0.99, which spares most vertices a second look. One at rest then falls through that hundredth step by step,
 feeling no friction, until it is put back to the gap, and shakes the links round it by thousandths of their tension.
 """
-
-
-@kernel
-def to_body(px: float, py: float, pz: float, frames: Any, f: int) -> tuple[float, float, float]:
-    """A place in the world in the axes of frame f."""
-    ex, ey, ez = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
-    return (
-        frames[f, 0] * ex + frames[f, 3] * ey + frames[f, 6] * ez,
-        frames[f, 1] * ex + frames[f, 4] * ey + frames[f, 7] * ez,
-        frames[f, 2] * ex + frames[f, 5] * ey + frames[f, 8] * ez,
-    )
-
-
-@kernel
-def turn_out(v: Any, frames: Any, f: int) -> tuple[float, float, float]:
-    """A vector in the axes of frame f in those of the world."""
-    return (
-        frames[f, 0] * v[0] + frames[f, 1] * v[1] + frames[f, 2] * v[2],
-        frames[f, 3] * v[0] + frames[f, 4] * v[1] + frames[f, 5] * v[2],
-        frames[f, 6] * v[0] + frames[f, 7] * v[1] + frames[f, 8] * v[2],
-    )
 
 
 @kernel

@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.acceleration import provide
 from nuno_kernels.closest_point import DEPTH, closest
+from nuno_kernels.contact_distance import to_frame, turn_out
 from nuno_kernels.contact_poses import pose_frame, write_interval
-from nuno_kernels.slide_vertex import slide, slow_down, to_body, turn_out
+from nuno_kernels.slide_vertex import slide, slow_down
 from nuno_kernels.surface_tree import Tree
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
@@ -93,7 +94,7 @@ def slide_block(
         held[body, 6, i] = 0.0
         if mass[i] == 0.0:
             continue
-        px, py, pz = to_body(x[0, i], x[1, i], x[2, i], frames, f)
+        px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], frames, f)
         start = (before[body, 0, i], before[body, 1, i], before[body, 2, i])
         m = (px - start[0], py - start[1], pz - start[2])
         free = clear[body, i]
@@ -196,7 +197,7 @@ def find_block_room(block: int, x: Any, s: Any) -> None:
     waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
     for body in range(s.root.shape[0]):
         for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
-            px, py, pz = to_body(x[0, i], x[1, i], x[2, i], s.frames, s.frame[body])
+            px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, s.frame[body])
             ex, ey, ez = px - s.before[body, 0, i], py - s.before[body, 1, i], pz - s.before[body, 2, i]
             s.before[body, 0, i], s.before[body, 1, i], s.before[body, 2, i] = px, py, pz
             left = s.clear[body, i] - (1.0 + 1e-9) * math.sqrt(ex * ex + ey * ey + ez * ez)
