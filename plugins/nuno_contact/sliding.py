@@ -8,9 +8,10 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_contact.quantities import Size
+from nuno_kernels.mesh_check import check_closed, check_crossings
 from nuno_kernels.slides import make_slides
 from nuno_kernels.surface_tree import build_tree
-from nuno_schemas.bodies import MESH, Geometry
+from nuno_schemas.bodies import FIELD, OF_TRIANGLES, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config, Term
@@ -27,21 +28,19 @@ class SlidingConfig(Config):
 class Sliding:
     """Vertices keep off moving closed meshes by `gap`; see nuno_kernels.slides.
 
-    Each body's Coulomb coefficient is in the Geometry; its stiffness and damping are not used. It adds no
-    force, and so limits no step.
+    A body with a distance field is met by the triangles that the field was made of. Each body's Coulomb coefficient
+    is in the Geometry; its stiffness and damping are not used. It adds no force, and so limits no step.
     """
 
     name: ClassVar[str] = "sliding"
     Config: ClassVar[type[BaseModel]] = SlidingConfig
+    of_triangles: ClassVar[bool] = True
+    """Distance fields are not read: they are neither sent, nor is penetration measured by them."""
 
     def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
-        """The term. Raises BadInput for a body that is no mesh, and for friction that makes no sense."""
+        """The term. Raises BadInput for a body that is no closed mesh, and for friction that makes no sense."""
         gap = cast(SlidingConfig, config).gap
-        for primitive in np.flatnonzero(geometry.kind != MESH).tolist():
-            raise BadInput(
-                "sliding contact is with meshes", field=geometry.bodies[geometry.body[primitive]],
-                remedy="give the body a mesh as collider, or leave contact to penalty",
-            )  # fmt: skip
+        check_meshes(geometry)
         for body, friction in zip(geometry.bodies, geometry.friction, strict=True):
             if not 0.0 <= friction < np.inf:
                 raise BadInput("friction must not be negative", field=body, value=float(friction), limit=">= 0")
@@ -51,3 +50,25 @@ class Sliding:
             np.where(fabric.pinned, 0.0, fabric.mass),
         )  # fmt: skip
         return Term(kind="slides", data=slides, facts={"gap": gap})
+
+
+def check_meshes(geometry: Geometry) -> None:
+    """Raises BadInput for a body that is no mesh, or a field's mesh that has no inside of its own."""
+    for primitive, kind in enumerate(geometry.kind.tolist()):
+        body = geometry.bodies[geometry.body[primitive]]
+        if kind not in OF_TRIANGLES:
+            raise BadInput(
+                "sliding contact is with meshes", field=body,
+                remedy="give the body a mesh as collider, or leave contact to penalty",
+            )  # fmt: skip
+        if kind == FIELD:
+            x, faces = geometry.mesh(primitive)
+            try:
+                check_closed(x, faces)
+                check_crossings(x, faces)
+            except BadInput as error:
+                raise BadInput(
+                    f"sliding contact is with closed meshes, and {error.problem}", field=body,
+                    value=f"{error.field} {error.value}",
+                    remedy="contact: {plugin: penalty} goes by the field; collider: {..., mend: true} fills holes",
+                ) from None  # fmt: skip

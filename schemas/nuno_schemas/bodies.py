@@ -39,7 +39,8 @@ class Geometry:
     vertices   (v, 3)        of all meshes, in their primitives' frames [m]
     faces      (t, 3) int32  triangles of them, counter-clockwise seen from outside, each MESH closed
     owner      (t,) int32    primitive that the triangle belongs to
-    fields                   of the primitives of kind FIELD, in their order; empty where they are only to be drawn
+    fields                   of the primitives of kind FIELD, in their order; empty where they are only to be drawn,
+               and where contact is with the triangles
     """
 
     bodies: tuple[str, ...]

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+import yaml
 
+from nuno.cloth.build import build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.collision.messages import decode_geometry, encode_geometry
+from nuno.scene.scene_file import read
 from nuno_contact import field_cache
 from nuno_contact.sdf import SdfCollider, SdfConfig
 from nuno_kernels.field_sample import sample_field
-from nuno_schemas.bodies import FIELD, Geometry, Poses
+from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import BodyShape
 
@@ -99,6 +103,25 @@ def test_it_goes_over_the_bus_with_the_same_bits_and_is_left_out_of_what_is_draw
     points = np.random.default_rng(0).normal(size=(500, 3)) * 0.4
     measured = signed_distance(points, there, poses)
     np.testing.assert_allclose(measured, sample_field(geometry.fields[0], points)[:, 0], atol=1e-8)
+
+
+def test_a_field_that_contact_does_not_read_is_neither_sent_nor_measured_by(files: Folder) -> None:
+    scene = {
+        "nuno": 1, "name": "ball", "duration": "0.1 s", "solver": {"plugin": "leapfrog", "dt": "1 ms"},
+        "objects": [{"name": "cloth", "model": {"plugin": "sheet", "size": [1, 1], "resolution": [4, 4]}}],
+        "bodies": [{"name": "ball", "collider": {"plugin": "sdf", "file": "ball.obj", "tolerance": "5 mm"}}],
+    }  # fmt: skip
+    fields = []
+    for contact in ("penalty", "sliding"):
+        path = files.folder / f"{contact}.yaml"
+        path.write_text(yaml.safe_dump(scene | {"contact": {"plugin": contact}}))
+        bodies = build_bodies(read(path))
+        fields.append(len(bodies.geometry.fields))
+        points = 0.2999 * np.eye(3)
+        depth = -signed_distance(points, bodies.geometry, bodies.poses(0.0))
+        exact = -signed_distance(points, replace(bodies.geometry, kind=np.array([MESH], np.int8)), bodies.poses(0.0))
+        assert (depth.tobytes() == exact.tobytes()) == (contact == "sliding")
+    assert fields == [1, 0]
 
 
 def test_a_hole_is_told_with_its_place_and_the_inside_stays_inside(files: Folder) -> None:

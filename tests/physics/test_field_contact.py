@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import closed_meshes as meshes
 import numpy as np
 import pytest
@@ -54,6 +56,25 @@ def test_cloth_comes_to_rest_on_a_ball_where_it_does_on_its_field() -> None:
     depth = -sample_field(field, ends[0].T)[:, 0]
     upright = np.sqrt(1.0 - (out / radius) ** 2)
     np.testing.assert_allclose(depth, MASS * G * upright / k, rtol=0.05)
+
+
+def test_an_impact_goes_as_deep_into_a_field_as_into_the_ball() -> None:
+    """u sqrt(m / k), a quarter of a swing, which soft contact makes as long as it likes: no fault of the field."""
+    radius, tolerance, k, speed = 0.3, 5e-4, 80.0, 1.0
+    rng = np.random.default_rng(1)
+    out = rng.normal(size=(3, 50))
+    out /= np.linalg.norm(out, axis=0)
+    mass, deepest = np.full(50, MASS), []
+    shape, _ = field_body(*meshes.sphere(48, radius), tolerance)
+    for body in (shape, geometry(capsule((0, 0, 0), (0, 0, 0), radius))):
+        contact = contact_for(replace(body, damping=np.zeros(1)), mass, k)
+        x, v, depth = (radius + 1e-3) * out, -speed * out, np.zeros(50)
+        for step in range(400):
+            fall(x, v, mass, np.zeros(3), contact, step / 400, (step + 1) / 400, 1, 2e-5, np.zeros_like(x))
+            depth = np.maximum(depth, radius - np.linalg.norm(x, axis=0))
+        deepest.append(depth)
+    np.testing.assert_allclose(deepest[1], speed * np.sqrt(MASS / k), rtol=0.01)
+    assert np.abs(deepest[0] - deepest[1]).max() < tolerance
 
 
 def test_nothing_rests_inside_of_a_body_by_more_than_the_tolerance() -> None:

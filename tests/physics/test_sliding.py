@@ -13,7 +13,7 @@ from nuno import registry
 from nuno.collision.distance import penetration, signed_distance
 from nuno_contact.sliding import Sliding, SlidingConfig
 from nuno_kernels.balance import hold_forces
-from nuno_schemas.bodies import MESH, Geometry, Poses
+from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, Springs, State
 from nuno_schemas.plugin import System
@@ -225,7 +225,25 @@ def test_threads_and_frames_change_no_bit() -> None:
     assert np.frombuffer(found[0]) == pytest.approx(np.frombuffer(found[2]), abs=1e-9)
 
 
-def test_a_primitive_is_refused_by_name() -> None:
-    geometry = replace(body(meshes.box((1, 1, 1))), kind=np.zeros(1, np.int8))
-    with pytest.raises(BadInput, match="body"):
-        Sliding().prepare(SlidingConfig(), loose(np.ones((1, 3))), geometry, np.zeros(3))
+def test_a_distance_field_is_slid_on_by_its_triangles() -> None:
+    found = []
+    for kind in (MESH, FIELD):
+        shape = replace(body(meshes.sphere(24, 0.15), 0.3), kind=np.array([kind], np.int8))
+        world = World(net(24, 0.6, np.array([0.0, 0.17, 0.0]), 5.0), shape, np.array([0.0, -G, 0.0]))
+        world.go(80, 1e-3)
+        assert world.slides.tally[:, 0].sum() > 5
+        found.append(world.state.x.tobytes() + world.state.v.tobytes())
+    assert found[0] == found[1]
+
+
+def test_what_is_no_closed_mesh_is_refused_by_name() -> None:
+    whole = body(meshes.box((1, 1, 1)))
+    refused = (
+        (replace(whole, kind=np.zeros(1, np.int8)), "is with meshes"),
+        (replace(whole, kind=np.array([FIELD], np.int8), faces=whole.faces[1:], owner=whole.owner[1:]),
+         "closed meshes, and the mesh has a hole"),
+    )  # fmt: skip
+    for geometry, problem in refused:
+        with pytest.raises(BadInput, match=problem) as error:
+            Sliding().prepare(SlidingConfig(), loose(np.ones((1, 3))), geometry, np.zeros(3))
+        assert error.value.field == "body" and "penalty" in str(error.value.remedy)

@@ -188,6 +188,7 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
     bodies = loaded.scene.bodies
     names = [f"{body.name}/{frame}" for body, shape in zip(bodies, shapes, strict=True) for frame in shape.frames]
     starts = np.cumsum([0, *(len(s.frames) for s in shapes)])
+    of_triangles = loaded.contact is not None and getattr(loaded.contact.plugin, "of_triangles", False)
     return Geometry(
         tuple(body.name for body in bodies),
         tuple(names),
@@ -201,7 +202,7 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
         np.array([b.damping for b in bodies]),
         np.array([b.friction for b in bodies]),
         *_join_meshes(shapes),
-        tuple(field for shape in shapes for field in shape.fields),
+        () if of_triangles else tuple(field for shape in shapes for field in shape.fields),
     )
 
 

@@ -66,8 +66,9 @@ def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[in
 
 
 def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
-    """To a mesh; of a field what it says, exact to its tolerance: cloth that rests on it lies inside by the depth of
-    penalty contact, and the distance of so many vertices to every triangle would take longer than the run.
+    """To a mesh; of a field that contact is with what it says, exact to its tolerance: cloth that rests on it lies
+    inside by the depth of penalty contact, and the distance of so many vertices to every triangle would take longer
+    than the run.
     """
     if geometry.kind[i] == FIELD and geometry.fields:
         return field_distance(p, geometry.fields[int((geometry.kind[:i] == FIELD).sum())])
