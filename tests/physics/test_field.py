@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from nuno_kernels.closest_point import closest_points
-from nuno_kernels.field_build import Exact, build_field
+from nuno_kernels.field_build import build_field
+from nuno_kernels.field_exact import Exact
 from nuno_kernels.field_sample import sample_field
 from nuno_kernels.leg import leg_mesh
 from nuno_kernels.surface_tree import build_tree
