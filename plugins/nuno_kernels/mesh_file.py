@@ -33,6 +33,8 @@ def read_closed(path: Path, scale: float = 1.0, mend: bool = False) -> tuple[Flo
         check_crossings(x, faces)
     except BadInput as error:
         error.file = str(path)
+        if mend and error.remedy is not None and error.remedy.startswith("mend:"):
+            error.remedy = "mending it was not enough: repair it there in a mesh editor"
         raise
     return x, faces
 

@@ -68,7 +68,8 @@ class Fitted:
 def draw_over(over: Over, net: Structure, spacing: tuple[float, float] | None, x: Float, faces: Int) -> Fitted:
     """A tube over the mesh x (v, 3) [m], faces (f, 3). `spacing` [m], where given, is the rest length of arcs and legs.
 
-    Raises BadInput for ends that lie outside of the mesh, and for a limb that has no room for it.
+    Raises BadInput for ends that lie outside of the mesh, for a limb that has no room for it, and for a knit that is
+    too wide for the limb or starts too far from it.
     """
     check_size(x, over.body)
     try:
@@ -78,14 +79,40 @@ def draw_over(over: Over, net: Structure, spacing: tuple[float, float] | None, x
         if error.field is not None and error.field.startswith(("axis", "between")):
             error.field = "over.between"
         raise
+    _check_clearance(over, rows)
     ratio = np.linspace(*(over.girth if isinstance(over.girth, tuple) else (over.girth, over.girth)), len(rows.girth))
     if spacing is None:
         girth = ratio * (rows.girth.mean() if over.of == "mean" else rows.girth)
         leg = over.height * rows.height / net.courses
     else:
         girth, leg = np.full(len(rows.girth), spacing[0] * net.columns), spacing[1]
+    _check_girth(over, girth, rows.girth, spacing is not None)
     girth = np.minimum(girth, NARROW * rows.girth)
     return Fitted(_clear(over, rows, x, faces), girth / net.columns, np.full(net.courses, leg))
+
+
+def _check_clearance(over: Over, rows: Rows) -> None:
+    """Raises BadInput for a start farther off than the limb is thick, where rows of a bent limb would cross."""
+    radius = float(rows.girth.mean() / (2.0 * np.pi))
+    if over.clearance > radius:
+        raise BadInput(
+            "the knit starts too far from the limb", field="over.clearance", value=f"{over.clearance:g} m",
+            limit=f"at most {radius:.2g} m, the limb's mean radius", remedy="a few millimetres are enough",
+        )  # fmt: skip
+
+
+def _check_girth(over: Over, girth: Float, limb: Float, spaced: bool) -> None:
+    """Raises BadInput for a knit of rows' girths (r,) [m] that is too wide on the whole for those of the limb (r,) [m];
+    single rows that are, at an ankle, are narrowed.
+    """
+    share = float(girth.mean() / limb.mean())
+    if share > NARROW:
+        raise BadInput(
+            f"the knit is too wide to hold on the limb: at rest {share:.2f} of its girth on average",
+            field="spacing" if spaced else "over.girth",
+            limit=f"at most {NARROW:g}",
+            remedy="fewer wales or shorter arcs" if spaced else "0.5 to 0.8 fit well",
+        )
 
 
 def check_size(x: Float, body: str) -> None:

@@ -48,6 +48,15 @@ def test_a_hole_is_named_with_its_edge_and_place_and_can_be_mended(tmp_path: Pat
     assert len(read_closed(path, mend=True)[1]) == 320
 
 
+def test_a_hole_too_large_to_be_mended_is_refused_without_that_advice(tmp_path: Path) -> None:
+    mesh = ball()
+    mesh.update_faces(mesh.triangles_center[:, 1] < 0.5)
+    path = save(mesh, tmp_path / "open.obj")
+    with pytest.raises(BadInput, match="has a hole") as refusal:
+        read_closed(path, mend=True)
+    assert refusal.value.remedy is not None and "mesh editor" in refusal.value.remedy
+
+
 def test_triangles_that_face_the_wrong_way_are_named_and_can_be_turned(tmp_path: Path) -> None:
     mesh = ball()
     faces = np.array(mesh.faces)

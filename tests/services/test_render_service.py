@@ -107,5 +107,9 @@ def test_what_cannot_be_drawn_is_refused_before_anything_starts(
     assert not (tmp_path / "out" / "run.mcap").exists()
 
 
+def test_a_plan_refuses_what_the_run_would(tmp_path: Path, refused: Refused) -> None:
+    assert "eye is inside a body" in refused("plan", write(tmp_path, pictures="end", target=[0, 0.4, 0], distance=0.01))
+
+
 def test_a_sheet_has_no_yarns_to_draw(refused: Refused) -> None:
     assert "no yarns to draw" in refused.run(view={"pictures": "end"})

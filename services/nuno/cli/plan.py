@@ -26,6 +26,10 @@ def main(args: argparse.Namespace) -> int:
     rows = [("scene", f"{loaded.scene.name}: {loaded.scene.description}"), ("services", ", ".join(plan.services))]
     if loaded.scene.moves:
         rows += _cloth(loaded)
+    if loaded.scene.view.pictures is not None:
+        from nuno.render.artist import Artist
+
+        Artist(loaded)  # refuses what the pictures cannot show, as an eye inside a body
     if loaded.dye is not None:
         from nuno.dye.describe import describe_dye
 
