@@ -110,14 +110,14 @@ def _draw(recording: Recording, frames: dict[str, Frame], target: Path) -> list[
 
 
 def _measure(recording: Recording, frames: dict[str, Frame], operations: list[dict[str, Any]]) -> Measures:
-    """Of every line that is given by points, on cloth that lay without it in a frame before; else none."""
+    """Of every line that is given by points and drawn while the scene goes on; else none."""
     lines = [np.array(line["points"], float) for one in operations for line in one["lines"] if "points" in line]
     if not lines or STAGES[0] not in frames:
         return []
-    pieces = Pieces(recording)
-    before, after = (frames[stage] for stage in STAGES[:2])
-    drawn = Drawn(before.x, pieces.at(before.t)[0].faces, after.x, pieces.at(after.t)[0].faces, lines)
-    return list(zip(*(drawn.measure(frames[stage].x) for stage in STAGES[1:]), strict=True))
+    fabric, drawn = recording.last_checkpoint().fabric, frames[STAGES[1]]
+    crests = np.concatenate([fabric[f"fabric/crests/{i}"] for i in range(len(operations))], axis=1)
+    found = Drawn(drawn.x, Pieces(recording).at(drawn.t)[0].faces, crests, lines)
+    return list(zip(*(found.measure(frames[stage].x) for stage in STAGES[1:]), strict=True))
 
 
 def _parameters(loaded: Loaded, vertices: int) -> list[str]:
@@ -167,8 +167,9 @@ KIND = Kind(
     parameters=(Columns(PARAMETERS, "Lines with their heights, the rule of new springs, and friction on the body."),),
     numbers=Columns(
         NUMBERS,
-        "Height: mean of a line's vertices over the cloth as it lay before. Width: area that stands at half of it or "
-        "more, over the line's length. In turn, lines that are given by points and drawn while the scene goes on.",
+        "Height: over the chord across the wrinkle, from cloth to cloth where nothing was smoothed. Width: along that "
+        "chord, at half the height. Just drawn: in the first frame that shows the lines. In turn, lines that are given "
+        "by points and drawn while the scene goes on.",
     ),
     differences=f"What the paper says of its figure 8, as a ratio of two measures; at least {EFFECT:g} is asked for.",
 )

@@ -1,4 +1,8 @@
-"""How high and how wide drawn wrinkles stand over the cloth as it lay before."""
+"""How high and how wide drawn wrinkles stand over the chords across them, wherever the cloth has gone since.
+
+Over the cloth as it lay before they would not do: a line adds cloth, so that the feet of its wrinkle move as well, and
+what has sunk with its feet would count as faded.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Bool, Float, Int
 
 NEAR = 0.06
 """What lies so near to a line when it is drawn belongs to its wrinkle [m]."""
 
 
 class Ridge(NamedTuple):
-    """Mean height of a line's vertices [m], and area of cloth that stands at half of that or more, over the line's
-    length [m].
+    """Means over a line's crests [m]: height over the chord across it, as a run's report has it, and width at half of
+    that, along the chord. NaN where the line has no crest.
     """
 
     height: float
@@ -22,52 +26,63 @@ class Ridge(NamedTuple):
 
 
 class Drawn:
-    """Cloth before lines are drawn on it, and which of its vertices are whose.
+    """Crests of lines, and the triangles of each line's wrinkle.
 
-    before (n, 3) [m] and faces (f, 3) of the cloth as it lay; x (m, 3) [m] and faces_drawn (g, 3) just drawn, new
-    vertices behind the old ones; lines (k, 3) [m] near it.
+    x (n, 3) [m] just drawn and its faces (f, 3); crests (5, c) vertices: on a line, to the left and to the right of it
+    where nothing was smoothed, before and after on the line; lines (k, 3) [m] near x, each crest of the nearest.
     """
 
-    def __init__(self, before: Float, faces: Int, x: Float, faces_drawn: Int, lines: list[Float]) -> None:
-        old = len(before)
-        normals = vertex_normals(before, faces)
-        self._faces = faces_drawn
-        new = x[old:]
-        nearest = np.array([int(np.argmin(((before - place) ** 2).sum(axis=1))) for place in new], int)
-        self._base = np.concatenate([before, before[nearest]])
-        self._normal = np.concatenate([normals, normals[nearest]])
-        away = np.stack([distance_to(self._base, line) for line in lines], axis=1)
-        self._own = [(away.argmin(axis=1) == i) & (away[:, i] < NEAR) for i in range(len(lines))]
-        self._new = np.arange(len(x)) >= old
-        self._long = [float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in lines]
+    def __init__(self, x: Float, faces: Int, crests: Int, lines: list[Float]) -> None:
+        away = np.stack([distance_to(x, line) for line in lines], axis=1)
+        nearest = away[crests[0]].argmin(axis=1)
+        self._crests = [crests[:, nearest == i] for i in range(len(lines))]
+        self._faces = [faces[(away[:, i] < NEAR)[faces].all(axis=1)] for i in range(len(lines))]
 
     def measure(self, x: Float) -> list[Ridge]:
-        """Of every line, with the cloth at x (m, 3) [m]. NaN where no vertex of a line is near it."""
-        rise = ((x - self._base) * self._normal).sum(axis=1)
-        area = vertex_areas(x, self._faces)
+        """Of every line, with the cloth at x (n, 3) [m]."""
         found = []
-        for own, long in zip(self._own, self._long, strict=True):
-            mine = own & self._new
-            height = float(rise[mine].mean()) if mine.any() else float("nan")
-            high = own & (rise * np.sign(height) >= 0.5 * abs(height))
-            found.append(Ridge(height, float(area[high].sum()) / long))
+        for crests, faces in zip(self._crests, self._faces, strict=True):
+            each = np.array([_across(x, faces, crest) for crest in crests.T]).reshape(-1, 2)
+            found.append(Ridge(*each.mean(axis=0).tolist()) if len(each) else Ridge(float("nan"), float("nan")))
         return found
 
 
-def vertex_normals(x: Float, faces: Int) -> Float:
-    """(n, 3) unit normals, weighted by area."""
-    normal = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])
-    total = np.zeros_like(x)
-    for k in range(3):
-        np.add.at(total, faces[:, k], normal)
-    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30))
+def _across(x: Float, faces: Int, crest: Int) -> tuple[float, float]:
+    """Height of a crest over its chord, and how wide it is at half of that [m].
+
+    The plane through chord and normal cuts the triangles in segments. What lies between the outermost points that reach
+    half the height is the width, so that a wrinkle that has folded over is not counted twice.
+    """
+    top, one, other, before, after = x[crest]
+    chord = (other - one) / np.linalg.norm(other - one)
+    normal = np.cross(chord, after - before)
+    normal /= np.linalg.norm(normal)
+    normal *= np.sign((top - one) @ normal)
+    height = float((top - one) @ normal)
+    u, w, beside = (x - one) @ chord, (x - one) @ normal, (x - top) @ np.cross(chord, normal)
+    start, end = _cut(faces, beside >= 0.0, np.stack([u, w], axis=1), beside)
+    low, high = np.minimum(start[:, 1], end[:, 1]), np.maximum(start[:, 1], end[:, 1])
+    half = 0.5 * height
+    share = np.clip((half - start[:, 1]) / np.where(high > low, end[:, 1] - start[:, 1], 1.0), 0.0, 1.0)
+    level = start[:, 0] + share * (end[:, 0] - start[:, 0])
+    places = np.concatenate([start[start[:, 1] >= half, 0], end[end[:, 1] >= half, 0],
+                             level[(low < half) & (high >= half)]])  # fmt: skip
+    within = places[(places >= 0.0) & (places <= np.linalg.norm(other - one))]
+    return height, float(np.ptp(within)) if len(within) else 0.0
 
 
-def vertex_areas(x: Float, faces: Int) -> Float:
-    """(n,) a third of the triangles at each vertex [m^2]."""
-    normal = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])
-    share = np.repeat(np.linalg.norm(normal, axis=1) / 6.0, 3)
-    return np.asarray(np.bincount(faces.reshape(-1), share, len(x)), np.float64)
+def _cut(faces: Int, left: Bool, flat: Float, beside: Float) -> tuple[Float, Float]:
+    """Ends (s, 2) of the segments in which the plane cuts triangles: `flat` (n, 2) where `beside` (n,) is 0."""
+    cut = faces[left[faces].any(axis=1) & ~left[faces].all(axis=1)]
+    # The corner that is alone on its side, then the other two.
+    alone = np.argmax(left[cut] == (left[cut].sum(axis=1) == 1)[:, None], axis=1)
+    rows = np.arange(len(cut))
+    first, second, third = (cut[rows, (alone + k) % 3] for k in range(3))
+    ends = []
+    for far in (second, third):
+        share = (beside[first] / (beside[first] - beside[far]))[:, None]
+        ends.append(flat[first] + share * (flat[far] - flat[first]))
+    return ends[0], ends[1]
 
 
 def distance_to(places: Float, line: Float) -> Float:

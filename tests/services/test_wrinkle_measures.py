@@ -24,20 +24,29 @@ def sheet(rows: int, columns: int) -> tuple[Float, Int]:
 
 @pytest.mark.parametrize(("height", "base"), [(0.004, 0.02), (-0.002, 0.03)])
 def test_a_roof_is_as_high_and_half_as_wide_at_half_its_height(height: float, base: float) -> None:
-    """A roof of slopes from z = -base to base stands above half its height over a strip that is `base` wide."""
-    before, faces = sheet(41, 61)
-    line = np.array([[0.0, 0.0, 0.0], [STEP * 60, 0.0, 0.0]])
-    # New vertices, as lines add them behind the old ones, in no triangle here: they lie on the ridge.
-    new = np.stack([STEP * (np.arange(60) + 0.5), np.zeros(60), np.zeros(60)], axis=1)
-    x = np.concatenate([before, new])
-    drawn = Drawn(before, faces, x, faces, [line])
+    """A roof of slopes from z = -base to base is `base` wide at half its height, sunk, tilted and shifted or not."""
+    flat, faces = sheet(41, 61)
+    own = 20 * 61 + np.arange(5, 56)
+    crests = np.stack([own, own - 10 * 61, own + 10 * 61, own - 1, own + 1]).astype(np.int32)
+    drawn = Drawn(flat, faces, crests, [flat[own]])
+    x = flat.copy()
     x[:, 1] = height * np.maximum(1.0 - np.abs(x[:, 2]) / base, 0.0)
-    (found,) = drawn.measure(x)
-    assert found.height == pytest.approx(height)
-    # Whole vertices count, those at just half the height or not: within a row on either side.
-    assert found.width == pytest.approx(base, abs=1.1 * STEP)
-    (flat,) = drawn.measure(np.concatenate([before, new]))
-    assert flat.height == 0.0
+    turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    for places in (x, x @ turn.T - [0.0, 0.01, 0.0]):
+        (found,) = drawn.measure(places)
+        assert found.height == pytest.approx(abs(height), rel=1e-9)
+        assert found.width == pytest.approx(base, rel=1e-9)
+
+
+def test_crests_belong_to_the_nearest_line_and_a_line_without_any_has_no_height() -> None:
+    flat, faces = sheet(41, 61)
+    own = 20 * 61 + np.arange(5, 56)
+    crests = np.stack([own, own - 10 * 61, own + 10 * 61, own - 1, own + 1]).astype(np.int32)
+    x = flat + [0.0, 0.01, 0.0] * (np.abs(flat[:, 2:]) < 0.001)
+    there, none = Drawn(flat, faces, crests, [flat[own], flat[own] + [0.0, 0.0, 0.2]]).measure(x)
+    assert there.height == pytest.approx(0.01)
+    assert there.width == pytest.approx(STEP)
+    assert np.isnan(none).all()
 
 
 def test_what_thins_and_fades_meets_the_bar_and_what_stays_misses() -> None:
