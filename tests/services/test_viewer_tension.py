@@ -76,3 +76,16 @@ def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None
     assert (colours == beside).any(axis=0).all() and np.ptp(place) > 100
     about = columns(path, "TextDocument:text")["/about"][0][0]
     assert f"{30.0 * rest.max():.3g} N" in about
+
+
+def test_the_legend_has_the_colours_of_the_tensions_at_its_ticks() -> None:
+    pytest.importorskip("rerun")
+    from nuno.viewer.cloth import TABLE
+    from nuno.viewer.legend import SIDE, TOP, tension_legend, ticks
+
+    bar = tension_legend(2.0)[TOP + 1, SIDE:-SIDE].astype(int)
+    assert [tension for _, tension in ticks(2.0)] == pytest.approx([0.002, 0.02, 0.2, 2.0])
+    for share, tension in ticks(2.0):
+        place = round(255.0 * (1.0 + np.log10(tension / 2.0) / np.log10(SPAN)))
+        painted = int(TABLE[place]) >> np.array([24, 16, 8]) & 255
+        assert np.abs(bar[round(share * (len(bar) - 1))] - painted).max() <= 3

@@ -18,6 +18,7 @@ from nuno.viewer.about import about, about_tension
 from nuno.viewer.bodies import Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth, DyedTexture
+from nuno.viewer.legend import tension_legend
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
@@ -178,11 +179,13 @@ class Bridge:
                 )
         if self._dyed is not None and self._dyed.shown is not None:
             self._wear(self._dyed.shown)
+        tensions = [cloth.tensions.most for cloth in self._cloths if cloth.tensions]
+        if tensions:
+            self._log(layout.LEGEND, rr.Image(tension_legend(tensions[0])), static=True)
         self._log(
             "/about",
             rr.TextDocument(
-                about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed)
-                + about_tension([cloth.tensions.most for cloth in self._cloths if cloth.tensions]),
+                about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed) + about_tension(tensions),
                 media_type="text/markdown",
             ),
             static=True,
@@ -207,7 +210,8 @@ class Bridge:
     def _arrange(self) -> None:
         if self._eye is not None:
             dyes = self._dyed.names if self._dyed is not None else []
-            blueprint = layout.arrange(self._eye, self._bodies is not None, self.live, dyes, self._pictured)
+            legend = any(cloth.tensions for cloth in self._cloths)
+            blueprint = layout.arrange(self._eye, self._bodies is not None, self.live, dyes, self._pictured, legend)
             self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _status(self, payload: bytes) -> None:

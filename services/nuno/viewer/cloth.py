@@ -24,6 +24,8 @@ by a thousandth, the skirt paper's springs by half, and both are to be seen on o
 PLAIN = "#d8d3cb"
 SPRING_WIDTH, MASS_SIZE = -2.0, -4.5
 """Radii; negative ones are in pixels on the screen."""
+CROSSING_SIZE = -2.5
+"""Of masses whose links show their tension, which larger ones hide on a dense knit."""
 
 ReadImage = Callable[[str], NDArray[np.uint8] | None]
 
@@ -114,7 +116,8 @@ class Cloth:
         if not len(self.faces):
             pinned = arrays["pinned"][self.start : self.stop]
             points = np.where(pinned, pack(parse_hex("#c0392b")), pack(parse_hex("#34495e")))
-            self._log("masses", rr.Points3D.from_fields(colors=points.astype(np.uint32), radii=MASS_SIZE), static=True)
+            size = MASS_SIZE if self.tensions is None else CROSSING_SIZE
+            self._log("masses", rr.Points3D.from_fields(colors=points.astype(np.uint32), radii=size), static=True)
             once = colour if self.yarns is None else self.yarns
             springs = rr.LineStrips3D.from_fields(radii=SPRING_WIDTH, colors=None if self.coloured else once)
             self._log("springs", springs, static=True)

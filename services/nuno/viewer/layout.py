@@ -17,6 +17,8 @@ TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "/dye/picture"
 """Time of the scene; that of the dyeing, where there is nothing but a cloth that is dyed."""
 YARNS = "/render/yarns"
 """Pictures of yarns by rays."""
+LEGEND = "/legend"
+"""The scale of the colours of tension."""
 HALF_VIEW = 0.5 * np.radians(58.0)
 """About half of rerun's vertical field of view."""
 
@@ -69,9 +71,11 @@ def fit_eye(points: Float, view: View) -> Eye:
     return Eye(target + distance * toward, target)
 
 
-def arrange(eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False) -> Any:
-    """The blueprint: the scene large on the left, with the `pictures` of its yarns, if any; curves, log and report
-    beside it.
+def arrange(
+    eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False
+) -> Any:
+    """The blueprint: the scene large on the left, with the `legend` of its links' tension below and the `pictures` of
+    its yarns beside it, if any; curves, log and report on the right.
     """
     plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
@@ -79,7 +83,7 @@ def arrange(eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, p
     plots.append(curves("Wall time to compute a frame [ms]", "time"))
     amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True) for name in dyes or ()]
     tabs = [*([("Dye", amounts)] if amounts else []), ("Curves", plots)]
-    scene = rrb.Spatial3DView(
+    scene: Any = rrb.Spatial3DView(
         name="Scene",
         origin="/world",
         background=rrb.Background(color=BACKGROUND),
@@ -88,6 +92,11 @@ def arrange(eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, p
             kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=[0, 1, 0]
         ),
     )
+    if legend:
+        scale = rrb.Spatial2DView(
+            name="Tension along the yarns", origin=LEGEND, background=rrb.Background(color=BACKGROUND)
+        )
+        scene = rrb.Vertical(scene, scale, row_shares=[9.0, 1.0])
     main = scene if not pictures else rrb.Horizontal(scene, rrb.Spatial2DView(name="Yarns", origin=YARNS))
     return _blueprint(main, [rrb.Vertical(*part, name=name) for name, part in tabs], live)
 
