@@ -21,12 +21,12 @@ def find_crests(n: int, crossed: Crossed, raised: Raised) -> Int:
     feet = feet[still[feet]]
     rows = []
     for chain in crossed.chains if len(feet) else ():
-        for before, own, after in zip(chain[:-2], chain[1:-1], chain[2:], strict=True):
-            top = raised.flat[n + own]
-            along = raised.flat[n + after] - raised.flat[n + before]
-            normal = raised.normal[own]
-            way = raised.flat[feet] - top
-            side = way @ np.cross(normal, along)
+        inner = np.asarray(chain[1:-1], np.int64)
+        along = raised.flat[n + np.asarray(chain[2:], np.int64)] - raised.flat[n + np.asarray(chain[:-2], np.int64)]
+        across = np.cross(raised.normal[inner], along)
+        for before, own, after, left in zip(chain[:-2], chain[1:-1], chain[2:], across, strict=True):
+            way = raised.flat[feet] - raised.flat[n + own]
+            side = way @ left
             distance = np.square(way).sum(axis=1)
             if (side > 0.0).any() and (side < 0.0).any():
                 pair = (feet[np.argmin(np.where(one, distance, np.inf))] for one in (side > 0.0, side < 0.0))
