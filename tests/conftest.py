@@ -22,11 +22,6 @@ def shared_data() -> Path:
     return SHARED
 
 
-def pytest_xdist_auto_num_workers() -> int:
-    """One worker more than cores: tests of services wait for other processes, a sixth of the time of two workers."""
-    return len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _settle() -> Iterator[None]:
     """What is left after a file, compiled kernels above all, stays: it is not walked through again for garbage."""
