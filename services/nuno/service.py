@@ -19,8 +19,10 @@ import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nuno.scene.scene_file import Loaded
-from nuno.wire.bus import Bus, Inbox, Message, Question, Watch
+from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.health import offer_health
+from nuno.wire.question import Question
+from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, Event, Topic
 

@@ -12,7 +12,8 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.cli import main
 from nuno.supervision import runs, supervisor
-from nuno.wire.bus import Bus, Inbox, Message, Question
+from nuno.wire.bus import Bus, Inbox, Message
+from nuno.wire.question import Question
 from nuno.wire.sessions import free_port, hub, spoke
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE

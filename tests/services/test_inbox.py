@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 from foreign import DEEP, header
 
 from nuno.wire.bus import Bus, Inbox, Message
+from nuno.wire.question import Question
 from nuno.wire.sessions import free_port, hub
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import ACK, STATE
@@ -73,3 +75,13 @@ def test_an_answer_that_cannot_be_read_fails_plainly() -> None:
             with pytest.raises(RunFailed, match="control cannot be read"):
                 bus.ask_json("control", {}, 5.0)
             queryable.undeclare()
+
+
+def test_a_question_on_its_way_while_an_inbox_closes_is_dropped() -> None:
+    """Whoever asks would otherwise wait for an answer until the time is over."""
+    dropped: list[str] = []
+    query = SimpleNamespace(drop=lambda: dropped.append("dropped"))
+    with inbox() as (box, _):
+        box.close()
+        box._ask(Question("poses", "nuno/run/poses", query))  # type: ignore[arg-type]
+        assert dropped == ["dropped"] and box.get(0.0) is None

@@ -22,8 +22,9 @@ from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of, topic_of
 from nuno.scene import scene_file
 from nuno.service import SUPERVISOR, Context, Options, ack_topic
-from nuno.wire.bus import Bus, Inbox, Message, Watch
+from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import free_port, hub
+from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import REPORT, STATE, Ack, Header
 

@@ -16,8 +16,8 @@ from nuno.cli import main
 from nuno.export.yarns import export_yarn_picture
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
-from nuno.scene.plan import make_plan
 from nuno.service import Options
+from nuno.supervision.plan import make_plan
 from nuno.wire.arrays import decode_picture
 from nuno_schemas.messages import PICTURE
 

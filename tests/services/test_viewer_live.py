@@ -21,8 +21,9 @@ from viewer_run import messages
 from nuno.scene import scene_file
 from nuno.service import Options, ack_topic, run_service
 from nuno.viewer.live import LiveView, Ring
-from nuno.wire.bus import Bus, Inbox, Message, Watch
+from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import free_port, hub
+from nuno.wire.watch import Watch
 from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
 from nuno_schemas.view import View
 

@@ -10,6 +10,7 @@ import pytest
 from scenes import write_scene
 
 from nuno.cloth import build
+from nuno.cloth.edges import structural_edges
 from nuno.cloth.tension import SPAN, Tensions, tension_arrays
 from nuno.scene import scene_file
 from nuno.wire.arrays import encode_arrays, encode_points
@@ -60,7 +61,7 @@ def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None
     fabric = two_knits(tmp_path)
     assert fabric.springs is not None
     x = moved(fabric)
-    edges, rest = build.structural_edges(fabric)
+    edges, rest = structural_edges(fabric)
     arrays: dict[str, Any] = {"faces": fabric.faces, "edges": edges, "edge_rest": rest.astype(np.float32)}
     arrays |= {"pinned": fabric.pinned} | tension_arrays(fabric)
     cloth = {"name": "knits", "start": 0, "stop": fabric.number, "colour": "#202020"}

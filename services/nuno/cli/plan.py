@@ -10,10 +10,10 @@ from pathlib import Path
 from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
 from nuno.scene.choose import decide
-from nuno.scene.plan import make_plan
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
+from nuno.supervision.plan import make_plan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -81,7 +81,7 @@ class _Viewer:
     """The viewer service, in a thread, for one replay."""
 
     def __init__(self, loaded: Loaded, bus: Bus, options: Options) -> None:
-        from nuno.wire.bus import Watch
+        from nuno.wire.watch import Watch
 
         self.bus, self.view = bus, options.view
         self.thread = threading.Thread(

@@ -11,7 +11,8 @@ from nuno.collision.distance import penetration
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, encode_geometry, encode_poses
 from nuno.service import Context, ack_topic, each_message
 from nuno.wire.arrays import BadMessage, decode_points
-from nuno.wire.bus import Inbox, Message, Question
+from nuno.wire.bus import Inbox, Message
+from nuno.wire.question import Question
 from nuno_schemas.bodies import Poses
 from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Header, Penetration
 

@@ -12,7 +12,8 @@ from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.service import Context, ack_topic, each_message
 from nuno.wire.arrays import BadMessage
-from nuno.wire.bus import Inbox, Message, Question
+from nuno.wire.bus import Inbox, Message
+from nuno.wire.question import Question
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import ACK, FRAMES, REPORT, Ack, Header, Topic
 

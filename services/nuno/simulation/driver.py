@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import registry
-from nuno.cloth.build import edge_yarns, structural_edges
+from nuno.cloth.edges import edge_yarns, structural_edges
 from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.tension import tension_arrays
 from nuno.cloth.yarns import measure_courses, measure_yarns

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 
 import zenoh
 
-from nuno.scene.plan import Plan
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options, run_service
+from nuno.supervision.plan import Plan
 from nuno_schemas.errors import BadInput, RunFailed
 
 FINISH_TIMEOUT = 30.0

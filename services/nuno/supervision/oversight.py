@@ -8,16 +8,17 @@ from typing import Any
 
 import zenoh
 
-from nuno.scene.plan import Plan
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
 from nuno.supervision import log
 from nuno.supervision.launch import FINISH_TIMEOUT
+from nuno.supervision.plan import Plan
 from nuno.supervision.silence import Silence
-from nuno.wire.bus import Bus, Inbox, Message, Watch
+from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.health import offer_health
 from nuno.wire.laggards import Laggards
 from nuno.wire.sessions import identity
+from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
 

@@ -10,11 +10,11 @@ from functools import partial
 from typing import Any
 
 from nuno.process import Terminated
-from nuno.scene.plan import Plan, make_plan
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
 from nuno.supervision import launch, log, runs
 from nuno.supervision.oversight import COMPILE_TIMEOUT, Progress, Supervisor
+from nuno.supervision.plan import Plan, make_plan
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import cut_off, hub_at, identity, spoke
 from nuno_schemas.errors import BadInput, RunFailed

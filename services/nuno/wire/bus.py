@@ -15,6 +15,7 @@ from typing import Any
 import zenoh
 from pydantic import ValidationError
 
+from nuno.wire.question import Question
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import Header, Topic
@@ -71,39 +72,6 @@ class Counts:
     refused: dict[str, int] = field(default_factory=lambda: defaultdict(int))
 
 
-@dataclass
-class Question:
-    """One question to a service; answer it exactly once."""
-
-    name: str
-    key: str
-    query: zenoh.Query
-
-    @property
-    def payload(self) -> bytes:
-        return self.query.payload.to_bytes() if self.query.payload is not None else b""
-
-    def json(self) -> dict[str, Any]:
-        """The payload as a mapping; anything else counts as empty."""
-        try:
-            value = json.loads(self.payload)
-        except (ValueError, RecursionError):
-            return {}
-        return value if isinstance(value, dict) else {}
-
-    def refuse(self, problem: str) -> None:
-        """Answer that this was no good question."""
-        self.query.reply_err(problem)
-        self.query.drop()
-
-    def answer(self, payload: bytes) -> None:
-        self.query.reply(self.key, payload)
-        self.query.drop()
-
-    def answer_json(self, value: dict[str, Any]) -> None:
-        self.answer(json.dumps(value).encode())
-
-
 class Inbox:
     """Messages of some topics, and questions, as they arrive; checked and counted.
 
@@ -124,14 +92,24 @@ class Inbox:
         self._queue: queue.SimpleQueue[zenoh.Sample | Question] = queue.SimpleQueue()
         self._newest_only = newest_only
         bus.inboxes.append(self)
+        self._closing = threading.Lock()
+        self._closed = False
         self._handles: list[Any] = [bus.session.declare_subscriber(bus.key(t.name), self._queue.put) for t in topics]
 
     def answer(self, name: str) -> None:
         """Let questions to `name` in, too."""
         key = self._bus.key(name)
         self._handles.append(
-            self._bus.session.declare_queryable(key, lambda query: self._queue.put(Question(name, key, query)))
+            self._bus.session.declare_queryable(key, lambda query: self._ask(Question(name, key, query)))
         )
+
+    def _ask(self, question: Question) -> None:
+        """Take a question in; one that was on its way while the inbox closed is dropped, as those that waited were."""
+        with self._closing:
+            if not self._closed:
+                self._queue.put(question)
+                return
+        question.query.drop()
 
     def get(self, timeout: float) -> Message | Question | None:
         """The next question or good message, or None when the time [s] is over."""
@@ -169,6 +147,8 @@ class Inbox:
         """Take in nothing more; whoever waits for an answer learns at once that none comes."""
         while self._handles:
             self._handles.pop().undeclare()
+        with self._closing:
+            self._closed = True
         while not self._queue.empty():
             item = self._queue.get_nowait()
             if isinstance(item, Question):
@@ -289,38 +269,3 @@ class Bus:
     def alive(self) -> zenoh.LivelinessToken:
         """A token that disappears with this service."""
         return self.session.liveliness().declare_token(self.key(f"alive/{self.service}"))
-
-
-class Watch:
-    """Who is alive in a run, from liveliness tokens."""
-
-    def __init__(self, bus: Bus) -> None:
-        self._alive: set[str] = set()
-        self._seen: set[str] = set()
-        self._changed = threading.Condition()
-        self._subscriber = bus.session.liveliness().declare_subscriber(bus.key("alive/*"), self._note, history=True)
-
-    def _note(self, sample: zenoh.Sample) -> None:
-        name = str(sample.key_expr).rsplit("/", 1)[-1]
-        with self._changed:
-            if sample.kind == zenoh.SampleKind.PUT:
-                self._alive.add(name)
-                self._seen.add(name)
-            else:
-                self._alive.discard(name)
-            self._changed.notify_all()
-
-    def alive(self) -> set[str]:
-        with self._changed:
-            return set(self._alive)
-
-    def gone(self, name: str) -> bool:
-        """Whether a service was alive once and is no more."""
-        with self._changed:
-            return name in self._seen and name not in self._alive
-
-    def wait_for(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all are alive; the ones still missing when the time [s] is over."""
-        with self._changed:
-            self._changed.wait_for(lambda: names <= self._alive, timeout)
-            return names - self._alive

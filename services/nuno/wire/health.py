@@ -11,7 +11,8 @@ import psutil
 import zenoh
 from pydantic import BaseModel, ValidationError
 
-from nuno.wire.bus import Bus, Question
+from nuno.wire.bus import Bus
+from nuno.wire.question import Question
 from nuno_schemas.errors import RunFailed
 
 HEALTH = "health"

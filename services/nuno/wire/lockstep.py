@@ -14,7 +14,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from nuno.service import Context, ack_topic, asks_to_finish
-from nuno.wire.bus import WAITING_AFTER, Inbox, Message, Question
+from nuno.wire.bus import WAITING_AFTER, Inbox, Message
+from nuno.wire.question import Question
 from nuno.wire.sessions import PATIENCE
 from nuno.work import Report, Work
 from nuno_schemas.errors import BadInput, RunFailed
@@ -74,9 +75,8 @@ class Lockstep(ABC):
     def facts(self, ended: str) -> dict[str, Any]:
         """What the report says of this service, beside `summary`."""
 
-    # One queue brings acknowledgements, control and the end of the run, in order.
     def listen(self, timeout: float) -> None:
-        """Handle one thing from the inbox, if one comes in time."""
+        """Handle one thing, if one comes in time: acknowledgements, control and the end come by one queue, in order."""
         item = self.inbox.get(timeout)
         if isinstance(item, Message) and self.follows:
             self.take_lead(item)

@@ -22,8 +22,9 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Recorded
 from nuno.service import SUPERVISOR
 from nuno.supervision import runs
-from nuno.wire.bus import Bus, Watch
+from nuno.wire.bus import Bus
 from nuno.wire.sessions import hub_at, identity
+from nuno.wire.watch import Watch
 from nuno_bench.result import Result
 from nuno_bench.soak import small
 from nuno_bench.soak.processes import Memory, ended, started

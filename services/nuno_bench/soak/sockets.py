@@ -14,8 +14,9 @@ from pathlib import Path
 import psutil
 
 from nuno.supervision import runs
-from nuno.wire.bus import Bus, Watch
+from nuno.wire.bus import Bus
 from nuno.wire.sessions import spoke
+from nuno.wire.watch import Watch
 from nuno_bench.result import Result
 from nuno_bench.soak import namespaces, small
 

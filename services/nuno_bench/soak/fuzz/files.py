@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from collections.abc import Callable
@@ -17,69 +16,18 @@ from nuno import registry
 from nuno_bench.soak.fuzz.kind import Kind, OneFile, Read, require, require_finite
 from nuno_bench.soak.fuzz.mutate_containers import mutate_npz, mutate_png
 from nuno_bench.soak.fuzz.mutate_text import mutate_bytes, mutate_text
-
-BVH = b"""HIERARCHY
-ROOT Hips
-{
-  OFFSET 0 0 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT Leg
-  {
-    OFFSET 0 -1 0.1
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {
-      OFFSET 0 -1 0
-    }
-  }
-}
-MOTION
-Frames: 3
-Frame Time: 0.0333333
-0 2 0 0 0 0 10 0 0
-0 2 0.1 0 5 0 20 0 0
-0.1 2 0.2 3 5 0 20 0 1
-"""
-WIF = b"""[WIF]
-Version=1.1
-[CONTENTS]
-WEAVING=true
-[WEAVING]
-Shafts=2
-Treadles=2
-Rising Shed=true
-[WARP]
-Threads=4
-Color=2
-Units=Centimeters
-Spacing=0.05
-Thickness=0.04
-[WEFT]
-Threads=2
-Color=1
-Units=Centimeters
-Spacing=0.1
-Thickness=0.08
-[COLOR PALETTE]
-Range=0,255
-[COLOR TABLE]
-1=255,255,255
-2=0,51,102  ; indigo
-[WARP COLORS]
-3=1
-[WARP SPACING]
-2=0.06
-[THREADING]
-1=1
-2=2
-3=1
-4=2
-"""
-TIE_UP = b"[TIEUP]\n1=1\n2=2\n[TREADLING]\n1=1\n2=2\n"
-LIFT_PLAN = b"[LIFTPLAN]\n1=1\n2=2\n"
-TAU3 = {"I": 0.1, "II": 0.1, "III": 0.1}
-SIDE = 8
-"""Cells and pixels of a cloth to dye."""
+from nuno_bench.soak.fuzz.seeds import (
+    BVH,
+    LIFT_PLAN,
+    SIDE,
+    TAU3,
+    TIE_UP,
+    WIF,
+    cell_seeds,
+    image_seed,
+    mesh_seeds,
+    net_seeds,
+)
 
 
 def _of_plugin(group: str, name: str, suffix: str, use: Callable[[Any, OneFile], None]) -> Callable[[Path], Read]:
@@ -172,27 +120,6 @@ def _lines(plugin: Any, files: OneFile) -> None:
         require_finite(points=np.array(line.points))
 
 
-def _tetrahedron() -> Any:
-    import trimesh
-
-    x = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-    return trimesh.Trimesh(x, faces, process=False)
-
-
-def _mesh_seeds(kind: str, folder: Path) -> list[bytes]:
-    mesh = _tetrahedron()
-    if kind == "ply":
-        return [mesh.export(file_type="ply", encoding=encoding) for encoding in ("ascii", "binary")]
-    if kind == "stl":
-        return [mesh.export(file_type="stl"), mesh.export(file_type="stl_ascii").encode()]
-    if kind == "glb":
-        return [mesh.export(file_type="glb")]
-    plain = mesh.export(file_type="obj").encode()
-    quad = b"mtllib a.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n"
-    return [plain, quad + b"f 1/1/1 2/2/1 3/3/1 4/4/1\n", quad + b"o a\ng b\ns 1\nf -4//-1 -3//-1 -2//-1\nf 1 3 4\n"]
-
-
 def _mesh_mutate(kind: str, data: bytes, random: Random) -> bytes:
     if kind == "glb" and random.random() < 0.7 and data[:4] == b"glTF" and len(data) > 20:
         length = struct.unpack_from("<I", data, 12)[0]
@@ -220,41 +147,6 @@ WORDS = {
 }
 
 
-def _nets(folder: Path) -> list[bytes]:
-    plain: dict[str, Any] = {
-        "x": np.arange(4)[:, None] * np.array([1.0, 0.0, 0.0]), "v": np.zeros((4, 3)), "m": np.ones(4),
-        "pinned": np.arange(4) == 0, "springs": np.array([[0, 1], [1, 2], [2, 3]]), "k": np.ones(3),
-        "rest": np.ones(3), "c": np.zeros(3),
-    }  # fmt: skip
-    yarns = {"yarn_links": np.arange(3), "yarn_ptr": np.array([0, 3]), "mu": np.array([0.1])}
-    locks = {"lock": 0.1 * np.ones(3), "k_lock": 2 * np.ones(3)}
-    return [_npz(**plain), _npz(**plain, **yarns), _npz(**plain, **locks)]
-
-
-def _cells(folder: Path) -> list[bytes]:
-    shape = (2, 3, 4)
-    flags = {name: np.ones(shape, bool) for name in ("fibre", "up")}
-    numbers = {name: np.full(shape, 0.5) for name in ("porosity", "tau1")}
-    return [_npz(**flags, **numbers, **{name: np.zeros(shape) for name in ("resist", "phi", "fixed")})]
-
-
-def _npz(**arrays: Any) -> bytes:
-    stream = io.BytesIO()
-    np.savez(stream, **arrays)
-    return stream.getvalue()
-
-
-def _image(mode: str, kind: str = "PNG") -> bytes:
-    from PIL import Image
-
-    stream = io.BytesIO()
-    values = (np.arange(SIDE * SIDE * 3).reshape(SIDE, SIDE, 3) * 5 % 256).astype(np.uint8)
-    values[:, ::2] = (32, 64, 128)
-    grey = Image.fromarray(values[..., 0].astype(np.uint16) * 257) if mode == "I;16" else None
-    (grey or Image.fromarray(values).convert(mode)).save(stream, format=kind)
-    return stream.getvalue()
-
-
 def _text(name: str, seeds: list[bytes], words: tuple[str, ...], **more: Any) -> Kind:
     return Kind(name, lambda folder: seeds, mutate=lambda data, random: mutate_text(data, random, words), **more)
 
@@ -264,7 +156,7 @@ def _mesh(kind: str) -> Kind:
     collide = _of_plugin("nuno.colliders", "mesh", f".{kind}", _collide)
     field = () if kind == "glb" else ("nuno_cloth.mesh",)
     return Kind(
-        kind.upper(), partial(_mesh_seeds, kind), _either(wear, collide) if kind != "glb" else collide,
+        kind.upper(), partial(mesh_seeds, kind), _either(wear, collide) if kind != "glb" else collide,
         partial(_mesh_mutate, kind), (*field, "nuno_kernels.mesh_file"), follows=("trimesh.exchange",),
     )  # fmt: skip
 
@@ -297,22 +189,22 @@ FILES = (
         modules=("nuno_dye.wif", "nuno_dye.wif_text", "nuno_dye.wif_yarns"),
     ),
     Kind(
-        "PNG resist", lambda folder: [_image(mode) for mode in ("L", "LA", "1", "I;16")],
+        "PNG resist", lambda folder: [image_seed(mode) for mode in ("L", "LA", "1", "I;16")],
         _of_plugin("nuno.dye_cloths", "woven", ".png", _stencil), mutate_png, ("nuno_dye.resist",),
         follows=("PIL.PngImagePlugin", "PIL.ImageFile"),
     ),
     Kind(
-        "photograph", lambda folder: [_image("RGB"), _image("RGBA"), _image("RGB", "JPEG")],
+        "photograph", lambda folder: [image_seed("RGB"), image_seed("RGBA"), image_seed("RGB", "JPEG")],
         _of_plugin("nuno.dye_cloths", "photograph", ".png", _photograph), mutate_png,
         ("nuno_dye.photograph", "nuno_dye.photograph_cloth"),
         follows=("PIL.PngImagePlugin", "PIL.JpegImagePlugin", "PIL.ImageFile", "PIL.TiffImagePlugin"),
     ),
     Kind(
-        "npz of a net", _nets, _of_plugin("nuno.models", "net", ".npz", _wear), mutate_npz,
+        "npz of a net", net_seeds, _of_plugin("nuno.models", "net", ".npz", _wear), mutate_npz,
         ("nuno_cloth.net", "nuno_cloth.net_yarns"), follows=("zipfile", "numpy.lib._format_impl"),
     ),
     Kind(
-        "npz of cells", _cells,
+        "npz of cells", cell_seeds,
         _of_plugin("nuno.dye_cloths", "cells", ".npz", partial(_dye, file="x", cell_size=1e-4)), mutate_npz,
         ("nuno_dye.cells_file", "nuno_dye.cells"), follows=("zipfile", "numpy.lib._format_impl"),
     ),

@@ -24,7 +24,8 @@ from nuno.service import Context, Options, asks_to_finish
 from nuno.simulation.driver import Driver
 from nuno.simulation.run import Simulation
 from nuno.wire.arrays import BadMessage, encode_picture
-from nuno.wire.bus import Bus, Inbox, Question
+from nuno.wire.bus import Bus, Inbox
+from nuno.wire.question import Question
 from nuno_bench.soak.fuzz.kind import Kind, Read, require, require_finite
 from nuno_bench.soak.fuzz.mutate_messages import mutate_arrays, mutate_json
 from nuno_bench.soak.fuzz.recordings import CLOTH, DYED, recorded
