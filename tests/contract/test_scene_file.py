@@ -146,6 +146,8 @@ TEXTS: dict[str, tuple[str | bytes, int | None, str]] = {
     "deeper than the stack": ("a: " + "[" * 50_000, None, "nests too deep"),
     "python object": ("nuno: 1\nname: !!python/object/apply:os.system ['exit 1']\n", 2, "tags are not allowed"),
     "python name": ("nuno: !!python/name:os.system x\n", 1, "tags are not allowed"),
+    "tag of nothing": ("nuno: 1\nname: !!float\n", 2, "tags are not allowed"),
+    "tag of a list": ("nuno: !!str [1]\n", 1, "tags are not allowed"),
     "own tag": ("nuno: !mine x\n", 1, "tags are not allowed"),
     "tag of a mapping": ("solver: !!omap {a: 1}\n", 1, "tags are not allowed"),
     "binary": ("nuno: !!binary aGk=\n", 1, "tags are not allowed"),
