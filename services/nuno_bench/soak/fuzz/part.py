@@ -6,10 +6,12 @@ import contextlib
 import importlib.util
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,8 @@ from nuno_schemas.errors import BadInput
 INPUTS, SECONDS = 100_000, 1200.0
 """Of each kind, and how long they may take at most [s]."""
 QUICK_SECONDS = 20.0
+KEPT = Path("recordings") / "fuzz"
+"""Where inputs are kept that a reader crashed at or took too long for."""
 START = 600.0
 """Longest that a worker may take beside its inputs [s]: it may have to compile kernels."""
 NEEDED = ("atheris", "coverage")
@@ -33,13 +37,15 @@ def run(quick: bool, seed: int) -> list[Result]:
         if importlib.util.find_spec(name) is None:
             raise BadInput(f"fuzzing needs {name}, which is not installed", remedy="pip install 'nuno[soak]'")
     seconds = QUICK_SECONDS if quick else SECONDS
-    reports: list[dict[str, Any]] = []
-    results = []
-    for kind in KINDS.values():
+
+    def tried(kind: Kind) -> dict[str, Any]:
         report = try_kind(kind, INPUTS, seconds, seed)
-        reports.append(report)
-        results.append(judge(kind, report))
-        print(f"  {kind.name}: {results[-1].what}", file=sys.stderr, flush=True)
+        print(f"  {kind.name}: {judge(kind, report).what}", file=sys.stderr, flush=True)
+        return report
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        reports = list(pool.map(tried, KINDS.values()))
+    results = [judge(kind, report) for kind, report in zip(KINDS.values(), reports, strict=True)]
     worked = [report for report in reports if "failure" not in report]
     if worked:
         least = None if quick else INPUTS
@@ -63,6 +69,7 @@ def judge(kind: Kind, report: dict[str, Any]) -> Result:
         f"{lines:.0f} % of lines, {report['peak_mb']:.0f} MB"
     )
     note = "; ".join(f"{said} ({place})" for place, said in report["found"].items())
+    note += f"; inputs: {', '.join(map(str, report['kept']))}" if report.get("kept") else ""
     return Result(kind.name, what, "", (report["crashes"] + report["hangs"],), bar=0, at_most=True, note=note)
 
 
@@ -70,20 +77,26 @@ def try_kind(kind: Kind, inputs: int, seconds: float, seed: int) -> dict[str, An
     """What a worker counted, and `lines`, the share of its readers' lines that it reached [%]; or `failure`."""
     with tempfile.TemporaryDirectory(prefix="nuno-fuzz-", dir=_fast_folder()) as name:
         folder = Path(name)
-        corpus = folder / "corpus"
-        corpus.mkdir()
-        for number, data in enumerate(kind.seeds(folder)):
-            (corpus / f"seed-{number}").write_bytes(data)
         said = _in_process("worker", kind.name, str(folder), str(inputs), str(seconds), str(seed), patience=seconds)
         try:
             report: dict[str, Any] = json.loads((folder / "report.json").read_text())
         except (OSError, ValueError):
             return {"failure": f"the process of this kind did not end well: {said[-300:].strip()}"}
+        report["kept"] = _keep(folder, kind.name)
         _in_process("covered", kind.name, str(folder), patience=seconds)
         with contextlib.suppress(OSError, ValueError):
             report["lines"] = float((folder / "lines").read_text())
         report.setdefault("lines", float("nan"))
         return report
+
+
+def _keep(folder: Path, name: str) -> list[Path]:
+    """Put what was found where it outlives the search."""
+    kept = []
+    for found in sorted(folder.glob("found-*")):
+        KEPT.mkdir(parents=True, exist_ok=True)
+        kept.append(Path(shutil.copy(found, KEPT / f"{name.replace(' ', '-').replace('/', '-')}-{found.name}")))
+    return kept
 
 
 def _in_process(module: str, *arguments: str, patience: float) -> str:

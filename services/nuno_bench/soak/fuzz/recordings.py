@@ -141,7 +141,7 @@ def _scene(folder: Path) -> Read:
 RECORDINGS = (
     Kind(
         "scene YAML", _scenes, _scene, lambda data, random: mutate_text(data, random, WORDS),
-        ("nuno.scene.scene_file", "nuno.scene.yaml_lines", "nuno.scene.explain"), follows=("yaml", "nuno_schemas"),
+        ("nuno.scene.scene_file", "nuno.scene.yaml_lines", "nuno.scene.explain"), follows=("nuno_schemas",),
     ),
     Kind(
         "MCAP", lambda folder: list(recorded()), _recording, mutate_mcap,

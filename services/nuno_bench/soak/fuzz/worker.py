@@ -144,8 +144,11 @@ def main(name: str, folder: Path, runs: int, seconds: float, seed: int) -> None:
 
     kind = KINDS[name]
     warnings.simplefilter("ignore")
+    seeds = kind.seeds(folder)
     corpus = folder / "corpus"
-    seeds = [path.read_bytes() for path in sorted(corpus.iterdir())]
+    corpus.mkdir()
+    for number, data in enumerate(seeds):
+        (corpus / f"seed-{number}").write_bytes(data)
     read = kind.reader(folder)
     for data in seeds:  # libraries are imported and kernels compiled only now
         with contextlib.suppress(*kind.refusals):
