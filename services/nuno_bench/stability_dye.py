@@ -13,10 +13,10 @@ import numpy as np
 
 from nuno import registry
 from nuno.scene import scene_file
-from nuno_bench.dye_problem import SCHEME, DyeProblem, make_dye_problem
-from nuno_bench.dye_reference import extrapolate
-from nuno_bench.observe import Run
 from nuno_bench.packed import pack, unpacked
+from nuno_bench.problem.dye import SCHEME, DyeProblem, make_dye_problem
+from nuno_bench.problem.dye_reference import extrapolate
+from nuno_bench.problem.observe import Run
 from nuno_bench.stability_case import Motion, Setting
 from nuno_schemas.errors import BadInput
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from nuno.cli import main
-from nuno_bench.compare import Result, compare, read, summary
-from nuno_bench.precision_errors import Error
-from nuno_bench.precision_point import Point
+from nuno_bench.precision.compare import Result, compare, read, summary
+from nuno_bench.precision.errors import Error
+from nuno_bench.precision.point import Point
 
 FLOOR = 1e-8
 

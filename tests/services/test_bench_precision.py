@@ -13,13 +13,14 @@ from scenes import BALL, write_scene
 
 from nuno import registry
 from nuno.cli import main as nuno_main
-from nuno_bench import precision, precision_run
-from nuno_bench.observe import Problem, simulate
-from nuno_bench.precision_errors import POSITIONS, find_scales
-from nuno_bench.precision_findings import fit_order, judge
-from nuno_bench.precision_page import Findings
-from nuno_bench.reference import GROUP, Reference
-from nuno_bench.sweep import choose_solvers
+from nuno_bench.precision import command as precision
+from nuno_bench.precision.errors import POSITIONS, find_scales
+from nuno_bench.precision.findings import fit_order, judge
+from nuno_bench.precision.page import Findings
+from nuno_bench.precision.settings import choose_solvers
+from nuno_bench.precision.sweep import MORE, Runner
+from nuno_bench.problem.observe import Problem, simulate
+from nuno_bench.problem.reference import GROUP, Reference
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.plugin import Config, StepReport
 
@@ -80,14 +81,14 @@ def test_solvers_of_other_packages_take_part(tmp_path: Path, monkeypatch: pytest
     assert [solver.name for solver in solvers] == ["halved", "symplectic_euler"]
     assert [one.solver for one in omitted] == ["particular"] and "needed" in omitted[0].reason
     reference = reference_of(problem)
-    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
+    runner = Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
     half, whole = (runner.measure(solver, solver.settings[0], 1.0, 1.0).errors[POSITIONS].l2 for solver in solvers)
     assert whole / half == pytest.approx(2.0, rel=0.1)
 
 
 def test_short_runs_are_repeated_more_often(found: Findings) -> None:
     repeats = {len(point.seconds) for point in found.points if point.done and max(point.seconds) < 0.005}
-    assert repeats == {precision_run.MORE}
+    assert repeats == {MORE}
 
 
 def test_adaptive_errors_follow_the_tolerance(tmp_path: Path) -> None:

@@ -16,11 +16,11 @@ from precision_sweeps import points_of, swept
 from nuno import registry
 from nuno.cli import main as nuno_main
 from nuno.scene import scene_file
-from nuno_bench.dye_problem import AMOUNTS, DyeProblem, make_dye_problem
-from nuno_bench.dye_reference import make_dye_reference
-from nuno_bench.observe import Series
-from nuno_bench.precision_findings import fit_order
-from nuno_bench.precision_page import orders_of
+from nuno_bench.precision.findings import fit_order
+from nuno_bench.precision.page import orders_of
+from nuno_bench.problem.dye import AMOUNTS, DyeProblem, make_dye_problem
+from nuno_bench.problem.dye_reference import make_dye_reference
+from nuno_bench.problem.observe import Series
 from nuno_dye.explicit import Explicit
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float

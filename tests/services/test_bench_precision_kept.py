@@ -12,14 +12,16 @@ from line_net import problem_of, reference_of, write_net
 from precision_sweeps import FLAGS, arguments, swept
 
 from nuno.cli import main as nuno_main
-from nuno_bench import executor, precision, precision_run
+from nuno_bench import executor
 from nuno_bench.packed import pack
-from nuno_bench.precision_errors import POSITIONS, find_scales
-from nuno_bench.precision_findings import choice_rows
-from nuno_bench.precision_page import Findings
-from nuno_bench.precision_point import Kept, Point
-from nuno_bench.precision_untimed import UNTIMED, run_untimed
-from nuno_bench.sweep import choose_solvers
+from nuno_bench.precision import command as precision
+from nuno_bench.precision.errors import POSITIONS, find_scales
+from nuno_bench.precision.findings import choice_rows
+from nuno_bench.precision.page import Findings
+from nuno_bench.precision.point import Kept, Point
+from nuno_bench.precision.settings import choose_solvers
+from nuno_bench.precision.sweep import Runner, Sweep, run_sweep, start_sweep
+from nuno_bench.precision.untimed import UNTIMED, run_untimed
 from nuno_schemas.errors import BadInput
 
 
@@ -30,15 +32,15 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
 
 
 def test_an_interrupted_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, whole, taken = write_net(tmp_path), precision_run.Runner.measure, list[str]()
+    path, whole, taken = write_net(tmp_path), Runner.measure, list[str]()
 
-    def measure(self: precision_run.Runner, solver: Any, setting: Any, *times: float) -> Point:
+    def measure(self: Runner, solver: Any, setting: Any, *times: float) -> Point:
         if len(taken) == 5:
             raise KeyboardInterrupt
         taken.append(setting.label)
         return whole(self, solver, setting, *times)
 
-    monkeypatch.setattr(precision_run.Runner, "measure", measure)
+    monkeypatch.setattr(Runner, "measure", measure)
     with pytest.raises(KeyboardInterrupt):
         swept(path, "--solvers", "rk4,leapfrog")
     lines = (tmp_path / "out" / "precision-line.jsonl").read_text().splitlines()
@@ -46,7 +48,7 @@ def test_an_interrupted_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     # The last point was being written when the power went.
     (tmp_path / "out" / "precision-line.jsonl").write_text("\n".join(lines)[:-10])
     first, taken[:] = {tuple(json.loads(line)["seconds"]) for line in lines[1:5]}, []
-    monkeypatch.setattr(precision_run.Runner, "measure", whole)
+    monkeypatch.setattr(Runner, "measure", whole)
     found = swept(path, "--solvers", "rk4,leapfrog", "--resume")
     assert len(first & {point.seconds for point in found.points}) == 4
     assert len({point.key for point in found.points}) == len(found.points) > 8
@@ -77,18 +79,18 @@ def test_a_slow_solver_takes_no_fast_ones_place(tmp_path: Path, monkeypatch: pyt
     """rk4, first by its place in the list, is given 40 of 60 s a point: leapfrog is through before it begins."""
     order = list[str]()
 
-    def measure(self: precision_run.Runner, solver: Any, setting: Any, *times: float) -> Point:
+    def measure(self: Runner, solver: Any, setting: Any, *times: float) -> Point:
         order.append(solver.name)
         return self._point(solver, setting, "done", "", (setting.work * costs[solver.name],))
 
     problem = problem_of(write_net(tmp_path))
     reference = reference_of(problem)
-    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
+    runner = Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
     solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
     costs = {"rk4": 40.0, "leapfrog": 0.1}
-    sweep = precision_run.Sweep(costs=costs)
-    monkeypatch.setattr(precision_run.Runner, "measure", measure)
-    precision_run.run_sweep(sweep, runner, solvers, Kept(tmp_path / "kept", {}, False), 60.0, lambda text: None)
+    sweep = Sweep(costs=costs)
+    monkeypatch.setattr(Runner, "measure", measure)
+    run_sweep(sweep, runner, solvers, Kept(tmp_path / "kept", {}, False), 60.0, lambda text: None)
     fast = len(solvers[1].settings)
     assert order[:fast] == ["leapfrog"] * fast and "rk4" in order[fast:]
     assert {one.solver for one in sweep.omitted} == {"rk4"}
@@ -112,11 +114,11 @@ def test_points_too_slow_for_the_budget_are_computed_beside_each_other_without_t
     args, told = arguments(path, "--jobs", "2"), list[str]()
     problem = problem_of(path)
     reference = reference_of(problem)
-    runner = precision_run.Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
+    runner = Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
     solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
-    sweep = precision_run.start_sweep(problem, solvers, told.append)
+    sweep = start_sweep(problem, solvers, told.append)
     kept = Kept(tmp_path / "kept", {}, False)
-    precision_run.run_sweep(sweep, runner, solvers, kept, 1e-9, told.append)
+    run_sweep(sweep, runner, solvers, kept, 1e-9, told.append)
     assert sweep.points == [] and len(sweep.unaffordable) > 8
     with executor.opened(args, 1) as where:
         run_untimed(sweep, runner, pack(path, ["allow_unstable=true"]), kept, 60.0, where, told.append)

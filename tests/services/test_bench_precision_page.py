@@ -15,11 +15,11 @@ from rrd import columns
 
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
-from nuno_bench import precision
-from nuno_bench.precision_errors import POSITIONS, Error, find_scales, measure_errors
-from nuno_bench.precision_findings import choice_rows, judge
-from nuno_bench.precision_page import Findings
-from nuno_bench.precision_point import Point
+from nuno_bench.precision import command as precision
+from nuno_bench.precision.errors import POSITIONS, Error, find_scales, measure_errors
+from nuno_bench.precision.findings import choice_rows, judge
+from nuno_bench.precision.page import Findings
+from nuno_bench.precision.point import Point
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +52,10 @@ def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
 
 def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="needs nuno[view]")
-    from nuno_bench import precision_rerun
+    from nuno_bench.precision import rerun
 
     found = swept(write_net(tmp_path), "--solvers", "rk4,leapfrog")
-    path = precision_rerun.write(tmp_path / "line.rrd", [found])
+    path = rerun.write(tmp_path / "line.rrd", [found])
     assert not list(tmp_path.glob("*.part"))
     curves = {place: [row[0] for row in rows] for place, rows in columns(path, "Scalars:scalars").items()}
     dots = {place: rows[0] for place, rows in columns(path, "Points2D:positions").items()}

@@ -9,10 +9,10 @@ import pytest
 from line_net import problem_of, reference_of, write_net
 from scenes import write_scene
 
-from nuno_bench.horizon import DISTURBANCE, LOST, find_horizon
-from nuno_bench.precision_errors import POSITIONS, find_scales, measure_errors
-from nuno_bench.reference_closed import exponential, find_linear
-from nuno_bench.reference_stepped import stepped_reference
+from nuno_bench.precision.errors import POSITIONS, find_scales, measure_errors
+from nuno_bench.problem.closed_form import exponential, find_linear
+from nuno_bench.problem.horizon import DISTURBANCE, LOST, find_horizon
+from nuno_bench.problem.stepped import stepped_reference
 from nuno_schemas.errors import BadInput
 
 

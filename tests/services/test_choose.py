@@ -14,9 +14,9 @@ from nuno.cloth import build
 from nuno.scene import choose, scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.scene.trials import Method, Trials
-from nuno_bench.accuracy import promised_frames
-from nuno_bench.observe import make_problem, simulate
-from nuno_bench.reference import make_reference
+from nuno_bench.precision.accuracy import promised_frames
+from nuno_bench.problem.observe import make_problem, simulate
+from nuno_bench.problem.reference import make_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.scene import Accuracy

@@ -20,24 +20,24 @@ from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require
 from nuno_bench import executor, machine, markdown, options, plots
-from nuno_bench.dye_problem import DYE_OBSERVABLES, DyeProblem
-from nuno_bench.dye_reference import make_dye_reference
 from nuno_bench.executor import Executor, Here
-from nuno_bench.horizon import DISTURBANCE, Horizon, find_horizon, whole_run
 from nuno_bench.kept import hint
 from nuno_bench.kept import require as require_any
-from nuno_bench.observe import OBSERVABLES, Problem
 from nuno_bench.packed import pack
-from nuno_bench.posing import AnyProblem, pose
-from nuno_bench.precision_errors import find_scales, measure_errors
-from nuno_bench.precision_findings import judge
-from nuno_bench.precision_page import CLOTH, DYE, Findings, choices, docs_parts, docs_picture, render
-from nuno_bench.precision_point import Kept, Point
-from nuno_bench.precision_run import Runner, run_sweep, start_sweep
-from nuno_bench.precision_untimed import run_untimed
-from nuno_bench.reference import Compared, make_reference
+from nuno_bench.precision.errors import find_scales, measure_errors
+from nuno_bench.precision.findings import judge
+from nuno_bench.precision.page import CLOTH, DYE, Findings, choices, docs_parts, docs_picture, render
+from nuno_bench.precision.point import Kept, Point
+from nuno_bench.precision.settings import choose_solvers
+from nuno_bench.precision.sweep import Runner, run_sweep, start_sweep
+from nuno_bench.precision.untimed import run_untimed
+from nuno_bench.problem.dye import DYE_OBSERVABLES, DyeProblem
+from nuno_bench.problem.dye_reference import make_dye_reference
+from nuno_bench.problem.horizon import DISTURBANCE, Horizon, find_horizon, whole_run
+from nuno_bench.problem.observe import OBSERVABLES, Problem
+from nuno_bench.problem.posing import AnyProblem, pose
+from nuno_bench.problem.reference import Compared, make_reference
 from nuno_bench.result import text_table
-from nuno_bench.sweep import choose_solvers
 from nuno_schemas.errors import BadInput
 
 
@@ -85,9 +85,9 @@ def _sweep_all(loaded: Sequence[Loaded], args: argparse.Namespace, where: Execut
             print(f"{one.scene.name}: the reference judges no point", file=sys.stderr)
             failed = True
     if args.rrd is not None:
-        from nuno_bench import precision_rerun
+        from nuno_bench.precision import rerun
 
-        print(f"written {precision_rerun.write(args.rrd, swept)}")
+        print(f"written {rerun.write(args.rrd, swept)}")
     return int(failed)
 
 

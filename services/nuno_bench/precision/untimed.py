@@ -13,12 +13,12 @@ from typing import Any
 
 from nuno import registry
 from nuno_bench.executor import Executor, Lost
-from nuno_bench.observe import Run
 from nuno_bench.packed import Packed, unpacked
-from nuno_bench.posing import pose
-from nuno_bench.precision_point import Kept, Point
-from nuno_bench.precision_run import Runner, Sweep
-from nuno_bench.sweep import Setting, Solver
+from nuno_bench.precision.point import Kept, Point
+from nuno_bench.precision.settings import Setting, Solver
+from nuno_bench.precision.sweep import Runner, Sweep
+from nuno_bench.problem.observe import Run
+from nuno_bench.problem.posing import pose
 from nuno_schemas.errors import BadInput
 
 UNTIMED = "its error is known, its time is not"

@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 from nuno import registry
 from nuno.cloth import build
-from nuno_bench.observe import Problem, Run, first_call, simulate
-from nuno_bench.reference import GROUP, Reference
+from nuno_bench.problem.observe import Problem, Run, first_call, simulate
+from nuno_bench.problem.reference import GROUP, Reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from nuno.viewer.layout import TIMELINE, entity
-from nuno_bench.precision_findings import solvers_of
-from nuno_bench.precision_page import Findings
-from nuno_bench.precision_point import Point
+from nuno_bench.precision.findings import solvers_of
+from nuno_bench.precision.page import Findings
+from nuno_bench.precision.point import Point
 from nuno_bench.rerun_plots import Plane, colour, decades, log_curve, logs, written
 
 WIDE = 3.0

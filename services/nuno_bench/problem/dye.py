@@ -17,7 +17,7 @@ from nuno import registry
 from nuno.dye.run import DyeRun
 from nuno.scene.scene_file import Chosen, Loaded
 from nuno_bench.machine import cores
-from nuno_bench.observe import Run, Series, check_memory
+from nuno_bench.problem.observe import Run, Series, check_memory
 from nuno_schemas.dye import DyeState
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -35,7 +35,7 @@ DYE_OBSERVABLES = {
 
 @dataclass(frozen=True)
 class DyeProblem:
-    """A scene of dye ready to be run by any solver; see nuno_bench.observe.Problem, which is one of cloth.
+    """A scene of dye ready to be run by any solver; see nuno_bench.problem.observe.Problem, which is one of cloth.
 
     Its series hold mobile and fixed dye of every cell as x (f, dyes * cells, 2), and by dye as values (f, dyes)
     their totals, and the spread [m]: the root mean square distance of dye from its middle.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_bench.precision_errors import Error
-from nuno_bench.precision_point import Point
+from nuno_bench.precision.errors import Error
+from nuno_bench.precision.point import Point
 from nuno_bench.result import number
 
 ABOVE = 3.0

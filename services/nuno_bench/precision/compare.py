@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from nuno_bench import machine, page
-from nuno_bench.precision_findings import ABOVE
-from nuno_bench.precision_point import Point
+from nuno_bench.precision.findings import ABOVE
+from nuno_bench.precision.point import Point
 from nuno_bench.result import number, text_table
 from nuno_schemas.errors import BadInput
 

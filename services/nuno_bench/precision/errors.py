@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nuno_bench.observe import Series
-from nuno_bench.posing import AnyProblem
+from nuno_bench.problem.observe import Series
+from nuno_bench.problem.posing import AnyProblem
 from nuno_schemas.fabric import Float
 
 POSITIONS = "positions"

@@ -6,11 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from nuno_bench import markdown, page
-from nuno_bench.dye_problem import AMOUNTS, DYE_OBSERVABLES
-from nuno_bench.horizon import LOST, Horizon
-from nuno_bench.observe import OBSERVABLES
-from nuno_bench.precision_errors import POSITIONS, Error
-from nuno_bench.precision_findings import (
+from nuno_bench.precision.errors import POSITIONS, Error
+from nuno_bench.precision.findings import (
     ABOVE,
     CHOICE_HEADINGS,
     FLOOR_HEADINGS,
@@ -20,9 +17,12 @@ from nuno_bench.precision_findings import (
     order_rows,
     solvers_of,
 )
-from nuno_bench.precision_plots import Panel, error_over_time
-from nuno_bench.precision_point import Point
-from nuno_bench.precision_run import Sweep
+from nuno_bench.precision.plots import Panel, error_over_time
+from nuno_bench.precision.point import Point
+from nuno_bench.precision.sweep import Sweep
+from nuno_bench.problem.dye import AMOUNTS, DYE_OBSERVABLES
+from nuno_bench.problem.horizon import LOST, Horizon
+from nuno_bench.problem.observe import OBSERVABLES
 from nuno_bench.result import number
 
 LEAD = "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nuno_bench import plots
-from nuno_bench.precision_point import Point
+from nuno_bench.precision.point import Point
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 STRIP = 1.06

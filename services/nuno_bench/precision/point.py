@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nuno_bench import kept
-from nuno_bench.precision_errors import Error
+from nuno_bench.precision.errors import Error
 
 DONE = "done"
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from nuno.scene.scene_file import Loaded
-from nuno_bench.dye_problem import DyeProblem, make_dye_problem
-from nuno_bench.observe import Problem, make_problem
+from nuno_bench.problem.dye import DyeProblem, make_dye_problem
+from nuno_bench.problem.observe import Problem, make_problem
 
 AnyProblem = Problem | DyeProblem
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from nuno import registry
 from nuno.cloth import build
-from nuno_bench.observe import Problem, Run, simulate
-from nuno_bench.reference_closed import closed_form
+from nuno_bench.problem.closed_form import closed_form
+from nuno_bench.problem.observe import Problem, Run, simulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import StepReport
@@ -57,7 +57,7 @@ def make_reference(problem: Problem, most_seconds: float, told: Callable[[str], 
     try:
         run, tolerance = _tightest(problem, PRIMARY, 0, most_seconds)
     except BadInput as refused:
-        from nuno_bench.reference_stepped import stepped_reference
+        from nuno_bench.problem.stepped import stepped_reference
 
         told(f"{PRIMARY} does not end in time ({refused.value})")
         return stepped_reference(problem, most_seconds, told)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_bench.observe import Problem, Run
-from nuno_bench.reference import Compared, Reference
+from nuno_bench.problem.observe import Problem, Run
+from nuno_bench.problem.reference import Compared, Reference
 from nuno_schemas.fabric import Float
 
 DISTURBANCE = 1e-10

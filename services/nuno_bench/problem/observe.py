@@ -142,7 +142,7 @@ class Series:
 
     leading            what x holds, by name
     t       (f,)       [s]
-    x       (f, n, 3)  positions of the free vertices [m]; for dye see nuno_bench.dye_problem
+    x       (f, n, 3)  positions of the free vertices [m]; for dye see nuno_bench.problem.dye
     values  per observable: "centre" (f, 3) centre of mass of the free vertices [m], "drop" (f, 1)
             its way along gravity since the start [m], "energy" (f, 1) kinetic, gravitational and
             elastic together [J], "strain" (f, 1) mean of | |d| / rest - 1 | over all springs

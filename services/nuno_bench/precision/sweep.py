@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-from nuno_bench.observe import Run
-from nuno_bench.posing import AnyProblem
-from nuno_bench.precision_errors import RAN_AWAY, Scales, errors_over_frames, measure_errors, ran_away
-from nuno_bench.precision_point import DONE, Kept, Point
-from nuno_bench.reference import Compared
-from nuno_bench.sweep import Omission, Setting, Solver
+from nuno_bench.precision.errors import RAN_AWAY, Scales, errors_over_frames, measure_errors, ran_away
+from nuno_bench.precision.point import DONE, Kept, Point
+from nuno_bench.precision.settings import Omission, Setting, Solver
+from nuno_bench.problem.observe import Run
+from nuno_bench.problem.posing import AnyProblem
+from nuno_bench.problem.reference import Compared
 from nuno_schemas.errors import BadInput
 
 FIRST_STEPS = 20

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno.cloth import build
-from nuno_bench.observe import Problem, Run, Watch
+from nuno_bench.problem.observe import Problem, Run, Watch
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import StepReport, System
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench.dye_problem import SCHEME, DyeProblem
-from nuno_bench.observe import Run, Series
-from nuno_bench.reference import Compared
+from nuno_bench.problem.dye import SCHEME, DyeProblem
+from nuno_bench.problem.observe import Run, Series
+from nuno_bench.problem.reference import Compared
 from nuno_schemas.errors import BadInput
 
 FINER = (32, 16, 8, 4, 2)
