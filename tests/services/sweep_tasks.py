@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nuno_bench import stability_run
-from nuno_bench.stability_run import measure_setting
+from nuno_bench.stability import sweep as stability_sweep
+from nuno_bench.stability.sweep import measure_setting
 from nuno_schemas.errors import BadInput
 
 
@@ -39,7 +39,7 @@ class Dying:
 
     mark: str
 
-    def __call__(self, task: stability_run.Task) -> Any:
+    def __call__(self, task: stability_sweep.Task) -> Any:
         if task.setting.value < 0.5 and not Path(self.mark).exists():
             Path(self.mark).touch()
             os.kill(os.getpid(), signal.SIGKILL)

@@ -10,11 +10,11 @@ import pytest
 from rrd import columns
 
 from nuno.viewer.layout import entity
-from nuno_bench.laws.base import Case, Found, Outcome
-from nuno_bench.stability_case import Point
-from nuno_bench.stability_drift import Amplification, Drift, Modes
-from nuno_bench.stability_run import Mapped, Row, Sweep
-from nuno_bench.validate import Part
+from nuno_bench.stability.case import Point
+from nuno_bench.stability.drift import Amplification, Drift, Modes
+from nuno_bench.stability.sweep import Mapped, Row, Sweep
+from nuno_bench.validation.laws.base import Case, Found, Outcome
+from nuno_bench.validation.suite import Part
 
 pytest.importorskip("rerun", reason="needs nuno[view]")
 
@@ -31,7 +31,7 @@ def mapped() -> Mapped:
 
 
 def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> None:
-    from nuno_bench import stability_rerun
+    from nuno_bench.stability import rerun as stability_rerun
 
     path = stability_rerun.write(tmp_path / "maps.rrd", [mapped()])
     assert not list(tmp_path.glob("*.part"))
@@ -47,7 +47,7 @@ def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> Non
 
 
 def test_modes_and_the_energy_over_many_steps_are_curves(tmp_path: Path) -> None:
-    from nuno_bench import stability_rerun
+    from nuno_bench.stability import rerun as stability_rerun
 
     path = stability_rerun.write(tmp_path / "maps.rrd", [mapped()])
     energy = columns(path, "Scalars:scalars")[entity("small", "drift", "rk4")]
@@ -57,7 +57,7 @@ def test_modes_and_the_energy_over_many_steps_are_curves(tmp_path: Path) -> None
 
 
 def test_laws_stand_in_rows_and_failures_right_of_what_is_allowed(tmp_path: Path) -> None:
-    from nuno_bench import validate_rerun
+    from nuno_bench.validation import rerun as validation_rerun
 
     cases = [Case(name, "law", "source", lambda plugin: Found(0, 0, 0, 0)) for name in ("order, net", "momentum")]
     series = {"dt": (0.1, 0.01), "error": (1e-2, 1e-4)}
@@ -67,10 +67,10 @@ def test_laws_stand_in_rows_and_failures_right_of_what_is_allowed(tmp_path: Path
         Outcome("momentum", "rk4", "passed", "", Found(0.0, 0.0, 0.0, 1e-10)),
         Outcome("momentum", "euler", "unsupported", "no"),
     ]
-    path = validate_rerun.write(tmp_path / "laws.rrd", [Part("cloth", tuple(cases), ("rk4", "euler"))], found)
+    path = validation_rerun.write(tmp_path / "laws.rrd", [Part("cloth", tuple(cases), ("rk4", "euler"))], found)
     dots = columns(path, "Points2D:positions")
     wide, (rk4,), (euler,) = 3.0, dots[entity("laws", "cloth", "rk4")], dots[entity("laws", "cloth", "euler", "failed")]
-    assert [x / wide for x, _ in rk4] == pytest.approx([-2.0, validate_rerun.SHORTEST], abs=1e-5)
+    assert [x / wide for x, _ in rk4] == pytest.approx([-2.0, validation_rerun.SHORTEST], abs=1e-5)
     assert [round(-y) for _, y in rk4] == [1, 0]
     assert [x / wide for x, _ in euler] == pytest.approx([1.0], abs=1e-5)
     (line,) = dots[entity("order, net", "rk4")]

@@ -12,8 +12,8 @@ import pytest
 from dye_scene import D0, arrays, write_scene
 
 from nuno.cli import main
-from nuno_bench.stability_dye import FACTORS, FRAMES, LONGEST, dye_settings, pose_dye, prepare_dye
-from nuno_bench.stability_run import settings_of
+from nuno_bench.stability.dye import FACTORS, FRAMES, LONGEST, dye_settings, pose_dye, prepare_dye
+from nuno_bench.stability.sweep import settings_of
 
 
 @pytest.fixture(scope="module")

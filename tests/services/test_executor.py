@@ -18,12 +18,13 @@ import sweep_tasks
 from line_net import write_net
 
 from nuno.cli import main
-from nuno_bench import stability_run, validate
 from nuno_bench.executor import Executor, Here, Lost
 from nuno_bench.executor_dask import Cluster
 from nuno_bench.executor_local import AGAIN, Processes
 from nuno_bench.kept import Kept
 from nuno_bench.packed import pack, unpacked
+from nuno_bench.stability import sweep as stability_sweep
+from nuno_bench.validation import suite as validate
 from nuno_schemas.errors import BadInput, RunFailed
 
 distributed = pytest.importorskip("distributed", reason="needs nuno[sweep]")
@@ -128,9 +129,9 @@ def test_a_scene_travels_with_its_files(tmp_path: Path) -> None:
 
 
 def rows(path: Path, executor: Executor) -> list[tuple[Any, ...]]:
-    settings = [s for s in stability_run.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
+    settings = [s for s in stability_sweep.settings_of(path, [])[0] if s.value in (0.1, 1.0)]
     kept = Kept(path.parent / "rows.jsonl", {}, False)
-    sweep = stability_run.measure_all(settings, ["leapfrog", "rk4"], kept, 600.0, executor, lambda text: None)
+    sweep = stability_sweep.measure_all(settings, ["leapfrog", "rk4"], kept, 600.0, executor, lambda text: None)
     assert [text for text in sweep.omissions if "resolution" not in text] == []
     points = [point for row in sweep.rows for point in row.points]
     return [(p.axis, p.value, p.solver, p.dt, p.outcome, repr(p.error), repr(p.gained)) for p in points]
@@ -146,7 +147,7 @@ def test_maps_are_the_same_bits_though_a_worker_is_lost_in_mid_sweep(
     executor: Executor, alone: list[tuple[Any, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mark = tmp_path / "killed"
-    monkeypatch.setattr(stability_run, "measure_setting", sweep_tasks.Dying(str(mark)))
+    monkeypatch.setattr(stability_sweep, "measure_setting", sweep_tasks.Dying(str(mark)))
     assert rows(scene_with_a_file(tmp_path / "user"), executor) == alone
     assert len(alone) >= 20
     assert mark.exists()

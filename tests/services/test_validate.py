@@ -16,11 +16,12 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench import validate, validate_page
 from nuno_bench.executor import Here
 from nuno_bench.kept import Kept
-from nuno_bench.laws import statics
-from nuno_bench.laws.base import Case, Found, Outcome, Unsupported
+from nuno_bench.validation import page as validation_page
+from nuno_bench.validation import suite as validate
+from nuno_bench.validation.laws import statics
+from nuno_bench.validation.laws.base import Case, Found, Outcome, Unsupported
 from nuno_integrators.rk4 import RK4
 from nuno_kernels.acceleration import evaluate
 from nuno_schemas.errors import BadInput
@@ -172,8 +173,8 @@ def test_the_table_fits_a_screen_however_many_solvers_there_are() -> None:
     names = [*registry.installed(GROUP), *(f"someones_solver_{i}" for i in range(12))]
     part = validate.Part("cloth", validate.CASES, tuple(names))
     found = [Outcome(c.name, n, "passed", "", Found(1.0, 1.0, 1e-9, 1.0)) for c in part.cases for n in names]
-    text = validate_page.screen(part, found)
-    assert max(map(len, text.splitlines())) <= validate_page.WIDTH
+    text = validation_page.screen(part, found)
+    assert max(map(len, text.splitlines())) <= validation_page.WIDTH
     assert text.count("1e-9") == len(found)
 
 

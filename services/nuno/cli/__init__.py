@@ -28,7 +28,7 @@ COMMANDS = {
         "nuno_bench.cli",
         "measurements: speed, integrators, precision, accuracy, compare, stability, peers",
     ),
-    "validate": ("nuno_bench.validate_cli", "the laws of physics, held against every installed solver"),
+    "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
     "soak": ("nuno_bench.soak.command", "reliability at length: same bits, nothing lost, faults, bad input, access"),
     "gallery": ("nuno_bench.gallery", "one page with pictures of all scenes of a kind: dye, knit, wrinkle"),
     "plugins": ("nuno.cli.plugins", "which plugins are installed"),

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from nuno_bench import markdown, page, plots
-from nuno_bench.laws.base import Case, Found, Outcome
 from nuno_bench.plots import Curve
 from nuno_bench.result import number
-from nuno_bench.validate import Part
+from nuno_bench.validation.laws.base import Case, Found, Outcome
+from nuno_bench.validation.suite import Part
 
 WIDTH = 120
 """Columns of a screen."""

@@ -11,10 +11,10 @@ import numpy as np
 
 from nuno.viewer.layout import entity
 from nuno_bench.rerun_plots import GRID, Plane, colour, decades, log_curve, logs, rgb, written
-from nuno_bench.stability_drift import Modes
-from nuno_bench.stability_page import AXES
-from nuno_bench.stability_plots import COLOURS, place_of
-from nuno_bench.stability_run import Mapped, Row
+from nuno_bench.stability.drift import Modes
+from nuno_bench.stability.page import AXES
+from nuno_bench.stability.plots import COLOURS, place_of
+from nuno_bench.stability.sweep import Mapped, Row
 
 SHADES = {name: rgb(colour) for name, colour in COLOURS.items()} | {"left out": GRID}
 """White would not be seen."""

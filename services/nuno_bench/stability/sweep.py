@@ -15,7 +15,7 @@ from nuno.scene import scene_file
 from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
 from nuno_bench.packed import pack
-from nuno_bench.stability_case import (
+from nuno_bench.stability.case import (
     Motion,
     Point,
     Posed,
@@ -25,8 +25,8 @@ from nuno_bench.stability_case import (
     pose,
     reference_plugin,
 )
-from nuno_bench.stability_drift import Modes
-from nuno_bench.stability_dye import AXIS, DyePosed, dye_settings, pose_dye, prepare_dye
+from nuno_bench.stability.drift import Modes
+from nuno_bench.stability.dye import AXIS, DyePosed, dye_settings, pose_dye, prepare_dye
 from nuno_schemas.errors import BadInput
 
 FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)

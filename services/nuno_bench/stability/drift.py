@@ -13,8 +13,8 @@ import numpy as np
 from nuno import registry
 from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
-from nuno_bench.laws.base import NONE, Broken, Run, make_fabric
-from nuno_bench.laws.nets import random_net
+from nuno_bench.validation.laws.base import NONE, Broken, Run, make_fabric
+from nuno_bench.validation.laws.nets import random_net
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.plugin import System

@@ -12,14 +12,14 @@ from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require as require_viewer
 from nuno_bench import executor, machine, markdown, options, plots
-from nuno_bench import stability_page as shown
 from nuno_bench.kept import Kept, hint, require
 from nuno_bench.result import text_table
-from nuno_bench.stability_case import Posed
-from nuno_bench.stability_drift import measure_modes
-from nuno_bench.stability_dye import AXIS, DyePosed
-from nuno_bench.stability_plots import maps
-from nuno_bench.stability_run import Mapped, Row, measure_all, settings_of
+from nuno_bench.stability import page as shown
+from nuno_bench.stability.case import Posed
+from nuno_bench.stability.drift import measure_modes
+from nuno_bench.stability.dye import AXIS, DyePosed
+from nuno_bench.stability.plots import maps
+from nuno_bench.stability.sweep import Mapped, Row, measure_all, settings_of
 from nuno_schemas.errors import BadInput
 
 MODES_SHARE = 0.25
@@ -51,9 +51,9 @@ def main(args: argparse.Namespace) -> int:
                 markdown.replace_section(args.docs, f"stability {path.stem}", _document(args, mapped[-1]))
                 print(f"written {args.docs}")
     if args.rrd is not None:
-        from nuno_bench import stability_rerun
+        from nuno_bench.stability import rerun
 
-        print(f"written {stability_rerun.write(args.rrd, mapped)}")
+        print(f"written {rerun.write(args.rrd, mapped)}")
     return 0
 
 

@@ -17,7 +17,7 @@ from nuno_bench.packed import pack, unpacked
 from nuno_bench.problem.dye import SCHEME, DyeProblem, make_dye_problem
 from nuno_bench.problem.dye_reference import extrapolate
 from nuno_bench.problem.observe import Run
-from nuno_bench.stability_case import Motion, Setting
+from nuno_bench.stability.case import Motion, Setting
 from nuno_schemas.errors import BadInput
 
 AXIS = "diffusion"
@@ -56,7 +56,7 @@ def _limit(problem: DyeProblem) -> float:
 
 @dataclass(frozen=True)
 class DyePosed:
-    """A setting, built; see nuno_bench.stability_case.Posed, which is one of cloth."""
+    """A setting, built; see nuno_bench.stability.case.Posed, which is one of cloth."""
 
     problem: DyeProblem
     group: ClassVar[str] = DyeProblem.group

@@ -12,7 +12,18 @@ import numpy as np
 
 from nuno import registry
 from nuno.scene.files import SceneFiles
-from nuno_bench.laws.base import ACCURATE, DOWN, Case, Found, G, Run, Unsupported, chain, choose_step, make_fabric
+from nuno_bench.validation.laws.base import (
+    ACCURATE,
+    DOWN,
+    Case,
+    Found,
+    G,
+    Run,
+    Unsupported,
+    chain,
+    choose_step,
+    make_fabric,
+)
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import System
 

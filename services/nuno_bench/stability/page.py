@@ -10,11 +10,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from nuno_bench import page, stability_plots
+from nuno_bench import page
 from nuno_bench.result import number
-from nuno_bench.stability_case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY
-from nuno_bench.stability_drift import STEPS, Amplification, Drift
-from nuno_bench.stability_run import Row, Sweep
+from nuno_bench.stability import plots
+from nuno_bench.stability.case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY
+from nuno_bench.stability.drift import STEPS, Amplification, Drift
+from nuno_bench.stability.sweep import Row, Sweep
 
 LEAD = "What each solver makes of the scene at every step and stiffness, above its limit too."
 HOW = (
@@ -95,7 +96,7 @@ def render(
         rows = [row for row in sweep.rows if row.axis == axis]
         if rows:
             caption = f"Classes over {name} and the step. The black line is the limit that each solver states."
-            parts: list[page.Part] = [page.Figure(stability_plots.maps(rows, axis, name), caption)]
+            parts: list[page.Part] = [page.Figure(plots.maps(rows, axis, name), caption)]
             sections.append((f"{axis.capitalize()} and step", parts))
     if sections:
         sections[0][1].insert(0, HOW_DYE if sweep.rows[0].axis == "diffusion" else HOW)
@@ -114,11 +115,11 @@ def render(
         sections.append(("Points", [page.Table(COUNTS, counts(sweep.rows), "Points of each class.")]))
     if sizes:
         text = "Measured by single steps of an undamped oscillator; 1 is exact. Adaptive solvers take the step given."
-        figure = page.Figure(stability_plots.amplifications(sizes), text)
+        figure = page.Figure(plots.amplifications(sizes), text)
         sections.append(("One mode", [figure]))
         text = f"A free net of twelve vertices, undamped, at omega dt = 0.5, over up to {STEPS:,} steps."
         shown = page.Table(MODES, modes(sizes, drifts), "Matrix off: largest difference from the one that is stated.")
-        sections.append(("Energy over many steps", [page.Figure(stability_plots.drifts(drifts), text), shown]))
+        sections.append(("Energy over many steps", [page.Figure(plots.drifts(drifts), text), shown]))
     left: list[page.Part] = [*(sweep.omissions or ["Nothing."])]
     return page.render(f"Stability of {scene}", LEAD, [*sections, ("Left out", left), ("Made by", [page.Facts(about)])])
 

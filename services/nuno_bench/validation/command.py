@@ -10,11 +10,11 @@ from pathlib import Path
 
 from nuno.viewer.require import require as require_viewer
 from nuno_bench import executor, machine, markdown, options, plots
-from nuno_bench import validate as suite
-from nuno_bench import validate_page as shown
 from nuno_bench.kept import Kept, hint, require
-from nuno_bench.laws.base import Outcome
-from nuno_bench.validate import Part
+from nuno_bench.validation import page as shown
+from nuno_bench.validation import suite
+from nuno_bench.validation.laws.base import Outcome
+from nuno_bench.validation.suite import Part
 from nuno_schemas.errors import BadInput
 
 
@@ -76,9 +76,9 @@ def _write(args: argparse.Namespace, parts: Sequence[Part], outcomes: Sequence[O
     if args.docs is not None:
         markdown.replace_section(args.docs, "validate", shown.document(parts, outcomes, said, about))
     if args.rrd is not None:
-        from nuno_bench import validate_rerun
+        from nuno_bench.validation import rerun
 
-        validate_rerun.write(args.rrd, parts, outcomes)
+        rerun.write(args.rrd, parts, outcomes)
     for path in (args.json, args.html, args.rrd, args.docs):
         if path is not None:
             print(f"written {path}")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from nuno_bench.laws.base import ACCURATE, MOST_STEPS, Broken, Unsupported
+from nuno_bench.validation.laws.base import ACCURATE, MOST_STEPS, Broken, Unsupported
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

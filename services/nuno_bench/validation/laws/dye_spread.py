@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.laws.base import Case, Found, fit_order, order_slack
-from nuno_bench.laws.dye import GROUP, POROSITY, RATE, DyeRun, make_cells
+from nuno_bench.validation.laws.base import Case, Found, fit_order, order_slack
+from nuno_bench.validation.laws.dye import GROUP, POROSITY, RATE, DyeRun, make_cells
 from nuno_schemas.fabric import Float
 
 SPREAD = 50.0

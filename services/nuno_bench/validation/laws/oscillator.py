@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.laws.base import (
+from nuno_bench.validation.laws.base import (
     NONE,
     Broken,
     Case,
@@ -18,7 +18,7 @@ from nuno_bench.laws.base import (
     make_fabric,
     order_slack,
 )
-from nuno_bench.laws.methods import amplification, critical_step, radius
+from nuno_bench.validation.laws.methods import amplification, critical_step, radius
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.plugin import System
 

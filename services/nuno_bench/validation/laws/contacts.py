@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench.laws.base import ACCURATE, NONE, Case, Found, G, Run, chain, choose_step, make_fabric
+from nuno_bench.validation.laws.base import ACCURATE, NONE, Case, Found, G, Run, chain, choose_step, make_fabric
 from nuno_schemas.bodies import CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import System, Term

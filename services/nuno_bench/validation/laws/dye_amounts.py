@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.laws.base import Case, Found
-from nuno_bench.laws.dye import D0, GROUP, POROSITY, RATE, SIZE, DyeRun, make_cells
+from nuno_bench.validation.laws.base import Case, Found
+from nuno_bench.validation.laws.dye import D0, GROUP, POROSITY, RATE, SIZE, DyeRun, make_cells
 from nuno_schemas.dye import Cells, Dye, Isotherm
 from nuno_schemas.fabric import Float
 

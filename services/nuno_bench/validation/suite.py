@@ -1,4 +1,4 @@
-"""`nuno validate`: every law of `nuno_bench.laws` against every installed solver, and what came out."""
+"""`nuno validate`: every law of `nuno_bench.validation.laws` against every installed solver, and what came out."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 from nuno import registry
 from nuno_bench.executor import Executor, Lost
 from nuno_bench.kept import Kept
-from nuno_bench.laws import contacts, dye_amounts, dye_fast, dye_spread, nets, oscillator, statics
-from nuno_bench.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_bench.options import require_known
+from nuno_bench.validation.laws import contacts, dye_amounts, dye_fast, dye_spread, nets, oscillator, statics
+from nuno_bench.validation.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
 CASES: tuple[Case, ...] = (

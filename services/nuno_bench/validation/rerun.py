@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from nuno_bench.laws.base import Outcome
 from nuno_bench.rerun_plots import Plane, colour, decades, logs, rgb, written
-from nuno_bench.stability_plots import COLOURS
-from nuno_bench.validate import Part
-from nuno_bench.validate_page import fitted, short
+from nuno_bench.stability.plots import COLOURS
+from nuno_bench.validation.laws.base import Outcome
+from nuno_bench.validation.page import fitted, short
+from nuno_bench.validation.suite import Part
 
 ERRORS = "error over what is allowed"
 MARGIN = 6.0

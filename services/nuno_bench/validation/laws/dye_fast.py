@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.laws.base import Case, Found, fit_order, order_slack
-from nuno_bench.laws.dye import D0, GROUP, RATE, DyeRun, make_cells
-from nuno_bench.laws.dye_spread import make_wave
+from nuno_bench.validation.laws.base import Case, Found, fit_order, order_slack
+from nuno_bench.validation.laws.dye import D0, GROUP, RATE, DyeRun, make_cells
+from nuno_bench.validation.laws.dye_spread import make_wave
 from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.dye import Dye
 from nuno_schemas.fabric import Float

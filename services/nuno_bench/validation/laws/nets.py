@@ -10,10 +10,10 @@ import numpy as np
 
 from nuno import registry
 from nuno.scene.files import SceneFiles
-from nuno_bench.laws import reference
-from nuno_bench.laws.base import DOWN, NONE, Case, Found, G, Run, fit_order, make_fabric, order_slack
-from nuno_bench.laws.methods import KEEPS_ANGULAR_MOMENTUM
-from nuno_bench.laws.oscillator import order_found
+from nuno_bench.validation.laws import reference
+from nuno_bench.validation.laws.base import DOWN, NONE, Case, Found, G, Run, fit_order, make_fabric, order_slack
+from nuno_bench.validation.laws.methods import KEEPS_ANGULAR_MOMENTUM
+from nuno_bench.validation.laws.oscillator import order_found
 from nuno_schemas.fabric import Fabric, Float, Springs
 from nuno_schemas.plugin import System
 

@@ -11,8 +11,8 @@ import numpy as np
 from nuno_bench import plots
 from nuno_bench.plots import Curve
 from nuno_bench.result import number
-from nuno_bench.stability_drift import Amplification, Drift
-from nuno_bench.stability_run import Row
+from nuno_bench.stability.drift import Amplification, Drift
+from nuno_bench.stability.sweep import Row
 
 COLOURS = {
     "exact": "#0072b2",

@@ -1,0 +1,1 @@
+"""The laws of physics, held against every installed solver."""
