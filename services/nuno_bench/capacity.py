@@ -19,8 +19,9 @@ import nuno
 from nuno.access import folder
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import free_port, hub, spoke
-from nuno_bench import machine, markdown, options
-from nuno_bench.result import number, text_table
+from nuno_bench import machine, options
+from nuno_bench.report import markdown
+from nuno_bench.report.result import number, text_table
 from nuno_bench.soak import small
 from nuno_schemas.messages import CHECKPOINT, FABRIC, GEOMETRY, STATE
 

@@ -14,7 +14,10 @@ COMMANDS = {
     "peers": ("nuno_bench.peers", "the stiff sheet in other engines and in ours: error beside time"),
     "capacity": ("nuno_bench.capacity", "bytes a frame, what the bus carries, and the hosts that follow from both"),
     "wrinkles": ("nuno_bench.wrinkles", "lines at random over random meshes: whether what comes out is whole"),
-    "integrators": ("nuno_bench.integrators", "the skirt paper's experiment: four methods, split and unsplit bones"),
+    "integrators": (
+        "nuno_bench.integrators.command",
+        "the skirt paper's experiment: four methods, split and unsplit bones",
+    ),
 }
 """Module and summary of each measurement; a module has `add_arguments(parser)` and `main(args)`."""
 

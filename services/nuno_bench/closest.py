@@ -12,7 +12,7 @@ import numpy as np
 
 from nuno import registry
 from nuno_bench.measure import seconds, watch_compiler
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_schemas.fabric import Float, Int
 
 CASE = "closest point"

@@ -15,7 +15,7 @@ from nuno_bench import limits
 from nuno_bench.dye_peers import SlicedDiffusion, devito_diffusion
 from nuno_bench.machine import cores
 from nuno_bench.measure import seconds, watch_compiler
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.validation.laws.dye import D0, SIZE, make_cells
 from nuno_schemas.dye import Dye, DyeState, DyeSystem, Isotherm
 from nuno_schemas.errors import RunFailed

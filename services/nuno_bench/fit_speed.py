@@ -9,7 +9,7 @@ from nuno.cloth import build
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.measure import watch_compiler
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 
 CASE = "fit"
 BARS = {"stocking-150": 15.0, "stocking-300": 90.0}

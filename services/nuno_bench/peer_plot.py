@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from nuno_bench import plots
 from nuno_bench.peer_process import Point
+from nuno_bench.report import plots
 from nuno_bench.stiff import CENTRE, STRAIN
 
 MARKERS = {"nuno": "o", "numpy": "D", "scipy": "^", "mujoco": "s", "newton": "v"}

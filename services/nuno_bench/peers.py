@@ -10,12 +10,13 @@ import numpy as np
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench import machine, markdown, options, plots, stiff
+from nuno_bench import machine, options, stiff
 from nuno_bench import peer_page as shown
 from nuno_bench.peer_problem import Sheet
 from nuno_bench.peer_process import Point, measure
 from nuno_bench.peer_table import KINDS, Kind, label
-from nuno_bench.result import text_table
+from nuno_bench.report import markdown, plots
+from nuno_bench.report.result import text_table
 from nuno_schemas.errors import BadInput
 
 GROUPS = {

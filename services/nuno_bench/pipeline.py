@@ -17,7 +17,7 @@ from nuno.simulation.run import Simulation
 from nuno.supervision.supervisor import Outcome, supervise
 from nuno_bench.machine import cores
 from nuno_bench.measure import alternate
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed
 
 SKIRT = ("objects.0.model.columns=128", "objects.0.model.rows=96", "frame_rate=60 Hz", "solver.dt=auto")

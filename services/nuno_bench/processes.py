@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from nuno_bench import problems
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.steps import sheet
 from nuno_schemas.errors import RunFailed
 

@@ -13,7 +13,7 @@ import numpy as np
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.numpy_peer import SlicedCloth
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.stiff import SCENE, run
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric, Float

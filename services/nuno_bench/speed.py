@@ -8,8 +8,9 @@ import json
 import sys
 import traceback
 
-from nuno_bench import limits, machine, markdown, options
-from nuno_bench.result import HEADINGS, Result, number, rows, text_table
+from nuno_bench import limits, machine, options
+from nuno_bench.report import markdown
+from nuno_bench.report.result import HEADINGS, Result, number, rows, text_table
 
 CASES = {
     "grid-256": ("nuno_bench.steps", "grid_256"),
@@ -47,7 +48,7 @@ def main(args: argparse.Namespace) -> int:
     if args.docs is not None:
         markdown.check_section(args.docs, _section(args.cases))
     if args.html is not None:
-        from nuno_bench.plots import require_matplotlib
+        from nuno_bench.report.plots import require_matplotlib
 
         require_matplotlib()
     others = machine.Others()

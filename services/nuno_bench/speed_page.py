@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from nuno_bench import machine, page, plots
-from nuno_bench.result import HEADINGS, Result, rows
+from nuno_bench import machine
+from nuno_bench.report import page, plots
+from nuno_bench.report.result import HEADINGS, Result, rows
 from nuno_bench.steps import UNIT
 
 LEAD = (

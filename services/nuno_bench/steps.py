@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nuno import registry
 from nuno_bench import limits, numpy_peer, problems
 from nuno_bench.measure import seconds, watch_compiler
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
 

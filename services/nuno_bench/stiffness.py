@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.stiff import SCENE, sided
 from nuno_schemas.errors import RunFailed
 

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench import machine, markdown, options
+from nuno_bench import machine, options
+from nuno_bench.report import markdown
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs, State
 

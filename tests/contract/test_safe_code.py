@@ -22,7 +22,7 @@ BY_NAME = (
     "nuno_bench/peer_process.py", "nuno_kernels/__init__.py",
 )  # fmt: skip
 """Where modules are imported by a name that a table in the code gives, not a file or a message."""
-OF_A_CLUSTER = "nuno_bench/executor_dask.py"
+OF_A_CLUSTER = "nuno_bench/sweep/cluster.py"
 """Hands tasks, pickled, to a Dask cluster of the user's, which runs whatever its clients send it."""
 
 

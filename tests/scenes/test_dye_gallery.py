@@ -9,9 +9,10 @@ import pytest
 
 from nuno.cli import parser_of
 from nuno.scene import scene_file
-from nuno_bench import dye_gallery, gallery
-from nuno_bench.dye_measures import Dyed, follows, mottle, spread_radius, streaks
-from nuno_bench.gallery_kind import Shown
+from nuno_bench.gallery import command as gallery
+from nuno_bench.gallery import dye as dye_gallery
+from nuno_bench.gallery.dye_measures import Dyed, follows, mottle, spread_radius, streaks
+from nuno_bench.gallery.kind import Shown
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.errors import BadInput
 

@@ -12,10 +12,11 @@ import yaml
 
 from nuno.cli import parser_of
 from nuno.scene import scene_file
-from nuno_bench import gallery, knit_gallery
-from nuno_bench.gallery_kind import EFFECT, Shown, difference_row
-from nuno_bench.knit_measures import Knitted, course_density, density_at, stretch, unevenness, zigzag
-from nuno_bench.knit_rows import PARAMETER_HEADINGS, parameter_row
+from nuno_bench.gallery import command as gallery
+from nuno_bench.gallery import knit as knit_gallery
+from nuno_bench.gallery.kind import EFFECT, Shown, difference_row
+from nuno_bench.gallery.knit_measures import Knitted, course_density, density_at, stretch, unevenness, zigzag
+from nuno_bench.gallery.knit_rows import PARAMETER_HEADINGS, parameter_row
 from nuno_schemas.errors import BadInput
 
 WALES, COURSES, WIDE, HIGH = 5, 9, 0.02, 0.01

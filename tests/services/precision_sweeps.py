@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nuno_bench import executor
 from nuno_bench.precision import command as precision
 from nuno_bench.precision.page import Findings
 from nuno_bench.precision.point import Point
+from nuno_bench.sweep import executor
 
 FLAGS = ("--repeats", "1", "--budget", "600")
 

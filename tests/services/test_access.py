@@ -10,7 +10,7 @@ import pytest
 from nuno.access import folder
 from nuno.access.rights import Rights
 from nuno.wire.sessions import spoke
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.soak import access, sockets
 from nuno_bench.soak.guarded import guarded_run
 from nuno_bench.soak.intruders import Witness, attempt

@@ -12,9 +12,10 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench import markdown, numpy_peer, page, problems, speed
+from nuno_bench import numpy_peer, problems, speed
 from nuno_bench.measure import watch_compiler
-from nuno_bench.result import Result, number, text_table
+from nuno_bench.report import markdown, page
+from nuno_bench.report.result import Result, number, text_table
 from nuno_bench.steps import net, sheet
 from nuno_schemas.errors import BadInput
 
@@ -112,7 +113,7 @@ def test_page_marks_failures() -> None:
 
 
 def test_figure_marks_a_curve_that_ended_early() -> None:
-    plots = pytest.importorskip("nuno_bench.plots")
+    plots = pytest.importorskip("nuno_bench.report.plots")
     pytest.importorskip("matplotlib")
     t = np.linspace(0.0, 1.0, 5)
 

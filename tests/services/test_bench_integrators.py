@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from nuno.scene import scene_file
-from nuno_bench import findings
-from nuno_bench.experiment import SERIES, SPLIT, Trace, run_variant
-from nuno_bench.integrators import render, write
+from nuno_bench.integrators import findings
+from nuno_bench.integrators.command import render, write
+from nuno_bench.integrators.experiment import SERIES, SPLIT, Trace, run_variant
 
 SMALL = ("duration=0.2", "objects.0.model.columns=12", "objects.0.model.rows=5")
 

@@ -12,8 +12,6 @@ from line_net import problem_of, reference_of, write_net
 from precision_sweeps import FLAGS, arguments, swept
 
 from nuno.cli import main as nuno_main
-from nuno_bench import executor
-from nuno_bench.packed import pack
 from nuno_bench.precision import command as precision
 from nuno_bench.precision.errors import POSITIONS, find_scales
 from nuno_bench.precision.findings import choice_rows
@@ -22,6 +20,8 @@ from nuno_bench.precision.point import Kept, Point
 from nuno_bench.precision.settings import choose_solvers
 from nuno_bench.precision.sweep import Runner, Sweep, run_sweep, start_sweep
 from nuno_bench.precision.untimed import UNTIMED, run_untimed
+from nuno_bench.sweep import executor
+from nuno_bench.sweep.packed import pack
 from nuno_schemas.errors import BadInput
 
 

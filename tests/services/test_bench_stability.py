@@ -15,14 +15,14 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.executor import Here
-from nuno_bench.kept import Kept
-from nuno_bench.packed import pack
 from nuno_bench.stability import page as stability_page
 from nuno_bench.stability import plots as stability_plots
 from nuno_bench.stability.case import Motion, Point, Setting, classify, measure_row, pose, run, stiffen
 from nuno_bench.stability.drift import SHARE, measure_amplification, measure_drift
 from nuno_bench.stability.sweep import Row, Sweep, measure_all, mesh_overrides, settings_of, step_counts
+from nuno_bench.sweep.executor import Here
+from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.packed import pack
 from nuno_schemas.errors import BadInput
 
 SCENE = """\

@@ -18,12 +18,12 @@ import sweep_tasks
 from line_net import write_net
 
 from nuno.cli import main
-from nuno_bench.executor import Executor, Here, Lost
-from nuno_bench.executor_dask import Cluster
-from nuno_bench.executor_local import AGAIN, Processes
-from nuno_bench.kept import Kept
-from nuno_bench.packed import pack, unpacked
 from nuno_bench.stability import sweep as stability_sweep
+from nuno_bench.sweep.cluster import Cluster
+from nuno_bench.sweep.executor import Executor, Here, Lost
+from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.local import AGAIN, Processes
+from nuno_bench.sweep.packed import pack, unpacked
 from nuno_bench.validation import suite as validate
 from nuno_schemas.errors import BadInput, RunFailed
 
@@ -207,15 +207,15 @@ def test_a_worker_that_comes_without_nuno_is_refused_by_name(scheduler: Any, tmp
 
 
 def test_a_cluster_whose_workers_are_all_gone_ends_the_sweep(scheduler: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nuno_bench.executor_dask.WORKER_SECONDS", 0.5)
+    monkeypatch.setattr("nuno_bench.sweep.cluster.WORKER_SECONDS", 0.5)
     with pytest.raises(BadInput, match="has no worker"):
         Cluster(scheduler.scheduler_address)
-    monkeypatch.setattr("nuno_bench.executor_dask.WORKER_SECONDS", 60.0)
+    monkeypatch.setattr("nuno_bench.sweep.cluster.WORKER_SECONDS", 60.0)
     with worker_of(scheduler, TESTS):
         cluster = Cluster(scheduler.scheduler_address)
         running = cluster.run(sweep_tasks.square, [2, 3])
         assert next(running) == (2, 4)
-    monkeypatch.setattr("nuno_bench.executor_dask.WORKER_SECONDS", 0.0)
+    monkeypatch.setattr("nuno_bench.sweep.cluster.WORKER_SECONDS", 0.0)
     with pytest.raises(RunFailed, match="no worker"):
         list(running)
     cluster.close()
@@ -235,7 +235,7 @@ def test_a_scheduler_that_ends_in_mid_sweep_is_said(tmp_path: Path) -> None:
 def test_what_is_no_scheduler_is_refused_within_seconds(
     address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nuno_bench.executor_dask.CONNECT_SECONDS", 1.0)
+    monkeypatch.setattr("nuno_bench.sweep.cluster.CONNECT_SECONDS", 1.0)
     with socket.socket() as silent:
         # A port that is taken by somebody who never answers: the worst of addresses.
         silent.bind(("127.0.0.1", 0))

@@ -16,8 +16,8 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.executor import Here
-from nuno_bench.kept import Kept
+from nuno_bench.sweep.executor import Here
+from nuno_bench.sweep.kept import Kept
 from nuno_bench.validation import page as validation_page
 from nuno_bench.validation import suite as validate
 from nuno_bench.validation.laws import statics

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_bench.wrinkle_gallery import KIND, compare
-from nuno_bench.wrinkle_measures import Drawn, Ridge
+from nuno_bench.gallery.wrinkle import KIND, compare
+from nuno_bench.gallery.wrinkle_measures import Drawn, Ridge
 from nuno_schemas.fabric import Float, Int
 
 STEP = 0.005

@@ -21,12 +21,13 @@ import numpy as np
 from nuno.scene import scene_file
 from nuno.scene.choose import PROMISE, decide
 from nuno.scene.trials import GROWTH
-from nuno_bench import machine, markdown, options, page
+from nuno_bench import machine, options
 from nuno_bench.problem.horizon import DISTURBANCE, disturb
 from nuno_bench.problem.observe import Problem, Run, make_problem, simulate
 from nuno_bench.problem.random_scenes import random_scene
 from nuno_bench.problem.reference import Reference, make_reference
-from nuno_bench.result import text_table
+from nuno_bench.report import markdown, page
+from nuno_bench.report.result import text_table
 from nuno_schemas.errors import BadInput
 from nuno_schemas.scene import Accuracy
 

@@ -19,11 +19,7 @@ from nuno import registry
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require
-from nuno_bench import executor, machine, markdown, options, plots
-from nuno_bench.executor import Executor, Here
-from nuno_bench.kept import hint
-from nuno_bench.kept import require as require_any
-from nuno_bench.packed import pack
+from nuno_bench import machine, options
 from nuno_bench.precision.errors import find_scales, measure_errors
 from nuno_bench.precision.findings import judge
 from nuno_bench.precision.page import CLOTH, DYE, Findings, choices, docs_parts, docs_picture, render
@@ -37,7 +33,13 @@ from nuno_bench.problem.horizon import DISTURBANCE, Horizon, find_horizon, whole
 from nuno_bench.problem.observe import OBSERVABLES, Problem
 from nuno_bench.problem.posing import AnyProblem, pose
 from nuno_bench.problem.reference import Compared, make_reference
-from nuno_bench.result import text_table
+from nuno_bench.report import markdown, plots
+from nuno_bench.report.result import text_table
+from nuno_bench.sweep import executor
+from nuno_bench.sweep.executor import Executor, Here
+from nuno_bench.sweep.kept import hint
+from nuno_bench.sweep.kept import require as require_any
+from nuno_bench.sweep.packed import pack
 from nuno_schemas.errors import BadInput
 
 

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nuno_bench import machine, page
+from nuno_bench import machine
 from nuno_bench.precision.findings import ABOVE
 from nuno_bench.precision.point import Point
-from nuno_bench.result import number, text_table
+from nuno_bench.report import page
+from nuno_bench.report.result import number, text_table
 from nuno_schemas.errors import BadInput
 
 SAME_TIME = 1.1

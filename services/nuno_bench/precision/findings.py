@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno_bench.precision.errors import Error
 from nuno_bench.precision.point import Point
-from nuno_bench.result import number
+from nuno_bench.report.result import number
 
 ABOVE = 3.0
 """Errors are known to a third from this multiple of the floor on."""

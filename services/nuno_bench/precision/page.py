@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from nuno_bench import markdown, page
 from nuno_bench.precision.errors import POSITIONS, Error
 from nuno_bench.precision.findings import (
     ABOVE,
@@ -23,7 +22,8 @@ from nuno_bench.precision.sweep import Sweep
 from nuno_bench.problem.dye import AMOUNTS, DYE_OBSERVABLES
 from nuno_bench.problem.horizon import LOST, Horizon
 from nuno_bench.problem.observe import OBSERVABLES
-from nuno_bench.result import number
+from nuno_bench.report import markdown, page
+from nuno_bench.report.result import number
 
 LEAD = "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "
 

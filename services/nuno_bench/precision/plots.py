@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from nuno_bench import plots
 from nuno_bench.precision.point import Point
+from nuno_bench.report import plots
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 STRIP = 1.06

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nuno_bench import kept
 from nuno_bench.precision.errors import Error
+from nuno_bench.sweep import kept
 
 DONE = "done"
 
@@ -64,7 +64,7 @@ class Kept:
     """The finished points of a sweep, on disk as they come."""
 
     def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool) -> None:
-        """See nuno_bench.kept.Kept; a point that was measured again counts as it was last."""
+        """See nuno_bench.sweep.kept.Kept; a point that was measured again counts as it was last."""
         self._lines = kept.Kept(path, identity, resume)
         self.points = {point.key: point for point in map(Point.from_json, self._lines.lines)}
 

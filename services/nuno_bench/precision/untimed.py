@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from nuno import registry
-from nuno_bench.executor import Executor, Lost
-from nuno_bench.packed import Packed, unpacked
 from nuno_bench.precision.point import Kept, Point
 from nuno_bench.precision.settings import Setting, Solver
 from nuno_bench.precision.sweep import Runner, Sweep
 from nuno_bench.problem.observe import Run
 from nuno_bench.problem.posing import pose
+from nuno_bench.sweep.executor import Executor, Lost
+from nuno_bench.sweep.packed import Packed, unpacked
 from nuno_schemas.errors import BadInput
 
 UNTIMED = "its error is known, its time is not"

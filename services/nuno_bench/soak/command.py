@@ -8,8 +8,9 @@ import sys
 import traceback
 from collections.abc import Callable
 
-from nuno_bench import machine, markdown, options
-from nuno_bench.result import Result, number, text_table
+from nuno_bench import machine, options
+from nuno_bench.report import markdown
+from nuno_bench.report.result import Result, number, text_table
 
 PARTS: dict[str, str] = {
     "same-bits": "nuno_bench.soak.same_bits",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.soak import kills
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import nuno
 from nuno.wire.sessions import SILENCE_SECONDS
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.soak import namespaces, small
 from nuno_bench.soak.deployed import ROLES, Deployed, Line, deployed
 from nuno_bench.soak.namespaces import Host

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.soak.fault_run import HUNG, SERVICES, FaultRun, kill, nuno, shared_bytes, started
 from nuno_bench.soak.fault_scene import write
 from nuno_schemas.errors import BadInput, RunFailed

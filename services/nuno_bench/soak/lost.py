@@ -25,7 +25,7 @@ from nuno.supervision import runs
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import hub_at, identity
 from nuno.wire.watch import Watch
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.soak import small
 from nuno_bench.soak.processes import Memory, ended, started
 from nuno_bench.soak.traffic import payload_of, template

@@ -16,7 +16,7 @@ from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.verify import verify
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.soak.bits_run import Seen, Way, resume, take
 from nuno_bench.soak.bits_scenes import CASES, Case
 

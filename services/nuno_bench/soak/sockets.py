@@ -17,7 +17,7 @@ from nuno.supervision import runs
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import spoke
 from nuno.wire.watch import Watch
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.soak import namespaces, small
 
 START = 300.0

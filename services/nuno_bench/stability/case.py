@@ -13,7 +13,7 @@ import numpy as np
 from nuno import registry
 from nuno.cloth import build
 from nuno.scene.scene_file import Loaded
-from nuno_bench.packed import Packed, unpacked
+from nuno_bench.sweep.packed import Packed, unpacked
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State

@@ -11,15 +11,17 @@ from nuno import registry
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require as require_viewer
-from nuno_bench import executor, machine, markdown, options, plots
-from nuno_bench.kept import Kept, hint, require
-from nuno_bench.result import text_table
+from nuno_bench import machine, options
+from nuno_bench.report import markdown, plots
+from nuno_bench.report.result import text_table
 from nuno_bench.stability import page as shown
 from nuno_bench.stability.case import Posed
 from nuno_bench.stability.drift import measure_modes
 from nuno_bench.stability.dye import AXIS, DyePosed
 from nuno_bench.stability.plots import maps
 from nuno_bench.stability.sweep import Mapped, Row, measure_all, settings_of
+from nuno_bench.sweep import executor
+from nuno_bench.sweep.kept import Kept, hint, require
 from nuno_schemas.errors import BadInput
 
 MODES_SHARE = 0.25

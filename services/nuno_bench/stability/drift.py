@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench.executor import Executor, Lost
-from nuno_bench.kept import Kept
+from nuno_bench.sweep.executor import Executor, Lost
+from nuno_bench.sweep.kept import Kept
 from nuno_bench.validation.laws.base import NONE, Broken, Run, make_fabric
 from nuno_bench.validation.laws.nets import random_net
 from nuno_schemas.errors import BadInput

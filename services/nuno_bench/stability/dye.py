@@ -13,11 +13,11 @@ import numpy as np
 
 from nuno import registry
 from nuno.scene import scene_file
-from nuno_bench.packed import pack, unpacked
 from nuno_bench.problem.dye import SCHEME, DyeProblem, make_dye_problem
 from nuno_bench.problem.dye_reference import extrapolate
 from nuno_bench.problem.observe import Run
 from nuno_bench.stability.case import Motion, Setting
+from nuno_bench.sweep.packed import pack, unpacked
 from nuno_schemas.errors import BadInput
 
 AXIS = "diffusion"

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from nuno_bench import page
-from nuno_bench.result import number
+from nuno_bench.report import page
+from nuno_bench.report.result import number
 from nuno_bench.stability import plots
 from nuno_bench.stability.case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY
 from nuno_bench.stability.drift import STEPS, Amplification, Drift

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench import plots
-from nuno_bench.plots import Curve
-from nuno_bench.result import number
+from nuno_bench.report import plots
+from nuno_bench.report.plots import Curve
+from nuno_bench.report.result import number
 from nuno_bench.stability.drift import Amplification, Drift
 from nuno_bench.stability.sweep import Row
 

@@ -12,9 +12,6 @@ from typing import Any
 
 from nuno import registry
 from nuno.scene import scene_file
-from nuno_bench.executor import Executor, Lost
-from nuno_bench.kept import Kept
-from nuno_bench.packed import pack
 from nuno_bench.stability.case import (
     Motion,
     Point,
@@ -27,6 +24,9 @@ from nuno_bench.stability.case import (
 )
 from nuno_bench.stability.drift import Modes
 from nuno_bench.stability.dye import AXIS, DyePosed, dye_settings, pose_dye, prepare_dye
+from nuno_bench.sweep.executor import Executor, Lost
+from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.packed import pack
 from nuno_schemas.errors import BadInput
 
 FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)

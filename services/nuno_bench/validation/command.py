@@ -9,8 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nuno.viewer.require import require as require_viewer
-from nuno_bench import executor, machine, markdown, options, plots
-from nuno_bench.kept import Kept, hint, require
+from nuno_bench import machine, options
+from nuno_bench.report import markdown, plots
+from nuno_bench.sweep import executor
+from nuno_bench.sweep.kept import Kept, hint, require
 from nuno_bench.validation import page as shown
 from nuno_bench.validation import suite
 from nuno_bench.validation.laws.base import Outcome

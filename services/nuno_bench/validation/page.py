@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nuno_bench import markdown, page, plots
-from nuno_bench.plots import Curve
-from nuno_bench.result import number
+from nuno_bench.report import markdown, page, plots
+from nuno_bench.report.plots import Curve
+from nuno_bench.report.result import number
 from nuno_bench.validation.laws.base import Case, Found, Outcome
 from nuno_bench.validation.suite import Part
 

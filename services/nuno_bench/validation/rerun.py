@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from nuno_bench.rerun_plots import Plane, colour, decades, logs, rgb, written
+from nuno_bench.report.rerun import Plane, colour, decades, logs, rgb, written
 from nuno_bench.stability.plots import COLOURS
 from nuno_bench.validation.laws.base import Outcome
 from nuno_bench.validation.page import fitted, short

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from nuno import registry
-from nuno_bench.executor import Executor, Lost
-from nuno_bench.kept import Kept
 from nuno_bench.options import require_known
+from nuno_bench.sweep.executor import Executor, Lost
+from nuno_bench.sweep.kept import Kept
 from nuno_bench.validation.laws import contacts, dye_amounts, dye_fast, dye_spread, nets, oscillator, statics
 from nuno_bench.validation.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest

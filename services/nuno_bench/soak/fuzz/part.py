@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from nuno_bench.result import Result
+from nuno_bench.report.result import Result
 from nuno_bench.soak.fuzz.kind import Kind
 from nuno_bench.soak.fuzz.kinds import KINDS
 from nuno_bench.soak.fuzz.worker import MEMORY, SLOW

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_bench.experiment import RUNAWAY, Trace
-from nuno_bench.result import number
+from nuno_bench.integrators.experiment import RUNAWAY, Trace
+from nuno_bench.report.result import number
 
 FARTHER = 2.0
 """Cloth counts as thrown off the body from this multiple of symplectic Euler's distance on."""

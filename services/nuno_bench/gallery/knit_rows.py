@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from nuno.scene.scene_file import Loaded
-from nuno_bench.knit_measures import Knitted, course_density
-from nuno_bench.result import number
+from nuno_bench.gallery.knit_measures import Knitted, course_density
+from nuno_bench.report.result import number
 
 PARAMETER_HEADINGS = (
     "scene",

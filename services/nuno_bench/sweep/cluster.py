@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import islice
 from typing import Any
 
-from nuno_bench.executor import Found, Lost, Task, versions
+from nuno_bench.sweep.executor import Found, Lost, Task, versions
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONNECT_SECONDS = 4.0
@@ -175,7 +175,7 @@ def make_attempt() -> Callable[..., tuple[str, dict[str, tuple[str, str]], Any]]
 
         worker = str((dask_worker or get_worker()).address)
         try:
-            from nuno_bench import executor
+            from nuno_bench.sweep import executor
 
             found = executor.versions()
             pairs = {name: (value, found.get(name, "not installed")) for name, value in wanted.items()}

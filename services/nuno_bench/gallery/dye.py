@@ -12,10 +12,10 @@ from nuno.dye.run import DyeRun
 from nuno.export.dyed import DyePainter, painter_of
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno_bench.dye_measures import Dyed, fixed_radius, follows, mottle, spread_radius, streaks
-from nuno_bench.gallery_kind import EFFECT, Columns, Kind, Shown, difference_row
+from nuno_bench.gallery.dye_measures import Dyed, fixed_radius, follows, mottle, spread_radius, streaks
+from nuno_bench.gallery.kind import EFFECT, Columns, Kind, Shown, difference_row
 from nuno_bench.machine import cores
-from nuno_bench.result import number
+from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Layers, Picture, amount_seen
 from nuno_schemas.look import DyeView
 

@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from nuno.scene import scene_file
-from nuno_bench import findings, machine, markdown, options, page, plots
-from nuno_bench.experiment import INTEGRATORS, RUNAWAY, SERIES, Trace, run_experiment
-from nuno_bench.findings import Finding
-from nuno_bench.plots import Curve
-from nuno_bench.result import number, text_table
+from nuno_bench import machine, options
+from nuno_bench.integrators import findings
+from nuno_bench.integrators.experiment import INTEGRATORS, RUNAWAY, SERIES, Trace, run_experiment
+from nuno_bench.integrators.findings import Finding
+from nuno_bench.report import markdown, page, plots
+from nuno_bench.report.plots import Curve
+from nuno_bench.report.result import number, text_table
 from nuno_schemas.errors import BadInput
 
 HEADINGS = (

@@ -9,12 +9,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from nuno_bench import dye_gallery, knit_gallery, machine, page, wrinkle_gallery
-from nuno_bench.gallery_kind import DIFFERENCE_HEADINGS, Kind, Shown
+from nuno_bench import machine
+from nuno_bench.gallery import dye, knit, wrinkle
+from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, Kind, Shown
+from nuno_bench.report import page
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput, nearest
 
-KINDS: dict[str, Kind[Any]] = {"dye": dye_gallery.KIND, "knit": knit_gallery.KIND, "wrinkle": wrinkle_gallery.KIND}
+KINDS: dict[str, Kind[Any]] = {"dye": dye.KIND, "knit": knit.KIND, "wrinkle": wrinkle.KIND}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,9 +16,9 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery_kind import EFFECT, Columns, Kind, Shown, difference_row
-from nuno_bench.result import number
-from nuno_bench.wrinkle_measures import Drawn, Ridge
+from nuno_bench.gallery.kind import EFFECT, Columns, Kind, Shown, difference_row
+from nuno_bench.gallery.wrinkle_measures import Drawn, Ridge
+from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import RunFailed
 

@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
-from nuno_bench.executor import Found, Lost, Task, attempt
+from nuno_bench.sweep.executor import Found, Lost, Task, attempt
 from nuno_schemas.errors import BadInput
 
 AGAIN = 2

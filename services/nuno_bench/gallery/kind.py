@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, NamedTuple, TypeVar
 
-from nuno_bench.result import number
+from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
 
 Measured = TypeVar("Measured")

@@ -18,9 +18,9 @@ from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery_kind import EFFECT, Columns, Kind, Shown, difference_row
-from nuno_bench.knit_measures import Knitted, density_at, stretch, unevenness, zigzag
-from nuno_bench.knit_rows import NUMBER_HEADINGS, PARAMETER_HEADINGS, number_row, parameter_row
+from nuno_bench.gallery.kind import EFFECT, Columns, Kind, Shown, difference_row
+from nuno_bench.gallery.knit_measures import Knitted, density_at, stretch, unevenness, zigzag
+from nuno_bench.gallery.knit_rows import NUMBER_HEADINGS, PARAMETER_HEADINGS, number_row, parameter_row
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import RunFailed
 

@@ -107,11 +107,11 @@ def opened(args: argparse.Namespace, jobs: int = 0) -> Iterator[Executor]:
     check(args)
     made: Any
     if args.dask is not None:
-        from nuno_bench.executor_dask import Cluster
+        from nuno_bench.sweep.cluster import Cluster
 
         made = Cluster(args.dask)
     elif (number := args.jobs or jobs or machine.cores()) > 1:
-        from nuno_bench.executor_local import Processes
+        from nuno_bench.sweep.local import Processes
 
         made = Processes(number)
     else:

@@ -1,0 +1,1 @@
+"""The skirt paper's experiment, repeated: four methods, split and unsplit bones."""

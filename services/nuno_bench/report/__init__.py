@@ -1,0 +1,1 @@
+"""How what was measured is told: results and tables, sections of the documentation, pages, plots, rerun files."""
