@@ -6,12 +6,12 @@ import argparse
 import importlib
 
 COMMANDS = {
-    "speed": ("nuno_bench.speed", "measured bars: kernels, pipeline, start, memory, recording"),
+    "speed": ("nuno_bench.speed.command", "measured bars: kernels, pipeline, start, memory, recording"),
     "precision": ("nuno_bench.precision.command", "every solver's error over the wall time it takes, on any scene"),
     "accuracy": ("nuno_bench.precision.accuracy", "whether `accuracy: LEVEL` keeps its promise, on many scenes"),
     "compare": ("nuno_bench.precision.compare", "two results of precision: which errors and times have changed"),
     "stability": ("nuno_bench.stability.command", "maps of what solvers make of a scene over stiffness, mesh and step"),
-    "peers": ("nuno_bench.peers", "the stiff sheet in other engines and in ours: error beside time"),
+    "peers": ("nuno_bench.peers.command", "the stiff sheet in other engines and in ours: error beside time"),
     "capacity": ("nuno_bench.capacity", "bytes a frame, what the bus carries, and the hosts that follow from both"),
     "wrinkles": ("nuno_bench.wrinkles", "lines at random over random meshes: whether what comes out is whole"),
     "integrators": (

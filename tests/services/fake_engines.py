@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from nuno_bench.peer_problem import Sheet
+from nuno_bench.peers.problem import Sheet
 from nuno_schemas.fabric import Float
 
 

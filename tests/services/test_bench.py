@@ -12,11 +12,13 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench import numpy_peer, problems, speed
-from nuno_bench.measure import watch_compiler
 from nuno_bench.report import markdown, page
 from nuno_bench.report.result import Result, number, text_table
-from nuno_bench.steps import net, sheet
+from nuno_bench.speed import command as speed
+from nuno_bench.speed.steps import meshes
+from nuno_bench.speed.steps.explicit import net, sheet
+from nuno_bench.speed.steps.sliced import SlicedCloth
+from nuno_bench.speed.timing import watch_compiler
 from nuno_schemas.errors import BadInput
 
 
@@ -42,7 +44,7 @@ def test_failed_measurement_is_neither_met_nor_silent() -> None:
 
 
 def test_failing_case_is_reported_and_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(speed.CASES, "broken", ("nuno_bench.steps", "no_such_function"))
+    monkeypatch.setitem(speed.CASES, "broken", ("nuno_bench.speed.steps.explicit", "no_such_function"))
     (result,) = speed.run_case("broken", 1)
     assert result.verdict == "failed"
     assert "no_such_function" in result.failure
@@ -51,9 +53,9 @@ def test_failing_case_is_reported_and_others_go_on(monkeypatch: pytest.MonkeyPat
 def test_numpy_peer_takes_the_same_steps_as_the_kernels() -> None:
     side, steps, dt = 17, 40, 2e-4
     fabric = sheet(side, side)
-    system, state = problems.system_of(fabric)
+    system, state = meshes.system_of(fabric)
     x, v = np.ascontiguousarray(state.x.T), np.ascontiguousarray(state.v.T)
-    numpy_peer.SlicedCloth(fabric, np.asarray(system.gravity)).advance(x, v, steps, dt)
+    SlicedCloth(fabric, np.asarray(system.gravity)).advance(x, v, steps, dt)
     plugin = registry.load("nuno.integrators", "symplectic_euler")
     memory = plugin.prepare(plugin.Config(), system, state)
     plugin.advance(system, state, memory, None, steps, dt)
@@ -62,12 +64,12 @@ def test_numpy_peer_takes_the_same_steps_as_the_kernels() -> None:
 
 
 def test_net_of_a_sheet_moves_like_the_sheet() -> None:
-    fabric = sheet(12, 9, problems.DAMPING)
+    fabric = sheet(12, 9, meshes.DAMPING)
     plugin = registry.load("nuno.integrators", "symplectic_euler")
     ends = []
-    for one in (fabric, net(problems.net_arrays(fabric, varied=False))):
-        system, state = problems.system_of(fabric)
-        system = problems.system_of(one)[0]
+    for one in (fabric, net(meshes.net_arrays(fabric, varied=False))):
+        system, state = meshes.system_of(fabric)
+        system = meshes.system_of(one)[0]
         plugin.advance(system, state, plugin.prepare(plugin.Config(), system, state), None, 50, 1e-4)
         ends.append(state.x)
     np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-12)
@@ -77,7 +79,7 @@ def test_net_of_a_sheet_moves_like_the_sheet() -> None:
 def test_irregular_mesh_has_the_springs_of_its_triangulation(patch: int | None) -> None:
     """A triangulated s x s grid has 3 s^2 - 4 s + 1 edges, of which 4 (s - 1) lie on its border."""
     side = 12
-    arrays = problems.irregular_arrays(side, patch)
+    arrays = meshes.irregular_arrays(side, patch)
     pairs = arrays["springs"]
     edges, border = 3 * side**2 - 4 * side + 1, 4 * (side - 1)
     assert len(np.unique(pairs, axis=0)) == len(pairs)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nuno import registry
-from nuno_bench import dye_speed
-from nuno_bench.dye_peers import SlicedDiffusion, devito_diffusion, weigh_faces
+from nuno_bench.speed import dye as dye_speed
+from nuno_bench.speed.dye_peers import SlicedDiffusion, devito_diffusion, weigh_faces
 from nuno_bench.validation.laws.dye import D0, SIZE
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float

@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 
 from nuno.cli import main
-from nuno_bench import fit_speed, speed
-from nuno_bench.fit_speed import Fit, fit
 from nuno_bench.report import markdown
 from nuno_bench.report.result import Result
+from nuno_bench.speed import command as speed
+from nuno_bench.speed.leg import fit as fit_speed
+from nuno_bench.speed.leg.fit import Fit, fit
 
 SMALL = ("objects.stocking.model.wales=10", "objects.stocking.model.courses=19", "bodies.leg.collider.resolution=16")
 

@@ -18,13 +18,15 @@ import pytest
 from nuno.cli import main
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench import peer_page, peers, stiff
-from nuno_bench.numpy_peer import SlicedCloth
-from nuno_bench.peer_problem import Score, Sheet, judge
-from nuno_bench.peer_process import Point, measure
-from nuno_bench.peer_python import NumPy, _fabric
-from nuno_bench.peer_table import KINDS, Kind, label
-from nuno_bench.peers import stiff_sheet
+from nuno_bench.peers import command as peers
+from nuno_bench.peers import page as peer_page
+from nuno_bench.peers.command import stiff_sheet
+from nuno_bench.peers.problem import Score, Sheet, judge
+from nuno_bench.peers.process import Point, measure
+from nuno_bench.peers.python import NumPy, _fabric
+from nuno_bench.peers.table import KINDS, Kind, label
+from nuno_bench.speed.steps import stiff
+from nuno_bench.speed.steps.sliced import SlicedCloth
 
 SMALL = ("objects.0.model.resolution=[9, 8]",)
 HERE = str(Path(__file__).parent)
@@ -71,7 +73,7 @@ def test_score_of_an_end_is_its_shift_and_its_stretch(sheet: Sheet) -> None:
 def test_engines_that_step_as_numpy_does_end_where_it_does(sheet: Sheet, module: str, made: str, off: float) -> None:
     """Both are symplectic Euler: the same springs, dampers, masses, drag and pins give the same positions."""
     pytest.importorskip(module, reason=f"the peer engine {module} is not installed")
-    engine = getattr(__import__(f"nuno_bench.peer_{module}", fromlist=[made]), made)(sheet, dt=1 / 3000)
+    engine = getattr(__import__(f"nuno_bench.peers.{module}", fromlist=[made]), made)(sheet, dt=1 / 3000)
     x, exact = engine.advance(0.2), NumPy(sheet, 1 / 3000).advance(0.2)
     moved = np.abs(exact - sheet.x).max()
     assert moved > 0.05
@@ -118,7 +120,7 @@ def test_engine_whose_starter_was_killed_ends_by_itself(sheet: Sheet, fakes: Non
     asked = {"module": "fake_engines", "made": "Hang", "setting": {"after": 0.0}, "repeats": 1, "limit": 0.0}
     asked |= {"sheet": str(tmp_path / "sheet.npz"), "end": str(tmp_path / "end.npy"), "began": 0.0}
     (tmp_path / "request.json").write_text(json.dumps(asked))
-    command = [sys.executable, "-m", "nuno_bench.peer_process", str(tmp_path / "request.json")]
+    command = [sys.executable, "-m", "nuno_bench.peers.process", str(tmp_path / "request.json")]
     assert subprocess.run(command, check=False, timeout=60.0).returncode == -signal.SIGALRM
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nuno import registry
-from nuno_bench import render_speed
+from nuno_bench.speed.leg import render as render_speed
 
 
 def test_the_stocking_lies_on_the_leg_with_all_its_links() -> None:

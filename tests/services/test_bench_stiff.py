@@ -7,8 +7,8 @@ import pytest
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.numpy_peer import SlicedCloth
-from nuno_bench.scipy_peer import SMOOTH, _fastest, implicit, slopes_by_vertex, structure
+from nuno_bench.speed.steps.scipy import SMOOTH, _fastest, implicit, slopes_by_vertex, structure
+from nuno_bench.speed.steps.sliced import SlicedCloth
 
 
 def test_others_are_given_the_forces_that_our_steps_take() -> None:

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench import problems
 from nuno_bench.report.result import Result
-from nuno_bench.steps import sheet
+from nuno_bench.speed.steps import meshes
+from nuno_bench.speed.steps.explicit import sheet
 from nuno_schemas.errors import RunFailed
 
 STEPPED = re.compile(r"^(\d+\.\d+) of ")
@@ -90,18 +90,18 @@ def memory(repeats: int) -> list[Result]:
     del repeats
     scenes: list[tuple[str, float, dict[str, Any]]] = [
         ("grid, preset fabric (springs and hinges)", 400.0, {"fabric": "denim"}),
-        ("grid, 12 springs a vertex", 400.0, {"damping": problems.DAMPING}),
+        ("grid, 12 springs a vertex", 400.0, {"damping": meshes.DAMPING}),
     ]
     results = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for what, bar, options in scenes:
-            peaks = [peak_bytes(problems.sheet_scene(side, side, **options), folder) for side in SIDES]
+            peaks = [peak_bytes(meshes.sheet_scene(side, side, **options), folder) for side in SIDES]
             results.append(_slope(what, bar, peaks))
         peaks = []
         for side in SIDES:
-            np.savez(folder / "net.npz", allow_pickle=False, **problems.net_arrays(sheet(side, side), varied=True))
-            peaks.append(peak_bytes(problems.scene_of({"plugin": "net", "file": "net.npz"}), folder))
+            np.savez(folder / "net.npz", allow_pickle=False, **meshes.net_arrays(sheet(side, side), varied=True))
+            peaks.append(peak_bytes(meshes.scene_of({"plugin": "net", "file": "net.npz"}), folder))
         results.append(_slope("net, 12 springs a vertex, constants per spring", 700.0, peaks))
     return results
 

@@ -10,9 +10,9 @@ from nuno.scene import scene_file
 from nuno.scene.choose import decide
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
-from nuno_bench.numpy_peer import SlicedCloth
-from nuno_bench.peer_problem import Sheet
-from nuno_bench.stiff import SCENE
+from nuno_bench.peers.problem import Sheet
+from nuno_bench.speed.steps.sliced import SlicedCloth
+from nuno_bench.speed.steps.stiff import SCENE
 from nuno_schemas.fabric import Fabric, Float, Springs
 
 

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from nuno_bench.machine import cores
-from nuno_bench.measure import seconds
+from nuno_bench.speed.timing import seconds
 
 LANE = 2048
 """Numbers a thread works on: 16 KiB, inside every first-level cache."""

@@ -1,6 +1,6 @@
 """Each engine in a process of its own: what crashes, hangs or warns there is a mark, not the end.
 
-`python -m nuno_bench.peer_process REQUEST.json` is such a process. It writes a line before the first
+`python -m nuno_bench.peers.process REQUEST.json` is such a process. It writes a line before the first
 second, with the time that start and compiling took, and one after each second that it simulated.
 """
 
@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno_bench.peer_problem import SECONDS, Peer, Score, Sheet, judge
-from nuno_bench.peer_table import Kind, Setting
+from nuno_bench.peers.problem import SECONDS, Peer, Score, Sheet, judge
+from nuno_bench.peers.table import Kind, Setting
 from nuno_schemas.fabric import Float
 
 MARK = "peer: "
@@ -62,7 +62,7 @@ def measure(kind: Kind, setting: Setting, name: str, sheet: Sheet, exact: Float,
         asked = {"module": kind.module, "made": kind.made, "setting": setting, "repeats": repeats, "limit": limit}
         asked |= {"sheet": str(problem), "end": str(end), "began": time.time()}
         request.write_text(json.dumps(asked))
-        lines, failure = _watch([sys.executable, "-m", "nuno_bench.peer_process", str(request)], folder, limit)
+        lines, failure = _watch([sys.executable, "-m", "nuno_bench.peers.process", str(request)], folder, limit)
         start = next((line["start"] for line in lines if "start" in line), None)
         seconds = tuple(line["seconds"] for line in lines if "seconds" in line)
         failure = next((line["failure"] for line in lines if "failure" in line), failure)

@@ -12,9 +12,9 @@ import numpy as np
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.numpy_peer import SlicedCloth
 from nuno_bench.report.result import Result
-from nuno_bench.stiff import SCENE, run
+from nuno_bench.speed.steps.sliced import SlicedCloth
+from nuno_bench.speed.steps.stiff import SCENE, run
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric, Float
 

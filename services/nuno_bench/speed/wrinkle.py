@@ -8,8 +8,8 @@ from typing import Any
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
-from nuno_bench.measure import seconds, watch_compiler
 from nuno_bench.report.result import Result
+from nuno_bench.speed.timing import seconds, watch_compiler
 from nuno_schemas.fabric import State
 from nuno_schemas.operation import Outcome
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench.measure import seconds, watch_compiler
 from nuno_bench.report.result import Result
+from nuno_bench.speed.timing import seconds, watch_compiler
 from nuno_schemas.fabric import Float, Int
 
 CASE = "closest point"

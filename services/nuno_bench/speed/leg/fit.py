@@ -8,8 +8,8 @@ from typing import NamedTuple
 from nuno.cloth import build
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench.measure import watch_compiler
 from nuno_bench.report.result import Result
+from nuno_bench.speed.timing import watch_compiler
 
 CASE = "fit"
 BARS = {"stocking-150": 15.0, "stocking-300": 90.0}

@@ -16,8 +16,8 @@ from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision.supervisor import Outcome, supervise
 from nuno_bench.machine import cores
-from nuno_bench.measure import alternate
 from nuno_bench.report.result import Result
+from nuno_bench.speed.timing import alternate
 from nuno_schemas.errors import RunFailed
 
 SKIRT = ("objects.0.model.columns=128", "objects.0.model.rows=96", "frame_rate=60 Hz", "solver.dt=auto")

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import registry
-from nuno_bench import limits, numpy_peer, problems
-from nuno_bench.measure import seconds, watch_compiler
 from nuno_bench.report.result import Result
+from nuno_bench.speed import limits
+from nuno_bench.speed.steps import meshes
+from nuno_bench.speed.steps.sliced import SlicedCloth
+from nuno_bench.speed.timing import seconds, watch_compiler
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
 
@@ -27,7 +29,7 @@ def time_steps(fabric: Fabric, integrator: str, repeats: int, **about: Any) -> R
     """Rate of one integrator on one fabric. Raises RunFailed if the state does not stay finite."""
     plugin = registry.load("nuno.integrators", integrator)
     config = plugin.Config()
-    system, state = problems.system_of(fabric)
+    system, state = meshes.system_of(fabric)
     memory = plugin.prepare(config, system, state)
     steps = max(1, WORK // fabric.number)
 
@@ -56,19 +58,19 @@ def time_steps(fabric: Fabric, integrator: str, repeats: int, **about: Any) -> R
 
 
 def sheet(columns: int, rows: int, damping: float = 0.0) -> Fabric:
-    return problems.build_model(problems.sheet_scene(columns, rows, damping)["objects"][0]["model"], Path.cwd())
+    return meshes.build_model(meshes.sheet_scene(columns, rows, damping)["objects"][0]["model"], Path.cwd())
 
 
 def net(arrays: dict[str, NDArray[Any]]) -> Fabric:
     """The fabric that the net plugin reads from these arrays."""
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "net.npz", allow_pickle=False, **arrays)
-        return problems.build_model({"plugin": "net", "file": "net.npz"}, Path(folder))
+        return meshes.build_model({"plugin": "net", "file": "net.npz"}, Path(folder))
 
 
 def grid_256(repeats: int) -> list[Result]:
     """Undamped and damped springs, two integrators; then another size, which must compile nothing."""
-    plain, damped = sheet(256, 256), sheet(256, 256, problems.DAMPING)
+    plain, damped = sheet(256, 256), sheet(256, 256, meshes.DAMPING)
     bars: dict[str, Any] = {"case": "grid-256", "bar": 60.0, "aim": 90.0}
     results = [
         time_steps(plain, "symplectic_euler", repeats, **bars),
@@ -85,7 +87,7 @@ def grid_256(repeats: int) -> list[Result]:
 def net_256(repeats: int) -> list[Result]:
     """The same sheet as arrays: constants of each spring its own, or alike in each class."""
     fabric = sheet(256, 256)
-    varied, alike = (net(problems.net_arrays(fabric, varied)) for varied in (True, False))
+    varied, alike = (net(meshes.net_arrays(fabric, varied)) for varied in (True, False))
     return [
         time_steps(varied, "symplectic_euler", repeats, case="net-256", what="k, rest, c per spring", bar=22.0),
         time_steps(alike, "symplectic_euler", repeats, case="net-256", what="constants per class", bar=30.0, aim=50.0),
@@ -94,7 +96,7 @@ def net_256(repeats: int) -> list[Result]:
 
 def irregular(repeats: int) -> list[Result]:
     """Triangles in no order: nothing follows anything, so every spring is read by its indices."""
-    patches, shuffled = (net(problems.irregular_arrays(256, patch)) for patch in (16, None))
+    patches, shuffled = (net(meshes.irregular_arrays(256, patch)) for patch in (16, None))
     return [
         time_steps(patches, "symplectic_euler", repeats, case="irregular", what="vertices near their neighbours"),
         time_steps(shuffled, "symplectic_euler", repeats, case="irregular", what="vertices in random order"),
@@ -114,8 +116,8 @@ def numpy_slices(repeats: int) -> list[Result]:
 
 def _time_numpy(side: int, repeats: int) -> Result:
     fabric = sheet(side, side)
-    system, state = problems.system_of(fabric)
-    cloth = numpy_peer.SlicedCloth(fabric, np.asarray(system.gravity))
+    system, state = meshes.system_of(fabric)
+    cloth = SlicedCloth(fabric, np.asarray(system.gravity))
     x, v = np.ascontiguousarray(state.x.T), np.ascontiguousarray(state.v.T)
     steps = max(1, WORK // 10 // fabric.number)
 

@@ -10,7 +10,7 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.report.result import Result
-from nuno_bench.stiff import SCENE, sided
+from nuno_bench.speed.steps.stiff import SCENE, sided
 from nuno_schemas.errors import RunFailed
 
 SOLVERS = ("implicit_euler", "tr_bdf2")

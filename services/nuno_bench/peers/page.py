@@ -10,12 +10,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from nuno_bench.peer_plot import error_over_time
-from nuno_bench.peer_process import Point
-from nuno_bench.peer_table import Kind
+from nuno_bench.peers.plot import error_over_time
+from nuno_bench.peers.process import Point
+from nuno_bench.peers.table import Kind
 from nuno_bench.report import markdown, page
 from nuno_bench.report.result import number
-from nuno_bench.stiff import CENTRE, REFERENCE, SCENE, STRAIN
+from nuno_bench.speed.steps.stiff import CENTRE, REFERENCE, SCENE, STRAIN
 
 HEADINGS = ("peer", "setting", "off [mm]", "strain", "peak", "time [s]", "min - max", "start [s]", "verdict")
 NOTES = ("peer", "setting", "note")

@@ -8,7 +8,7 @@ from pathlib import Path
 from nuno_bench import machine
 from nuno_bench.report import page, plots
 from nuno_bench.report.result import HEADINGS, Result, rows
-from nuno_bench.steps import UNIT
+from nuno_bench.speed.steps.explicit import UNIT
 
 LEAD = (
     "Medians over repeats with the smallest and the largest sample. "

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from nuno_bench.peer_process import Point
+from nuno_bench.peers.process import Point
 from nuno_bench.report import plots
-from nuno_bench.stiff import CENTRE, STRAIN
+from nuno_bench.speed.steps.stiff import CENTRE, STRAIN
 
 MARKERS = {"nuno": "o", "numpy": "D", "scipy": "^", "mujoco": "s", "newton": "v"}
 STRIP = 1.04

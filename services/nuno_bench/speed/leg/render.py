@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
-from nuno_bench.closest import NoFiles, leg
-from nuno_bench.measure import seconds, watch_compiler
 from nuno_bench.report.result import Result
+from nuno_bench.speed.leg.closest import NoFiles, leg
+from nuno_bench.speed.timing import seconds, watch_compiler
 from nuno_schemas.camera import frame
 from nuno_schemas.drawing import Mesh
 from nuno_schemas.fabric import Fabric, Float, State

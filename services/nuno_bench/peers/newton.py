@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_bench.peer_problem import Sheet
+from nuno_bench.peers.problem import Sheet
 from nuno_schemas.fabric import Float
 
 RADIUS = 1e-4

@@ -11,11 +11,11 @@ import numpy as np
 
 from nuno import registry
 from nuno.scene.files import SceneFiles
-from nuno_bench import limits
-from nuno_bench.dye_peers import SlicedDiffusion, devito_diffusion
 from nuno_bench.machine import cores
-from nuno_bench.measure import seconds, watch_compiler
 from nuno_bench.report.result import Result
+from nuno_bench.speed import limits
+from nuno_bench.speed.dye_peers import SlicedDiffusion, devito_diffusion
+from nuno_bench.speed.timing import seconds, watch_compiler
 from nuno_bench.validation.laws.dye import D0, SIZE, make_cells
 from nuno_schemas.dye import Dye, DyeState, DyeSystem, Isotherm
 from nuno_schemas.errors import RunFailed

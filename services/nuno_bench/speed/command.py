@@ -8,29 +8,30 @@ import json
 import sys
 import traceback
 
-from nuno_bench import limits, machine, options
+from nuno_bench import machine, options
 from nuno_bench.report import markdown
 from nuno_bench.report.result import HEADINGS, Result, number, rows, text_table
+from nuno_bench.speed import limits
 
 CASES = {
-    "grid-256": ("nuno_bench.steps", "grid_256"),
-    "net-256": ("nuno_bench.steps", "net_256"),
-    "irregular": ("nuno_bench.steps", "irregular"),
-    "sheet-32": ("nuno_bench.steps", "sheet_32"),
-    "numpy": ("nuno_bench.steps", "numpy_slices"),
-    "stiff": ("nuno_bench.stiff", "stiff_sheet"),
-    "scipy": ("nuno_bench.scipy_peer", "scipy_peer"),
-    "stiffness": ("nuno_bench.stiffness", "stiffness"),
-    "closest": ("nuno_bench.closest", "closest"),
-    "fit": ("nuno_bench.fit_speed", "fits"),
-    "sdf": ("nuno_bench.sdf", "sdf"),
-    "wrinkle": ("nuno_bench.wrinkle_speed", "wrinkle"),
-    "render": ("nuno_bench.render_speed", "render"),
-    "dye": ("nuno_bench.dye_speed", "dye"),
-    "pipeline": ("nuno_bench.pipeline", "pipeline"),
-    "start": ("nuno_bench.processes", "start"),
-    "memory": ("nuno_bench.processes", "memory"),
-    "recording": ("nuno_bench.pipeline", "recording"),
+    "grid-256": ("nuno_bench.speed.steps.explicit", "grid_256"),
+    "net-256": ("nuno_bench.speed.steps.explicit", "net_256"),
+    "irregular": ("nuno_bench.speed.steps.explicit", "irregular"),
+    "sheet-32": ("nuno_bench.speed.steps.explicit", "sheet_32"),
+    "numpy": ("nuno_bench.speed.steps.explicit", "numpy_slices"),
+    "stiff": ("nuno_bench.speed.steps.stiff", "stiff_sheet"),
+    "scipy": ("nuno_bench.speed.steps.scipy", "scipy_peer"),
+    "stiffness": ("nuno_bench.speed.steps.stiffness", "stiffness"),
+    "closest": ("nuno_bench.speed.leg.closest", "closest"),
+    "fit": ("nuno_bench.speed.leg.fit", "fits"),
+    "sdf": ("nuno_bench.speed.leg.sdf", "sdf"),
+    "wrinkle": ("nuno_bench.speed.wrinkle", "wrinkle"),
+    "render": ("nuno_bench.speed.leg.render", "render"),
+    "dye": ("nuno_bench.speed.dye", "dye"),
+    "pipeline": ("nuno_bench.speed.pipeline", "pipeline"),
+    "start": ("nuno_bench.speed.processes", "start"),
+    "memory": ("nuno_bench.speed.processes", "memory"),
+    "recording": ("nuno_bench.speed.pipeline", "recording"),
 }
 """Module and function of each case; a function takes the number of repeats and gives results."""
 
@@ -112,7 +113,7 @@ def _write(args: argparse.Namespace, results: list[Result], about: dict[str, str
         args.json.write_text(json.dumps(data, indent=1) + "\n")
         print(f"written {args.json}")
     if args.html is not None:
-        from nuno_bench.speed_page import write_page
+        from nuno_bench.speed.page import write_page
 
         write_page(args.html, results, about, summary(results))
         print(f"written {args.html}")

@@ -10,7 +10,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from nuno_bench.peer_problem import Sheet
+from nuno_bench.peers.problem import Sheet
 from nuno_schemas.fabric import Float
 
 THICKNESS = 1e-3

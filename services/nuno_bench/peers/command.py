@@ -10,13 +10,14 @@ import numpy as np
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench import machine, options, stiff
-from nuno_bench import peer_page as shown
-from nuno_bench.peer_problem import Sheet
-from nuno_bench.peer_process import Point, measure
-from nuno_bench.peer_table import KINDS, Kind, label
+from nuno_bench import machine, options
+from nuno_bench.peers import page as shown
+from nuno_bench.peers.problem import Sheet
+from nuno_bench.peers.process import Point, measure
+from nuno_bench.peers.table import KINDS, Kind, label
 from nuno_bench.report import markdown, plots
 from nuno_bench.report.result import text_table
+from nuno_bench.speed.steps import stiff
 from nuno_schemas.errors import BadInput
 
 GROUPS = {

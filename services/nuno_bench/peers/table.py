@@ -40,21 +40,21 @@ def _nuno(solver: str, given: str, *steps: str) -> Kind:
     chosen = [step if step == "auto" else repr(1 / 60 / int(step)) for step in steps]
     settings = [{"solver": f"plugin: {solver}, {given}dt: {dt}"} for dt in chosen]
     posed = f"{EXACT}; kernels without services."
-    return Kind(f"nuno-{solver}", "", "nuno", "nuno_bench.peer_python", "Nuno", settings, posed)
+    return Kind(f"nuno-{solver}", "", "nuno", "nuno_bench.peers.python", "Nuno", settings, posed)
 
 
 def _auto() -> Kind:
     settings = [{"solver": "plugin: auto", "accuracy": accuracy} for accuracy in ("preview", "normal")]
     posed = f"{EXACT}; solver and step as nuno takes them by itself for an accuracy."
-    return Kind("nuno-auto", "", "nuno", "nuno_bench.peer_python", "Nuno", settings, posed)
+    return Kind("nuno-auto", "", "nuno", "nuno_bench.peers.python", "Nuno", settings, posed)
 
 
 def _newton(made: str, settings: Sequence[Setting], posed: str) -> Kind:
-    return Kind(f"newton-{made.lower()}", "newton", "nuno[peers]", "nuno_bench.peer_newton", made, settings, posed)
+    return Kind(f"newton-{made.lower()}", "newton", "nuno[peers]", "nuno_bench.peers.newton", made, settings, posed)
 
 
 def _mujoco(made: str, settings: Sequence[Setting], posed: str) -> Kind:
-    return Kind(f"mujoco-{made.lower()}", "mujoco", "nuno[peers]", "nuno_bench.peer_mujoco", made, settings, posed)
+    return Kind(f"mujoco-{made.lower()}", "mujoco", "nuno[peers]", "nuno_bench.peers.mujoco", made, settings, posed)
 
 
 WOVEN = (
@@ -73,7 +73,7 @@ KINDS = (
         "numpy",
         "",
         "nuno",
-        "nuno_bench.peer_python",
+        "nuno_bench.peers.python",
         "NumPy",
         [{"dt": 1 / 7500}, {"dt": 1 / 15000}],
         f"{EXACT}; symplectic Euler written with slices of whole arrays, no compiler.",
@@ -82,7 +82,7 @@ KINDS = (
         "scipy",
         "scipy",
         "nuno[bench]",
-        "nuno_bench.peer_python",
+        "nuno_bench.peers.python",
         "SciPy",
         [{"method": "RK45", "rtol": 1e-3}, {"method": "RK45", "rtol": 1e-5}, {"method": "DOP853", "rtol": 1e-4}],
         f"{EXACT}; forces by the same NumPy slices. Its implicit methods are held against ours on a smaller sheet "
