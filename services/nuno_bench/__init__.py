@@ -1,1 +1,1 @@
-"""Measures the rest of the project: speed against its bars, integrators against each other."""
+"""Measures the rest of the project: a folder for each thing that is measured, and what they share beside them."""

@@ -11,8 +11,11 @@ import struct
 import zipfile
 import zlib
 from random import Random
+from typing import TypeVar
 
 from nuno_bench.soak.fuzz.mutate_text import mutate_bytes, mutate_text
+
+Part = TypeVar("Part")
 
 PNG = b"\x89PNG\r\n\x1a\n"
 MCAP = b"\x89MCAP0\r\n"
@@ -29,13 +32,18 @@ def mutate_png(data: bytes, random: Random) -> bytes:
     chunks = list(_png_chunks(data))
     if not chunks or random.random() < 0.15:
         return mutate_bytes(data, random)
+    _change_chunk(chunks, random)
+    return PNG + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
+    )
+
+
+def _change_chunk(chunks: list[tuple[bytes, bytes]], random: Random) -> None:
     place = random.randrange(len(chunks))
     kind, body = chunks[place]
     how = random.randrange(6)
-    if how == 0:
-        chunks.insert(random.randrange(len(chunks) + 1), chunks[place])
-    elif how == 1:
-        del chunks[place]
+    if how < 2:
+        _double_or_drop(chunks, place, how == 0, random)
     elif kind == b"IHDR" and len(body) == 13:
         fields = list(struct.unpack(">IIBBBBB", body))
         fields[how % 2] = random.choice((*BIG, 4, 8)) if how < 4 else fields[how % 2]
@@ -49,9 +57,14 @@ def mutate_png(data: bytes, random: Random) -> bytes:
         chunks.insert(place, (extra, random.choice((packed, random.randbytes(random.randrange(70))))))
     else:
         chunks[place] = kind, mutate_bytes(body, random)
-    return PNG + b"".join(
-        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
-    )
+
+
+def _double_or_drop(parts: list[Part], place: int, double: bool, random: Random) -> None:
+    """Put one part in once more anywhere, or take it out."""
+    if double:
+        parts.insert(random.randrange(len(parts) + 1), parts[place])
+    else:
+        del parts[place]
 
 
 def _png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
@@ -173,10 +186,8 @@ def _change_record(records: list[tuple[int, bytes]], random: Random) -> None:
     place = random.randrange(len(records))
     code, body = records[place]
     how = random.randrange(8)
-    if how == 0:
-        records.insert(random.randrange(len(records) + 1), records[place])
-    elif how == 1:
-        del records[place]
+    if how < 2:
+        _double_or_drop(records, place, how == 0, random)
     elif code == CHUNK and len(body) > 40:
         inside = mcap_records(body[40:])
         if inside:
