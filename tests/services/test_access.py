@@ -11,9 +11,10 @@ from nuno.access import folder
 from nuno.access.rights import Rights
 from nuno.wire.sessions import spoke
 from nuno_bench.report.result import Result
-from nuno_bench.soak import access, sockets
-from nuno_bench.soak.guarded import guarded_run
-from nuno_bench.soak.intruders import Witness, attempt
+from nuno_bench.soak.access import part as access
+from nuno_bench.soak.access import sockets
+from nuno_bench.soak.access.guarded import guarded_run
+from nuno_bench.soak.access.intruders import Witness, attempt
 
 
 def broken(results: list[Result]) -> list[str]:

@@ -24,7 +24,7 @@ from nuno.supervision import supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.viewer.service import Viewer
 from nuno.wire.sessions import hub_at
-from nuno_bench.soak.fault_run import started
+from nuno_bench.soak.faults.run import started
 from nuno_schemas.errors import RunFailed
 
 

@@ -16,8 +16,8 @@ from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.wire import sessions
 from nuno.wire.sessions import free_port, hub, spoke
 from nuno_bench.soak import small
-from nuno_bench.soak.hosts import differing, digests
-from nuno_bench.soak.relay import Relay, relay
+from nuno_bench.soak.hosts.part import differing, digests
+from nuno_bench.soak.hosts.relay import Relay, relay
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import FrameStatus
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from nuno_bench.soak.relay import relay
+from nuno_bench.soak.hosts.relay import relay
 
 
 @pytest.fixture

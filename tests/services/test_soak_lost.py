@@ -10,10 +10,10 @@ import pytest
 from recorded_sheet import metadata
 
 from nuno.recording.writer import RecordingWriter
-from nuno_bench.soak import lost
-from nuno_bench.soak.lost import KB, MB, Stream, count_lost, measure, need_room
-from nuno_bench.soak.processes import Memory
-from nuno_bench.soak.traffic import payload_of, template
+from nuno_bench.soak.lost import part as lost
+from nuno_bench.soak.lost.part import KB, MB, Stream, count_lost, measure, need_room
+from nuno_bench.soak.lost.processes import Memory
+from nuno_bench.soak.lost.traffic import payload_of, template
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE, Header
 

@@ -1,1 +1,1 @@
-"""`nuno soak`: the long tests of reliability, one module per part, with the same checks as their quick ones."""
+"""`nuno soak`: the long tests of reliability, one folder per part, with the same checks as their quick ones."""

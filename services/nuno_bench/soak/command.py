@@ -13,11 +13,11 @@ from nuno_bench.report import markdown
 from nuno_bench.report.result import Result, number, text_table
 
 PARTS: dict[str, str] = {
-    "same-bits": "nuno_bench.soak.same_bits",
-    "access": "nuno_bench.soak.access",
-    "faults": "nuno_bench.soak.faults",
-    "lost": "nuno_bench.soak.lost",
-    "hosts": "nuno_bench.soak.hosts",
+    "same-bits": "nuno_bench.soak.same_bits.part",
+    "access": "nuno_bench.soak.access.part",
+    "faults": "nuno_bench.soak.faults.part",
+    "lost": "nuno_bench.soak.lost.part",
+    "hosts": "nuno_bench.soak.hosts.part",
     "fuzz": "nuno_bench.soak.fuzz.part",
 }
 """Module of each part; its `run(quick, seed)` gives results, of which every bar is a law: a missed one is a failure."""

@@ -27,8 +27,8 @@ from nuno.wire.sessions import hub_at, identity
 from nuno.wire.watch import Watch
 from nuno_bench.report.result import Result
 from nuno_bench.soak import small
-from nuno_bench.soak.processes import Memory, ended, started
-from nuno_bench.soak.traffic import payload_of, template
+from nuno_bench.soak.lost.processes import Memory, ended, started
+from nuno_bench.soak.lost.traffic import payload_of, template
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE
 
@@ -171,7 +171,7 @@ def send(path: Path, stream: Stream) -> tuple[dict[str, Any], dict[str, Memory],
 
 def _child(role: str, options: dict[str, Any], **pipes: Any) -> Any:
     pipes = {"stdin": DEVNULL} | pipes
-    return started(["nuno_bench.soak.traffic", role, json.dumps(options)], **pipes)
+    return started(["nuno_bench.soak.lost.traffic", role, json.dumps(options)], **pipes)
 
 
 def _stop(recorder: Any, path: Path, stream: Stream) -> None:

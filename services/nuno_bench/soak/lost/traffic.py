@@ -1,4 +1,4 @@
-"""Ends of a stream of messages, each a process of its own: `python -m nuno_bench.soak.traffic ROLE JSON`.
+"""Ends of a stream of messages, each a process of its own: `python -m nuno_bench.soak.lost.traffic ROLE JSON`.
 
 The publisher sends numbered frames and waits for their acknowledgements as a simulation does. The recorder is the
 real service; told a rate, on a disk that takes no more. A subscriber takes its time over each message, or never

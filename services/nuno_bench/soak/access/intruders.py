@@ -9,7 +9,7 @@ from typing import Any
 
 from nuno.access.rights import Rights
 from nuno.wire.sessions import spoke
-from nuno_bench.soak.guarded import Guarded
+from nuno_bench.soak.access.guarded import Guarded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import TOPICS
 

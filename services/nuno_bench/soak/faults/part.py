@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nuno_bench.report.result import Result
-from nuno_bench.soak import kills
+from nuno_bench.soak.faults import kills
 
 
 def run(quick: bool, seed: int) -> list[Result]:

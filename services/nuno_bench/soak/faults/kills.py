@@ -15,8 +15,8 @@ from pathlib import Path
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of
 from nuno_bench.report.result import Result
-from nuno_bench.soak.fault_run import HUNG, SERVICES, FaultRun, kill, nuno, shared_bytes, started
-from nuno_bench.soak.fault_scene import write
+from nuno_bench.soak.faults.run import HUNG, SERVICES, FaultRun, kill, nuno, shared_bytes, started
+from nuno_bench.soak.faults.scene import write
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS
 

@@ -17,8 +17,8 @@ from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.verify import verify
 from nuno_bench.report.result import Result
-from nuno_bench.soak.bits_run import Seen, Way, resume, take
-from nuno_bench.soak.bits_scenes import CASES, Case
+from nuno_bench.soak.same_bits.run import Seen, Way, resume, take
+from nuno_bench.soak.same_bits.scenes import CASES, Case
 
 QUICK = ("net, changed",)
 """Case of a quick look, without processes."""

@@ -16,8 +16,8 @@ from typing import Any
 from nuno.access import folder
 from nuno.supervision import runs
 from nuno.wire.sessions import free_port, spoke
+from nuno_bench.soak.hosts.relay import Relay, relay
 from nuno_bench.soak.namespaces import Host
-from nuno_bench.soak.relay import Relay, relay
 
 SERVICES = ("collision", "simulation", "recorder")
 ROLES = (*SERVICES, "supervisor")

@@ -17,7 +17,7 @@ import nuno
 from nuno.wire.sessions import SILENCE_SECONDS
 from nuno_bench.report.result import Result
 from nuno_bench.soak import namespaces, small
-from nuno_bench.soak.deployed import ROLES, Deployed, Line, deployed
+from nuno_bench.soak.hosts.deployed import ROLES, Deployed, Line, deployed
 from nuno_bench.soak.namespaces import Host
 
 WITHIN, BEYOND = 5.0, SILENCE_SECONDS + 10.0

@@ -8,9 +8,9 @@ from pathlib import Path
 from nuno.access.rights import read_rights
 from nuno.wire.sessions import free_port, hub, spoke
 from nuno_bench.report.result import Result
-from nuno_bench.soak import sockets
-from nuno_bench.soak.guarded import Guarded, guarded_run, outsiders, posing_router
-from nuno_bench.soak.intruders import FORGED, MESSAGES, Tally, Witness, ask, attempt
+from nuno_bench.soak.access import sockets
+from nuno_bench.soak.access.guarded import Guarded, guarded_run, outsiders, posing_router
+from nuno_bench.soak.access.intruders import FORGED, MESSAGES, Tally, Witness, ask, attempt
 from nuno_schemas.errors import BadInput
 
 GOT = "messages read, requests taken, forgeries delivered"

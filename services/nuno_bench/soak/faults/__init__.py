@@ -1,0 +1,1 @@
+"""What a run makes of services that are killed, and what is left of it."""

@@ -1,0 +1,1 @@
+"""Nothing lost: messages by the hundred thousand, through the hub into a recording."""

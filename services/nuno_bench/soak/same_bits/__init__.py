@@ -1,0 +1,1 @@
+"""One scene, one digest, in every way that it can be run."""
