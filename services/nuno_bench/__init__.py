@@ -1,1 +1,1 @@
-"""Measures the rest of the project: a folder for each thing that is measured, and what they share beside them."""
+"""Measures the rest of the project: a folder for each measurement, a file where one is enough, and what they share."""

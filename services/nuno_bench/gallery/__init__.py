@@ -1,1 +1,1 @@
-"""Pictures of the shipped scenes of dye, knits and wrinkles, and whether they show what the papers say of them."""
+"""`nuno gallery`: shipped scenes of dye, knits and wrinkles in pictures, and what the papers say they must show."""

@@ -1,1 +1,1 @@
-"""The skirt paper's experiment, repeated: four methods, split and unsplit bones."""
+"""`nuno bench integrators`: the skirt paper's experiment, four methods with split and unsplit bones."""

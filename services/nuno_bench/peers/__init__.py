@@ -1,1 +1,1 @@
-"""The stiff sheet in other engines and in ours, each in a process of its own: error beside time."""
+"""`nuno bench peers`: the stiff sheet in other engines and in ours, each in a process of its own."""

@@ -1,1 +1,1 @@
-"""Every solver's error over the wall time it takes, what two sweeps differ in, and what `accuracy` delivers."""
+"""`nuno bench precision`, `compare` and `accuracy`: errors of solvers over the wall time that they take."""

@@ -1,1 +1,1 @@
-"""Measured bars: named cases that are timed, beside what the machine could do at best."""
+"""`nuno bench speed`: cases that are timed, beside what the machine could do at best."""

@@ -1,1 +1,1 @@
-"""What solvers make of a scene over stiffness, mesh and step, and of one mode over many steps."""
+"""`nuno bench stability`: what solvers make of a scene over stiffness, mesh and step, and of one mode in time."""

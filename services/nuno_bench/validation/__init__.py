@@ -1,1 +1,1 @@
-"""The laws of physics, held against every installed solver."""
+"""`nuno validate`: the laws of physics, held against every installed solver."""
