@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from nuno_bench.report.plots import BAD
 from nuno_bench.report.rerun import Plane, colour, decades, logs, rgb, written
-from nuno_bench.stability.plots import COLOURS
 from nuno_bench.validation.laws.base import Outcome
 from nuno_bench.validation.page import fitted, short
 from nuno_bench.validation.suite import Part
@@ -71,7 +71,7 @@ def _log_laws(recording: Any, plane: Plane, part: Part, outcomes: Sequence[Outco
             if not shown:
                 continue
             points = plane.at([_share(o) for o in shown], [rows[o.case] - apart[solver] for o in shown])
-            shade = rgb(COLOURS["diverged"]) if failed else colour(i)
+            shade = rgb(BAD) if failed else colour(i)
             what = (solver, "failed") if failed else (solver,)
             plane.draw_dots(recording, what, points, shade, [_said(o) for o in shown])
 
