@@ -22,12 +22,14 @@ from nuno_bench.soak.fuzz.worker import MEMORY, SLOW
 from nuno_schemas.errors import BadInput
 
 INPUTS, SECONDS = 100_000, 1200.0
-"""Of each kind, and how long they may take at most [s]."""
+"""Of each kind, and how long they may take at most [s of processor time]."""
 QUICK_SECONDS = 20.0
 KEPT = Path("recordings") / "fuzz"
 """Where inputs are kept that a reader crashed at or took too long for."""
 START = 600.0
 """Longest that a worker may take beside its inputs [s]: it may have to compile kernels."""
+SHARED = 4
+"""Of so many others a worker may have to share its core with."""
 NEEDED = ("atheris", "coverage")
 
 
@@ -105,7 +107,7 @@ def _in_process(module: str, *arguments: str, patience: float) -> str:
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True)
         try:
-            process.wait(patience + START)
+            process.wait(SHARED * patience + START)
         except subprocess.TimeoutExpired:
             pass
         finally:

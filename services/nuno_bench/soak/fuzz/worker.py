@@ -48,7 +48,7 @@ class Trial:
         self.found: dict[str, str] = {}
         """Where it went wrong, and the last line of what was said."""
         self.base = self.peak = _peak()
-        self.begin = time.monotonic()
+        self.begin = time.process_time()
         signal.signal(signal.SIGVTALRM, _break_off)
 
     def one(self, data: bytes) -> None:
@@ -81,7 +81,7 @@ class Trial:
     def report(self) -> dict[str, Any]:
         return {
             "inputs": self.inputs, "accepted": self.accepted, "crashes": self.crashes, "hangs": self.hangs,
-            "seconds": time.monotonic() - self.begin, "slowest": self.slowest,
+            "seconds": time.process_time() - self.begin, "slowest": self.slowest,
             "peak_mb": (self.peak - self.base) / 2**20, "found": self.found,
         }  # fmt: skip
 
@@ -137,7 +137,10 @@ def functions_of(names: Iterable[str]) -> list[FunctionType]:
 
 
 def main(name: str, folder: Path, runs: int, seconds: float, seed: int) -> None:
-    """Try `runs` inputs, or as many as `seconds` allow, guided by the branches they reach; write `report.json`."""
+    """Try `runs` inputs, or as many as `seconds` of processor time allow, guided by the branches they reach.
+
+    Writes `report.json`.
+    """
     import atheris
 
     from nuno_bench.soak.fuzz.kinds import KINDS
@@ -159,7 +162,7 @@ def main(name: str, folder: Path, runs: int, seconds: float, seed: int) -> None:
 
     def one(data: bytes) -> None:
         trial.one(data)
-        if trial.inputs >= runs or time.monotonic() - trial.begin > seconds:
+        if trial.inputs >= runs or time.process_time() - trial.begin > seconds:
             (folder / "report.json").write_text(json.dumps(trial.report()))
             os._exit(0)  # libFuzzer would go on
 
