@@ -6,7 +6,7 @@ from typing import Any, TextIO
 
 from nuno.scene.scene_file import Loaded
 from nuno.supervision.supervisor import Outcome
-from nuno.words import duration, factor
+from nuno.words import counted, duration, factor
 from nuno_schemas.messages import FRAMES
 
 Report = dict[str, Any]
@@ -148,8 +148,7 @@ def lines(report: Report) -> list[tuple[str, str]]:
         text += f", {frames['shown']} shown"
     rows.append(("frames", f"{text}, {report['missing']} missing, {report['refused']} refused"))
     if report.get("lost"):
-        lost = ", ".join(f"{number:,} of {topic}" for topic, number in report["lost"].items())
-        rows.append(("INCOMPLETE", f"the recording lacks {lost}"))
+        rows.append(("INCOMPLETE", f"the recording lacks {counted(report['lost'])}"))
     rows.append(("digest", str(report["digest"])))
     rows += [("left out" if i == 0 else "", text) for i, text in enumerate(report["left_out"])]
     return rows

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 TIMES = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s"))
 LONG = 1000.0
 """Times up to this [s] are told in seconds."""
@@ -21,3 +23,8 @@ def duration(seconds: float) -> str:
 def factor(times: float) -> str:
     """How many times as fast, without digits that nobody reads."""
     return f"{times:.2f}x" if times < 100.0 else f"{times:,.0f}x"
+
+
+def counted(counts: Mapping[str, int]) -> str:
+    """How many of each topic."""
+    return ", ".join(f"{number:,} of {topic}" for topic, number in counts.items())

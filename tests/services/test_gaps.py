@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from live_run import Run
 from recorded_sheet import Sheet, items, metadata
 from scenes import write_scene
 
@@ -37,9 +38,10 @@ def lossy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Publisher, "put", put)
-        result = nuno.run(write_scene(folder), record=folder / "lossy.mcap")
-    assert result.report["lost"] == {STATE.name: len(LOST)}
-    assert ("INCOMPLETE", "the recording lacks 4 of sim/state") in lines(result.report)
+        run = Run(write_scene(folder), folder / "lossy.mcap")
+        assert run.join().problem == f"failed: {run.record} is not whole: it lacks 4 of sim/state"
+    assert run.report["lost"] == {STATE.name: len(LOST)}
+    assert ("INCOMPLETE", "the recording lacks 4 of sim/state") in lines(run.report)
     return folder / "lossy.mcap"
 
 

@@ -12,6 +12,7 @@ from scenes import write_scene
 
 import nuno
 from nuno.cli import main
+from nuno.recording.writer import part_of
 from nuno.supervision import log
 
 
@@ -63,6 +64,24 @@ def test_a_refused_run_leaves_no_log(tmp_path: Path, capsys: pytest.CaptureFixtu
     record.write_text("not a recording")
     assert main(["run", str(scene), "--record", str(record), "--no-view"]) == 2
     assert not (tmp_path / "a.log.jsonl").exists()
+
+
+def test_a_refused_run_leaves_the_log_of_another(tmp_path: Path) -> None:
+    """Of one that records to the same file, or has."""
+    scene, record, kept = write_scene(tmp_path), tmp_path / "a.mcap", tmp_path / "a.log.jsonl"
+    kept.write_text("another's\n")
+    part_of(record).write_bytes(b"being written")
+    assert main(["run", str(scene), "--record", str(record), "--no-view"]) == 2
+    assert kept.read_text() == "another's\n"
+    assert sorted(path.name for path in tmp_path.glob("*a.*")) == ["a.log.jsonl", "a.mcap.part"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_log_on_a_full_disk_is_given_up_with_a_word(capsys: pytest.CaptureFixture[str]) -> None:
+    with log.written("r", Path("/dev/full")):
+        for _ in range(3):
+            log.note("r", "something")
+    assert capsys.readouterr().err == "/dev/full is not whole: No space left on device\n"
 
 
 def test_lines_go_to_standard_output_for_a_dash(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,9 @@
-"""Where a run listens."""
+"""Where a run listens, and how it is found there."""
 
 from __future__ import annotations
 
+import json
+import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,8 +12,10 @@ import pytest
 from scenes import write_scene
 
 import nuno
+from nuno.supervision import runs
 from nuno.wire import sessions
 from nuno.wire.sessions import ATTEMPTS, PortTaken, hub_at
+from nuno_schemas.errors import BadInput
 
 
 @pytest.fixture
@@ -43,4 +47,35 @@ def test_a_port_is_not_looked_for_for_ever(taken: int, monkeypatch: pytest.Monke
 
 def test_a_port_that_was_asked_for_is_taken_or_not(taken: int) -> None:
     with pytest.raises(PortTaken, match="another program listens there"), hub_at(f"tcp/127.0.0.1:{taken}"):
+        pass
+
+
+def test_a_name_is_one_runs_alone_while_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second neither takes the place of the first nor, when it is refused, its note away."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with runs.announced("twin", "tcp/127.0.0.1:1"):
+        again = runs.announced("twin", "tcp/127.0.0.1:2")
+        with pytest.raises(BadInput, match="a run of that name is going on"), again:
+            pass
+        assert runs.running() == {"twin": "tcp/127.0.0.1:1"}
+    assert runs.running() == {}
+    with runs.announced("twin", "tcp/127.0.0.1:2"):
+        assert runs.running() == {"twin": "tcp/127.0.0.1:2"}
+
+
+def test_the_note_of_a_killed_run_is_not_believed_for_its_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That is another process's by now: here this one's, which runs nothing."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    note = runs.folder() / "dead.json"
+    note.write_text(json.dumps({"endpoint": "tcp/127.0.0.1:1", "pid": os.getpid()}))
+    assert runs.running() == {}
+    assert not note.exists()
+
+
+def test_a_folder_for_notes_that_cannot_be_made_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "nuno").write_text("in the way")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(BadInput, match="no folder for running runs"), runs.announced("a", "tcp/127.0.0.1:1"):
         pass

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from nuno.recording.reader import END, Recording
 from nuno.recording.recorded import Recorded
+from nuno.words import counted
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def shortcoming(recording: Recording) -> str:
     """Why a recording is not complete, in one line for a person; empty where it is."""
     if recording.complete:
         return ""
-    lost = ", ".join(f"{number:,} of {topic}" for topic, number in missing(recording).items())
+    lost = counted(missing(recording))
     if recording.recovered:
         seen = f"cut short at {recording.span[1]:g} s, and read up to its last whole chunk"
     elif recording.metadata.get(END, {}).get("state") == "recovered":

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 LOGGER = logging.getLogger("nuno.run")
 LOGGER.addHandler(logging.NullHandler())
 SUFFIX = ".log.jsonl"
+READY = "all services are ready"
 LEVELS = {"error": logging.ERROR, "warning": logging.WARNING}
 
 
@@ -85,6 +86,41 @@ def note_end(run: str, outcome: Outcome) -> None:
     note(run, f"end: {outcome.state}", facts | frame | {"seconds": outcome.seconds}, level)
 
 
+class _File(logging.FileHandler):
+    """A run's log, under its own name once the services are ready: a run that is refused leaves what is there."""
+
+    def __init__(self, target: Path, run: str) -> None:
+        self.target = self.fresh = target.resolve()
+        if self.target.is_file() or not self.target.exists():
+            self.fresh = self.target.with_name(f".{self.target.name}.{run}")
+        self._broken = False
+        super().__init__(self.fresh, "w", "utf-8")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See logging.Handler."""
+        super().emit(record)
+        if record.getMessage() == READY:
+            self.settle()
+
+    def settle(self) -> None:
+        """Take the place of an earlier run's."""
+        with contextlib.suppress(OSError):  # its folder may have been removed
+            self.fresh.replace(self.target)
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        """Say once that what happens is no longer kept; the run needs its recording, not its log."""
+        error = sys.exception()
+        if self._broken or not isinstance(error, OSError):
+            return
+        self._broken = True
+        sys.stderr.write(f"{self.target} is not whole: {error.strerror}\n")
+
+    def close(self) -> None:
+        """See logging.Handler; what could not be written cannot be written now, either."""
+        with contextlib.suppress(OSError):
+            super().close()
+
+
 @contextlib.contextmanager
 def written(run: str, target: Path | None) -> Iterator[None]:
     """Write a run's records to a file, - for standard output, None for nowhere.
@@ -96,7 +132,7 @@ def written(run: str, target: Path | None) -> Iterator[None]:
         return
     handler: logging.Handler
     try:
-        handler = logging.StreamHandler(sys.stdout) if str(target) == "-" else logging.FileHandler(target, "w", "utf-8")
+        handler = logging.StreamHandler(sys.stdout) if str(target) == "-" else _File(target, run)
     except OSError as error:
         remedy = "choose a folder that exists and can be written"
         raise BadInput(f"cannot write there: {error.strerror}", "--log", value=str(target), remedy=remedy) from None
@@ -108,10 +144,12 @@ def written(run: str, target: Path | None) -> Iterator[None]:
     try:
         yield
     except BadInput:
-        if str(target) != "-":
-            target.unlink(missing_ok=True)
+        if isinstance(handler, _File) and handler.fresh != handler.target:
+            handler.fresh.unlink(missing_ok=True)
         raise
     finally:
         LOGGER.removeHandler(handler)
         LOGGER.setLevel(level)
         handler.close()
+        if isinstance(handler, _File):
+            handler.settle()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 import re
@@ -10,12 +11,14 @@ import secrets
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from io import FileIO
 from pathlib import Path
 
-import psutil
-
 from nuno_schemas.errors import BadInput, nearest
+
+ATTEMPTS, LOOK_SECONDS = 10, 0.01
+"""How often a run tries to hold its note: whoever looks which runs go on may hold it for a moment."""
 
 
 def new_id(scene: str) -> str:
@@ -50,14 +53,18 @@ def record_path(folder: Path, run: str) -> Path:
 
 
 def folder() -> Path:
-    """Where runs are noted: readable by this user only."""
+    """Where runs are noted: readable by this user only. Raises BadInput where there is none."""
     base = os.environ.get("XDG_RUNTIME_DIR")
-    path = (
-        Path(base) / "nuno"
-        if base and os.access(base, os.W_OK)
-        else Path(tempfile.gettempdir()) / f"nuno-{os.getuid()}"
-    )
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        path = (
+            Path(base) / "nuno"
+            if base and os.access(base, os.W_OK)
+            else Path(tempfile.gettempdir()) / f"nuno-{os.getuid()}"
+        )
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"there is no folder for running runs: {error.strerror}"
+        raise BadInput(problem, remedy="name one that can be written in XDG_RUNTIME_DIR") from None
     state = path.lstat()
     if path.is_symlink() or state.st_uid != os.getuid() or state.st_mode & 0o077:
         raise BadInput("the folder for running runs is not this user's alone", value=str(path), remedy="remove it")
@@ -66,30 +73,73 @@ def folder() -> Path:
 
 @contextmanager
 def announced(run: str, endpoint: str, scene: Path | None = None) -> Iterator[None]:
-    """Note a run while it goes on, and the file of its scene where that is the user's."""
-    path = folder() / f"{run}.json"
+    """Note a run while it goes on, and the file of its scene where that is the user's.
+
+    The note is locked meanwhile. Its process's number would not do: once that has been killed, it may be another's.
+    Raises BadInput where a run of that name goes on, or the note cannot be written.
+    """
     note: dict[str, object] = {"endpoint": endpoint, "pid": os.getpid()}
-    path.write_text(json.dumps(note | ({"scene": str(scene.resolve())} if scene is not None else {})))
+    if scene is not None:
+        note["scene"] = str(scene.resolve())
+    path = folder() / f"{run}.json"
+    with _hold(path, json.dumps(note)):
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _hold(path: Path, text: str) -> FileIO:
+    """A run's note, written and held by this process alone. Raises BadInput."""
     try:
-        yield
-    finally:
+        stream = _lock(path)
+        stream.truncate(0)
+        stream.write(text.encode())
+    except OSError as error:
+        remedy = "make room there, or name another folder in XDG_RUNTIME_DIR"
+        raise BadInput(f"the run cannot be noted: {error.strerror}", value=str(path), remedy=remedy) from None
+    return stream
+
+
+def _lock(path: Path) -> FileIO:
+    """The note of a run that begins, held by this process alone. Raises BadInput where another run holds it."""
+    for _ in range(ATTEMPTS):
+        stream = path.open("ab", buffering=0)
+        with suppress(BlockingIOError, FileNotFoundError):
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # In between it may have been taken for a dead run's and removed.
+            if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                return stream
+        stream.close()
+        time.sleep(LOOK_SECONDS)
+    remedy = "wait for its end, or give this one another name with --run"
+    raise BadInput("a run of that name is going on", field="--run", value=path.stem, remedy=remedy)
+
+
+def _holds(path: Path) -> bool:
+    """Whether the run of a note goes on; the note of a dead one is removed."""
+    with path.open() as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
         path.unlink(missing_ok=True)
+    return False
 
 
 def running() -> dict[str, str]:
     """Run id -> endpoint of the runs that are alive, oldest first; notes of dead ones are removed."""
     found = {}
-    notes = [(path.stat().st_mtime_ns, path) for path in folder().glob("*.json")]
+    notes = []
+    for path in folder().glob("*.json"):
+        with suppress(FileNotFoundError):
+            notes.append((path.stat().st_mtime_ns, path))
     for _, path in sorted(notes):
         try:
-            note = json.loads(path.read_text())
-            pid, endpoint = int(note["pid"]), str(note["endpoint"])
+            if _holds(path):
+                found[path.stem] = str(json.loads(path.read_text())["endpoint"])
         except (OSError, ValueError, KeyError, TypeError):
             continue
-        if psutil.pid_exists(pid):
-            found[path.stem] = endpoint
-        else:
-            path.unlink(missing_ok=True)
     return found
 
 

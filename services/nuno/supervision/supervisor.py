@@ -17,6 +17,7 @@ from nuno.supervision.oversight import COMPILE_TIMEOUT, Progress, Supervisor
 from nuno.supervision.plan import Plan, make_plan
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import cut_off, hub_at, identity, spoke
+from nuno.words import counted
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONTROL_TIMEOUT, ADD_TIMEOUT = 10.0, 120.0
@@ -82,14 +83,16 @@ def supervise(
         if deployment.connect:
             endpoint = deployment.connect
             own = identity(run, SUPERVISOR)
+            # First, for a second session of its identity would end that of a run of the same name.
+            stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
             session = stack.enter_context(spoke(endpoint, deployment.config, CONNECT_PATIENCE, own))
         else:
             trusted = [identity(run, name) for name in plan.services if name != "viewer" or name in plan.must_see]
             session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config, trusted))
+            stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
         log.note_start(run, loaded, plan.services)
         supervisor = Supervisor(loaded, options, plan, session, run)
         supervisor.paused = deployment.paused
-        stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
         if deployment.connect:
             supervisor.cut_off = partial(cut_off, session, endpoint)
         else:
@@ -109,7 +112,7 @@ def _conduct(
     try:
         supervisor.wait_until_ready(progress)
         ready = time.perf_counter()
-        log.note(supervisor.run, "all services are ready", {"seconds": ready - began})
+        log.note(supervisor.run, log.READY, {"seconds": ready - began})
         error = supervisor.follow(progress)
     except BadInput:
         supervisor.finish("refused", lambda answers: {}, discard=True)
@@ -132,14 +135,24 @@ def _conduct(
 
     answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {}, progress=progress)
     result = outcome(answers)
-    lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.needed]
-    if supervisor.options.save is not None:
-        words = f"{supervisor.options.save} is not whole"
-        lost += [f"{words}: the {name} service died: {why}" for name, why in supervisor.without.items()]
+    lost = _lost(supervisor, answers)
     if not result.error and lost:
         result.state, result.error = "failed", "; ".join(lost)
     log.note_end(supervisor.run, result)
     return result
+
+
+def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[str]:
+    """Why a run that came to its end has failed all the same: what was asked for is not whole."""
+    lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.needed]
+    kept = {"recorder": supervisor.options.record, "viewer": supervisor.options.save}
+    for name, path in kept.items():
+        if path is not None and (missing := answers.get(name, {}).get("missing")):
+            lost.append(f"{path} is not whole: it lacks {counted(missing)}")
+    if supervisor.options.save is not None:
+        words = f"{supervisor.options.save} is not whole"
+        lost += [f"{words}: the {name} service died: {why}" for name, why in supervisor.without.items()]
+    return lost
 
 
 def control(run: str, endpoint: str, request: dict[str, Any], config: str | None = None) -> dict[str, Any]:
