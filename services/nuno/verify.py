@@ -17,6 +17,8 @@ from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
 Progress = Callable[[float], None]
+MEMORY = "the solver's memory, "
+"""Of contact, friction, earlier steps: no part of a digest, and what all later frames depend on."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Difference:
     """The first value, in the order of the array, that is another one in the recording.
 
     frame      where it was seen: of what differs in a frame whose float64 state is not kept, a later one
-    quantity   position, velocity, mobile dye, fixed dye; or number of vertices
+    quantity   position, velocity, mobile dye, fixed dye, an array of the solver's memory; or number of values
     index      in words: vertex 3, axis y
     kept       where the recorded value is from: a checkpoint (float64), or what was published (float32)
     number     of values that differ, of `of`; farthest: the largest of their differences
@@ -88,6 +90,11 @@ class Again(ABC):
     @abstractmethod
     def change(self) -> None:
         """Make the changes of the present frame."""
+
+    @property
+    @abstractmethod
+    def changing(self) -> bool:
+        """Whether changes of the present frame are still to be made."""
 
     @abstractmethod
     def digest(self) -> str:
@@ -164,9 +171,12 @@ def _frames(recording: Recording, again: Again) -> Iterator[tuple[str, int, list
 def _first_difference(again: Again, digest: str, messages: list[Recorded]) -> Difference | None:
     """Of the state here from what is kept of the frame: of its float64 arrays, or else of what was published."""
     for message in (m for m in messages if m.topic == again.checkpoint):
-        of, arrays = again.kept(message)
+        of, theirs = again.kept(message)
+        ours = again.arrays()
+        if again.changing:  # it may be kept with its changes, which make the solver's memory anew
+            ours, theirs = ({n: a for n, a in kept.items() if not n.startswith(MEMORY)} for kept in (ours, theirs))
         # That of a change made after the frame is of another state.
-        if of == digest and (found := _compare(again, again.arrays(), arrays, "checkpoint")):
+        if of == digest and (found := _compare(again, ours, theirs, "checkpoint")):
             return found
     for message in (m for m in messages if m.topic == again.published):
         if found := _compare(again, *again.shown(message.payload), "published"):
@@ -175,22 +185,27 @@ def _first_difference(again: Again, digest: str, messages: list[Recorded]) -> Di
 
 
 def _compare(again: Again, ours: Arrays, theirs: Arrays, kept: str) -> Difference | None:
-    for quantity, recorded in theirs.items():
-        here = ours[quantity]
+    for quantity in {**theirs, **ours}:
+        here, recorded = (np.asarray(arrays.get(quantity, ()), np.float64) for arrays in (ours, theirs))
         if here.shape != recorded.shape:
-            axis = next((i for i in range(here.ndim) if here.shape[i] != recorded.shape[i]), 0)
-            sizes = float(here.shape[axis]), float(recorded.shape[axis])
-            return Difference(again.frame, f"number of values ({quantity})", f"axis {axis}", *sizes, kept, 1, 1, 0.0)
-        bits = [np.ascontiguousarray(array, np.float64).view(np.uint64) for array in (here, recorded)]
+            sizes = float(here.size), float(recorded.size)
+            shapes = f"here of shape {here.shape}, recorded {recorded.shape}"
+            return Difference(again.frame, f"number of values ({quantity})", shapes, *sizes, kept, 1, 1, 0.0)
+        bits = [np.ascontiguousarray(array).view(np.uint64) for array in (here, recorded)]
         differs = bits[0] != bits[1]  # a NaN is equal to itself, and 0.0 is not -0.0
         if differs.any():
             first = tuple(int(i) for i in np.unravel_index(int(np.argmax(differs)), differs.shape))
             with np.errstate(invalid="ignore"):
                 farthest = float(np.abs(here - recorded)[differs].max())
             values = float(here[first]), float(recorded[first])
-            index = again.name(quantity, first)
+            index = f"entry {first}" if quantity.startswith(MEMORY) else again.name(quantity, first)
             return Difference(again.frame, quantity, index, *values, kept, int(differs.sum()), differs.size, farthest)
     return None
+
+
+def remembered(memory: Arrays) -> Arrays:
+    """A solver's memory, by quantity."""
+    return {MEMORY + name: values for name, values in memory.items()}
 
 
 def _others(recording: Recording, loaded: Loaded) -> tuple[str, ...]:

@@ -95,6 +95,31 @@ def test_one_bit_of_a_checkpoint_is_named(
     assert "promised" not in said  # made here, by this version
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_what_the_solver_remembers_is_compared_though_no_digest_holds_it(
+    whole: Path, tmp_path: Path, kept: bool
+) -> None:
+    """Where the chain took hold of the ball: a run that goes on from there would end in other bits."""
+
+    def tamper(m: Recorded) -> bytes:
+        arrays, text = decode_arrays(m.payload) if m.topic == "sim/checkpoint" else ({}, {})
+        if text.get("frame") != 10:
+            return m.payload
+        anchor = arrays.pop("memory/anchor").copy()
+        anchor[0, 2, 4] += 0.5
+        return encode_arrays(arrays | ({"memory/anchor": anchor} if kept else {}), text)
+
+    found = found_in(altered(whole, tmp_path / "a.mcap", tamper))
+    value = found.difference
+    assert value is not None and (found.frame, found.compared, value.kept) == (10, 10, "checkpoint")
+    if kept:
+        assert (value.quantity, value.index) == ("the solver's memory, anchor", "entry (0, 2, 4)")
+        assert (value.number, value.of, value.recorded - value.here) == (1, 18, 0.5)
+    else:
+        assert value.quantity == "number of values (the solver's memory, anchor)"
+        assert (value.here, value.recorded) == (18.0, 0.0)
+
+
 def test_what_was_published_is_compared_too(whole: Path, tmp_path: Path) -> None:
     with nuno.open(whole) as recording:
         x = list(recording.frames())[3].x

@@ -11,7 +11,7 @@ from nuno.dye.run import DyeRun
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.scene.scene_file import Loaded
-from nuno.verify import Again
+from nuno.verify import Again, remembered
 from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS
 
@@ -53,24 +53,31 @@ class DyeAgain(Again):
             self.additions.remove(one)
             self.dyeing.add(one[1])
 
+    @property
+    def changing(self) -> bool:
+        """See `Again`."""
+        return any(frame == self.frame for frame, _ in self.additions)
+
     def digest(self) -> str:
         """See `Again`."""
         return self.dyeing.digest()
 
     def arrays(self) -> Arrays:
         """See `Again`."""
-        return {MOBILE: self.dyeing.state.phi, FIXED: self.dyeing.state.fixed}
+        amounts = {MOBILE: self.dyeing.state.phi, FIXED: self.dyeing.state.fixed}
+        return amounts | remembered(self.dyeing.memory.arrays)
 
     def shown(self, payload: bytes) -> tuple[Arrays, Arrays]:
         """See `Again`."""
-        ours = {name: amounts.astype(np.float32) for name, amounts in self.arrays().items()}
+        state = self.dyeing.state
+        ours = {name: amounts.astype(np.float32) for name, amounts in ((MOBILE, state.phi), (FIXED, state.fixed))}
         arrays, _ = decode_arrays(payload)
         return ours, {MOBILE: arrays["phi"], FIXED: arrays["fixed"]}
 
     def kept(self, message: Recorded) -> tuple[str, Arrays]:
         """See `Again`."""
         point = read_checkpoint(self._recording, message)
-        return point.digest, {MOBILE: point.phi, FIXED: point.fixed}
+        return point.digest, {MOBILE: point.phi, FIXED: point.fixed} | remembered(point.memory)
 
     def name(self, quantity: str, index: Sequence[int]) -> str:
         """See `Again`."""

@@ -10,7 +10,7 @@ from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import control_events
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.run import Simulation
-from nuno.verify import Again
+from nuno.verify import Again, remembered
 from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS
 
@@ -60,13 +60,19 @@ class ClothAgain(Again):
             elif event.service == "simulation":
                 self.simulation.add(item)
 
+    @property
+    def changing(self) -> bool:
+        """See `Again`."""
+        return any(event.frame == self.frame for event in self.changes)
+
     def digest(self) -> str:
         """See `Again`."""
         return self.simulation.digest()
 
     def arrays(self) -> Arrays:
         """See `Again`."""
-        return {"position": self.simulation.state.x, "velocity": self.simulation.state.v}
+        state = {"position": self.simulation.state.x, "velocity": self.simulation.state.v}
+        return state | remembered(self.simulation.memory.arrays)
 
     def shown(self, payload: bytes) -> tuple[Arrays, Arrays]:
         """See `Again`."""
@@ -76,7 +82,7 @@ class ClothAgain(Again):
     def kept(self, message: Recorded) -> tuple[str, Arrays]:
         """See `Again`."""
         point = self._recording.checkpoint(message)
-        return point.digest, {"position": point.x, "velocity": point.v}
+        return point.digest, {"position": point.x, "velocity": point.v} | remembered(point.memory)
 
     def name(self, quantity: str, index: Sequence[int]) -> str:
         """See `Again`."""
