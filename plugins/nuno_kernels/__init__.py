@@ -20,9 +20,11 @@ import numba
 import numpy as np
 from numba.extending import register_jitable
 
+from nuno_kernels.kept import keep
+
 F = TypeVar("F", bound=Callable[..., Any])
 
-FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+FLAGS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """No fastmath: NaN must stay visible, and sums must not be reordered. No wrapper for callers in C: there are none,
 and to unpack the arrays of a scene in it takes a seventh of the compilation."""
 
@@ -53,7 +55,7 @@ def cache_is_cold() -> bool:
 
 def kernel(function: F) -> F:
     """Compile `function` with the flags that all kernels share."""
-    return cast(F, numba.njit(**FLAGS)(function))
+    return cast(F, keep(numba.njit(**FLAGS)(function), CACHE))
 
 
 def inlined(function: F) -> F:
@@ -63,12 +65,12 @@ def inlined(function: F) -> F:
     about as much as the function itself. For functions without optional arguments: numba prunes
     the branches of a None before it inlines.
     """
-    return cast(F, numba.njit(inline="always", **FLAGS)(function))
+    return cast(F, keep(numba.njit(inline="always", **FLAGS)(function), CACHE))
 
 
 def parallel_kernel(function: F) -> F:
     """Compile `function` so that its `prange` loops run on several threads."""
-    return cast(F, numba.njit(parallel=True, **FLAGS)(function))
+    return cast(F, keep(numba.njit(parallel=True, **FLAGS)(function), CACHE))
 
 
 def shared_source(function: F) -> F:

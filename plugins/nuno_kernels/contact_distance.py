@@ -30,7 +30,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels import FLAGS, kernel
+from nuno_kernels import CACHE, FLAGS, kernel
+from nuno_kernels.kept import keep
 from nuno_kernels.simd import WIDTH, load, read, splat
 from nuno_kernels.simd_choose import any_below, higher, lane, lower
 from nuno_schemas.fabric import Float
@@ -45,7 +46,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def inlined(function: F) -> F:
     """As `kernel`, for functions called per vertex: a call would pass every array's shape and strides."""
-    return cast(F, numba.njit(forceinline=True, **FLAGS)(function))
+    return cast(F, keep(numba.njit(forceinline=True, **FLAGS)(function), CACHE))
 
 
 CAPSULE, PLANE, BOX, FIELD = 0, 1, 2, 4

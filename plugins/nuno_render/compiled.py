@@ -18,6 +18,7 @@ import llvmlite
 import numba
 
 import nuno_kernels
+from nuno_kernels.kept import keep
 
 SHARED = ("simd.py", "simd_choose.py")
 """What is compiled of nuno_kernels."""
@@ -50,6 +51,7 @@ def _compile(function: Callable[..., Any], **flags: str) -> Any:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(CACHE)
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **flags)(function)
+        compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **flags)(function)
+        return keep(compiled, CACHE)
     finally:
         numba.config.CACHE_DIR = before

@@ -1,0 +1,92 @@
+"""Compiled kernels kept between runs: checked when they are read, and done without where that is not to be had.
+
+By itself numba fails a run for good where one of its files was cut short (a power cut, a full disk), fails it where one
+cannot be written, and where the folder cannot be made turns to others, in which kernels go stale.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import logging
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+LOGGER = logging.getLogger("nuno.kernels")
+CHECKSUM = 16
+"""Bytes of it, at the end of each file."""
+
+
+class _Files(IndexDataCacheFile):  # type: ignore[misc]
+    """One kernel's index and machine code, each with a checksum behind it; one that is damaged is as good as none."""
+
+    @contextlib.contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        with super()._open_for_write(filepath) as stream:
+            stream.write(content.getvalue() + _checksum(content.getvalue()))
+
+    def _load_index(self) -> dict[Any, str]:
+        found: dict[Any, str] = super()._load_index() if _is_whole(self._index_path) else {}
+        return found
+
+    def _load_data(self, name: str) -> Any:
+        return super()._load_data(name) if _is_whole(self._data_path(name)) else None
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """The signatures of one kernel."""
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _Files(self._cache_path, self._impl.filename_base, stamp)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """See numba; a kernel that cannot be kept is compiled again by the next run."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _say(self._cache_path, str(error.strerror))
+
+
+def keep(dispatcher: Any, folder: Path) -> Any:
+    """The same compiled function, kept in numba's present folder, which is `folder`."""
+    if _can_be_written(folder):
+        dispatcher._cache = _Cache(dispatcher.py_func)
+    return dispatcher
+
+
+@cache
+def _can_be_written(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        _say(str(folder), str(error.strerror))
+        return False
+    return True
+
+
+@cache
+def _say(folder: str, why: str) -> None:
+    LOGGER.warning("compiled kernels cannot be kept in %s (%s): each run compiles them again", folder, why)
+
+
+def _is_whole(path: str) -> bool:
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        return False
+    return content[-CHECKSUM:] == _checksum(content[:-CHECKSUM])
+
+
+def _checksum(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=CHECKSUM).digest()
