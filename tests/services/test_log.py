@@ -14,6 +14,7 @@ import nuno
 from nuno.cli import main
 from nuno.recording.writer import part_of
 from nuno.supervision import log
+from nuno.wire.bus import Bus
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -54,6 +55,26 @@ def test_control_and_failure_are_told(tmp_path: Path) -> None:
     assert main(["run", str(scene), "--no-record", "--no-view", "--log", str(path)]) == 1
     end = read(path)[-1]
     assert end["level"] == "error" and "diverged" in end["fields"]["reason"]
+
+
+def test_a_run_interrupted_as_it_ends_keeps_what_it_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Here before the recorder is asked to close its file."""
+    real = Bus.ask_json
+
+    def ask(self: Bus, name: str, *rest: Any) -> dict[str, Any]:
+        if name == "finish/recorder":
+            raise KeyboardInterrupt
+        return real(self, name, *rest)
+
+    monkeypatch.setattr(Bus, "ask_json", ask)
+    record = tmp_path / "a.mcap"
+    assert main(["run", str(write_scene(tmp_path)), "--record", str(record), "--no-view"]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
+    assert read(tmp_path / "a.log.jsonl")[-1]["fields"]["reason"] == "interrupted while its services ended"
+    with nuno.open(record) as recording:
+        assert not recording.complete and sum(1 for _ in recording.frames()) == 26
 
 
 def test_a_refused_run_leaves_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import zenoh
 from scenes import write_scene
 
 import nuno
@@ -48,6 +49,22 @@ def test_a_port_is_not_looked_for_for_ever(taken: int, monkeypatch: pytest.Monke
 def test_a_port_that_was_asked_for_is_taken_or_not(taken: int) -> None:
     with pytest.raises(PortTaken, match="another program listens there"), hub_at(f"tcp/127.0.0.1:{taken}"):
         pass
+
+
+def test_without_room_for_shared_memory_a_session_does_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container whose /dev/shm is full; the words are zenoh's."""
+    real, configs = zenoh.open, []
+
+    def refuse(config: zenoh.Config) -> zenoh.Session:
+        configs.append(config.get_json("transport/shared_memory/enabled"))
+        if configs[-1] == "true":
+            raise zenoh.ZError("Unable to create POSIX shm segment: OS error 12 at /zenoh/shm.rs:1.")
+        return real(config)
+
+    monkeypatch.setattr(zenoh, "open", refuse)
+    with hub_at(None) as (_, endpoint), sessions.spoke(endpoint) as session:
+        assert list(session.info.routers_zid())
+    assert configs == ["true", "false", "true", "false"]
 
 
 def test_a_name_is_one_runs_alone_while_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ from nuno.cli.progress import ProgressLine
 from nuno.process import ending_at_once
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import check_unfinished, restored_scene
+from nuno.recording.writer import part_of
 from nuno.report import make_report, show_report
 from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
@@ -150,6 +151,17 @@ def _keep_page(options: Options, outcome: supervisor.Outcome) -> None:
         keep_page(int(pid))
 
 
+def _name_files(options: Options, outcome: supervisor.Outcome) -> None:
+    """Say which files the run has left: not one of that name from before."""
+    kept = {name: answer["file"] for name, answer in outcome.services.items() if "file" in answer}
+    if "recorder" in kept:
+        print(f"recording  {kept['recorder']}")
+    elif options.record is not None and (part := part_of(options.record)).exists():
+        print(f"recording  {part}, which was not finished")
+    if "viewer" in kept:
+        print(f"rerun file {kept['viewer']}  (look: rerun {kept['viewer']})")
+
+
 def _draw(loaded: Loaded, recording: Path, target: Path) -> None:
     if not loaded.scene.moves:
         from nuno.export.dyed_pictures import export_dyed_picture
@@ -170,10 +182,7 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         )
     report = make_report(loaded, outcome)
     show_report(report, sys.stdout)
-    if options.record is not None:
-        print(f"recording  {options.record}")
-    if options.save is not None:
-        print(f"rerun file {options.save}  (look: rerun {options.save})")
+    _name_files(options, outcome)
     if picture and outcome.state in ("done", "stopped") and options.record is not None and options.record.exists():
         target = options.record.with_suffix(".png")
         _draw(loaded, options.record, target)

@@ -86,6 +86,11 @@ def note_end(run: str, outcome: Outcome) -> None:
     note(run, f"end: {outcome.state}", facts | frame | {"seconds": outcome.seconds}, level)
 
 
+def note_failure(run: str, reason: str) -> None:
+    """That it ended before there was an outcome."""
+    note(run, "end: failed", {"state": "failed", "reason": reason}, logging.ERROR)
+
+
 class _File(logging.FileHandler):
     """A run's log, under its own name once the services are ready: a run that is refused leaves what is there."""
 

@@ -133,7 +133,13 @@ def _conduct(
         seconds = {"prepare": ready - began, "run": ended - ready}
         return Outcome(supervisor.run, state, error, supervisor.plan, summary, answers, seconds)
 
-    answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {}, progress=progress)
+    try:
+        answers = supervisor.finish(
+            error, lambda answers: report(outcome(answers)) if report else {}, progress=progress
+        )
+    except KeyboardInterrupt:
+        log.note_failure(supervisor.run, "interrupted while its services ended")
+        raise
     result = outcome(answers)
     lost = _lost(supervisor, answers)
     if not result.error and lost:

@@ -97,7 +97,7 @@ def hub(endpoint: str, extra: str | None = None, trusted: Sequence[str] | None =
     if trusted is not None:
         config.insert_json5("qos/network", json.dumps(json.loads(config.get_json("qos/network")) + _favour(trusted)))
     try:
-        session = zenoh.open(config)
+        session = _open(config)
     except zenoh.ZError as error:
         if "in use" in str(error):
             remedy = "choose another port, or leave --listen out for a free one"
@@ -135,7 +135,7 @@ def spoke(
         config.insert_json5("id", json.dumps(own))
     config.insert_json5("connect/timeout_ms", json.dumps(round(1000 * patience)))
     try:
-        session = zenoh.open(config)
+        session = _open(config)
     except zenoh.ZError as error:
         raise BadInput(
             f"nothing answers there: {_short(error)}",
@@ -144,6 +144,17 @@ def spoke(
         ) from None
     with _closing(session):
         yield session
+
+
+def _open(config: zenoh.Config) -> zenoh.Session:
+    """A session; without shared memory where the system has no room for it (/dev/shm), only slower."""
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        if "shm" not in str(error).lower():
+            raise
+    config.insert_json5("transport/shared_memory/enabled", "false")
+    return zenoh.open(config)
 
 
 @contextmanager
