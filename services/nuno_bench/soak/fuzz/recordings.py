@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import nuno
+from nuno.dye.checkpoint import read_checkpoints
 from nuno.export.cloth import read_bodies, read_pieces
 from nuno.recording.reader import Recording
 from nuno.recording.recover import recover
@@ -102,6 +103,7 @@ PARTS: tuple[Any, ...] = (
     _frames,
     lambda recording: recording.series(),
     lambda recording: list(recording.checkpoints()),
+    lambda recording: list(read_checkpoints(recording)),
     lambda recording: recording.common_checkpoint(),
     lambda recording: (recording.report(), recording.poses(), recording.geometry()),
     lambda recording: None if recording.dyed_alone else read_pieces(recording),
