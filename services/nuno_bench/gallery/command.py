@@ -62,7 +62,7 @@ def _choose(kind: Kind[Any], wanted: str | None) -> list[Path]:
 def _said(kind: Kind[Any], one: Shown[Any]) -> str:
     """A scene's numbers in a line, or why it failed."""
     told = ", ".join(f"{h} {v}" for h, v in zip(kind.numbers.headings[1:], one.numbers[1:], strict=True) if v)
-    return f"failed: {one.failed}" if one.failed else told
+    return f"failed: {one.failed}" if one.failed else told or "drawn"
 
 
 def _render(kind: Kind[Any], shown: list[Shown[Any]], found: list[list[str]], about: dict[str, str]) -> str:
@@ -72,16 +72,17 @@ def _render(kind: Kind[Any], shown: list[Shown[Any]], found: list[list[str]], ab
         for heading in headings
     ]
     if lost := [[one.name, f"failed, {one.failed}"] for one in shown if one.failed]:
-        told = "What these show is where they got to; what must show is not asked of them."
-        sections.append(("Failed", [page.Table(("scene", "why"), lost, told)]))
+        where = "What these show is where they got to; what must show is not asked of them."
+        sections.append(("Failed", [page.Table(("scene", "why"), lost, where)]))
     if found:
         sections.append(("What must show", [page.Table(DIFFERENCE_HEADINGS, found, kind.differences)]))
     parameters = [
         page.Table(columns.headings, [one.parameters[table] for one in shown], columns.caption)
         for table, columns in enumerate(kind.parameters)
     ]
-    numbers = page.Table(kind.numbers.headings, [one.numbers for one in shown], kind.numbers.caption)
-    sections += [("Parameters", [*parameters]), ("Runs", [numbers, page.Facts(about)])]
+    told = [one.numbers for one in shown if any(one.numbers[1:])]
+    numbers = [page.Table(kind.numbers.headings, told, kind.numbers.caption)] if told else []
+    sections += [("Parameters", [*parameters]), ("Runs", [*numbers, page.Facts(about)])]
     return page.render(kind.title, kind.lead, sections)
 
 
