@@ -93,7 +93,7 @@ def test_short_runs_are_repeated_more_often(found: Findings) -> None:
 
 def test_adaptive_errors_follow_the_tolerance(tmp_path: Path) -> None:
     """Over a hundredfold they fall a hundredfold, give or take a few, where a frame holds several steps."""
-    found = swept(write_net(tmp_path, frame_rate=5, duration=4), "--solvers", "dopri5,dop853")
+    found = swept(write_net(tmp_path, frame_rate=5, duration=2), "--solvers", "dopri5,dop853")
     for solver in ("dopri5", "dop853"):
         points = sorted(points_of(found, solver), key=lambda point: -point.finer)
         assert [point.setting for point in points] == [f"tolerance 1e-{i:02}" for i in range(3, 10)]

@@ -21,11 +21,13 @@ from nuno_bench.precision.findings import choice_rows, judge
 from nuno_bench.precision.page import Findings
 from nuno_bench.precision.point import Point
 
+SOLVERS = "rk4,leapfrog,tr_bdf2"
+
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
-    """The line's whole sweep."""
-    return swept(write_net(tmp_path_factory.mktemp("line")))
+    """The line's sweep by three solvers; all of them are swept where orders are tested."""
+    return swept(write_net(tmp_path_factory.mktemp("line")), "--solvers", SOLVERS)
 
 
 def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, found: Findings) -> None:
