@@ -18,7 +18,7 @@ from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import System
 
 GRAVITY = 9.81
-NUMBERS = (24, 32, 96, 128)
+NUMBERS = (24, 32, 128)
 """Vertices along each side of the sheets that are compared."""
 
 

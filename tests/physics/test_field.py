@@ -125,7 +125,7 @@ def test_a_leaky_ring_has_the_signs_of_the_exact_solid_angles() -> None:
     """Groups that are far count as dipoles: signs differ from the exact winding number's only beside one half."""
     x, faces = meshes.torus(40, 24)
     faces = np.delete(faces, np.s_[::9], axis=0)
-    p = places(x, faces, 0.5, 3000)
+    p = places(x, faces, 0.5, 1000)
     found = Exact(build_tree(x, faces), closed=False).measure(p)[:, 0] < 0.0
     exact = meshes.winding_number(p, x, faces)
     clear = np.abs(exact - 0.5) > 0.05

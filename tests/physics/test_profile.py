@@ -14,7 +14,6 @@ from nuno_cloth.skirt import Skirt
 from nuno_cloth.wind import Wind, WindConfig
 from nuno_contact.penalty import Penalty
 from nuno_integrators.leapfrog import Leapfrog
-from nuno_integrators.rk4 import RK4
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_integrators.xpbd import XPBD
 from nuno_kernels.packing import PARTS
@@ -47,7 +46,7 @@ def moved(plugin: Any, system: System) -> tuple[State, Memory]:
     return state, memory
 
 
-@pytest.mark.parametrize("plugin", [SymplecticEuler(), Leapfrog(), RK4(), XPBD()], ids=lambda p: p.name)
+@pytest.mark.parametrize("plugin", [SymplecticEuler(), Leapfrog(), XPBD()], ids=lambda p: p.name)
 def test_a_profile_changes_nothing(plugin: Any) -> None:
     """Not the state, not the friction anchors, and not one bit of what follows."""
     system = worn_skirt()
