@@ -111,7 +111,8 @@ def reads_velocity(packed: Packed) -> bool:
     """
     springs = (packed.runs, packed.lists)
     damped = any(part is not None and part.damped is not None and part.constants[2].any() for part in springs)
-    damped |= packed.yarns is not None and packed.yarns.damped is not None
+    yarns = packed.yarns
+    damped |= yarns is not None and yarns.damped is not None and bool(yarns.constants[[2, 5]].any())
     moved = packed.contact is not None or packed.slides is not None
     return damped or moved or packed.damping != 0.0 or packed.air is not None
 

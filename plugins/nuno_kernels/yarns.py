@@ -23,7 +23,7 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import provide
-from nuno_kernels.blocks import BLOCK, Long, block_count, local_targets, owned_copies, pad_lists
+from nuno_kernels.blocks import BLOCK, Long, block_count, is_small, local_targets, owned_copies, pad_lists
 from nuno_kernels.simd import WIDTH, add_at, gather, load, root
 from nuno_kernels.simd_choose import where_not_zero
 from nuno_kernels.spring_packing import spring_constants
@@ -39,7 +39,7 @@ class YarnLists(NamedTuple):
     corners   (6, p) int32         vertices i, j, l, then their columns in the block's forces
     constants (6, p) float64       mu k [N/m], rest [m], mu c [N s/m] of link i-j, then of link j-l; where any locks,
                                    (10, p) with what mu k grows by and the length from which it does, of either
-    damped    True where any mu c is not 0, else None
+    damped    True where any mu c is not 0 or the links are few, else None
     locks     True where any locks, else None
     """
 
@@ -153,5 +153,5 @@ def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | Non
             # Of k, rest, c and, where springs lock, what k grows by and from which length, lengths are not shared.
             at = 3 * link + row if row < 3 else 3 + 2 * link + row
             constants[at, filled] = own if row in (1, 4) else mu[pair] * own
-    damped = True if constants[[2, 5]].any() else None
+    damped = True if is_small(springs.number) or constants[[2, 5]].any() else None
     return YarnLists(start, table, constants, damped, True if len(named) > 3 else None)

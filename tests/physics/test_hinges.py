@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
-from nets import accelerations, find_hinges, make_fabric, make_hinges, make_system, run, start, triangulate
+from nets import accelerations, find_hinges, make_fabric, make_hinges, make_system, triangulate
 
-from nuno_integrators.leapfrog import Leapfrog
 from nuno_kernels.blocks import BLOCK
 from nuno_kernels.energy import measure_energy
 from nuno_kernels.hinges import hinge_angles
@@ -147,18 +145,3 @@ def test_stiffness_never_exceeds_k() -> None:
             stored.append(energy(system, x))
         second = (stored[0] - 2 * stored[1] + stored[2]) / h**2
         assert abs(second - k * np.cos(angle - 0.4)) < 1e-6
-
-
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
-def test_equal_bytes_for_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nuno_kernels.packing.PARALLEL_FROM", 0)
-    x, hinges = crumpled(100, 100, 1e-3, 5)
-    fabric = make_fabric(x, hinges=hinges, mass=1.0)
-    ends = []
-    for threads in (1, 2):
-        system = make_system(fabric, threads=threads)
-        state = start(system)
-        run(Leapfrog(), system, state, 5, 1e-3)
-        ends.append(state.x.tobytes() + state.v.tobytes())
-    assert ends[0] == ends[1]
-    assert np.abs(start(make_system(fabric)).x).any()

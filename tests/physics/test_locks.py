@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nets import accelerations, make_fabric, make_system, random_net, run, start
-from yarn_nets import chains, reference
+from nets import accelerations, make_fabric, make_system, random_net, start
+from yarn_nets import chains, locking, reference
 
-from nuno_integrators.adaptive import Dop853, Dopri5
+from nuno_integrators.adaptive import Dop853
 from nuno_integrators.implicit import TRBDF2, ImplicitEuler
-from nuno_integrators.leapfrog import Leapfrog
-from nuno_integrators.rk4 import RK4
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_integrators.xpbd import XPBD
 from nuno_kernels.acceleration import evaluate
@@ -28,15 +26,6 @@ from nuno_schemas.fabric import Fabric, Float, Springs
 from nuno_schemas.plugin import System
 
 K, K_LOCK, LOCK, REST, MASS, G = 5.0, 80.0, 0.3, 0.4, 0.2, 10.0
-
-
-def locking(fabric: Fabric, seed: int = 0) -> Fabric:
-    """With locks from 5 to 30 % on, three times as stiff at most."""
-    assert fabric.springs is not None
-    rng, n = np.random.default_rng(seed), fabric.springs.number
-    k = fabric.springs.per_spring(fabric.springs.k)
-    springs = replace(fabric.springs, lock=rng.uniform(0.05, 0.3, n), k_lock=k * rng.uniform(1.0, 3.0, n))
-    return replace(fabric, springs=springs)
 
 
 def hanging(load: float = G, damping: float = 10.0) -> System:
@@ -58,9 +47,7 @@ def test_the_force_is_the_two_lines(load: float) -> None:
     assert np.abs(accelerations(system, x, 0.0 * x)).max() < 1e-13 * load
 
 
-@pytest.mark.parametrize(
-    "plugin", [SymplecticEuler(), Leapfrog(), RK4(), Dopri5(), ImplicitEuler(), TRBDF2()], ids=lambda p: p.name
-)
+@pytest.mark.parametrize("plugin", [SymplecticEuler(), ImplicitEuler(), TRBDF2()], ids=lambda p: p.name)
 def test_a_loaded_yarn_comes_to_the_closed_forms_rest(plugin: Any) -> None:
     system = hanging()
     state = start(system)
@@ -181,14 +168,3 @@ def test_xpbd_refuses_locks_by_name() -> None:
     with pytest.raises(BadInput, match="lock") as caught:
         XPBD().prepare(XPBD.Config(), hanging(), start(hanging()))
     assert caught.value.field == "solver.plugin"
-
-
-def test_equal_bits_on_several_threads() -> None:
-    fabric = locking(chains(2 * BLOCK + 100, 300, 5, c=0.2))
-    states = []
-    for threads in (1, 2):
-        system = make_system(fabric, threads=threads)
-        state = start(system)
-        run(SymplecticEuler(), system, state, 10, 1e-3)
-        states.append(state.x.tobytes())
-    assert states[0] == states[1]

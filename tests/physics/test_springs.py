@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from nets import (
@@ -194,33 +193,18 @@ def test_not_a_number_stays_visible() -> None:
     assert "vertex" in report.message
 
 
-def result(fabric: Fabric, threads: int) -> State:
-    system = make_system(fabric, np.array([0.0, -9.81, 0.0]), 0.1, threads=threads)
+def result(fabric: Fabric) -> State:
+    system = make_system(fabric, np.array([0.0, -9.81, 0.0]), 0.1)
     state = start(system)
     run(SymplecticEuler(), system, state, 20, 1e-4, frames=2)
     return state
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
-@pytest.mark.parametrize("form", ["runs", "pairs"])
-def test_equal_bytes_for_one_and_two_threads(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nuno_kernels.packing.PARALLEL_FROM", 0)
-    position, springs = grid_springs(130, 100, 0.01, c=0.01)
-    if form == "pairs":
-        springs = as_pairs(springs, 2, 0.1)
-    fabric = make_fabric(shaken(position, 1e-3)[0], springs)
-    assert pack(make_system(fabric, threads=2)).threads == 2
-    one, two = result(fabric, 1), result(fabric, 2)
-    assert one.x.tobytes() == two.x.tobytes()
-    assert one.v.tobytes() == two.v.tobytes()
-    assert not np.array_equal(one.x, fabric.position)
-
-
 def test_runs_and_pairs_agree_to_rounding() -> None:
     position, springs = grid_springs(40, 50, 0.01, c=0.01)
     x = shaken(position, 1e-3)[0]
-    one = result(make_fabric(x, springs), 1)
-    two = result(make_fabric(x, as_pairs(springs, 4)), 1)
+    one = result(make_fabric(x, springs))
+    two = result(make_fabric(x, as_pairs(springs, 4)))
     assert np.abs(one.x - two.x).max() < 1e-13
 
 

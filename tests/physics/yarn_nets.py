@@ -42,6 +42,15 @@ def chains(points: int, yarns: int, seed: int, length: int = 12, c: float = 0.0,
     return replace(make_fabric(position, springs, mass=1.0), yarns=found)
 
 
+def locking(fabric: Fabric, seed: int = 0) -> Fabric:
+    """With locks from 5 to 30 % on, three times as stiff at most."""
+    assert fabric.springs is not None
+    rng, n = np.random.default_rng(seed), fabric.springs.number
+    k = fabric.springs.per_spring(fabric.springs.k)
+    springs = replace(fabric.springs, lock=rng.uniform(0.05, 0.3, n), k_lock=k * rng.uniform(1.0, 3.0, n))
+    return replace(fabric, springs=springs)
+
+
 def reference(fabric: Fabric, x: Float, v: Float) -> Float:
     """(n, 3) forces by the definition: every link by its own tension and its neighbours'."""
     assert fabric.springs is not None and fabric.yarns is not None
