@@ -89,7 +89,7 @@ class Context:
         counts: dict[str, Any] = {"sent": {name: p.sent for name, p in self.bus.publishers.items()}}
         counts["bus_seconds"] = sum(p.seconds for p in self.bus.publishers.values())
         if inbox is not None:
-            counts |= {name: dict(getattr(inbox.counts, name)) for name in ("received", "missing", "refused")}
+            counts |= inbox.counts.told()
         return counts
 
 

@@ -223,7 +223,7 @@ class Supervisor:
                 self.errors.setdefault(name, str(failure))
                 if name in self.dispensable:
                     self._miss(name, str(failure), progress)
-        answers[SUPERVISOR] = {"missing": dict(self.inbox.counts.missing), "refused": dict(self.inbox.counts.refused)}
+        answers[SUPERVISOR] = {name: self.inbox.counts.told()[name] for name in ("missing", "refused")}
         self.alive.undeclare()
         return answers
 

@@ -71,6 +71,10 @@ class Counts:
     missing: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     refused: dict[str, int] = field(default_factory=lambda: defaultdict(int))
 
+    def told(self) -> dict[str, dict[str, int]]:
+        """Each of them by its name, of those topics that have any."""
+        return {name: {topic: n for topic, n in counts.items() if n} for name, counts in vars(self).items()}
+
 
 class Inbox:
     """Messages of some topics, and questions, as they arrive; checked and counted.
