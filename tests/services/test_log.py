@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from nuno.cli import main
 from nuno.recording.writer import part_of
 from nuno.supervision import log
 from nuno.wire.bus import Bus
+from nuno_schemas.errors import BadInput
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -57,8 +59,9 @@ def test_control_and_failure_are_told(tmp_path: Path) -> None:
     assert end["level"] == "error" and "diverged" in end["fields"]["reason"]
 
 
+@pytest.mark.parametrize("how", [(), ("--processes",)], ids=["threads", "processes"])
 def test_a_run_interrupted_as_it_ends_keeps_what_it_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    how: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Here before the recorder is asked to close its file."""
     real = Bus.ask_json
@@ -70,7 +73,7 @@ def test_a_run_interrupted_as_it_ends_keeps_what_it_has(
 
     monkeypatch.setattr(Bus, "ask_json", ask)
     record = tmp_path / "a.mcap"
-    assert main(["run", str(write_scene(tmp_path)), "--record", str(record), "--no-view"]) == 1
+    assert main(["run", str(write_scene(tmp_path)), "--record", str(record), "--no-view", *how]) == 1
     assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
     assert read(tmp_path / "a.log.jsonl")[-1]["fields"]["reason"] == "interrupted while its services ended"
     with nuno.open(record) as recording:
@@ -95,6 +98,25 @@ def test_a_refused_run_leaves_the_log_of_another(tmp_path: Path) -> None:
     assert main(["run", str(scene), "--record", str(record), "--no-view"]) == 2
     assert kept.read_text() == "another's\n"
     assert sorted(path.name for path in tmp_path.glob("*a.*")) == ["a.log.jsonl", "a.mcap.part"]
+
+
+def test_a_refused_run_leaves_the_log_of_one_of_its_name_that_is_not_ready_yet(tmp_path: Path) -> None:
+    path = tmp_path / "a.log.jsonl"
+    with log.written("r", path):
+        log.note("r", "the first")
+        with pytest.raises(BadInput), log.written("r", path):
+            raise BadInput("a run of that name is going on")
+    assert [line["message"] for line in read(path)] == ["the first"]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_log_goes_into_a_pipe() -> None:
+    reading, writing = os.pipe()
+    with log.written("r", Path(f"/dev/fd/{writing}")):
+        log.note("r", "through")
+    os.close(writing)
+    with open(reading) as stream:
+        assert json.loads(stream.read())["message"] == "through"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

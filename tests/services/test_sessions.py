@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
-import os
 import socket
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -80,15 +82,34 @@ def test_a_name_is_one_runs_alone_while_it_goes_on(tmp_path: Path, monkeypatch: 
         assert runs.running() == {"twin": "tcp/127.0.0.1:2"}
 
 
-def test_the_note_of_a_killed_run_is_not_believed_for_its_number(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """That is another process's by now: here this one's, which runs nothing."""
+def test_the_note_of_a_killed_run_is_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     note = runs.folder() / "dead.json"
-    note.write_text(json.dumps({"endpoint": "tcp/127.0.0.1:1", "pid": os.getpid()}))
+    note.write_text(json.dumps({"endpoint": "tcp/127.0.0.1:1"}))
     assert runs.running() == {}
     assert not note.exists()
+
+
+def test_who_looks_removes_no_note_of_a_run_that_begins_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A dead run's note is opened; before it is locked another look removes it, and a run of that name begins."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    note = runs.folder() / "twin.json"
+    note.write_text(json.dumps({"endpoint": "tcp/127.0.0.1:1"}))
+    lock, begun = fcntl.flock, ExitStack()
+
+    def flock(stream: Any, how: int) -> None:
+        if how & fcntl.LOCK_SH:
+            monkeypatch.setattr(fcntl, "flock", lock)
+            note.unlink()
+            begun.enter_context(runs.announced("twin", "tcp/127.0.0.1:2"))
+        lock(stream, how)
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    runs.running()
+    with begun:
+        assert runs.running() == {"twin": "tcp/127.0.0.1:2"}
 
 
 def test_a_folder_for_notes_that_cannot_be_made_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import zenoh
 
@@ -64,16 +64,23 @@ def processes(
             command = serve_command(name, loaded, options, endpoint, run, config)
             children[name] = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
         yield lambda: {name: _exit(code) for name, child in children.items() if (code := child.poll()) is not None}
+    finally:
+        _end(list(children.values()))
+
+
+def _end(children: Sequence[subprocess.Popen[bytes]]) -> None:
+    """Wait until all have ended, the recorder with its file closed; kill what is left when their time is over."""
+    try:
         # Whoever was ready only after the run had failed has never seen a supervisor, and would wait for one.
-        for child in children.values():
+        for child in children:
             assert child.stdin is not None
             child.stdin.close()
         end = time.monotonic() + FINISH_TIMEOUT
-        for child in children.values():
+        for child in children:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.wait(max(0.0, end - time.monotonic()))
     finally:
-        for child in children.values():
+        for child in children:
             if child.poll() is None:
                 child.kill()
             child.wait()

@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import json
 import logging
+import secrets
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
@@ -94,10 +95,11 @@ def note_failure(run: str, reason: str) -> None:
 class _File(logging.FileHandler):
     """A run's log, under its own name once the services are ready: a run that is refused leaves what is there."""
 
-    def __init__(self, target: Path, run: str) -> None:
-        self.target = self.fresh = target.resolve()
-        if self.target.is_file() or not self.target.exists():
-            self.fresh = self.target.with_name(f".{self.target.name}.{run}")
+    def __init__(self, target: Path) -> None:
+        self.target = self.fresh = target
+        if target.is_file() or not target.exists():  # else a pipe, which is written as it is
+            self.target = target.resolve()
+            self.fresh = self.target.with_name(f".{self.target.name}.{secrets.token_hex(4)}")
         self._broken = False
         super().__init__(self.fresh, "w", "utf-8")
 
@@ -115,7 +117,9 @@ class _File(logging.FileHandler):
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
         """Say once that what happens is no longer kept; the run needs its recording, not its log."""
         error = sys.exception()
-        if self._broken or not isinstance(error, OSError):
+        if not isinstance(error, OSError):
+            return super().handleError(record)
+        if self._broken:
             return
         self._broken = True
         sys.stderr.write(f"{self.target} is not whole: {error.strerror}\n")
@@ -137,7 +141,7 @@ def written(run: str, target: Path | None) -> Iterator[None]:
         return
     handler: logging.Handler
     try:
-        handler = logging.StreamHandler(sys.stdout) if str(target) == "-" else _File(target, run)
+        handler = logging.StreamHandler(sys.stdout) if str(target) == "-" else _File(target)
     except OSError as error:
         remedy = "choose a folder that exists and can be written"
         raise BadInput(f"cannot write there: {error.strerror}", "--log", value=str(target), remedy=remedy) from None

@@ -78,7 +78,7 @@ def announced(run: str, endpoint: str, scene: Path | None = None) -> Iterator[No
     The note is locked meanwhile. Its process's number would not do: once that has been killed, it may be another's.
     Raises BadInput where a run of that name goes on, or the note cannot be written.
     """
-    note: dict[str, object] = {"endpoint": endpoint, "pid": os.getpid()}
+    note: dict[str, object] = {"endpoint": endpoint}
     if scene is not None:
         note["scene"] = str(scene.resolve())
     path = folder() / f"{run}.json"
@@ -91,11 +91,15 @@ def announced(run: str, endpoint: str, scene: Path | None = None) -> Iterator[No
 
 def _hold(path: Path, text: str) -> FileIO:
     """A run's note, written and held by this process alone. Raises BadInput."""
+    stream = None
     try:
         stream = _lock(path)
         stream.truncate(0)
         stream.write(text.encode())
     except OSError as error:
+        if stream is not None:
+            path.unlink(missing_ok=True)
+            stream.close()
         remedy = "make room there, or name another folder in XDG_RUNTIME_DIR"
         raise BadInput(f"the run cannot be noted: {error.strerror}", value=str(path), remedy=remedy) from None
     return stream
@@ -123,7 +127,12 @@ def _holds(path: Path) -> bool:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return True
-        path.unlink(missing_ok=True)
+        # Only whoever holds it alone may remove it, and only while it is this note that stands there: another's look
+        # may have removed it, and a run of that name begun since.
+        with suppress(BlockingIOError, FileNotFoundError):
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                path.unlink()
     return False
 
 

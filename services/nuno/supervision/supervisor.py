@@ -120,7 +120,7 @@ def _conduct(
     except RunFailed as failure:
         ready, error = time.perf_counter(), str(failure)
     except KeyboardInterrupt as signal:
-        ready, error = time.perf_counter(), "terminated" if isinstance(signal, Terminated) else "interrupted"
+        ready, error = time.perf_counter(), _word(signal)
         if progress is not None:
             progress("once more, and the run ends at once")
     ended = time.perf_counter()
@@ -137,8 +137,8 @@ def _conduct(
         answers = supervisor.finish(
             error, lambda answers: report(outcome(answers)) if report else {}, progress=progress
         )
-    except KeyboardInterrupt:
-        log.note_failure(supervisor.run, "interrupted while its services ended")
+    except KeyboardInterrupt as signal:
+        log.note_failure(supervisor.run, f"{_word(signal)} while its services ended")
         raise
     result = outcome(answers)
     lost = _lost(supervisor, answers)
@@ -146,6 +146,11 @@ def _conduct(
         result.state, result.error = "failed", "; ".join(lost)
     log.note_end(supervisor.run, result)
     return result
+
+
+def _word(signal: KeyboardInterrupt) -> str:
+    """How a signal ended a run."""
+    return "terminated" if isinstance(signal, Terminated) else "interrupted"
 
 
 def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[str]:
