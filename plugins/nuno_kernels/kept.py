@@ -54,6 +54,9 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         try:
             super().save_overload(sig, data)
         except OSError as error:
+            # The index is written before the code that it names, and would name another's.
+            with contextlib.suppress(OSError):
+                Path(self._cache_file._index_path).unlink()
             _say(self._cache_path, str(error.strerror))
 
 

@@ -7,17 +7,31 @@ their types written out they compile, once, where the module is imported, not in
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+F = TypeVar("F", bound=Callable[..., Any])
 Float32 = NDArray[np.float32]
-FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+FLAGS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
-@njit("void(float32[:, ::1], int32[:, ::1], float32[:, ::1])", **FLAGS)  # type: ignore[untyped-decorator]
+def compiled(signature: str) -> Callable[[F], F]:
+    """Compile a function here and now, or read it from numba's cache."""
+
+    def decorate(function: F) -> F:
+        try:
+            return cast(F, njit(signature, cache=True, **FLAGS)(function))
+        except Exception:  # a damaged file, which may say anything when it is read, or nowhere to write
+            return cast(F, njit(signature, **FLAGS)(function))
+
+    return decorate
+
+
+@compiled("void(float32[:, ::1], int32[:, ::1], float32[:, ::1])")
 def vertex_normals(x: Float32, faces: NDArray[np.int32], out: Float32) -> None:
     """Unit normals (n, 3) of a mesh: the mean of the faces' normals, weighted by area.
 
@@ -40,7 +54,7 @@ def vertex_normals(x: Float32, faces: NDArray[np.int32], out: Float32) -> None:
             out[v] /= length
 
 
-@njit("void(float32[:, ::1], int32[:, ::1], float32[::1], float32[::1])", **FLAGS)  # type: ignore[untyped-decorator]
+@compiled("void(float32[:, ::1], int32[:, ::1], float32[::1], float32[::1])")
 def edge_stretch(x: Float32, edges: NDArray[np.int32], rest: Float32, out: Float32) -> None:
     """|d| / rest - 1 of each edge (e,)."""
     for e in range(edges.shape[0]):
@@ -49,7 +63,7 @@ def edge_stretch(x: Float32, edges: NDArray[np.int32], rest: Float32, out: Float
         out[e] = np.sqrt(dx * dx + dy * dy + dz * dz) / rest[e] - 1.0
 
 
-@njit("void(float32[::1], int32[:, ::1], float32[::1])", **FLAGS)  # type: ignore[untyped-decorator]
+@compiled("void(float32[::1], int32[:, ::1], float32[::1])")
 def vertex_stretch(stretch: Float32, edges: NDArray[np.int32], out: Float32) -> None:
     """The largest stretch among each vertex's edges (n,); NaN where an edge's is NaN."""
     out[:] = -1.0
@@ -59,7 +73,7 @@ def vertex_stretch(stretch: Float32, edges: NDArray[np.int32], out: Float32) -> 
                 out[v] = stretch[e]
 
 
-@njit("void(float32[::1], uint32[::1], float64, float64, uint32, uint32[::1])", **FLAGS)  # type: ignore[untyped-decorator]
+@compiled("void(float32[::1], uint32[::1], float64, float64, uint32, uint32[::1])")
 def paint(
     stretch: Float32, table: NDArray[np.uint32], low: float, high: float, missing: int, out: NDArray[np.uint32]
 ) -> None:
