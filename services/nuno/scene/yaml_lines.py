@@ -1,4 +1,4 @@
-"""YAML read safely: no tags, bounded size, depth and aliases, and the line of every field."""
+"""YAML read safely: no tags that change a value, bounded size, depth and aliases; and the line of every field."""
 
 from __future__ import annotations
 
@@ -50,9 +50,11 @@ class _Reader:
                 return self._scalar(node, path)
             if node.tag == "tag:yaml.org,2002:timestamp":
                 return node.value
-        raise BadInput(
-            "YAML tags are not allowed in scenes", self.file, line, dotted(path), node.tag, remedy="remove the tag"
-        )
+        raise self._tagged(node, path)
+
+    def _tagged(self, node: yaml.Node, path: Path) -> BadInput:
+        problem, line = "YAML tags are not allowed in scenes", node.start_mark.line + 1
+        return BadInput(problem, self.file, line, dotted(path), node.tag, remedy="remove the tag")
 
     def _own_tag(self, node: yaml.Node) -> str:
         """The tag that a node has when none is written before it."""
@@ -74,6 +76,8 @@ class _Reader:
             if not isinstance(key_node, yaml.ScalarNode):
                 remedy = "write name: value"
                 raise BadInput("a field name must be plain text", self.file, line, dotted(path), remedy=remedy)
+            if key_node.tag != self._own_tag(key_node):
+                raise self._tagged(key_node, path)
             key = str(key_node.value)
             if key in result:
                 raise BadInput(
