@@ -31,6 +31,8 @@ START = 600.0
 SHARED = 4
 """Of so many others a worker may have to share its core with."""
 NEEDED = ("atheris", "coverage")
+LIVE: set[subprocess.Popen[bytes]] = set()
+"""Processes that are going on, to be ended where this one is."""
 
 
 def run(quick: bool, seed: int) -> list[Result]:
@@ -46,7 +48,13 @@ def run(quick: bool, seed: int) -> list[Result]:
         return report
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        reports = list(pool.map(tried, KINDS.values()))
+        try:
+            reports = list(pool.map(tried, KINDS.values()))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in tuple(LIVE):
+                _kill(process)
+            raise
     results = [judge(kind, report) for kind, report in zip(KINDS.values(), reports, strict=True)]
     worked = [report for report in reports if "failure" not in report]
     if worked:
@@ -80,11 +88,12 @@ def try_kind(kind: Kind, inputs: int, seconds: float, seed: int) -> dict[str, An
     with tempfile.TemporaryDirectory(prefix="nuno-fuzz-", dir=_fast_folder()) as name:
         folder = Path(name)
         said = _in_process("worker", kind.name, str(folder), str(inputs), str(seconds), str(seed), patience=seconds)
+        kept = _keep(folder, f"{kind.name}-{seed}")
         try:
-            report: dict[str, Any] = json.loads((folder / "report.json").read_text())
+            report: dict[str, Any] = json.loads((folder / "report.json").read_text()) | {"kept": kept}
         except (OSError, ValueError):
-            return {"failure": f"the process of this kind did not end well: {said[-300:].strip()}"}
-        report["kept"] = _keep(folder, kind.name)
+            where = f"; inputs: {', '.join(map(str, kept))}" if kept else ""
+            return {"failure": f"the process of this kind did not end well: {said[-300:].strip()}{where}"}
         _in_process("covered", kind.name, str(folder), patience=seconds)
         with contextlib.suppress(OSError, ValueError):
             report["lines"] = float((folder / "lines").read_text())
@@ -106,16 +115,22 @@ def _in_process(module: str, *arguments: str, patience: float) -> str:
     command = [sys.executable, "-m", f"nuno_bench.soak.fuzz.{module}", *arguments]
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True)
+        LIVE.add(process)
         try:
             process.wait(SHARED * patience + START)
         except subprocess.TimeoutExpired:
             pass
         finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+            _kill(process)
             process.wait()
+            LIVE.discard(process)
         log.seek(0)
         return log.read().decode(errors="replace")
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _fast_folder() -> str | None:
