@@ -21,6 +21,8 @@ from nuno_schemas.plugin import Config, Files
 
 KINDS = ("obj", "ply", "stl")
 STRUCTURAL, BENDING = 0, 2
+FARTHEST = 1e100
+"""Coordinates beyond this [m] have no squares and cubes that are numbers."""
 BYTES_PER_VERTEX = 2000
 """What a run takes at most: 1,896 were measured between meshes of 262,144 and 640,000 vertices, with
 three springs and three hinges each, and the file's text and triangles while it is read."""
@@ -92,6 +94,11 @@ class Mesh:
         check_mesh(path, points, faces, edges)
         turn = np.eye(3) if config.rotate is None else config.rotate.matrix()
         x = np.ascontiguousarray(points @ turn.T * config.scale + np.asarray(config.centre))
+        far = ~(np.abs(x) <= FARTHEST).all(axis=1)
+        if far.any():
+            where, at = int(np.argmax(far)), x[far][0].tolist()
+            limit, remedy = f"{FARTHEST:g} m", "give a smaller `scale`, or mend the file"
+            raise BadInput("too far away", str(path), field=f"vertex {where}", value=at, limit=limit, remedy=remedy)
         area = face_areas(x, faces)
         material = resolve(config.fabric)
         share = np.repeat(area, 3) * material.density / 3

@@ -154,6 +154,27 @@ def test_messages_with_numbers_that_are_none(name: str, field: str, number: str,
         kind.reader(tmp_path)(encode_arrays(arrays, text))
 
 
+def test_cloth_with_a_vertex_beyond_all_reckoning(tmp_path: Path) -> None:
+    (tmp_path / "far.stl").write_text("solid\nvertex 1e308 1e-320 11\nvertex -1 -1 0.5\nvertex 1 0 0\nendsolid\n")
+    plugin = registry.load("nuno.models", "mesh")
+    with pytest.raises(BadInput, match="vertex 0: too far away"):
+        plugin.build(plugin.Config(file="far.stl"), OneFile(tmp_path / "far.stl"), 0)
+
+
+def test_a_number_too_long_to_be_read_is_no_field_that_can_change(tmp_path: Path) -> None:
+    KINDS["question control"].reader(tmp_path)(json.dumps({"action": "set", "item": f"solver.{'9' * 5000}=1"}).encode())
+
+
+@pytest.mark.parametrize(
+    ("face", "height", "words"), [("9" * 300, "-0.01", "this is no line"), ("1", "1e-9", "a line of no height")]
+)
+def test_strokes_of_the_page_that_are_none(face: str, height: str, words: str, tmp_path: Path) -> None:
+    line = f'{{"points": [[0, 0.3, 0], [{face}, 0.3, 0.3]], "height": {height}}}'
+    for act in ("check", "export"):
+        request = f'{{"do": "{act}", "shape": 0, "lines": [{line}]}}'
+        assert words in _refused("page request", request.encode(), tmp_path)
+
+
 def test_an_object_of_vertices_that_are_not_there_is_not_made_room_for(tmp_path: Path) -> None:
     kind = KINDS["message sim/fabric"]
     arrays, text = decode_arrays(kind.seeds(tmp_path)[0])

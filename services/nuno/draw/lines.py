@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -17,6 +17,7 @@ DIGITS = 5
 """Of a barycentric coordinate: a hundred-thousandth of a triangle."""
 MICRON = 6
 """Digits of a length in metres, after the point."""
+Face = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class Stroke(BaseModel):
@@ -26,7 +27,7 @@ class Stroke(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
-    points: list[tuple[int, float, float]] = Field(min_length=2, max_length=MOST_POINTS)
+    points: list[tuple[Face, float, float]] = Field(min_length=2, max_length=MOST_POINTS)
     height: float = Field(allow_inf_nan=False)
     closed: bool = False
     """Whether it goes on from its last point to its first."""
@@ -50,7 +51,7 @@ def read_strokes(given: object, sight: Sight) -> list[Stroke]:
 
 
 def _check(stroke: Stroke, i: int, sight: Sight) -> None:
-    if stroke.height == 0.0:
+    if round(stroke.height, MICRON) == 0.0:
         remedy = "choose a height above 0: a ridge rises by it, a valley sinks"
         raise BadInput("a line of no height raises nothing", field=f"lines[{i}].height", remedy=remedy)
     face, at = places(stroke)

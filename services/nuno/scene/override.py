@@ -10,10 +10,17 @@ from nuno.scene.explain import OVERRIDDEN
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput
 
+DIGITS = 9
+
 
 def parts_of(key: str) -> list[str]:
     """`a.b[0].c` -> a, b, 0, c."""
     return key.replace("[", ".").replace("]", "").split(".")
+
+
+def number_or_name(part: str) -> int | str:
+    """A part of a key: which of a list, or the name of a field. Longer numbers Python may refuse to read."""
+    return int(part) if part.isdecimal() and len(part) <= DIGITS else part
 
 
 def item_at(data: Any, path: yaml_lines.Path) -> Any:
@@ -64,7 +71,8 @@ def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
 def _number(parts: list[Any], part: str) -> int | None:
     """Which of a list's parts is meant, by its number or by its name; None for neither."""
     if part.isdecimal():
-        return int(part) if int(part) < len(parts) else None
+        number = number_or_name(part)
+        return number if isinstance(number, int) and number < len(parts) else None
     names = [one.get("name") if isinstance(one, dict) else None for one in parts]
     return names.index(part) if part in names else None
 

@@ -15,7 +15,7 @@ from nuno import registry
 from nuno.scene import yaml_lines
 from nuno.scene.explain import UNNUMBERED, explain, located
 from nuno.scene.files import SceneFiles
-from nuno.scene.override import apply_override, item_at, overridden, parts_of
+from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.applied import Applied
 from nuno_schemas.errors import BadInput, nearest
@@ -99,7 +99,7 @@ class Loaded:
         """What a field such as `forces.0.velocity` holds, given or by default, in SI units; None if there is none."""
         data = self.scene.model_dump(mode="json")
         data["forces"] = [{"plugin": force.name, **force.config.model_dump(mode="json")} for force in self.forces]
-        return item_at(data, tuple(int(part) if part.isdecimal() else part for part in parts_of(field)))
+        return item_at(data, tuple(map(number_or_name, parts_of(field))))
 
     def at(self, field: str, error: BadInput) -> BadInput:
         """The same error with this scene's file, line and the field's full path."""
