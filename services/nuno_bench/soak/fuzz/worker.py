@@ -96,7 +96,7 @@ class Trial:
     def _keep(self, said: str, place: str, data: bytes) -> None:
         if place in self.found or len(self.found) >= KEPT:
             return
-        self.found[place] = said
+        self.found[place] = " ".join(said.split())
         (self.folder / f"found-{len(self.found)}").write_bytes(data)
 
 
