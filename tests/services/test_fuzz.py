@@ -31,7 +31,7 @@ from nuno_schemas.field import DistanceField
 
 PATIENCE = 600.0
 """Processor time [s] after which an input is broken off: kernels may have to be compiled."""
-INPUTS = 12
+INPUTS = 25
 """Of each kind; `nuno soak fuzz` tries a hundred thousand, guided by the lines they reach."""
 
 
