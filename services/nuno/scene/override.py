@@ -11,6 +11,7 @@ from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput
 
 DIGITS = 9
+"""Of a place in a list, at most."""
 
 
 def parts_of(key: str) -> list[str]:

@@ -111,8 +111,9 @@ class _File(logging.FileHandler):
 
     def settle(self) -> None:
         """Take the place of an earlier run's."""
-        with contextlib.suppress(OSError):  # its folder may have been removed
-            self.fresh.replace(self.target)
+        if self.fresh != self.target:
+            with contextlib.suppress(OSError):  # its folder may have been removed
+                self.fresh.replace(self.target)
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
         """Say once that what happens is no longer kept; the run needs its recording, not its log."""

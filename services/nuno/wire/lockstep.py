@@ -285,15 +285,14 @@ class Lockstep(ABC):
 
     def summary(self, ended: str, wall: float) -> dict[str, Any]:
         """What the report says of this service."""
-        work = self.work
         return {
             "state": ended,
             "message": self.message,
-            "frame": work.frame,
-            "t": work.t,
+            "frame": self.work.frame,
+            "t": self.work.t,
             "began": self.begin,
-            "simulated_seconds": work.t - self.begin,
-            "digest": work.digest(),
+            "simulated_seconds": self.work.t - self.begin,
+            "digest": self.work.digest(),
             "wall_seconds": wall - self.paused_seconds,
             "paused_seconds": self.paused_seconds,
             "seconds": self.seconds,

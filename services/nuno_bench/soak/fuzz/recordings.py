@@ -19,6 +19,7 @@ from nuno.scene import scene_file
 from nuno_bench.soak.fuzz.kind import Kind, Read, require
 from nuno_bench.soak.fuzz.mutate_containers import mutate_mcap
 from nuno_bench.soak.fuzz.mutate_text import mutate_text
+from nuno_bench.soak.fuzz.seeds import TAU3
 from nuno_schemas.errors import BadInput
 
 CLOTH: dict[str, Any] = {
@@ -28,7 +29,6 @@ CLOTH: dict[str, Any] = {
     "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "radius": "0.1 m", "centre": [0, -3, 0]}}],
     "solver": {"plugin": "symplectic_euler", "dt": "1 ms"},
 }  # fmt: skip
-TAU3 = {"I": 0.1, "II": 0.1, "III": 0.1}
 DYED: dict[str, Any] = {
     "nuno": 1, "name": "dyed", "duration": "2 s", "frame_rate": "1 Hz", "record": {"checkpoint_every": "1 s"},
     "dye": {
