@@ -286,7 +286,7 @@ def scan_triangles(points: Float, vertices: Float, faces: Int) -> tuple[Int, Flo
     for a thousand points. Of equally near triangles that of the lowest number is taken.
     """
     filled = np.minimum(np.arange(-(-len(faces) // WIDTH) * WIDTH), len(faces) - 1)
-    a, b, c = (vertices[faces[filled, k]] for k in range(3))
+    a, b, c = (vertices.take(faces[filled, k], axis=0) for k in range(3))
     corners = in_eights(np.concatenate([a, b - a, c - a], axis=1), 0.0)
     triangle, weights, distance = np.empty(len(points), np.int32), np.empty((len(points), 3)), np.empty(len(points))
     scan(np.ascontiguousarray(points), corners, filled.astype(np.int32), triangle, weights, distance)

@@ -49,7 +49,7 @@ def bend_springs(
     length = _length(raised.x, *pairs.T) / share[edges.rows(keys_of(after[~doubled, :2]))[0]]
     k = stiffness_of(length, model["k_bend"], model["r_bend"], rule)
     return Springs(
-        np.concatenate([springs.first[kept], pairs]),
+        np.concatenate([springs.first.compress(kept, axis=0), pairs]),
         *ones(int(kept.sum()) + len(pairs)),
         np.concatenate([springs.k[kept], k]),
         np.concatenate([rest[kept], length]),
@@ -94,7 +94,7 @@ def build_hinges(
     stays = np.ones(len(quads), np.bool_)
     stays[gone] = False
     return Hinges(
-        np.ascontiguousarray(np.concatenate([quads[stays], anew])),
+        np.ascontiguousarray(np.concatenate([quads.compress(stays, axis=0), anew])),
         *ones(int(stays.sum()) + len(anew)),
         np.concatenate([k[stays], stiff]),
         np.concatenate([angle[stays], folds]),

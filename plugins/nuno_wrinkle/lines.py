@@ -100,13 +100,13 @@ def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...],
         if line.closed:
             face, at = np.append(face, face[:1]), np.concatenate([at, at[:1]])
         chains.append(_walk(places, faces, across, (face, at), line, i, total, up))
-    clash = np.flatnonzero(up.all(axis=1))
+    clash = np.flatnonzero(up[:, 0] & up[:, 1])
     if clash.size:
         raise BadInput(
             "a ridge and a valley go through one triangle", field="lines", value=f"triangle {clash[0]}",
             limit=f"{clash.size} of them", remedy="keep them apart by two triangles, or refine the mesh",
         )  # fmt: skip
-    face = np.flatnonzero(up.any(axis=1)).astype(np.int32)
+    face = np.flatnonzero(up[:, 0] | up[:, 1]).astype(np.int32)
     part = total[face]
     at = np.maximum(part[:, :3] / part[:, 3:4], APART)
     order = np.full(len(faces), -1, np.int32)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
-from nuno_wrinkle.edges import Edges, edges_of, keys_of, pairs_of
+from nuno_wrinkle.edges import Edges, area_of, edges_of, keys_of, pairs_of
 from nuno_wrinkle.raised import Region
 
 STRUCTURAL, BENDING = 0, 2
@@ -27,9 +27,6 @@ def describe(fabric: Fabric) -> dict[str, float]:
         problem = "the cloth has no structural springs, and so neither k_std nor r_avg"
         raise BadInput(problem, field="k_std", remedy="draw on a mesh, or on a sheet or skirt of cells: triangles")
     pairs, k, rest, c = springs.pairs(), *(springs.per_spring(a) for a in (springs.k, springs.rest, springs.c))
-    x, faces = fabric.position, fabric.faces
-    a = x[faces[:, 0]]
-    area = 0.5 * float(np.linalg.norm(np.cross(x[faces[:, 1]] - a, x[faces[:, 2]] - a), axis=1).sum())
     one, other = fabric.mass[pairs[:, 0]], fabric.mass[pairs[:, 1]]
     critical = 2.0 * np.sqrt(k * one * other / (one + other))
     own = kinds == STRUCTURAL
@@ -37,7 +34,7 @@ def describe(fabric: Fabric) -> dict[str, float]:
     return {
         "r_avg": float(rest[own].mean()),
         "k_std": float(k[own].mean()),
-        "density": float(fabric.mass.sum()) / area,
+        "density": float(fabric.mass.sum()) / area_of(fabric.position, fabric.faces),
         "damping_ratio": float((c[own] / critical[own]).mean()),
         "r_bend": float(rest[bent].mean()) if bent.any() else 0.0,
         "k_bend": float(k[bent].mean()) if bent.any() else 0.0,

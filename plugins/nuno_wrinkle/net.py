@@ -99,7 +99,7 @@ def _structural(
     pairs = pairs_of(edges.key[~stays])
     k = stiffness_of(rest[~stays], model["k_std"], model["r_avg"], rule)
     return Springs(
-        np.concatenate([old.pairs()[kept], pairs]),
+        np.concatenate([old.pairs().compress(kept, axis=0), pairs]),
         *ones(int(kept.sum()) + len(pairs)),
         np.concatenate([old.per_spring(old.k)[kept], k]),
         np.concatenate([length[kept], rest[~stays]]),

@@ -24,9 +24,11 @@ Bool = NDArray[np.bool_]
 
 def _expand(first: Int, count: Int, stride: Int) -> Int:
     """Indices of all elements: (m, w) first indices, (m,) counts and strides -> (total, w)."""
-    start = np.cumsum(count) - count
-    step = (np.arange(int(count.sum()), dtype=np.int32) - np.repeat(start, count)) * np.repeat(stride, count)
-    return (np.repeat(first, count, axis=0) + step[:, None]).astype(np.int32)
+    run = np.repeat(np.arange(len(count)), count)
+    step = (np.arange(len(run)) - (np.cumsum(count) - count).take(run)) * stride.take(run)
+    found = first.take(run, axis=0)
+    found += step.astype(np.int32)[:, None]
+    return found
 
 
 @dataclass(frozen=True)
