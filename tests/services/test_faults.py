@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import garment_scene
@@ -82,7 +84,7 @@ def test_a_service_ends_with_its_supervisor_though_it_never_met_it(tmp_path: Pat
     code = """
 import sys
 from nuno.cli import main, serve
-serve.PATIENCE, serve.FINISH_TIMEOUT = 1e6, 0.0
+serve.PATIENCE, serve.FINISH_TIMEOUT = 1e6, 1e6
 main(sys.argv[1:])
 """
     command = [sys.executable, "-c", code, *words, "--record", str(tmp_path / "r.mcap"), "--lifeline"]
@@ -136,6 +138,22 @@ def test_a_hub_that_ends_is_named(tmp_path: Path) -> None:
         wait_until(lambda: bool(list(session.liveliness().get("nuno/*/alive/supervisor"))))
     thread.join(20.0)
     assert f"the connection to the hub at {endpoint} broke" in found[0].error
+
+
+def test_a_clock_that_is_set_back_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, (before, after) = write_scene(tmp_path), (tmp_path / "before.mcap", tmp_path / "after.mcap")
+    undisturbed = nuno.run(scene, record=before)
+    looks = itertools.count(1)
+    monkeypatch.setattr(time, "time_ns", lambda: 2 * 10**18 - next(looks) * 3600 * 10**9)
+    monkeypatch.setattr(time, "time", lambda: time.time_ns() / 1e9)
+    run = nuno.run(scene, record=after)
+    assert run.digest == undisturbed.digest
+    assert run.report["wall_seconds"] > 0.0 and all(seconds >= 0.0 for seconds in run.report["parts_seconds"].values())
+    with nuno.open(before) as recording, nuno.open(after) as other:
+        assert other.complete
+        plain, told = list(recording.messages()), list(other.messages())
+    assert [(m.topic, m.seq, m.log_time) for m in told] == [(m.topic, m.seq, m.log_time) for m in plain]
+    assert told[-1].publish_time < told[0].publish_time
 
 
 def test_a_recording_that_is_removed_stops_the_run(tmp_path: Path) -> None:
