@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,11 @@ from nuno.cli import main
 from nuno.export.yarns import export_yarn_picture
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
-from nuno.service import Options
+from nuno.service import Context, Options
+from nuno.supervision import supervisor
 from nuno.supervision.plan import make_plan
 from nuno.wire.arrays import decode_picture
+from nuno.wire.bus import Inbox, Message, Question
 from nuno_schemas.messages import PICTURE
 
 LEG = {"plugin": "mesh", "shape": "leg", "resolution": 16}
@@ -113,3 +116,23 @@ def test_a_plan_refuses_what_the_run_would(tmp_path: Path, refused: Refused) -> 
 
 def test_a_sheet_has_no_yarns_to_draw(refused: Refused) -> None:
     assert "no yarns to draw" in refused.run(view={"pictures": "end"})
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_run_fails_whose_renderer_is_gone_when_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for pictures while frames come, so that a run may be over before it is missed."""
+
+    def vanish(context: Context, inbox: Inbox, handle: Callable[[Message], None]) -> Question:
+        with context.bus.alive():
+            while not isinstance(item := inbox.get(1.0), Message) or item.header.frame < 5:
+                pass
+        raise SystemExit  # without a word
+
+    monkeypatch.setattr("nuno.render.service.each_message", vanish)
+    record = tmp_path / "run.mcap"
+    outcome = supervisor.supervise(scene_file.read(write(tmp_path, pictures="end")), Options(record=record))
+    assert outcome.problem == "failed: render: the service did not finish: its process ended or the connection broke"
+    with open_recording(record) as recording:
+        assert not recording.complete
+        assert recording.metadata["end"]["state"] == "failed"
+        assert recording.series()["frame"].tolist() == [0, 1, 2, 3, 4, 5]

@@ -71,16 +71,17 @@ def main(args: argparse.Namespace) -> int:
                 remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447",
             )
     runs.check_id(args.run)
-    stop = threading.Event()
+    stop, keeping = threading.Event(), threading.Event()
     if args.lifeline:
-        patience = FINISH_TIMEOUT if args.service in KEEPERS else LINGER
-        threading.Thread(target=_hold, args=(stop, patience), name="lifeline", daemon=True).start()
+        threading.Thread(target=_hold, args=(stop, keeping), name="lifeline", daemon=True).start()
     loaded = scene_file.read(scene_file.find(args.scene), args.overrides, args.root, args.named)
     if args.service in ("simulation", "recorder", "dye"):
         loaded = decide(loaded)
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     own = sessions.identity(args.run, args.service)
     with sessions.spoke(args.connect, args.config, PATIENCE, own) as session:
+        if args.service in KEEPERS:
+            keeping.set()
         try:
             run_service(args.service, loaded, session, args.run, options, stop)
         except (BadInput, RunFailed) as error:
@@ -90,15 +91,16 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _hold(stop: threading.Event, patience: float) -> None:
-    """Wait until standard input ends, then end this process: in order, or after `patience` [s] whatever it does.
+def _hold(stop: threading.Event, keeping: threading.Event) -> None:
+    """Wait until standard input ends, then end this process: in order, or soon after whatever it does; later where it
+    may have a file to close.
 
     The liveliness of the supervisor is not enough: a service may be compiling or still connecting.
     """
     while os.read(sys.stdin.fileno(), 1024):
         pass
     stop.set()
-    time.sleep(patience)
+    time.sleep(FINISH_TIMEOUT if keeping.is_set() else LINGER)
     os._exit(1)
 
 

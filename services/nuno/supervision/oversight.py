@@ -72,6 +72,8 @@ class Supervisor:
         """Services that the run goes on without, and why."""
         self.cut_off: Callable[[], str] = str
         """What is wrong with the connection to the hub, "" for nothing."""
+        self.broken = ""
+        """What was wrong with it as services finished."""
         self.laggards = Laggards(session, {identity(run, name): name for name in plan.services})
         self.silence = Silence(self.bus, plan.leader)
         self.exited: Callable[[], dict[str, str]] = dict
@@ -205,12 +207,18 @@ class Supervisor:
             self._await_recorder()
         order = [self.plan.leader, *(n for n in FOLLOWERS if n in self.plan.services[1:])]
         for name in order:
+            self.broken = self.cut_off()
+            if self.broken:
+                break
             if name not in self.watch.alive():
+                if not error and name not in self.without:
+                    self._lose(name, "", progress)
                 continue
             request: dict[str, Any] = {"error": error}
             if name == "recorder":
                 sent = {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
-                state = "failed" if error else str((self.ended or {}).get("state", "failed"))
+                failed = error or any(lost in self.errors for lost in self.needed)
+                state = "failed" if failed else str((self.ended or {}).get("state", "failed"))
                 request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
             # One that the run gave up waiting for has had its time.
             patience = FINISH_TIMEOUT if name == self.blamed else PATIENCE_AT_END.get(name, FINISH_TIMEOUT)
@@ -219,13 +227,23 @@ class Supervisor:
             try:
                 answers[name] = self.bus.ask_json(f"finish/{name}", request, patience)
             except RunFailed as failure:
-                self._hear(name, progress)
-                self.errors.setdefault(name, str(failure))
-                if name in self.dispensable:
-                    self._miss(name, str(failure), progress)
+                self.broken = self.cut_off()
+                if self.broken:
+                    break
+                self._lose(name, str(failure), progress)
         answers[SUPERVISOR] = {name: self.inbox.counts.told()[name] for name in ("missing", "refused")}
         self.alive.undeclare()
         return answers
+
+    def _lose(self, name: str, why: str, progress: Progress | None) -> None:
+        """Note a service that has not finished."""
+        self._hear(name, progress)
+        why = self.exited().get(name) or why or GONE
+        if name in self.dispensable:
+            self._miss(name, why, progress)
+        elif name not in self.errors:
+            self.errors[name] = f"the service did not finish: {why}"
+            self._say(f"{name}: {self.errors[name]}", progress)
 
     def _await_recorder(self) -> None:
         """Wait until the recorder can be told what becomes of its file: it may be creating it just now."""

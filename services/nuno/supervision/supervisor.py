@@ -129,9 +129,10 @@ def _conduct(
 
     def outcome(answers: dict[str, dict[str, Any]]) -> Outcome:
         summary = supervisor.ended or {}
-        state = "failed" if error else str(summary["state"])
+        why = error or "; ".join(_lost(supervisor, answers))
+        state = "failed" if why else str(summary["state"])
         seconds = {"prepare": ready - began, "run": ended - ready}
-        return Outcome(supervisor.run, state, error, supervisor.plan, summary, answers, seconds)
+        return Outcome(supervisor.run, state, why, supervisor.plan, summary, answers, seconds)
 
     try:
         answers = supervisor.finish(
@@ -141,9 +142,6 @@ def _conduct(
         log.note_failure(supervisor.run, f"{_word(signal)} while its services ended")
         raise
     result = outcome(answers)
-    lost = _lost(supervisor, answers)
-    if not result.error and lost:
-        result.state, result.error = "failed", "; ".join(lost)
     log.note_end(supervisor.run, result)
     return result
 
@@ -155,6 +153,8 @@ def _word(signal: KeyboardInterrupt) -> str:
 
 def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[str]:
     """Why a run that came to its end has failed all the same: what was asked for is not whole."""
+    if supervisor.broken:
+        return [supervisor.broken]
     lost = [f"{name}: {text}" for name, text in supervisor.errors.items() if name in supervisor.needed]
     kept = {"recorder": supervisor.options.record, "viewer": supervisor.options.save}
     for name, path in kept.items():

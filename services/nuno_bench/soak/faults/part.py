@@ -143,7 +143,7 @@ def _removed(folder: Path, run: str) -> Iterator[None]:
 
 def _noticed(live: FaultRun, at: float, ended: float) -> float:
     """Seconds until the supervisor says something of the kill, or until all have ended."""
-    words = ("the services end in order", "goes on without")
+    words = ("the services end in order", "goes on without", "did not finish")
     times = [t - at for t, line in live.lines if t >= at and any(word in line for word in words)]
     return min([*times, ended])
 
