@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,8 @@ def load_mesh(path: Path, kinds: tuple[str, ...], **how: bool) -> tuple[Float, N
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise BadInput("too large for a mesh", value=size, limit=f"{LARGEST_FILE} bytes")
+    if kind == "obj":
+        _check_numbers(path.read_bytes())
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs traces of what is refused in words here
     try:
         with path.open("rb") as stream:
@@ -78,6 +81,24 @@ def load_mesh(path: Path, kinds: tuple[str, ...], **how: bool) -> tuple[Float, N
     if not faces.size:
         raise BadInput("the mesh has no triangles", field="file")
     return x, faces, mesh
+
+
+def _check_numbers(data: bytes) -> None:
+    """Refuse triangles of vertices far beyond those of an OBJ file: trimesh would make room for all up to them.
+
+    There are fewer vertices than lines, and numbers with as many digits as that are left to be compared.
+    """
+    data = data.replace(b"\r\n", b"\n").replace(b"\\\n", b"")  # as trimesh reads it
+    lines = data.count(b"\n") + 1
+    most = len(str(lines))
+    for found in re.finditer(rb"(?m)^f[^\n]*?\d{%d}[^\n]*" % (most + 1), data):
+        largest = max((digits.lstrip(b"0") for digits in re.findall(rb"\d+", found[0])), key=len)
+        if len(largest) > most:
+            raise BadInput(
+                "cannot be read as OBJ: a triangle of a vertex that is not there", field="file",
+                line=data.count(b"\n", 0, found.start()) + 1, value=largest.decode(),
+                limit=f"the file has {lines} lines",
+            )  # fmt: skip
 
 
 def clean_mesh(x: Float, faces: Int, scale: float = 1.0) -> tuple[Float, Int]:
