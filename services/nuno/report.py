@@ -120,9 +120,11 @@ def lines(report: Report) -> list[tuple[str, str]]:
     """The report as (heading, text) rows."""
     rows = [("run", f"{report['run']}: {report['state']}{', at rest' if report['rested'] else ''}")]
     sizes = ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)
+    prepared = report["prepare_seconds"]
+    if report["dt"] is None and not (sizes or report["frames"]["sent"]):
+        return [*rows, ("time", f"ended while it was prepared, after {prepared:.2g} s")]
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall = report["simulated_seconds"], report["wall_seconds"]
-    prepared = report["prepare_seconds"]
     took = f"{duration(simulated)} simulated in {duration(wall)}: {factor(report['real_time_factor'])} real time"
     paused = f", paused for {report['paused_seconds']:.3g} s" if report["paused_seconds"] >= 0.005 else ""
     rows.append(("time", f"{took} (prepared in {prepared:.2g} s{paused})"))

@@ -192,6 +192,19 @@ def test_a_dyed_run_that_dies_at_once_has_a_report(
     assert "the loom is on fire" in capsys.readouterr().err
 
 
+def test_a_run_that_never_began_has_no_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise OSError("the loom is on fire")
+
+    monkeypatch.setattr("nuno.simulation.run.Simulation.__init__", fail)
+    assert main(["run", str(write_scene(tmp_path)), "--no-view", "--record", str(tmp_path / "a.mcap")]) == 1
+    said = capsys.readouterr()
+    assert "the loom is on fire" in said.err
+    assert "ended while it was prepared, after" in said.out and "stretch" not in said.out
+
+
 def refusal(capsys: pytest.CaptureFixture[str], recording: Path, *flags: str) -> str:
     """What is said of a recording that cannot be gone on from, and that nothing else is left of the attempt."""
     target = recording.with_name("on.mcap")
