@@ -98,6 +98,7 @@ class _Run:
         self.outcome: Outcome | None = None
         self.error: BaseException | None = None
         self.standing = threading.Event()
+        self.frame = -1
         self.thread = threading.Thread(target=self._body, daemon=True)
         self.thread.start()
         self.endpoint = ""
@@ -114,7 +115,9 @@ class _Run:
             self.error = error
 
     def _note(self, status: FrameStatus | str) -> None:
-        if isinstance(status, str) and status.startswith("paused"):
+        if isinstance(status, FrameStatus):
+            self.frame = status.frame
+        elif status.startswith("paused"):
             self.standing.set()
 
     def ask(self, **request: Any) -> dict[str, Any]:
@@ -129,6 +132,7 @@ class _Run:
         at = int(self.ask(action="status")["frame"])
         if at < frame:
             self.ask(action="step", frames=frame - at)
+            self._wait(lambda: self.frame >= frame)  # within a frame nobody answers
             self._wait(lambda: self.ask(action="status")["state"] == "paused")
 
     def _wait(self, condition: Callable[[], bool]) -> None:
