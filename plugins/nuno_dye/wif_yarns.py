@@ -80,9 +80,10 @@ class Palette:
         """Raises BadInput for a range without extent and colours outside of it."""
         stated = sections.get("COLOR PALETTE").get("RANGE")
         limits = stated.wholes(0, 10**9, "a range of colours") if stated else [0, 255]
-        self.low, self.high = (0, limits[0]) if len(limits) == 1 else (limits[0], limits[-1])
-        if stated and not (len(limits) <= 2 and self.low < self.high):
+        bounds = [0, *limits] if len(limits) == 1 else limits
+        if stated and not (len(bounds) == 2 and bounds[0] < bounds[1]):
             stated.refuse("not a range of colours", "two numbers, the smaller first, such as 0,255")
+        self.low, self.high = bounds
         table = sections.get("COLOR TABLE")
         self.table = {key: self._scale(line, 0) for key, line in table.numbered(10**9, "colour") if line.bare}
 

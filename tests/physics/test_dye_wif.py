@@ -126,6 +126,8 @@ def test_colours_of_a_wider_range_and_written_out(write) -> None:  # type: ignor
         ("Spacing=0.05", "Spacing=1e999", r"\[WARP\] SPACING: not a spacing"),
         ("Color=2", "Color=3", r"\[WARP\] COLOR: a colour that is not in \[COLOR TABLE\]"),
         ("Range=0,255", "Range=255,0", r"\[COLOR PALETTE\] RANGE"),
+        ("Range=0,255", "Range=,", r"\[COLOR PALETTE\] RANGE"),
+        ("Range=0,255", "Range=0,1,255", r"\[COLOR PALETTE\] RANGE"),
         ("0,51,102", "0,51,256", r"\[COLOR TABLE\] 2: not a colour\n.*256.*\n.*0 to 255"),
         ("Rising Shed=true", "Rising Shed=perhaps", r"\[WEAVING\] RISING SHED: neither true nor false"),
         ("[WARP COLORS]\n3=1", "[WARP COLORS]\n9=1", r"\[WARP COLORS\] 9: no such yarn"),
