@@ -42,7 +42,8 @@ def most_stiffness(x: Float, quads: Int, mass: Float, pinned: Bool, springs: Spr
     wrinkle stands no higher for them.
     """
     free = ~pinned
-    row = np.bincount(springs.pairs().reshape(-1), np.repeat(springs.per_spring(springs.k), 2), len(mass))
+    pairs, stiffness = springs.pairs(), springs.per_spring(springs.k)
+    row = sum((np.bincount(pairs[:, end], stiffness, len(mass)) for end in (0, 1)), np.zeros(len(mass)))
     edge = x[quads[:, 1]] - x[quads[:, 0]]
     square = np.einsum("hk,hk->h", edge, edge)
     slope, lever = np.zeros(len(quads)), np.zeros((2, len(quads)))
