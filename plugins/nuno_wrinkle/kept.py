@@ -43,7 +43,7 @@ def most_stiffness(x: Float, quads: Int, mass: Float, pinned: Bool, springs: Spr
     """
     free = ~pinned
     pairs, stiffness = springs.pairs(), springs.per_spring(springs.k)
-    row = sum((np.bincount(pairs[:, end], stiffness, len(mass)) for end in (0, 1)), np.zeros(len(mass)))
+    row = np.bincount(pairs[:, 0], stiffness, len(mass)) + np.bincount(pairs[:, 1], stiffness, len(mass))
     edge = x[quads[:, 1]] - x[quads[:, 0]]
     square = np.einsum("hk,hk->h", edge, edge)
     slope, lever = np.zeros(len(quads)), np.zeros((2, len(quads)))
