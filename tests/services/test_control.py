@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +17,11 @@ from scenes import write_scene
 
 import nuno
 from nuno.cli import main
+from nuno.cli.control import SLOW
 from nuno.cloth.build import build_fabric
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
-from nuno.simulation.driver import NOW
+from nuno.simulation.driver import NOW, Driver
 from nuno.supervision import runs
 from nuno.wire.arrays import decode_arrays
 from nuno.wire.bus import Bus
@@ -73,6 +78,60 @@ def answers(run: Run) -> bool:
         return bool(run.control("status")["ok"])
     except RunFailed:
         return False
+
+
+@pytest.fixture
+def leave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Run, threading.Event]]:
+    """A run within a frame that takes until the event is set."""
+    before, enter, entered, leave = Driver.step_frame, *(threading.Event() for _ in range(3))
+
+    def step_frame(self: Driver) -> Any:
+        if enter.is_set():
+            entered.set()
+            leave.wait(30)
+        return before(self)
+
+    monkeypatch.setattr(Driver, "step_frame", step_frame)
+    run = start_long(tmp_path)
+    enter.set()
+    assert entered.wait(30)
+    yield run, leave
+    leave.set()
+    run.stop()
+
+
+class Opened(io.StringIO):
+    """Text that sets an event once there is any."""
+
+    def __init__(self, event: threading.Event) -> None:
+        super().__init__()
+        self.event = event
+
+    def write(self, text: str) -> int:
+        self.event.set()
+        return super().write(text)
+
+
+def test_whoever_waits_for_a_long_frame_is_told_why(
+    leave: tuple[Run, threading.Event], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The frame ends only once it is said."""
+    monkeypatch.setattr("nuno.wire.bus.WAITING_AFTER", 0.05)
+    said = Opened(leave[1])
+    monkeypatch.setattr(sys, "stderr", said)
+    assert main(["control", leave[0].run, "pause"]) == 0
+    assert said.getvalue().splitlines() == [SLOW] and "paused at frame" in capsys.readouterr().out
+
+
+def test_a_request_that_is_given_up_is_carried_out_and_that_is_said(
+    leave: tuple[Run, threading.Event], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patient:
+        patient.setattr("nuno.supervision.supervisor.CONTROL_TIMEOUT", 0.05)
+        with pytest.raises(RunFailed, match=r"within 0\.05 s; it may still do what it was asked for"):
+            leave[0].control("pause")
+    leave[1].set()
+    assert leave[0].wait_until_paused() > 0
 
 
 def test_a_step_says_that_the_run_pauses_again(run: Run, capsys: pytest.CaptureFixture[str]) -> None:

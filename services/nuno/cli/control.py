@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +13,8 @@ from nuno.supervision import runs
 from nuno.supervision.supervisor import control
 from nuno.wire.lockstep import ACTIONS
 from nuno_schemas.errors import BadInput
+
+SLOW = "the run answers when the frame that it is in is done"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
         request["frames"] = int(args.item or 1)
     elif args.item is not None and "item" not in request:
         raise BadInput(f"{args.action} takes nothing more", value=args.item, remedy="leave it out")
-    answer = control(run, endpoint, request, args.config)
+    answer = control(run, endpoint, request, args.config, lambda: print(SLOW, file=sys.stderr, flush=True))
     if not answer.get("ok"):
         raise BadInput(str(answer.get("error", "refused")))
     print(f"{run}: {describe(answer)}")

@@ -31,8 +31,10 @@ PAUSE = 0.2
 """How long nothing may come [s] until it is asked whether the run goes on."""
 INTERVAL = 1 / 60
 """Least time between two frames of the page [s]: more, no screen shows."""
-ASK = 5.0
-"""How long an answer may take [s], of a run that may be compiling."""
+ASK = 120.0
+"""How long an answer may take [s]: it comes between frames, and of a run that may be compiling."""
+CLOSE = 5.0
+"""How long closing waits for what is being asked [s]."""
 
 
 class Follower:
@@ -70,7 +72,7 @@ class Follower:
     def control(self, **request: object) -> dict[str, Any]:
         """A request, as of `nuno control`; what the run answers. Raises BadInput where it refuses."""
         try:
-            answer = self._bus.ask_json("control", request, 60.0 if request["action"] == "add" else ASK)
+            answer = self._bus.ask_json("control", request, ASK)
         except RunFailed as error:
             remedy = "look at what the run says where it was started"
             raise BadInput(f"the run does not answer: {error}", remedy=remedy) from None
@@ -104,7 +106,7 @@ class Follower:
         """Follow no more."""
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(ASK)
+            self._thread.join(CLOSE)
         self._bus.close()
         self._stack.close()
 

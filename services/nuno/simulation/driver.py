@@ -28,7 +28,7 @@ from nuno_schemas.plugin import StepReport
 
 NOW = "sim/ask/now"
 """What to ask for the cloth as it is: who comes late has missed `sim/fabric`, and a paused run sends no state."""
-DYE_TIMEOUT = 8.0
+DYE_TIMEOUT = 100.0
 """How long the dye may take to answer [s], which finishes its frame first: shorter than whoever asks here waits."""
 
 

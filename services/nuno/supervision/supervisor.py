@@ -20,8 +20,8 @@ from nuno.wire.sessions import cut_off, hub_at, identity, spoke
 from nuno.words import counted
 from nuno_schemas.errors import BadInput, RunFailed
 
-CONTROL_TIMEOUT, ADD_TIMEOUT = 10.0, 120.0
-"""How long an answer may take [s]; what is added for the first time on a machine may be compiled."""
+CONTROL_TIMEOUT = 120.0
+"""How long an answer may take [s]: it comes between frames, and what is added for the first time is compiled."""
 CONNECT_PATIENCE = 20.0
 
 
@@ -166,11 +166,22 @@ def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[st
     return lost
 
 
-def control(run: str, endpoint: str, request: dict[str, Any], config: str | None = None) -> dict[str, Any]:
+def control(
+    run: str,
+    endpoint: str,
+    request: dict[str, Any],
+    config: str | None = None,
+    slow: Callable[[], None] | None = None,
+) -> dict[str, Any]:
     """Send one control request to a running run, whose hub may ask for a zenoh configuration.
 
-    Raises BadInput or RunFailed.
+    `slow` is called once where the answer is long in coming. Raises BadInput or RunFailed.
     """
+    begin = time.monotonic()
     with spoke(endpoint, config) as session:
-        patience = ADD_TIMEOUT if request.get("action") == "add" else CONTROL_TIMEOUT
-        return Bus(session, run, "control").ask_json("control", request, patience)
+        try:
+            return Bus(session, run, "control").ask_json("control", request, CONTROL_TIMEOUT, slow)
+        except RunFailed as error:
+            if time.monotonic() - begin < CONTROL_TIMEOUT:
+                raise
+            raise RunFailed(f"{error}; it may still do what it was asked for", peer=error.peer) from None

@@ -256,9 +256,12 @@ class Bus:
 
         return answer
 
-    def ask_json(self, name: str, value: dict[str, Any], timeout: float = 10.0) -> dict[str, Any]:
+    def ask_json(
+        self, name: str, value: dict[str, Any], timeout: float = 10.0, slow: Callable[[], None] | None = None
+    ) -> dict[str, Any]:
+        """The answer of one service's queryable; `slow` as in `ask_ahead`. Raises RunFailed if none comes."""
         try:
-            answer = json.loads(self.ask(name, json.dumps(value).encode(), timeout))
+            answer = json.loads(self.ask_ahead(name, json.dumps(value).encode(), timeout, slow)())
         except (ValueError, RecursionError):
             answer = None
         if not isinstance(answer, dict):
