@@ -23,6 +23,7 @@ from nuno.recording.writer import RecordingWriter, part_of
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
+from nuno.supervision.oversight import Supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.viewer.service import Viewer
 from nuno.wire.sessions import hub_at
@@ -138,6 +139,21 @@ def test_a_hub_that_ends_is_named(tmp_path: Path) -> None:
         wait_until(lambda: bool(list(session.liveliness().get("nuno/*/alive/supervisor"))))
     thread.join(20.0)
     assert f"the connection to the hub at {endpoint} broke" in found[0].error
+
+
+def test_a_hub_that_breaks_as_services_finish_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not the service that was asked just then; and the recorder, which is told nothing more, closes its file."""
+
+    def breaks(self: Supervisor) -> None:
+        self.cut_off = lambda: "the connection broke"
+
+    monkeypatch.setattr(Supervisor, "_await_recorder", breaks)
+    record = tmp_path / "run.mcap"
+    outcome = supervisor.supervise(scene_file.read(write_scene(tmp_path)), Options(record=record))
+    assert (outcome.state, outcome.error) == ("failed", "the connection broke")
+    with nuno.open(record) as recording:
+        assert not recording.complete
+        assert sum(1 for _ in recording.frames()) == 26
 
 
 def test_a_clock_that_is_set_back_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
