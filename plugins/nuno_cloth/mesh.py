@@ -119,9 +119,13 @@ class Mesh:
 
 
 def build_elements(
-    material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float
+    material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float, folded: bool = False
 ) -> tuple[Springs, Hinges | None]:
-    """Springs on edges, and hinges or bending springs across the inner ones."""
+    """Springs on edges, and hinges or bending springs across the inner ones.
+
+    Bending springs are at rest in the shape x, or where that is `folded`, as pieces that lie on each other along their
+    seams, with it laid open.
+    """
     pairs = edges.pairs
     rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
     flat = np.zeros(len(edges.inner))
@@ -137,11 +141,23 @@ def build_elements(
     springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)
     if material.bending[0] > 0:
         ends = np.ascontiguousarray(edges.quads[:, 2:])
-        span = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+        span = open_spans(x, edges.quads) if folded else np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
         c = material.damping + ratio * np.sqrt(material.bending[0] * _reduced(mass, ends))
         across = Springs.from_pairs(ends, flat + material.bending[0], span, c, BENDING)
         springs = Springs.join([springs, across])
     return springs, _hinges(edges, flat + material.hinge, flat)
+
+
+def open_spans(x: Float, quads: Int) -> Float:
+    """(h,) distances [m] between the last two vertices of each hinge (h, 4), its triangles laid open into a plane."""
+    start, end, left, right = (x[quads[:, i]] for i in range(4))
+    along = end - start
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    (one, high), (other, low) = (
+        (np.einsum("hk,hk->h", side - start, along), np.linalg.norm(np.cross(side - start, along), axis=1))
+        for side in (left, right)
+    )
+    return np.asarray(np.hypot(one - other, high + low))
 
 
 def _reduced(mass: Float, pairs: Int) -> Float:

@@ -88,7 +88,8 @@ class Shirt:
         material = resolve(config.fabric)
         share = np.repeat(face_areas(sewn.flat, sewn.faces), 3) * material.density / 3
         mass = np.bincount(sewn.faces.reshape(-1), share, len(sewn.flat)).astype(np.float64)
-        springs, hinges = build_elements(material, sewn.flat, sewn.faces, edges, mass, np.array([0.0, 1.0, 0.0]))
+        down = np.array([0.0, 1.0, 0.0])
+        springs, hinges = build_elements(material, sewn.flat, sewn.faces, edges, mass, down, folded=True)
         position = dress(wearer, cut, fit, sewn, edges.pairs, config.over.clearance)
         return Fabric(
             name=self.name,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nuno_cloth.delaunay import fill_outline, triangulate
+from nuno_cloth.mesh import open_spans
 from nuno_cloth.shirt import STANDARD, Shirt, ShirtConfig, sewn_for, take_measures
 from nuno_cloth.shirt_pattern import outline_of
 from nuno_cloth.triangles import face_areas, find_edges
@@ -47,6 +48,25 @@ def stretch(fabric: Fabric) -> Float:
     pairs = fabric.springs.pairs()
     length = np.linalg.norm(np.diff(fabric.position[pairs], axis=1)[:, 0], axis=1)
     return np.asarray(length / fabric.springs.per_spring(fabric.springs.rest) - 1.0)
+
+
+def test_spans_across_a_fold_do_not_depend_on_its_angle() -> None:
+    """In the plane they are distances."""
+    draws = np.random.default_rng(5).uniform(0.2, 1.0, (20, 5))
+    quads = np.array([[0, 1, 2, 3]], np.int32)
+    for one, high, other, low, length in draws:
+        for angle in (0.0, 1.0, np.pi):
+            right = [other, -low * np.cos(angle), low * np.sin(angle)]
+            x = np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0], [one, high, 0.0], right])
+            assert open_spans(x, quads) == pytest.approx([np.hypot(one - other, high + low)], rel=1e-14)
+
+
+def test_springs_across_seams_are_as_long_as_the_seam_laid_open(body: Body) -> None:
+    """Front and back lie on each other as they are cut; and a fold only brings a spring's ends closer."""
+    made = shirt(body, fabric={"structural": "100 N/m", "bending": "2 N/m", "density": 0.2})
+    edges = len(find_edges(made.faces).pairs)
+    stretched = stretch(made)
+    assert len(stretched) > edges and stretched[edges:].max() < stretched[:edges].max() < 0.2
 
 
 def test_triangles_are_delaunay() -> None:
