@@ -22,6 +22,8 @@ from nuno_schemas.messages import Header, Topic
 
 WAITING_AFTER = 5.0
 """Whoever waits this long [s] for another service says so."""
+SHORTEST, LONGEST = 20e-6, 1e-3
+"""Pauses [s] between two looks for an answer, first and at last."""
 TIMEOUT = b"Timeout"
 """zenoh's own answer, of whichever session on the way, where none came in time."""
 FURTHEST = 100_000
@@ -229,23 +231,17 @@ class Bus:
 
         It calls `slow` once where it has waited for WAITING_AFTER.
         """
-        replies: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
         begin = time.monotonic()
-        self.session.get(
-            self.key(name),
-            handler=zenoh.handlers.Callback(replies.put, lambda: replies.put(None)),
-            payload=payload,
-            timeout=timeout,
-            congestion_control=zenoh.CongestionControl.BLOCK,
+        # Not a callback: zenoh starts a thread for each, which takes far longer than the question.
+        replies = self.session.get(
+            self.key(name), payload=payload, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK
         )
 
         def answer() -> bytes:
             try:
-                reply = replies.get(timeout=WAITING_AFTER)
-            except queue.Empty:
-                if slow is not None:
-                    slow()
-                reply = replies.get()  # zenoh itself ends it when the time is over
+                reply = replies.recv() if slow is None else _await(replies, slow)
+            except zenoh.ZError:  # who could have answered has gone
+                reply = None
             if reply is not None and reply.ok is not None:
                 return reply.ok.payload.to_bytes()
             problem = TIMEOUT if reply is None or reply.err is None else reply.err.payload.to_bytes()
@@ -276,3 +272,18 @@ class Bus:
     def alive(self) -> zenoh.LivelinessToken:
         """A token that disappears with this service."""
         return self.session.liveliness().declare_token(self.key(f"alive/{self.service}"))
+
+
+def _await(replies: zenoh.handlers.Handler[zenoh.Reply], slow: Callable[[], None]) -> zenoh.Reply:
+    """The first reply; `slow` is called once where it has been waited for WAITING_AFTER.
+
+    zenoh waits without a limit or not at all. Raises ZError where none comes.
+    """
+    end, pause = time.monotonic() + WAITING_AFTER, SHORTEST
+    while (reply := replies.try_recv()) is None:
+        if time.monotonic() > end:
+            slow()
+            return replies.recv()
+        time.sleep(pause)
+        pause = min(2.0 * pause, LONGEST)
+    return reply
