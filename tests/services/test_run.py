@@ -16,14 +16,17 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno.cli import main
+from nuno.collision.ask import ask_poses
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
-from nuno.service import Options
+from nuno.service import Context, Options
 from nuno.simulation.run import Simulation
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno.verify import verify
+from nuno.wire.lockstep import WINDOW
 from nuno.wire.sessions import hub_at
+from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 
 
@@ -52,6 +55,26 @@ def test_only_services_that_were_started_by_hand_are_given_up(tmp_path: Path, mo
 def test_a_scene_starts_only_the_services_it_needs(tmp_path: Path) -> None:
     assert nuno.run(write_scene(tmp_path)).report["services"] == ["simulation", "recorder"]
     assert nuno.run(write_scene(tmp_path, bodies=BALL)).report["services"] == ["simulation", "collision", "recorder"]
+
+
+def test_bodies_are_asked_for_as_far_ahead_as_steps_may_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame's once, in order, and none after the last."""
+    asked, ahead = list[int](), list[int]()
+
+    def ask(context: Context, frame: int) -> Callable[[], Poses]:
+        answer = ask_poses(context, frame)
+        asked.append(frame)
+
+        def take() -> Poses:
+            ahead.append(asked[-1] - frame)
+            return answer()
+
+        return take
+
+    monkeypatch.setattr("nuno.simulation.driver.ask_poses", ask)
+    nuno.run(write_scene(tmp_path, bodies=BALL), record=tmp_path / "run.mcap")
+    assert asked == list(range(1, 26))
+    assert ahead == [min(WINDOW, 25 - frame) for frame in asked]
 
 
 def test_resumed_run_ends_in_the_same_bits(tmp_path: Path) -> None:

@@ -41,8 +41,6 @@ class Collision:
             question.refuse(f"poses are asked for by frame, 0 to {self.frames}")
             return
         question.answer(encode_poses(self.poses(frame), frame))
-        # While the simulation steps with these, get ready what it will ask next.
-        self.poses(frame + 1)
 
     def poses(self, frame: int) -> Poses:
         """Poses of a frame; the last few are kept."""

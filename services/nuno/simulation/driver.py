@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +21,7 @@ from nuno.service import Context
 from nuno.simulation.alter import name_of
 from nuno.simulation.run import Frame, Simulation
 from nuno.wire.arrays import encode_arrays, encode_points
-from nuno.wire.lockstep import CONTROL, Lockstep
+from nuno.wire.lockstep import CONTROL, WINDOW, Lockstep
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status
@@ -38,7 +39,8 @@ class Driver(Lockstep):
     def __init__(self, context: Context, simulation: Simulation, poses: Poses | None) -> None:
         super().__init__(context, simulation)
         self.simulation, self.poses = simulation, poses
-        self.coming: Callable[[], Poses] | None = None
+        self.coming: deque[Callable[[], Poses]] = deque()
+        """Poses of the next frames, asked for already."""
         self.seconds["bodies"] = 0.0
         self.answers[NOW] = self.encode_now
         self.inbox.answer(NOW)
@@ -98,14 +100,13 @@ class Driver(Lockstep):
     def next_poses(self) -> Poses:
         """Poses at the end of the next frame.
 
-        Those of the frame after it are asked for at once: the collision service answers between two
-        measurements, and the steps do not wait for it.
+        Those of later frames are asked for before the steps wait for these: the collision service answers between two
+        measurements, and what the way there and back takes is shared by as many frames.
         """
         frame = self.simulation.frame + 1
-        answer = self.coming or ask_poses(self.context, frame)
-        poses = answer()
-        self.coming = ask_poses(self.context, frame + 1) if frame < self.scene.frames else None
-        return poses
+        for ahead in range(frame + len(self.coming), min(frame + WINDOW, self.scene.frames) + 1):
+            self.coming.append(ask_poses(self.context, ahead))
+        return self.coming.popleft()()
 
     def publish(self, frame: Frame, state: str) -> None:
         start = time.perf_counter()
