@@ -18,6 +18,7 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from nuno.premises import offer_premises
 from nuno.scene.scene_file import Loaded
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.health import offer_health
@@ -155,6 +156,7 @@ def run_service(
     """Run one service until it is asked to finish, or `stop`. Raises what the service raised."""
     bus = Bus(session, run, name)
     offer_health(bus)
+    offer_premises(bus, loaded)
     context = Context(loaded, bus, options, stop or threading.Event())
     try:
         importlib.import_module(MODULES[name]).main(context)

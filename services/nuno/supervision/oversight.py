@@ -8,6 +8,7 @@ from typing import Any
 
 import zenoh
 
+from nuno.premises import check_premises
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
 from nuno.supervision import log
@@ -107,6 +108,24 @@ class Supervisor:
                 raise RunFailed(f"not ready within {self.patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
 
+    def check_premises(self, progress: Progress | None) -> None:
+        """Have all services start from the same scene. Raises BadInput where one does not, RunFailed where one dies."""
+        try:
+            notes = check_premises(self.bus, set(self.needed) & self.watch.alive(), self.loaded)
+        except RunFailed as error:
+            self._hear(error.peer, progress)
+            if broken := self.cut_off():
+                raise RunFailed(broken) from None
+            if error.peer in self.watch.alive():
+                raise
+            raise RunFailed(f"the {error.peer} service died: {self._why(error.peer)}") from None
+        for note in notes:
+            self._say(note, progress)
+
+    def _why(self, name: str) -> str:
+        """Why a service is over."""
+        return self.errors.get(name) or self.exited().get(name) or GONE
+
     def _hear(self, name: str, progress: Progress | None) -> None:
         """Wait for the last words of a service that is over: they may still be on the way."""
         end = time.monotonic() + 0.5
@@ -170,8 +189,7 @@ class Supervisor:
                 if self.blamed in self.watch.alive():
                     return f"the run gave up: {self.errors[dead[0]]}"
                 name = self.blamed or dead[0]
-                why = self.errors.get(name) or self.exited().get(name) or GONE
-                return f"the {name} service died: {why}"
+                return f"the {name} service died: {self._why(name)}"
         return ""
 
     def _say(self, text: str, progress: Progress | None) -> None:

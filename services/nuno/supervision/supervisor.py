@@ -103,14 +103,22 @@ def supervise(
             )
         elif not deployment.connect:
             supervisor.exited = stack.enter_context(launch.threads(loaded, options, plan, session, run))
-        return _conduct(supervisor, began, progress, report)
+        apart = deployment.processes or deployment.connect is not None
+        return _conduct(supervisor, began, apart, progress, report)
 
 
 def _conduct(
-    supervisor: Supervisor, began: float, progress: Progress | None, report: Callable[[Outcome], dict[str, Any]] | None
+    supervisor: Supervisor,
+    began: float,
+    apart: bool,
+    progress: Progress | None,
+    report: Callable[[Outcome], dict[str, Any]] | None,
 ) -> Outcome:
+    """`apart`: each service has read the scene by itself."""
     try:
         supervisor.wait_until_ready(progress)
+        if apart:
+            supervisor.check_premises(progress)
         ready = time.perf_counter()
         log.note(supervisor.run, log.READY, {"seconds": ready - began})
         error = supervisor.follow(progress)

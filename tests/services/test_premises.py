@@ -1,0 +1,131 @@
+"""Every service of a run starts from the same scene and files, wherever it has read them."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+from scenes import BALL, write_scene
+
+from nuno.premises import Premises, compare, differences, premises_of
+from nuno.scene import scene_file
+from nuno.scene.choose import decide
+from nuno.scene.scene_file import Loaded
+from nuno.service import Options, run_service
+from nuno.supervision import runs, supervisor
+from nuno.supervision.supervisor import Deployment, Outcome
+from nuno.wire.bus import Bus
+from nuno.wire.sessions import hub_at, spoke
+from nuno_schemas.errors import BadInput, RunFailed
+
+SERVICES = ("simulation", "collision", "recorder")
+
+
+def supervise(loaded: Loaded, others: dict[str, Loaded], record: Path) -> tuple[Outcome | None, list[str], str]:
+    """A run whose services have each read a scene of their own: how it ended, what was said, what was refused."""
+    run, said = runs.new_id("apart"), list[str]()
+
+    def serve(name: str, endpoint: str) -> None:
+        with spoke(endpoint) as session:
+            options = Options(record=record, must_see=("collision", "recorder"))
+            try:
+                run_service(name, others.get(name, loaded), session, run, options)
+            except RunFailed as error:
+                said.append(str(error))
+
+    outcome, refused = None, ""
+    with hub_at(None) as (_, endpoint):
+        threads = [threading.Thread(target=serve, args=(name, endpoint), daemon=True) for name in SERVICES]
+        for thread in threads:
+            thread.start()
+        try:
+            outcome = supervisor.supervise(
+                loaded,
+                Options(record=record),
+                Deployment(connect=endpoint, run=run),
+                lambda status: said.append(status) if isinstance(status, str) else None,
+            )
+        except BadInput as error:
+            refused = str(error)
+        for thread in threads:
+            thread.join(30.0)
+            assert not thread.is_alive()
+    return outcome, said, refused
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_service_with_another_scene_is_refused_before_the_first_frame(service: str, tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, bodies=BALL)
+    other = scene_file.read(scene, ["bodies.0.collider.radius=0.2"])
+    record = tmp_path / "run.mcap"
+    _, _, refused = supervise(scene_file.read(scene), {service: other}, record)
+    assert f"bodies[0].collider.radius: the {service} service has read another scene" in refused
+    assert "value:  0.2" in refused and "as the run has it" in refused and "--set" in refused
+    assert not list(tmp_path.glob("run*"))
+
+
+def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def leave(bus: Bus, services: set[str], loaded: Loaded) -> list[str]:
+        bus.ask_json("finish/collision", {})
+        raise RunFailed("no answer", peer="collision")
+
+    monkeypatch.setattr("nuno.supervision.oversight.check_premises", leave)
+    loaded = scene_file.read(write_scene(tmp_path, bodies=BALL))
+    outcome, _, _ = supervise(loaded, {}, tmp_path / "run.mcap")
+    assert outcome is not None and outcome.state == "failed"
+    assert outcome.error == "the collision service died: its process ended or the connection broke"
+
+
+def test_the_same_scene_is_the_same_however_it_was_given(tmp_path: Path) -> None:
+    """As a file, by what was set, and with its solver chosen already, which not every service needs."""
+    scene = write_scene(tmp_path, bodies=BALL, solver="auto", accuracy="preview", duration="0.2 s")
+    loaded = scene_file.read(scene)
+    decided = decide(loaded)
+    assert premises_of(decided).scene["solver"] != premises_of(loaded).scene["solver"]
+    again = scene_file.read(scene, decided.overrides)
+    outcome, said, refused = supervise(
+        decided, {"collision": loaded, "recorder": again, "simulation": again}, tmp_path / "run.mcap"
+    )
+    assert (refused, said) == ("", []) and outcome is not None and outcome.state == "done"
+
+
+def test_a_file_of_the_same_name_must_hold_the_same(tmp_path: Path) -> None:
+    folders = [tmp_path / "here", tmp_path / "there"]
+    found = []
+    for folder, text in zip(folders, ("one", "two"), strict=True):
+        folder.mkdir()
+        (folder / "walk.bvh").write_text(text)
+        motion = {"plugin": "bvh", "file": "walk.bvh"}
+        body = {"name": "dancer", "collider": {"plugin": "skeleton"}, "motion": motion}
+        found.append(premises_of(scene_file.read(write_scene(folder, bodies=[body]))))
+    here, there = found
+    assert compare("collision", here, here) == []
+    with pytest.raises(BadInput, match="the collision service has read another file of that name") as caught:
+        compare("collision", there, here)
+    assert caught.value.value == "walk.bvh"
+    assert compare("collision", there.model_copy(update={"files": {}}), here) == [], "not every service needs it"
+
+
+def test_other_versions_are_said(tmp_path: Path) -> None:
+    own = premises_of(scene_file.read(write_scene(tmp_path)))
+    theirs = own.model_copy(update={"versions": own.versions | {"numpy": "1.0"}})
+    (note,) = compare("simulation", theirs, own)
+    assert note.startswith(f"the simulation service has numpy 1.0, the run {own.versions['numpy']}")
+
+
+def test_premises_cross_the_bus_unchanged(tmp_path: Path) -> None:
+    own = premises_of(scene_file.read(write_scene(tmp_path, bodies=BALL)))
+    assert Premises.model_validate_json(own.model_dump_json()) == own
+
+
+def test_differences_are_named_by_their_fields() -> None:
+    one = {"a": 1, "b": [{"c": 2}, {"c": 3}], "d": [1, 2], "e": None}
+    other = {"a": 1.0, "b": [{"c": 2}, {"c": 4}], "d": [1], "f": None}
+    assert list(differences(one, other)) == [
+        ("b[1].c", 3, 4),
+        ("d", [1, 2], [1]),
+        ("e", None, "nothing"),
+        ("f", "nothing", None),
+    ]
+    assert list(differences(one, one)) == []
