@@ -21,14 +21,15 @@ import nuno
 from nuno.cli import main
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.scene import scene_file
-from nuno.service import Options
+from nuno.service import SUPERVISOR, Options
 from nuno.supervision import supervisor
 from nuno.supervision.oversight import Supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.viewer.service import Viewer
+from nuno.wire.bus import Bus
 from nuno.wire.sessions import hub_at
 from nuno_bench.soak.faults.run import started
-from nuno_schemas.errors import RunFailed
+from nuno_schemas.errors import BadInput, RunFailed
 
 
 @pytest.mark.parametrize("early", [True, False])
@@ -139,6 +140,14 @@ def test_a_hub_that_ends_is_named(tmp_path: Path) -> None:
         wait_until(lambda: bool(list(session.liveliness().get("nuno/*/alive/supervisor"))))
     thread.join(20.0)
     assert f"the connection to the hub at {endpoint} broke" in found[0].error
+
+
+def test_a_run_of_a_name_that_another_host_has_is_refused(tmp_path: Path) -> None:
+    """The hub knows who is there; the other's own machine has its note."""
+    loaded = scene_file.read(write_scene(tmp_path))
+    refused = pytest.raises(BadInput, match="a run of that name is going on")
+    with hub_at(None) as (session, endpoint), Bus(session, "r1", SUPERVISOR).alive(), refused:
+        supervisor.supervise(loaded, Options(), Deployment(connect=endpoint, run="r1"))
 
 
 def test_a_hub_that_breaks_as_services_finish_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

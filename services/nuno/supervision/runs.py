@@ -116,8 +116,13 @@ def _lock(path: Path) -> FileIO:
                 return stream
         stream.close()
         time.sleep(LOOK_SECONDS)
+    raise goes_on(path.stem)
+
+
+def goes_on(run: str) -> BadInput:
+    """What is said where another run has that name."""
     remedy = "wait for its end, or give this one another name with --run"
-    raise BadInput("a run of that name is going on", field="--run", value=path.stem, remedy=remedy)
+    return BadInput("a run of that name is going on", field="--run", value=run, remedy=remedy)
 
 
 def _holds(path: Path) -> bool:

@@ -85,6 +85,9 @@ def supervise(
             own = identity(run, SUPERVISOR)
             # First, for a second session of its identity would end that of a run of the same name.
             stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
+            with spoke(endpoint, deployment.config, CONNECT_PATIENCE) as session:
+                if SUPERVISOR in Bus(session, run, "visitor").present():  # from another host
+                    raise runs.goes_on(run)
             session = stack.enter_context(spoke(endpoint, deployment.config, CONNECT_PATIENCE, own))
         else:
             trusted = [identity(run, name) for name in plan.services if name != "viewer" or name in plan.must_see]
