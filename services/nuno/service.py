@@ -156,7 +156,7 @@ def run_service(
     """Run one service until it is asked to finish, or `stop`. Raises what the service raised."""
     bus = Bus(session, run, name)
     offer_health(bus)
-    offer_premises(bus, loaded)
+    offer_premises(bus, loaded, options.resume is not None)
     context = Context(loaded, bus, options, stop or threading.Event())
     try:
         importlib.import_module(MODULES[name]).main(context)

@@ -66,7 +66,7 @@ def test_a_service_with_another_scene_is_refused_before_the_first_frame(service:
 
 
 def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def leave(bus: Bus, services: set[str], loaded: Loaded) -> list[str]:
+    def leave(bus: Bus, services: set[str], loaded: Loaded, resumes: bool) -> list[str]:
         bus.ask_json("finish/collision", {})
         raise RunFailed("no answer", peer="collision")
 
@@ -77,15 +77,19 @@ def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypat
     assert outcome.error == "the collision service died: its process ended or the connection broke"
 
 
-def test_the_same_scene_is_the_same_however_it_was_given(tmp_path: Path) -> None:
-    """As a file, by what was set, and with its solver chosen already, which not every service needs."""
-    scene = write_scene(tmp_path, bodies=BALL, solver="auto", accuracy="preview", duration="0.2 s")
+def test_the_same_scene_is_the_same_however_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a file, by what was set, in other units, with its solver chosen already, which not every service needs."""
+    monkeypatch.setattr("nuno.supervision.oversight.COMPILING_AFTER", 1e6)  # nothing is to be said of it
+    solver = {"plugin": "xpbd", "residual": 1e-5, "iterations": 2}
+    scene = write_scene(tmp_path, bodies=BALL, solver=solver, accuracy="preview", duration="0.2 s")
     loaded = scene_file.read(scene)
     decided = decide(loaded)
-    assert premises_of(decided).scene["solver"] != premises_of(loaded).scene["solver"]
+    assert premises_of(decided, False).scene["solver"] != premises_of(loaded, False).scene["solver"]
     again = scene_file.read(scene, decided.overrides)
+    radius = loaded.data["bodies"][0]["collider"]["radius"]
+    units = scene_file.read(scene, [f"bodies.0.collider.radius={1000 * radius} mm", "bodies.0.motion=null"])
     outcome, said, refused = supervise(
-        decided, {"collision": loaded, "recorder": again, "simulation": again}, tmp_path / "run.mcap"
+        decided, {"collision": units, "recorder": again, "simulation": again}, tmp_path / "run.mcap"
     )
     assert (refused, said) == ("", []) and outcome is not None and outcome.state == "done"
 
@@ -98,7 +102,7 @@ def test_a_file_of_the_same_name_must_hold_the_same(tmp_path: Path) -> None:
         (folder / "walk.bvh").write_text(text)
         motion = {"plugin": "bvh", "file": "walk.bvh"}
         body = {"name": "dancer", "collider": {"plugin": "skeleton"}, "motion": motion}
-        found.append(premises_of(scene_file.read(write_scene(folder, bodies=[body]))))
+        found.append(premises_of(scene_file.read(write_scene(folder, bodies=[body])), False))
     here, there = found
     assert compare("collision", here, here) == []
     with pytest.raises(BadInput, match="the collision service has read another file of that name") as caught:
@@ -108,14 +112,45 @@ def test_a_file_of_the_same_name_must_hold_the_same(tmp_path: Path) -> None:
 
 
 def test_other_versions_are_said(tmp_path: Path) -> None:
-    own = premises_of(scene_file.read(write_scene(tmp_path)))
+    own = premises_of(scene_file.read(write_scene(tmp_path)), False)
     theirs = own.model_copy(update={"versions": own.versions | {"numpy": "1.0"}})
     (note,) = compare("simulation", theirs, own)
     assert note.startswith(f"the simulation service has numpy 1.0, the run {own.versions['numpy']}")
 
 
+def test_a_file_that_changes_before_the_run_begins_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever has read it has the old one."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "walk.bvh").write_text("one")
+    body = {"name": "dancer", "collider": {"plugin": "skeleton"}, "motion": {"plugin": "bvh", "file": "walk.bvh"}}
+    loaded = scene_file.read(write_scene(tmp_path, bodies=[body]))
+    premises_of(loaded, False)
+    (tmp_path / "walk.bvh").write_text("other")
+    with pytest.raises(BadInput, match="it has changed since it was read"):
+        premises_of(loaded, False)
+    (tmp_path / "walk.bvh").unlink()
+    with pytest.raises(BadInput, match="cannot be read"):
+        premises_of(loaded, False)
+
+
+def test_services_that_step_go_on_from_a_recording_where_the_run_does(tmp_path: Path) -> None:
+    own = premises_of(scene_file.read(write_scene(tmp_path)), True)
+    anew = own.model_copy(update={"resumes": False})
+    assert compare("collision", anew, own) == []
+    with pytest.raises(BadInput, match="the simulation service starts anew, the run does not"):
+        compare("simulation", anew, own)
+
+
+def test_long_values_are_cut_short(tmp_path: Path) -> None:
+    own = premises_of(scene_file.read(write_scene(tmp_path)), False)
+    other = own.model_copy(update={"scene": own.scene | {"objects": ["x" * 10_000]}})
+    with pytest.raises(BadInput) as caught:
+        compare("simulation", other, own)
+    assert len(str(caught.value)) < 600
+
+
 def test_premises_cross_the_bus_unchanged(tmp_path: Path) -> None:
-    own = premises_of(scene_file.read(write_scene(tmp_path, bodies=BALL)))
+    own = premises_of(scene_file.read(write_scene(tmp_path, bodies=BALL)), False)
     assert Premises.model_validate_json(own.model_dump_json()) == own
 
 
@@ -124,7 +159,7 @@ def test_differences_are_named_by_their_fields() -> None:
     other = {"a": 1.0, "b": [{"c": 2}, {"c": 4}], "d": [1], "f": None}
     assert list(differences(one, other)) == [
         ("b[1].c", 3, 4),
-        ("d", [1, 2], [1]),
+        ("d[1]", 2, "nothing"),
         ("e", None, "nothing"),
         ("f", "nothing", None),
     ]

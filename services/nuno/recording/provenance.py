@@ -52,7 +52,7 @@ def processor() -> str:
 
 def plugins(loaded: Loaded) -> dict[str, str]:
     """`group/name` of every plugin in the scene -> package and version that provides it."""
-    return {f"{c.group}/{c.name}": registry.package_version(c.group, c.name) for c in _chosen(loaded)}
+    return {f"{c.group}/{c.name}": registry.package_version(c.group, c.name) for c in chosen_by(loaded)}
 
 
 def assets(loaded: Loaded) -> dict[str, Path]:
@@ -62,7 +62,7 @@ def assets(loaded: Loaded) -> dict[str, Path]:
     models would tell exactly, but costs their memory a second time; a string that happens to
     name a file beside the scene only adds that file.
     """
-    for chosen in _chosen(loaded):
+    for chosen in chosen_by(loaded):
         for text in _strings(chosen.config.model_dump()):
             with contextlib.suppress(BadInput, OSError, ValueError):
                 loaded.files.resolve(text)
@@ -80,7 +80,8 @@ def _strings(value: object) -> Iterator[str]:
             yield from _strings(item)
 
 
-def _chosen(loaded: Loaded) -> list[Chosen]:
+def chosen_by(loaded: Loaded) -> list[Chosen]:
+    """The plugins of a scene that can change a result."""
     optional = [c for c in (*loaded.motions, loaded.contact) if c is not None]
     dye = loaded.dye.plugins if loaded.dye is not None else []
     own = [loaded.integrator] if loaded.scene.moves else []

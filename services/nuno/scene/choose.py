@@ -11,6 +11,7 @@ import os
 from dataclasses import dataclass, replace
 
 import numpy as np
+import yaml
 
 from nuno import registry
 from nuno.cloth import build
@@ -170,8 +171,8 @@ def _written(loaded: Loaded, name: str, dt: float | None, why: str) -> Loaded:
     chosen = {**loaded.scene.solver.config, "plugin": name} | ({} if dt is None else {"dt": dt})
     data = {key: value for key, value in loaded.data.items() if key != "accuracy"} | {"solver": chosen}
     decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
-    fields = ", ".join(f"{key}: {value!r}" if key == "dt" else f"{key}: {value}" for key, value in chosen.items())
-    overrides = (*loaded.overrides, f"solver={{{fields}}}", "accuracy=null")
+    text = yaml.safe_dump(chosen, default_flow_style=True, width=math.inf).strip()
+    overrides = (*loaded.overrides, f"solver={text}", "accuracy=null")
     both = f"{why}; dye: {loaded.why}" if loaded.why else why
     return replace(decided, overrides=overrides, path=loaded.path, why=both)
 

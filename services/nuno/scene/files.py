@@ -12,12 +12,14 @@ from nuno_schemas.errors import BadInput
 class SceneFiles:
     """Resolves names against the scene's folder, then the extra roots.
 
-    `used` collects what was resolved, name -> path, so that a recording can carry it along.
+    `used` collects what was resolved, name -> path, so that a recording can carry it along; `stamps` what tells whether
+    it has changed since.
     """
 
     folder: Path
     roots: tuple[Path, ...] = ()
     used: dict[str, Path] = field(default_factory=dict)
+    stamps: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def resolve(self, name: str) -> Path:
         """The existing file `name`. Raises BadInput if it is missing or outside every root."""
@@ -27,6 +29,7 @@ class SceneFiles:
                 base = root.resolve()
                 path = (base / name).resolve()
                 found = path.is_file()
+                stamp = stamp_of(path) if found else (0, 0)
             except (OSError, ValueError, RuntimeError):  # a link to itself, a NUL, a name too long
                 raise BadInput("not the name of a file", value=name, remedy="check the name") from None
             if not path.is_relative_to(base):
@@ -34,6 +37,7 @@ class SceneFiles:
             inside = True
             if found:
                 self.used[name] = path
+                self.stamps.setdefault(name, stamp)
                 return path
         allowed = ", ".join(str(root) for root in (self.folder, *self.roots))
         if inside:
@@ -49,3 +53,9 @@ class SceneFiles:
             limit=allowed,
             remedy="put the file there, or name its folder with --root DIR",
         )
+
+
+def stamp_of(path: Path) -> tuple[int, int]:
+    """Size [bytes] and time of change [ns] of a file. Raises OSError."""
+    state = path.stat()
+    return state.st_size, state.st_mtime_ns

@@ -29,8 +29,9 @@ from nuno_schemas.plugin import StepReport
 
 NOW = "sim/ask/now"
 """What to ask for the cloth as it is: who comes late has missed `sim/fabric`, and a paused run sends no state."""
-DYE_TIMEOUT = 100.0
-"""How long the dye may take to answer [s], which finishes its frame first: shorter than whoever asks here waits."""
+DYE_TIMEOUT = 20.0
+"""How long the dye may take to answer [s], which finishes its frame first: shorter than whoever asks here waits, and
+than the end of the run may take."""
 
 
 class Driver(Lockstep):

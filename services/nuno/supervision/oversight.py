@@ -42,6 +42,10 @@ COMPILING_AFTER = 1.5
 COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
 
 GONE = "its process ended or the connection broke"
+UNSAID = (
+    "does not say which scene it has read: it is of an older version, or the router's rights are (nuno certs makes "
+    "router.json5 anew)"
+)
 
 Summarise = Callable[[dict[str, dict[str, Any]]], dict[str, Any]]
 Progress = Callable[[FrameStatus | str], None]
@@ -110,17 +114,21 @@ class Supervisor:
 
     def check_premises(self, progress: Progress | None) -> None:
         """Have all services start from the same scene. Raises BadInput where one does not, RunFailed where one dies."""
-        try:
-            notes = check_premises(self.bus, set(self.needed) & self.watch.alive(), self.loaded)
-        except RunFailed as error:
-            self._hear(error.peer, progress)
-            if broken := self.cut_off():
-                raise RunFailed(broken) from None
-            if error.peer in self.watch.alive():
-                raise
-            raise RunFailed(f"the {error.peer} service died: {self._why(error.peer)}") from None
-        for note in notes:
-            self._say(note, progress)
+        for services in (set(self.needed), self.dispensable):
+            try:
+                alive = services & self.watch.alive()
+                notes = check_premises(self.bus, alive, self.loaded, self.options.resume is not None)
+            except RunFailed as error:
+                self._hear(error.peer, progress)
+                if broken := self.cut_off():
+                    raise RunFailed(broken) from None
+                if error.peer in self.watch.alive():
+                    raise RunFailed(f"the {error.peer} service {UNSAID}") from None
+                if error.peer in self.dispensable:
+                    continue
+                raise RunFailed(f"the {error.peer} service died: {self._why(error.peer)}") from None
+            for note in notes:
+                self._say(note, progress)
 
     def _why(self, name: str) -> str:
         """Why a service is over."""

@@ -21,7 +21,10 @@ ANSWER = 1.0
 PATIENCE = 30.0
 MORE = ("run/event/simulation", "ack/recorder", "ack/collision", "**")
 """Keys to forge beside the topics."""
-QUESTIONS = ("control", "control/dye", "finish/simulation", "finish/recorder", "sim/ask/now", "collision/ask/geometry")
+QUESTIONS = (
+    "control", "control/dye", "finish/simulation", "finish/recorder", "sim/ask/now", "collision/ask/geometry",
+    "premises/simulation",
+)  # fmt: skip
 
 
 @dataclass
