@@ -105,8 +105,14 @@ def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, tmp_pat
         assert run.wait_end(20.0) < 20.0
         assert run.code == 1
         assert run.said.splitlines()[-1] == f"failed: {word}"
+        assert f"the services end in order: {word} (once more, and they end at once)" in run.said
     with nuno.open(run.record) as recording:
         assert recording.metadata["end"]["state"] == "failed"
+        last = [frame.number for frame in recording.frames()][-1]
+        assert recording.report()["simulated_seconds"] == pytest.approx(last / 50)
+        assert len(recording.report()["digest"]) == 32
+        point = recording.last_checkpoint(recording.common_checkpoint().t)
+        assert point.frame == last > 0, "it can be gone on from where it was"
 
 
 def test_a_second_signal_ends_a_process_whatever_it_does() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import signal
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,13 +18,16 @@ from refusals import Refused
 from nuno.cli import main
 from nuno.export.yarns import export_yarn_picture
 from nuno.recording.reader import open_recording
+from nuno.recording.recorded import Frame
+from nuno.render.artist import Artist
 from nuno.scene import scene_file
 from nuno.service import Context, Options
 from nuno.supervision import supervisor
+from nuno.supervision.oversight import DRAWING, UNDRAWN
 from nuno.supervision.plan import make_plan
 from nuno.wire.arrays import decode_picture
 from nuno.wire.bus import Inbox, Message, Question
-from nuno_schemas.messages import PICTURE
+from nuno_schemas.messages import PICTURE, REPORT, FrameStatus
 
 LEG = {"plugin": "mesh", "shape": "leg", "resolution": 16}
 
@@ -67,6 +72,34 @@ def test_pictures_are_of_the_frames_that_were_asked_for(pictures: str, times: li
         if pictures == "end":
             again = export_yarn_picture(recording, tmp_path / "again.png")
             assert np.array_equal(np.asarray(Image.open(again)), images[0])
+
+
+def test_who_would_not_wait_for_pictures_has_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while the last ones are drawn: the one that is begun is the last, and the report is kept."""
+    draw, pressed = Artist.draw, threading.Event()
+
+    def slow(self: Artist, frame: Frame) -> Any:
+        assert pressed.wait(30)
+        return draw(self, frame)
+
+    def press(status: FrameStatus | str) -> None:
+        if status == DRAWING:
+            threading.Timer(0.2, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)).start()
+        elif status == UNDRAWN:
+            threading.Timer(0.5, pressed.set).start()
+
+    monkeypatch.setattr(Artist, "draw", slow)
+    loaded, record = scene_file.read(write(tmp_path, pictures="0.1 s")), tmp_path / "run.mcap"
+    outcome = supervisor.supervise(
+        loaded, Options(record=record), None, press, lambda outcome: {"state": outcome.state}
+    )
+    left = outcome.services["render"]["undrawn"]
+    assert left > 0 and outcome.services["render"]["pictures"] + left == 6
+    assert (outcome.state, outcome.error) == ("failed", f"render: interrupted, pictures left undrawn: {left}")
+    with open_recording(record) as recording:
+        assert recording.missing == {} and not recording.complete
+        assert sum(1 for _ in recording.frames()) == 6
+        assert sum(1 for _ in recording.messages([REPORT.name])) == 1
 
 
 def test_the_viewer_shows_them(tmp_path: Path) -> None:

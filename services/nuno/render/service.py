@@ -6,6 +6,7 @@ end of the run what is left is drawn before the recording is closed.
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 import time
@@ -13,9 +14,10 @@ from typing import Any
 
 from nuno.recording.recorded import Frame
 from nuno.render.artist import Artist
-from nuno.service import Context, each_message
+from nuno.service import Context, asks_to_finish, each_message
 from nuno.wire.arrays import BadMessage, decode_points, encode_picture
 from nuno.wire.bus import Inbox, Message
+from nuno.wire.question import Question
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import PICTURE, STATE
 
@@ -32,7 +34,7 @@ class Render:
         self.last: Frame | None = None
         self.queued = -1
         """The newest frame that is to be drawn."""
-        self.pictures, self.seconds = 0, 0.0
+        self.pictures, self.undrawn, self.seconds = 0, 0, 0.0
         self._frames: queue.SimpleQueue[Frame | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._draw_all, name="pictures", daemon=True)
         self._thread.start()
@@ -44,16 +46,29 @@ class Render:
         if self.every is not None and (self.queued < 0 or header.frame % self.every == 0):
             self._queue(self.last)
 
-    def finish(self, draw_last: bool) -> dict[str, Any]:
-        """Draw the last frame, unless it has been, and wait for all pictures; without it those are left undrawn."""
+    def end(self, draw_last: bool) -> None:
+        """Draw the last frame, unless it has been, and no more; without it those that wait are left undrawn."""
         if not draw_last:
-            while not self._frames.empty():
-                self._frames.get()
+            self.drop()
         elif self.last is not None and self.last.number != self.queued:
             self._queue(self.last)
         self._frames.put(None)
-        self._thread.join()
-        return {"pictures": self.pictures, "seconds": self.seconds}
+
+    def drop(self) -> None:
+        """Leave undrawn what waits."""
+        with contextlib.suppress(queue.Empty):
+            while self._frames.get_nowait() is not None:
+                self.undrawn += 1
+            self._frames.put(None)
+
+    @property
+    def drawing(self) -> bool:
+        """Whether there are pictures to wait for."""
+        return self._thread.is_alive()
+
+    def told(self) -> dict[str, Any]:
+        """What was drawn, and what was not."""
+        return {"pictures": self.pictures, "seconds": self.seconds, "undrawn": self.undrawn}
 
     def _queue(self, frame: Frame) -> None:
         self.queued = frame.number
@@ -86,5 +101,12 @@ def main(context: Context) -> None:
     question = each_message(context, inbox, handle)
     while isinstance(item := inbox.get(0), Message):
         handle(item)
-    drawn = render.finish(not question.json().get("error"))
-    question.answer_json(context.counts(inbox) | drawn)
+    questions = [question]
+    render.end(draw_last=not question.json().get("error"))
+    while render.drawing:
+        again = inbox.get(0.1)
+        if isinstance(again, Question) and asks_to_finish(inbox, again):  # the user would not wait
+            render.drop()
+            questions.append(again)
+    for each in questions:
+        each.answer_json(context.counts(inbox) | render.told())

@@ -31,6 +31,7 @@ FOLLOWERS = ("dye", "collision", "render", "viewer", "recorder")
 DRAWING_TIMEOUT = 3600.0
 """How long pictures that are still to be drawn at the end may take [s]."""
 DRAWING = "drawing what is left of the pictures"
+UNDRAWN = "the picture that is being drawn is the last (once more, and the run ends at once)"
 WRITING_TIMEOUT = 1800.0
 """How long the recorder may take to close its file [s]: a slow disk is still to take what the system has kept."""
 PATIENCE_AT_END = {"render": DRAWING_TIMEOUT, "recorder": WRITING_TIMEOUT}
@@ -251,7 +252,7 @@ class Supervisor:
             if name == "render" and progress is not None and not error:
                 self._say(DRAWING, progress)
             try:
-                answers[name] = self.bus.ask_json(f"finish/{name}", request, patience)
+                answers[name] = self._ask_to_finish(name, request, patience, progress)
             except RunFailed as failure:
                 self.broken = self.cut_off()
                 if self.broken:
@@ -260,6 +261,20 @@ class Supervisor:
         answers[SUPERVISOR] = {name: self.inbox.counts.told()[name] for name in ("missing", "refused")}
         self.alive.undeclare()
         return answers
+
+    def _ask_to_finish(
+        self, name: str, request: dict[str, Any], patience: float, progress: Progress | None
+    ) -> dict[str, Any]:
+        """A service's answer. Where the user would not wait for pictures, those that wait are left undrawn."""
+        try:
+            return self.bus.ask_json(f"finish/{name}", request, patience)
+        except KeyboardInterrupt:
+            if name != "render":
+                raise
+        self._say(UNDRAWN, progress)
+        answer = self.bus.ask_json(f"finish/{name}", {"error": "interrupted"}, patience)
+        self.errors[name] = f"interrupted, pictures left undrawn: {answer.get('undrawn')}"
+        return answer
 
     def _lose(self, name: str, why: str, progress: Progress | None) -> None:
         """Note a service that has not finished."""

@@ -23,6 +23,9 @@ from nuno_schemas.errors import BadInput, RunFailed
 CONTROL_TIMEOUT = 120.0
 """How long an answer may take [s]: it comes between frames, and what is added for the first time is compiled."""
 CONNECT_PATIENCE = 20.0
+SIGNALS = ("interrupted", "terminated")
+"""What SIGINT and SIGTERM do to a run."""
+AT_ONCE = " (once more, and they end at once)"
 
 
 @dataclass
@@ -118,6 +121,7 @@ def _conduct(
     report: Callable[[Outcome], dict[str, Any]] | None,
 ) -> Outcome:
     """`apart`: each service has read the scene by itself."""
+    ready, error = 0.0, ""
     try:
         supervisor.wait_until_ready(progress)
         if apart:
@@ -129,17 +133,16 @@ def _conduct(
         supervisor.finish("refused", lambda answers: {}, discard=True)
         raise
     except RunFailed as failure:
-        ready, error = time.perf_counter(), str(failure)
+        error = str(failure)
     except KeyboardInterrupt as signal:
-        ready, error = time.perf_counter(), _word(signal)
-        if progress is not None:
-            progress("once more, and the run ends at once")
+        error = _word(signal)
     ended = time.perf_counter()
+    ready = ready or ended
     if error and progress is not None:
-        progress(f"the services end in order: {error}")
+        progress(f"the services end in order: {error}{AT_ONCE if error in SIGNALS else ''}")
 
     def outcome(answers: dict[str, dict[str, Any]]) -> Outcome:
-        summary = supervisor.ended or {}
+        summary = supervisor.ended or answers.get(supervisor.plan.leader, {}).get("summary", {})
         why = error or "; ".join(_lost(supervisor, answers))
         state = "failed" if why else str(summary["state"])
         seconds = {"prepare": ready - began, "run": ended - ready}
@@ -159,7 +162,7 @@ def _conduct(
 
 def _word(signal: KeyboardInterrupt) -> str:
     """How a signal ended a run."""
-    return "terminated" if isinstance(signal, Terminated) else "interrupted"
+    return SIGNALS[isinstance(signal, Terminated)]
 
 
 def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[str]:

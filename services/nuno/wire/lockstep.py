@@ -184,9 +184,7 @@ class Lockstep(ABC):
             if self.context.orphaned():  # nobody would end what goes on, nor hear how it ended
                 raise RunFailed("the supervisor has gone")
             self.stand_still()
-            if self.finish is not None:
-                return "failed"
-            if self.state == "stopped":
+            if self.finish is not None or self.state == "stopped":
                 break
             status = self.one_frame().status
             if status == "unconverged" and self.work.frame >= self.scene.frames:  # a longer one can go on
@@ -196,7 +194,9 @@ class Lockstep(ABC):
                 return status
             if self.until is not None and self.work.frame >= self.until:
                 self.state, self.until = "paused", None
-        self.keep()
+        self.keep()  # also of a run that was interrupted: it can be gone on from there
+        if self.finish is not None:
+            return "failed"
         self.wait_for(self.work.frame)
         return "stopped" if self.state == "stopped" else "done"
 
