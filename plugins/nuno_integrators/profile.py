@@ -28,7 +28,7 @@ MOST = 64
 
 def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, extra: Any) -> Mapping[str, float]:
     """Seconds per step by part: those of PARTS that the system has, "python" where a force is written
-    in Python, and "rest": attachments, gravity, the update. Together they are a whole step.
+    in Python, and "other": attachments, gravity, the update. Together they are a whole step.
 
     Steps of hardly any duration leave x and v (3, n) where they are, and the loop is the one that the run
     compiled, over tuples of the same types, so nothing is compiled for it. A part's cost is what a
@@ -54,4 +54,4 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
     rounds = [[run(variant, force, steps) for variant, force in variants.values()] for _ in range(REPEATS)]
     whole, *without = np.min(rounds, axis=0).tolist()
     saved = {part: max(0.0, whole - rest) for part, rest in zip(list(variants)[1:], without, strict=True)}
-    return saved | {"rest": max(0.0, whole - sum(saved.values()))}
+    return saved | {"other": max(0.0, whole - sum(saved.values()))}

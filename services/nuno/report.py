@@ -227,7 +227,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
             )
         )
         since = f", since the run went on at {report['began']:g} s" if report["began"] else ""
-        rows.append(("balance", _balance(first, last) + since))
+        rows.append(("balance", _balance(first, last, report["left_out"]) + since))
     stretch = report["stretch"]
     rows.append(("stretch", _percent(stretch)))
     if rest := report["rest"]:
@@ -267,8 +267,10 @@ def _warnings(report: Report) -> list[str]:
         found.append(f"threads were stretched by more than {MOST_STRETCH:.0%}: a stiffer fabric, or less load?")
     depth, expected = report["penetration"], report["rest_depth"]
     if depth is not None and expected is not None and depth > max(MOST_DEPTHS * expected, SEEN_DEPTH):
-        often = f"{depth / expected:.0f} times as deep" if expected else "deeper"
-        found.append(f"cloth lay in bodies {often} than resting contact would: stiffer contact, or slower bodies?")
+        often = f"{depth / expected:.0f} times as deep as" if expected else "deeper than"
+        found.append(
+            f"cloth lay in bodies {often} resting contact: from its start? else stiffer contact, slower bodies"
+        )
     return found
 
 
@@ -276,12 +278,13 @@ def _millimetres(depth: float) -> str:
     return f"{depth * 1e3:.3g} mm"
 
 
-def _balance(first: dict[str, float | None], last: dict[str, float | None]) -> str:
+def _balance(first: dict[str, float | None], last: dict[str, float | None], left_out: list[str]) -> str:
     start, end = (_total(energy) for energy in (first, last))
     if start is None or end is None:
         return f"{_joules(start)} -> {_joules(end)}"
-    change = _joules(end - start)
-    return f"{_joules(start)} -> {_joules(end)}: {change} by damping, friction, wind and moving bodies"
+    causes = {"damping": "", "wind and other forces": "the scene names none", "friction and moving bodies": "no bodies"}
+    work = ", ".join(cause for cause, none in causes.items() if not (none and none in " ".join(left_out)))
+    return f"{_joules(start)} -> {_joules(end)}: {_joules(end - start)} by {work}"
 
 
 def _percent(stretch: float | None) -> str:

@@ -57,6 +57,15 @@ def test_doubtful_results_carry_a_warning(result: nuno.Result, change: dict[str,
     assert words in "".join(found)
 
 
+def test_energy_goes_only_where_there_is_something_to_take_it(result: nuno.Result) -> None:
+    (text,) = rows(result.report, "balance")
+    assert text.endswith("J by damping, friction and moving bodies")
+    (text,) = rows(result.report | {"left_out": []}, "balance")
+    assert text.endswith("J by damping, wind and other forces, friction and moving bodies")
+    (text,) = rows(result.report | {"left_out": ["the scene has no bodies", "wind: the scene names none"]}, "balance")
+    assert text.endswith("J by damping")
+
+
 def test_a_resumed_runs_balance_says_when_it_begins(
     result: nuno.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

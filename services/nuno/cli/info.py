@@ -63,7 +63,7 @@ def _rows(recording: Recording) -> list[tuple[str, str]]:
         gaps = [*gaps[:MOST_GAPS], f"and {len(gaps) - MOST_GAPS:,} more (nuno info --json lists all)"]
     rows += [("gap" if i == 0 else "", text) for i, text in enumerate(gaps)]
     rows.append(("time", f"{facts['span'][0]:g} to {facts['span'][1]:g} s"))
-    rows += [(topic, f"{count} messages") for topic, count in facts["messages"].items()]
+    rows += [(topic, f"{count} message{'s' if count != 1 else ''}") for topic, count in facts["messages"].items()]
     rows += [("file inside", name) for name in facts["attachments"]]
     rows.append(("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())))
     rows.append(("plugins", ", ".join(facts["plugins"])))

@@ -14,6 +14,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision.plan import make_plan
+from nuno.words import factor
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,9 +81,10 @@ def _cost(simulation: Simulation, seconds: float) -> list[tuple[str, str]]:
     checkpoints = 1 + (int(scene.duration / every) if every else 0)
     size = (12 * scene.frames + 48 * checkpoints) * vertices
     _, memory = build.estimate_memory(simulation.loaded)
+    rate = 1 / scene.frame_rate / seconds
     return [
         ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s"),
-        ("time", f"about {seconds * scene.frames:.2g} s, {1 / scene.frame_rate / seconds:.1f}x real time (by a frame)"),
+        ("time", f"about {seconds * scene.frames:.2g} s, {factor(rate)} real time (by a frame)"),
         ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
     ]
 

@@ -136,6 +136,9 @@ def find(name: str) -> Path:
     scenes = {name: path for folder in ("", *FOLDERS) for name, path in shipped(folder).items()}
     if path.suffix == "" and name in scenes:
         return scenes[name]
+    if path.suffix in (".yaml", ".yml") or path.exists():
+        where = f"a file in {path.resolve().parent}"
+        raise BadInput("no such scene file", value=name, limit=where, remedy="check the name; nuno scenes lists others")
     raise BadInput("no such scene", value=name, remedy=f"{nearest(name, scenes)}; or give the path of a YAML file")
 
 
