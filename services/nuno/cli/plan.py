@@ -7,14 +7,19 @@ import math
 import time
 from pathlib import Path
 
+import numpy as np
+
 from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
+from nuno.collision.distance import penetration
+from nuno.report import SEEN_DEPTH
 from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision.plan import make_plan
 from nuno.words import factor
+from nuno_schemas.bodies import Geometry, Poses
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,6 +53,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     seconds = _time_frame(simulation, bodies)
     return [
         *_size(simulation),
+        *(_worn(simulation, bodies.geometry, poses) if bodies is not None and poses is not None else []),
         ("solver", _solver(simulation)),
         *([("chosen", loaded.why)] if loaded.why else []),
         *_cost(simulation, seconds),
@@ -64,6 +70,21 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
         ("fabric", ", ".join([f"{fabric.number:,} vertices", *counts])),
         ("terms", ", ".join(terms) or "gravity and inertia only"),
     ]
+
+
+def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
+    """Where the frames that carry cloth start, and whether it starts in a body."""
+    frames = dict.fromkeys(f"{binding.body}/{binding.frame}" for binding in simulation.fabric.bindings)
+    places = {name: poses.translation[geometry.frames.index(name)] for name in frames}
+    rows = [
+        ("attached", f"to {name}, which starts at [{', '.join(f'{v:.3g}' for v in place)}] m")
+        for name, place in places.items()
+    ]
+    depth = penetration(simulation.state.x, geometry, poses)
+    if depth.max(initial=0.0) > SEEN_DEPTH:
+        inside = f"{np.count_nonzero(depth > 0.0):,} vertices start in a body, up to {depth.max() * 1e3:.3g} mm deep"
+        rows.append(("WARNING", f"{inside}: place or size the cloth, or move the body, otherwise"))
+    return rows
 
 
 def _solver(simulation: Simulation) -> str:
