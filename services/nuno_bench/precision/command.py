@@ -17,12 +17,14 @@ import numpy as np
 
 from nuno import registry
 from nuno.scene import scene_file
+from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require
 from nuno_bench import machine, options
 from nuno_bench.precision.errors import find_scales, measure_errors
 from nuno_bench.precision.findings import judge
-from nuno_bench.precision.page import CLOTH, DYE, Findings, choices, docs_parts, docs_picture, render
+from nuno_bench.precision.own import add_own
+from nuno_bench.precision.page import CLOTH, DYE, Findings, choices, docs_parts, docs_picture, own_sentence, render
 from nuno_bench.precision.point import Kept, Point
 from nuno_bench.precision.settings import choose_solvers
 from nuno_bench.precision.sweep import Runner, run_sweep, start_sweep
@@ -68,6 +70,7 @@ def _sweep_all(loaded: Sequence[Loaded], args: argparse.Namespace, where: Execut
         found = sweep_scene(one, args, where)
         swept.append(found)
         headings, rows = choices(found)
+        print(f"\n{own_sentence(found)}")
         print(f"\n{one.scene.name}: {found.how}\npredictable: {found.horizon.describe()}")
         print(text_table(headings, rows))
         judged = judge(found.points, found.floors)
@@ -115,7 +118,9 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
     if not (args.budget > 0.0 and math.isfinite(args.budget)):
         raise BadInput("a sweep needs time", field="--budget", value=args.budget, limit="more than 0 s")
     overrides = [*args.overrides, *([f"duration={args.duration}"] if args.duration else [])]
-    loaded = [scene_file.read(scene_file.find(name), [*overrides, "allow_unstable=true"]) for name in args.scenes]
+    loaded = [
+        decide(scene_file.read(scene_file.find(name), [*overrides, "allow_unstable=true"])) for name in args.scenes
+    ]
     dyed = {one.solver is None for one in loaded}
     solvers = [name for dye in dyed for name in registry.installed(DyeProblem.group if dye else Problem.group)]
     observables = [name for dye in dyed for name in (DYE_OBSERVABLES if dye else OBSERVABLES)]
@@ -143,6 +148,7 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Fi
     others, told = machine.Others(), _teller(loaded.scene.name)
     problem = pose(loaded)
     solvers, omitted = choose_solvers(problem, options.names_of(args.solvers))
+    solvers, own = add_own(problem, solvers)
     sweep = start_sweep(problem, solvers, told)
     sweep.omitted[:0] = omitted
     reference, horizon = _refer(problem, args.budget, told)
@@ -166,7 +172,7 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Fi
         **machine.describe(),
         "load": others.describe(),
     }
-    return Findings(loaded.scene.name, sweep, floors, horizon, reference.how, shown, about, problem.frame, kind)
+    return Findings(loaded.scene.name, sweep, floors, horizon, reference.how, shown, about, problem.frame, own, kind)
 
 
 def _refer(problem: AnyProblem, budget: float, told: Callable[[str], None]) -> tuple[Compared, Horizon]:
@@ -223,6 +229,7 @@ def _json(found: Findings) -> dict[str, Any]:
         "reference": {"how": found.how, "floors": {name: asdict(floor) for name, floor in found.floors.items()}},
         "horizon": horizon | {"frames": found.horizon.frames, "distance": found.horizon.distance.tolist()},
         "points": [asdict(point) for point in found.points],
+        "own": asdict(found.own) | {"said": own_sentence(found)},
         "omitted": [asdict(one) for one in found.sweep.omitted],
         "first_calls": found.sweep.first_calls,
     }

@@ -16,6 +16,7 @@ from nuno_bench.precision.findings import (
     order_rows,
     solvers_of,
 )
+from nuno_bench.precision.own import Own, describe
 from nuno_bench.precision.plots import Panel, error_over_time
 from nuno_bench.precision.point import Point
 from nuno_bench.precision.sweep import Sweep
@@ -70,6 +71,7 @@ class Findings:
     floors   disagreement of the references by quantity
     shown    observables that are plotted
     frame    length of a frame [s]
+    own      which points are the scene as it is
     """
 
     scene: str
@@ -80,6 +82,7 @@ class Findings:
     shown: Sequence[str]
     about: Mapping[str, str]
     frame: float
+    own: Own
     kind: Kind = CLOTH
 
     @property
@@ -101,13 +104,15 @@ def render(found: Findings) -> str:
     """The whole page."""
     order = solvers_of(found.points)
     sections: list[tuple[str, Sequence[page.Part]]] = [
+        ("", [own_sentence(found)]),
         ("Which solver for which accuracy", [_choices(found), _verdicts(found)]),
         (f"{found.kind.leading.capitalize()}, inside the predictable time", _leading(found, order)),
     ]
     panels = [_panel(found, name) for name in found.shown if name in found.floors]
     if panels:
         figure = page.Figure(
-            error_over_time(found.points, panels, order), "Beyond the predictable time too. Marks as above."
+            error_over_time(found.points, panels, order, _own(found)),
+            "Beyond the predictable time too. Marks as above.",
         )
         sections.append(("What is observed, over the whole run", [figure]))
     failed = [[p.solver, p.setting, p.outcome, p.message, _time(p)] for p in found.points if not p.done]
@@ -120,6 +125,11 @@ def render(found: Findings) -> str:
     sections.append(("All points", [page.Table(point_headings(found), point_rows(found), _CAPTION)]))
     sections.append(("Made by", [page.Facts(found.about)]))
     return page.render(f"Error over wall time: {found.scene}", LEAD + found.kind.scales, sections)
+
+
+def own_sentence(found: Findings) -> str:
+    """What the scene as it is costs and delivers, and what it would with a step twice as large."""
+    return describe(found.own, found.sweep, found.leading, found.floors[found.leading].l2)
 
 
 _CAPTION = (
@@ -167,14 +177,19 @@ def _leading(found: Findings, order: Sequence[str]) -> list[page.Part]:
     caption = (
         f"{name.capitalize()} are compared over {found.horizon.describe()}. Bars: all repeats. Hollow: beyond the "
     )
-    caption += "stability limit, and finished all the same. Crosses: not finished, see below."
-    return [page.Figure(error_over_time(found.points, [_panel(found, name)], order), caption), orders]
+    caption += "stability limit, and finished all the same. Crosses: not finished, see below. Ring: the scene as it is."
+    return [page.Figure(error_over_time(found.points, [_panel(found, name)], order, _own(found)), caption), orders]
 
 
 def orders_of(found: Findings) -> list[list[str]]:
     """Rows under ORDER_HEADINGS."""
     floor = found.floors[found.leading].l2
     return order_rows(found.points, found.leading, floor, found.sweep.first_calls)
+
+
+def _own(found: Findings) -> tuple[str, str]:
+    """Key of the scene's own point; that of none where it has none."""
+    return found.own.solver, found.own.setting
 
 
 def _panel(found: Findings, name: str) -> Panel:
@@ -218,7 +233,7 @@ def _time(point: Point) -> str:
 
 def docs_picture(found: Findings) -> str:
     """A file of SVG: errors in the leading quantity, on white because pages may be dark."""
-    figure = error_over_time(found.points, [_panel(found, found.leading)], solvers_of(found.points))
+    figure = error_over_time(found.points, [_panel(found, found.leading)], solvers_of(found.points), _own(found))
     return figure.replace("<svg ", '<svg style="background: #fff" ', 1)
 
 

@@ -1,6 +1,6 @@
 """Error over wall time: a line per solver, ranges of repeats as bars, failures as crosses, the floor as a line.
 
-A point beyond the stability limit that reached its end all the same is hollow.
+A point beyond the stability limit that reached its end all the same is hollow. A ring marks the scene as it is.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from nuno_bench.precision.point import Point
 from nuno_bench.report import plots
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
+RING = {"marker": "o", "markersize": 10.0, "markerfacecolor": "none", "markeredgecolor": "#1b1d21", "linestyle": ""}
 STRIP = 1.06
 """Height, in the axes' own measure, at which failures are marked: above every error."""
 
@@ -27,8 +28,14 @@ class Panel:
     floor: float
 
 
-def error_over_time(points: Sequence[Point], panels: Sequence[Panel], solvers: Sequence[str]) -> str:
-    """SVG of panels, two a row; a solver keeps its colour and marker in all figures of a page."""
+def error_over_time(
+    points: Sequence[Point], panels: Sequence[Panel], solvers: Sequence[str], own: tuple[str, str]
+) -> str:
+    """SVG of panels, two a row; a solver keeps its colour and marker in all figures of a page.
+
+    A ring marks the point whose key is `own`: the scene as it is.
+    """
+    ringed = [point for point in points if point.key == own and point.done and point.seconds]
     plt = plots.pyplot()
     columns = min(2, len(panels))
     rows = math.ceil(len(panels) / columns)
@@ -37,9 +44,10 @@ def error_over_time(points: Sequence[Point], panels: Sequence[Panel], solvers: S
         figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
         for axis, panel in zip(axes.flat, panels, strict=False):
             _draw(axis, panel, points, solvers)
+            _ring(axis, panel, ringed)
         for axis in axes.flat[len(panels) :]:
             axis.set_visible(False)
-        _legend(figure, axes[0][0], solvers)
+        _legend(figure, axes[0][0], solvers, bool(ringed))
         return plots.svg(figure, "errors-" + "-".join(panel.quantity for panel in panels))
 
 
@@ -92,10 +100,19 @@ def _look(index: int) -> tuple[str, str]:
     return plots.COLOURS[index % len(plots.COLOURS)], MARKERS[index % len(MARKERS)]
 
 
-def _legend(figure: Any, axis: Any, solvers: Sequence[str]) -> None:
+def _ring(axis: Any, panel: Panel, ringed: Sequence[Point]) -> None:
+    for point in ringed:
+        error = point.error(panel.quantity)
+        if error is not None and error > 0.0:
+            axis.plot([point.median], [error], zorder=5, **RING)
+
+
+def _legend(figure: Any, axis: Any, solvers: Sequence[str], ringed: bool) -> None:
     handles = []
     for i, name in enumerate(solvers):
         colour, marker = _look(i)
         handles += axis.plot([], [], color=colour, marker=marker, markersize=4.2, label=name)
     handles += axis.plot([], [], color="#1b1d21", marker="x", linestyle="", markersize=5.5, label="not done (above)")
+    if ringed:
+        handles += axis.plot([], [], label="this scene as it is", **RING)
     figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)))

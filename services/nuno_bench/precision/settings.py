@@ -20,6 +20,8 @@ SHARES = (0.9, 0.5, 0.25, 0.1, 0.05, 0.025)
 """Of the stability limit."""
 BEYOND = 1.5
 """Multiple of the limit at which failure is shown: the limit may be up to 1.2 times below the true one."""
+ROUNDING = 1e-12
+"""Relative: a step that is the limit itself may come out longer by this."""
 FEW = (1, 2, 4, 8, 16, 32)
 """Steps a frame where nothing limits them, and of implicit methods."""
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
@@ -38,6 +40,7 @@ class Setting:
     finer   what an error's order is fitted over: the step [s] or the tolerance
     work    estimated, as a multiple of the solver's first point that is not beyond the limit
     beyond  above the stability limit, to show the failure
+    first   run before all others: what the scene itself says
     """
 
     label: str
@@ -46,6 +49,7 @@ class Setting:
     finer: float = math.nan
     work: float = 1.0
     beyond: bool = False
+    first: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,14 +131,21 @@ def _choose(problem: AnyProblem, name: str) -> Solver:
 
 
 def _tolerances(plugin: Any) -> list[Setting]:
-    """Work grows as tolerance^(-1 / (order + 1)): the estimate is of that order in the step."""
     if "tolerance" not in plugin.Config.model_fields:
         raise BadInput("it chooses its own steps, and has no `tolerance` to sweep")
-    growth = 1.0 / (plugin.order + 1)
-    return [
-        Setting(f"tolerance {value:.0e}", 1, {"tolerance": value}, value, (TOLERANCES[0] / value) ** growth)
-        for value in TOLERANCES
-    ]
+    return [at_tolerance(plugin, value) for value in TOLERANCES]
+
+
+def at_tolerance(plugin: Any, tolerance: float, steps: int = 1) -> Setting:
+    """An adaptive solver's setting, with `steps` a frame at least.
+
+    Work grows as tolerance^(-1 / (order + 1)): the estimate is of that order in the step.
+    """
+    text = f"{tolerance:.0e}"
+    label = f"tolerance {text if math.isclose(float(text), tolerance) else number(tolerance)}"
+    label += f", at least {steps} steps a frame" if steps > 1 else ""
+    work = (TOLERANCES[0] / tolerance) ** (1.0 / (plugin.order + 1))
+    return Setting(label, steps, {"tolerance": tolerance}, tolerance, work)
 
 
 def _implicit(problem: AnyProblem, solver: Solver) -> list[Setting]:
@@ -146,13 +157,29 @@ def _implicit(problem: AnyProblem, solver: Solver) -> list[Setting]:
     """
     settings, known = [], solver.plugin.Config.model_fields
     for steps in FEW:
-        fields, label = {}, _length(problem.frame / steps)
+        residual = math.nan
         if "residual" in known and math.isinf(solver.limit.resolved):
             start = float(known["residual"].default)
-            fields = {"residual": max(TIGHTEST_RESIDUAL, start / steps ** max(1, solver.order))}
-            label += f", residual {fields['residual']:.1e}"
-        settings.append(Setting(label, steps, fields, problem.frame / steps, float(steps)))
+            residual = max(TIGHTEST_RESIDUAL, start / steps ** max(1, solver.order))
+        settings.append(_unlimited(problem.frame, steps, residual))
     return settings
+
+
+def _unlimited(frame: float, steps: int, residual: float) -> Setting:
+    """A setting of a solver that no step is too long for; nan: there is no residual to choose."""
+    label = _length(frame / steps)
+    if math.isnan(residual):
+        return Setting(label, steps, {}, frame / steps, float(steps))
+    return Setting(f"{label}, residual {residual:.1e}", steps, {"residual": residual}, frame / steps, float(steps))
+
+
+def at_steps(frame: float, solver: Solver, steps: int) -> Setting:
+    """A solver's setting with so many steps a frame [s], and what else its configuration says."""
+    if solver.kind != "fixed steps":
+        given = getattr(solver.config(Setting("", steps)), "residual", math.nan)
+        return _unlimited(frame, steps, float(given) if math.isinf(solver.limit.resolved) else math.nan)
+    limit, known = solver.limit.dt, next(one for one in solver.settings if not one.beyond or solver.limit.dt == 0.0)
+    return _fixed(frame, steps, limit, steps * known.work / known.steps, frame / steps > limit * (1.0 + ROUNDING))
 
 
 def _steps(problem: AnyProblem, limit: StepLimit) -> list[Setting]:

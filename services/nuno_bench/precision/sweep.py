@@ -125,14 +125,24 @@ def run_sweep(
 ) -> None:
     """Run the settings of all solvers that could be started: always the one that is estimated cheapest next.
 
-    Slow solvers then take what is left when the fast ones are done, and never their place. A solver ends where the
-    estimate for its next point exceeds what is left of `budget` [s].
+    Those of the scene itself are run before all others. Slow solvers then take what is left when the fast ones are
+    done, and never their place. A solver ends where the estimate for its next point exceeds what is left of
+    `budget` [s].
     """
     started, costs = time.perf_counter(), dict(sweep.costs)
-    waiting = {solver.name: [(solver, one) for one in solver.settings] for solver in solvers if solver.name in costs}
+    waiting = {
+        solver.name: [(solver, one) for one in sorted(solver.settings, key=lambda one: not one.first)]
+        for solver in solvers
+        if solver.name in costs
+    }
     share = budget / (REPEATED * max(1, len(costs)))
+
+    def estimate(name: str) -> tuple[bool, float]:
+        setting = waiting[name][0][1]
+        return not setting.first, setting.work * costs[name]
+
     while any(waiting.values()):
-        name = min((name for name in waiting if waiting[name]), key=lambda name: waiting[name][0][1].work * costs[name])
+        name = min((name for name in waiting if waiting[name]), key=estimate)
         solver, setting = waiting[name].pop(0)
         point = kept.points.get((name, setting.label))
         if point is None or (point.done and not point.seconds):

@@ -81,6 +81,10 @@ class DyeProblem:
         """A solver's limit; dye does not swing. Raises BadInput where it refuses the scene."""
         return StepLimit(float(plugin.limit(config, self.start.system)), 0.0, 0.0)
 
+    def own_steps(self, limit: StepLimit) -> int:
+        """Steps a frame that the scene itself says, of its own solver. Raises BadInput where it says one too long."""
+        return DyeRun(self.loaded, self.threads).steps
+
     def begin(self, plugin: Any, config: BaseModel, steps: int) -> DyeRun:
         """The scene at its start, to be run by a solver with so many steps a frame. Raises BadInput."""
         chosen = self.loaded.dye

@@ -19,6 +19,7 @@ from pydantic import BaseModel
 
 from nuno.cloth import build
 from nuno.scene.scene_file import Loaded
+from nuno.scene.step import choose_step
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
@@ -77,6 +78,10 @@ class Problem:
         """A solver's limit at the start. Raises BadInput where it refuses the scene."""
         found: StepLimit = plugin.limit(config, self.system, build.start_state(self.fabric))
         return found
+
+    def own_steps(self, limit: StepLimit) -> int:
+        """Steps a frame that the scene itself says, of its own solver. Raises BadInput where no step is stable."""
+        return choose_step(self.loaded, limit.dt, limit.resolved)[0]
 
     def run(self, plugin: Any, config: BaseModel, steps: int, most_seconds: float = math.inf) -> Run:
         """See simulate."""

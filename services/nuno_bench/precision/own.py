@@ -1,0 +1,123 @@
+"""The scene as it is: its own solver with its own step or tolerance, and what a step twice as large would cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from nuno_bench.precision.findings import ABOVE
+from nuno_bench.precision.point import Point
+from nuno_bench.precision.settings import Setting, Solver, at_steps, at_tolerance
+from nuno_bench.precision.sweep import Sweep
+from nuno_bench.problem.posing import AnyProblem
+from nuno_bench.report.result import number
+from nuno_schemas.errors import BadInput
+
+LOOSER = 10.0
+"""Times an adaptive solver's own tolerance: it chooses its steps, so that twice its step cannot be asked for."""
+
+
+@dataclass(frozen=True)
+class Own:
+    """Which points of a sweep are the scene as it is, and the same with a step twice as large.
+
+    setting  label of the scene's own point; empty where `why` says that there is none
+    larger   how the other differs, in words: "a step twice as large"
+    coarser  label of that point; empty where `limit` says why it is not run
+    """
+
+    solver: str
+    setting: str = ""
+    why: str = ""
+    larger: str = ""
+    coarser: str = ""
+    limit: str = ""
+
+
+def add_own(problem: AnyProblem, solvers: Sequence[Solver]) -> tuple[list[Solver], Own]:
+    """The solvers, the scene's own with its two settings among the others; they are run before all others."""
+    name = problem.preset[0]
+    found = next((solver for solver in solvers if solver.name == name), None)
+    if found is None:
+        return list(solvers), Own(name, why="it is not among the solvers that are swept")
+    try:
+        steps = problem.own_steps(found.limit)
+    except BadInput as error:
+        return list(solvers), Own(name, why=error.problem)
+    if found.kind == "adaptive":
+        own, coarser, said = _tolerances(found, steps)
+    else:
+        own, coarser, said = _steps(problem, found, steps)
+    chosen = [replace(one, first=True) for one in (own, coarser) if one is not None]
+    labels = {one.label for one in chosen}
+    settings = sorted(
+        [*chosen, *(one for one in found.settings if one.label not in labels)], key=lambda one: -one.finer
+    )
+    swept = [replace(one, settings=tuple(settings)) if one is found else one for one in solvers]
+    return swept, replace(said, setting=own.label, coarser=coarser.label if coarser else "")
+
+
+def _tolerances(solver: Solver, steps: int) -> tuple[Setting, Setting | None, Own]:
+    """Its tolerance and a looser one, with the longest step that the scene allows."""
+    tolerance = float(solver.config(Setting("", 1)).model_dump()["tolerance"])
+    own = at_tolerance(solver.plugin, tolerance, steps)
+    loose = LOOSER * tolerance
+    said = Own(solver.name, larger=f"{LOOSER:g} times the tolerance")
+    if loose > 1.0:
+        return own, None, replace(said, limit="is above 1, which no tolerance may be")
+    return own, at_tolerance(solver.plugin, loose, steps), said
+
+
+def _steps(problem: AnyProblem, solver: Solver, steps: int) -> tuple[Setting, Setting | None, Own]:
+    """Its steps a frame and half as many, rounded up, with the scene's own residual."""
+    own, said = at_steps(problem.frame, solver, steps), Own(solver.name, larger="a step twice as large")
+    if steps == 1:
+        return own, None, replace(said, limit="is longer than a frame, which it must divide")
+    fewer = math.ceil(steps / 2)
+    if steps % 2:
+        said = replace(said, larger=f"a step {number(steps / fewer)} times as large (whole steps make a frame)")
+    coarser = at_steps(problem.frame, solver, fewer)
+    if coarser.beyond:
+        dt, limit = problem.frame / fewer, solver.limit.dt
+        reason = f"is above the stability limit ({1e3 * dt:.4g} ms; at most {1e3 * limit:.4g} ms are stable)"
+        return own, None, replace(said, limit=reason)
+    return own, coarser, said
+
+
+def describe(own: Own, sweep: Sweep, quantity: str, floor: float) -> str:
+    """What the scene's own step costs and delivers in a quantity, and one twice as large, in one sentence."""
+    if not own.setting:
+        return f"This scene as it is ({own.solver}) has no point: {own.why}."
+    found = {point.key: point for point in sweep.points}
+    first = found.get((own.solver, own.setting))
+    said = f"This scene as it is ({own.solver}, {own.setting}): {_result(first, own.setting, own, sweep, quantity)}"
+    if not own.coarser:
+        return f"{said}; {own.larger} {own.limit}."
+    second = found.get((own.solver, own.coarser))
+    result = _result(second, own.coarser, own, sweep, quantity, first)
+    said += f"; with {own.larger} ({own.coarser}): {result}."
+    errors = [error for point in (first, second) if point and (error := point.error(quantity)) is not None]
+    if any(error <= ABOVE * floor for error in errors):
+        said += f" Errors below {ABOVE * floor:.1e} are not known: the references themselves are {floor:.1e} apart."
+    return said
+
+
+def _result(point: Point | None, setting: str, own: Own, sweep: Sweep, quantity: str, base: Point | None = None) -> str:
+    """Error and run time of a point, with what multiples of the base point's they are; or why it has none."""
+    if point is None:
+        reasons = (one.reason for one in sweep.omitted if one.solver == own.solver and one.setting in ("", setting))
+        return f"not run, {next(reasons, 'no reason is known')}"
+    if not point.done:
+        return f"{point.outcome} ({point.message})" if point.message else point.outcome
+    error = point.error(quantity)
+    before = base.error(quantity) if base else None
+    parts = [f"error in {quantity} {error:.2e}{_times(error, before)}"] if error is not None else []
+    if point.seconds:
+        before = base.median if base and base.seconds else None
+        parts.append(f"run time {number(point.median)} s{_times(point.median, before)}")
+    return ", ".join(parts)
+
+
+def _times(value: float, base: float | None) -> str:
+    return f" ({number(value / base)} times)" if base else ""
