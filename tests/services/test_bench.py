@@ -108,6 +108,12 @@ def test_page_escapes_text_and_needs_nothing_from_outside() -> None:
     assert not re.search(r"(src|href)=|https?://|@import|url\(", html)
 
 
+def test_words_between_backticks_are_code_and_escaped() -> None:
+    html = page.render("t", "l", [("", ["`a<b` is set", page.Table(("h",), [["`x` or y"]], "by `z`")])])
+    assert "<p><code>a&lt;b</code> is set</p>" in html
+    assert "<td><code>x</code> or y</td>" in html and "by <code>z</code></p>" in html
+
+
 def test_page_marks_failures() -> None:
     html = page.render("t", "l", [("", [page.Table(("outcome",), [["diverged at 2 s"], ["done"]], "c")])])
     assert '<td class="bad">diverged at 2 s</td>' in html

@@ -122,7 +122,8 @@ def render(found: Findings) -> str:
     if found.sweep.omitted:
         table = page.Table(("solver", "settings", "reason"), left_out(found), "Not run, coarsest first.", prose=True)
         sections.append(("Left out", [table]))
-    sections.append(("All points", [page.Table(point_headings(found), point_rows(found), _CAPTION)]))
+    errors, costs = page.Table(*error_table(found), _ERRORS), page.Table(*cost_table(found), _COSTS)
+    sections.append(("All points", [errors, costs]))
     sections.append(("Made by", [page.Facts(found.about)]))
     return page.render(f"Error over wall time: {found.scene}", LEAD + found.kind.scales, sections)
 
@@ -132,11 +133,11 @@ def own_sentence(found: Findings) -> str:
     return describe(found.own, found.sweep, found.leading, found.floors[found.leading].l2)
 
 
-_CAPTION = (
-    "Time is the median over repeats, in the solver's own calls, without compiling. Final: at the last frame of the "
-    "predictable time; l2: root mean square over its frames; beside it the farthest vertex or cell of any of them. "
-    "Observables: root mean square over all frames."
+_ERRORS = (
+    "Final: at the last frame of the predictable time; l2: root mean square over its frames; beside it the farthest "
+    "vertex or cell of any of them. Observables: root mean square over all frames."
 )
+_COSTS = "Time is the median over repeats, in the solver's own calls, without compiling."
 
 
 def left_out(found: Findings) -> list[list[str]]:
@@ -196,35 +197,39 @@ def _panel(found: Findings, name: str) -> Panel:
     return Panel(name, found.kind.titles[name], found.floors[name].l2)
 
 
-def point_headings(found: Findings) -> list[str]:
-    """Headings of the table of all points."""
+def error_table(found: Findings) -> tuple[list[str], list[list[str]]]:
+    """Headings, and a line per point with its errors, solver by solver."""
     leading = ["final", "l2", found.kind.farthest] if found.kind.leading in found.floors else []
     observed = [name for name in found.floors if name != found.kind.leading]
-    return ["solver", "setting", "outcome", "time [s]", "min - max", *_counted(found), *leading, *observed]
+    headings = ["solver", "setting", "outcome", "time [s]", *leading, *observed]
+    return headings, [_errors(found, point) for point in _ordered(found)]
 
 
-def _counted(found: Findings) -> list[str]:
-    return [name.replace("_", " ") for name in COUNTED if any(name in point.totals for point in found.points)]
+def cost_table(found: Findings) -> tuple[list[str], list[list[str]]]:
+    """Headings, and a line per point with its times and what it counted, solver by solver."""
+    counted = [name for name in COUNTED if any(name in point.totals for point in found.points)]
+    rows = []
+    for point in _ordered(found):
+        spread = f"{number(min(point.seconds))} - {number(max(point.seconds))}" if len(point.seconds) > 1 else ""
+        counts = [f"{point.totals[name]:,}" if name in point.totals else "" for name in counted]
+        rows.append([point.solver, point.setting, _time(point), spread, *counts])
+    return ["solver", "setting", "time [s]", "min - max", *(name.replace("_", " ") for name in counted)], rows
 
 
-def point_rows(found: Findings) -> list[list[str]]:
-    """A line per point, solver by solver."""
+def _ordered(found: Findings) -> list[Point]:
+    """Points solver by solver, from coarse to fine."""
     order = solvers_of(found.points)
-    chosen = sorted(found.points, key=lambda point: (order.index(point.solver), -point.finer))
-    return [_row(found, point) for point in chosen]
+    return sorted(found.points, key=lambda point: (order.index(point.solver), -point.finer))
 
 
-def _row(found: Findings, point: Point) -> list[str]:
-    spread = f"{number(min(point.seconds))} - {number(max(point.seconds))}" if len(point.seconds) > 1 else ""
-    counts = [f"{point.totals[name.replace(' ', '_')]:,}" if name.replace(" ", "_") in point.totals else ""
-              for name in _counted(found)]  # fmt: skip
+def _errors(found: Findings, point: Point) -> list[str]:
     errors: list[float | None] = []
     if found.kind.leading in found.floors:
         own = point.errors.get(found.kind.leading)
         errors += [own.final, own.l2, own.linf] if own else [None] * 3
     errors += [point.error(name) for name in found.floors if name != found.kind.leading]
     shown = [f"{error:.2e}" if error is not None else "" for error in errors]
-    return [point.solver, point.setting, point.outcome, _time(point), spread, *counts, *shown]
+    return [point.solver, point.setting, point.outcome, _time(point), *shown]
 
 
 def _time(point: Point) -> str:

@@ -1,10 +1,13 @@
 """A report as one HTML file: nothing external, readable on a phone, printable like a page of a paper.
 
-The caller passes plain text, which is escaped here; only figures are markup (SVG from `plots`).
+The caller passes plain text, which is escaped here, and words between backticks set as code; only figures are markup
+(SVG from `plots`). A table that is wider than the text takes what the window has, and scrolls in its own box beyond
+that; on paper its type is smaller and its words wrap.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -14,6 +17,8 @@ GOOD = frozenset({"bar met", "aim met", "agrees"})
 """Words that are coloured where a cell begins with them."""
 LONG = 26
 """Cells with more characters than this wrap."""
+MANY = 8
+"""Tables with more columns than this are set smaller on paper."""
 
 STYLE = """
 :root { --ink: #1b1d21; --soft: #5b616b; --rule: #d9dce1; --bad: #a3262a; --good: #22663a; --paper: #fff; }
@@ -31,6 +36,11 @@ p { margin: .6rem 0; max-width: 42rem; }
 .wide { overflow-x: auto; margin: 0 0 .8rem; }
 table { border-collapse: collapse; width: 100%; font-size: .8rem; line-height: 1.4;
   border-top: 1.5px solid var(--ink); border-bottom: 1.5px solid var(--ink); font-variant-numeric: tabular-nums; }
+.table { position: relative; left: 50%; transform: translateX(-50%); width: max-content; min-width: 100%;
+  max-width: calc(100vw - 2.5rem); background: linear-gradient(to right, var(--paper) 30%, transparent) left,
+  linear-gradient(to left, var(--paper) 30%, transparent) right, linear-gradient(to right, var(--rule), transparent)
+  left, linear-gradient(to left, var(--rule), transparent) right; background-repeat: no-repeat;
+  background-size: 3rem 100%, 3rem 100%, 1rem 100%, 1rem 100%; background-attachment: local, local, scroll, scroll; }
 .caption, figcaption { color: var(--soft); font-size: .85rem; padding: .35rem 0; max-width: 42rem; }
 .caption { margin: .8rem 0 0; }
 th { text-align: left; font-weight: 600; border-bottom: .75px solid var(--ink); vertical-align: bottom; }
@@ -56,8 +66,10 @@ code { font: .88em ui-monospace, "DejaVu Sans Mono", Menlo, monospace; }
 @media (max-width: 36rem) { body { font-size: 16px; padding-top: 1.5rem; } figure svg { min-width: 34rem; }
   dl { display: block; } dd { margin-bottom: .5rem; } }
 @media print { body { font-size: 10.5pt; max-width: none; padding: 0; } h2 { break-after: avoid; }
-  table { font-size: .72em; }
-  figure, table { break-inside: avoid; } .wide { overflow: visible; } @page { margin: 18mm; } }
+  table { font-size: .72em; } table.many { font-size: .6em; } .caption { break-after: avoid; }
+  td, th { white-space: normal; padding-right: .45rem; } td.long, .prose td { min-width: 0; }
+  .table { position: static; transform: none; width: auto; max-width: none; background: none; }
+  figure, tr { break-inside: avoid; } .wide { overflow: visible; } @page { margin: 18mm; } }
 """
 
 
@@ -122,7 +134,7 @@ def _part(part: Part) -> str:
     if isinstance(part, Table):
         return _table(part)
     if isinstance(part, Figure):
-        label, caption = escape(part.caption, quote=True), escape(part.caption)
+        label, caption = escape(part.caption, quote=True), _text(part.caption)
         picture = f'<div class="wide" role="img" aria-label="{label}">{part.svg}</div>'
         return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
     if isinstance(part, Pictures):
@@ -130,12 +142,17 @@ def _part(part: Part) -> str:
         return f'<div class="{kind}">' + "".join(map(_image, part.images)) + "</div>"
     if isinstance(part, Facts):
         return "<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in part.values.items()) + "</dl>"
-    return f"<p>{escape(part)}</p>"
+    return f"<p>{_text(part)}</p>"
+
+
+def _text(text: str) -> str:
+    """Escaped; what stands between backticks is code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def _image(image: Image) -> str:
-    caption = escape(image.caption, quote=True)
-    return f'<figure><img src="{image.source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
+    label, caption = escape(image.caption, quote=True), _text(image.caption)
+    return f'<figure><img src="{image.source}" alt="{label}"><figcaption>{caption}</figcaption></figure>'
 
 
 def _table(table: Table) -> str:
@@ -144,17 +161,21 @@ def _table(table: Table) -> str:
     head = "".join(f"<th{r}>{escape(name)}</th>" for name, r in zip(table.headings, right, strict=True))
     lines = ["".join(_cell(text, flag) for text, flag in zip(row, numeric, strict=True)) for row in table.rows]
     body = "".join(f"<tr>{line}</tr>" for line in lines)
-    caption = f'<p class="caption">{escape(table.caption)}</p>'
-    kind = ' class="prose"' if table.prose else ""
+    caption = f'<p class="caption">{_text(table.caption)}</p>'
+    # Sentences wrap at the width of the text; numbers take what the window has.
+    box = "wide" if table.prose else "wide table"
+    names = ["prose"] if table.prose else []
+    names += ["many"] if len(table.headings) > MANY else []
+    kind = f' class="{" ".join(names)}"' if names else ""
     inner = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-    return f'{caption}<div class="wide"><table{kind}>{inner}</table></div>'
+    return f'{caption}<div class="{box}"><table{kind}>{inner}</table></div>'
 
 
 def _cell(text: str, numeric: bool) -> str:
     names = ["number"] if numeric else []
     names += ["long"] if len(text) > LONG else []
     names += ["bad"] if _begins(text, BAD) else ["good"] if _begins(text, GOOD) else []
-    return f'<td class="{" ".join(names)}">{escape(text)}</td>' if names else f"<td>{escape(text)}</td>"
+    return f'<td class="{" ".join(names)}">{_text(text)}</td>' if names else f"<td>{_text(text)}</td>"
 
 
 def _begins(text: str, words: frozenset[str]) -> bool:
