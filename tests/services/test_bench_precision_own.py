@@ -13,6 +13,7 @@ from precision_sweeps import FLAGS, swept
 from test_bench_precision_dye import write_wave
 
 from nuno.cli import main as nuno_main
+from nuno_bench import machine
 from nuno_bench.precision.errors import POSITIONS
 from nuno_bench.precision.page import Findings, own_sentence
 from nuno_bench.precision.point import Point
@@ -107,3 +108,16 @@ def test_dye_has_its_own_step_too(tmp_path: Path) -> None:
     ratio = coarser.errors[AMOUNTS].l2 / own.errors[AMOUNTS].l2
     assert ratio == pytest.approx(2.0, rel=0.1)
     assert f"error in amounts {coarser.errors[AMOUNTS].l2:.2e} ({number(ratio)} times)" in own_sentence(found)
+
+
+def test_disturbed_times_are_called_so_beside_what_is_fastest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine.Others, "share", lambda self: 0.4)
+    path = write_net(tmp_path)
+    assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", "rk4", "--out", str(tmp_path)]) == 0
+    said = "other processes took 40% of the machine meanwhile: TIMES ARE DISTURBED"
+    terminal, page = capsys.readouterr().out, (tmp_path / "precision-line.html").read_text()
+    assert terminal.index("fastest") < terminal.index(said) < terminal.index("written")
+    table = page[page.index("Which solver for which accuracy") : page.index("inside the predictable time")]
+    assert said in table[: table.index("<table")]

@@ -73,6 +73,7 @@ def _sweep_all(loaded: Sequence[Loaded], args: argparse.Namespace, where: Execut
         print(f"\n{own_sentence(found)}")
         print(f"\n{one.scene.name}: {found.how}\npredictable: {found.horizon.describe()}")
         print(text_table(headings, rows))
+        print(f"of the times: {found.about['load']}")
         judged = judge(found.points, found.floors)
         for judgement in judged:
             print(judgement.describe())

@@ -60,6 +60,14 @@ DYE = Kind(
     "cell), of all dye (mobile, fixed), or of the largest spread (spread); each is the root mean square over the "
     "frames.",
 )
+FLOOR = (
+    "Dotted, the floor: how far the reference and the independent run that checks it are apart; an error near it may "
+    "be the reference's own."
+)
+VERDICTS = (
+    "Verdict: judged, where all errors are known; in part, where some are too near the floor to be; failed, where all "
+    "are."
+)
 FAILURES = "Crosses above the figures stand for these, at the time they took."
 COUNTED = ("steps", "stages", "rejected_steps", "newton_steps", "linear_iterations", "evaluations")
 
@@ -152,15 +160,14 @@ def left_out(found: Findings) -> list[list[str]]:
 
 def _verdicts(found: Findings) -> page.Table:
     rows = [judgement.row() for judgement in judge(found.points, found.floors)]
-    said = (
-        f"Reference: {found.how}. Floor: how far the two are apart; errors of at least {ABOVE:g} times that are known."
-    )
-    return page.Table(FLOOR_HEADINGS, rows, said)
+    said = f"Reference: {found.how}. Floor: how far the two are apart; errors above {ABOVE:g} times that are known. "
+    return page.Table(FLOOR_HEADINGS, rows, said + VERDICTS)
 
 
 def _choices(found: Findings) -> page.Table:
     headings, rows = choices(found)
-    return page.Table(headings, rows, "The fastest solver whose error is within each accuracy, and the next ones.")
+    said = "The fastest solver whose error is within each accuracy, and the next ones. Of the times: "
+    return page.Table(headings, rows, f"{said}{found.about['load']}.")
 
 
 def choices(found: Findings) -> tuple[Sequence[str], list[list[str]]]:
@@ -178,7 +185,10 @@ def _leading(found: Findings, order: Sequence[str]) -> list[page.Part]:
     caption = (
         f"{name.capitalize()} are compared over {found.horizon.describe()}. Bars: all repeats. Hollow: beyond the "
     )
-    caption += "stability limit, and finished all the same. Crosses: not finished, see below. Ring: the scene as it is."
+    caption += (
+        "stability limit, and finished all the same. Crosses: not finished, see below. Ring: the scene as it is. "
+    )
+    caption += FLOOR
     return [page.Figure(error_over_time(found.points, [_panel(found, name)], order, _own(found)), caption), orders]
 
 
