@@ -15,7 +15,8 @@ from test_bench_precision_dye import write_wave
 from nuno.cli import main as nuno_main
 from nuno_bench import machine
 from nuno_bench.precision.errors import POSITIONS
-from nuno_bench.precision.page import Findings, own_sentence
+from nuno_bench.precision.findings import fit_order
+from nuno_bench.precision.page import Findings, orders_of, own_sentence
 from nuno_bench.precision.point import Point
 from nuno_bench.problem.dye import AMOUNTS
 from nuno_bench.report.result import number
@@ -90,6 +91,10 @@ def test_an_implicit_solver_keeps_its_own_residual(tmp_path: Path) -> None:
     labels = found.own.setting, found.own.coarser
     assert labels == ("dt 2.5 ms, residual 5.0e-03", "dt 5 ms, residual 5.0e-03")
     assert all(of(found, label).done for label in labels)
+    without = [point for point in found.points if point.setting not in labels]
+    slope = fit_order(without, POSITIONS, found.floors[POSITIONS].l2)
+    assert slope == pytest.approx(1.0, abs=0.1)
+    assert orders_of(found)[0][3] == f"{slope:.2f}", "what the own residual leaves is no error of the step"
 
 
 def test_a_solver_that_the_scene_leaves_open_is_the_one_that_is_chosen(tmp_path: Path) -> None:

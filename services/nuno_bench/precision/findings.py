@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,13 +83,17 @@ ORDER_HEADINGS = ("solver", "kind", "nominal order", "seen", "first call [s]", "
 
 
 def order_rows(
-    points: Sequence[Point], quantity: str, floor: float, first_calls: Mapping[str, float]
+    points: Sequence[Point],
+    quantity: str,
+    floor: float,
+    first_calls: Mapping[str, float],
+    unfitted: Collection[tuple[str, str]] = (),
 ) -> list[list[str]]:
-    """A line per solver, under ORDER_HEADINGS."""
+    """A line per solver, under ORDER_HEADINGS; no order is fitted to points with keys in `unfitted`."""
     rows = []
     for name in solvers_of(points):
         own = [point for point in points if point.solver == name]
-        slope = fit_order(own, quantity, floor)
+        slope = fit_order([point for point in own if point.key not in unfitted], quantity, floor)
         adaptive = own[0].kind == "adaptive"
         seen = "" if slope is None else f"{slope:.2f}" + (" of the tolerance" if adaptive else "")
         failed = sum(not point.done for point in own)

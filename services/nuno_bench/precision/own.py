@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from nuno_bench.precision.findings import ABOVE
 from nuno_bench.precision.point import Point
-from nuno_bench.precision.settings import Setting, Solver, at_steps, at_tolerance
+from nuno_bench.precision.settings import RESIDUAL, Setting, Solver, at_steps, at_tolerance
 from nuno_bench.precision.sweep import Sweep
 from nuno_bench.problem.posing import AnyProblem
 from nuno_bench.report.result import number
@@ -33,6 +33,11 @@ class Own:
     larger: str = ""
     coarser: str = ""
     limit: str = ""
+
+    @property
+    def loose(self) -> frozenset[tuple[str, str]]:
+        """Keys of points whose error is not that of their step alone: the scene's residual stays as it is."""
+        return frozenset((self.solver, label) for label in (self.setting, self.coarser) if RESIDUAL in label)
 
 
 def add_own(problem: AnyProblem, solvers: Sequence[Solver]) -> tuple[list[Solver], Own]:

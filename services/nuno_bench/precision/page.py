@@ -195,7 +195,7 @@ def _leading(found: Findings, order: Sequence[str]) -> list[page.Part]:
 def orders_of(found: Findings) -> list[list[str]]:
     """Rows under ORDER_HEADINGS."""
     floor = found.floors[found.leading].l2
-    return order_rows(found.points, found.leading, floor, found.sweep.first_calls)
+    return order_rows(found.points, found.leading, floor, found.sweep.first_calls, found.own.loose)
 
 
 def _own(found: Findings) -> tuple[str, str]:

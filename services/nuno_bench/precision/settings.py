@@ -26,6 +26,8 @@ FEW = (1, 2, 4, 8, 16, 32)
 """Steps a frame where nothing limits them, and of implicit methods."""
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 TIGHTEST_RESIDUAL = 1e-11
+RESIDUAL = ", residual "
+"""What stands before it in a label."""
 LEFT_OUT = {"rk4_printed": "repeats the slips of the skirt paper, which change the motion it converges to"}
 """Solvers that are tried only where they are named."""
 
@@ -170,7 +172,7 @@ def _unlimited(frame: float, steps: int, residual: float) -> Setting:
     label = _length(frame / steps)
     if math.isnan(residual):
         return Setting(label, steps, {}, frame / steps, float(steps))
-    return Setting(f"{label}, residual {residual:.1e}", steps, {"residual": residual}, frame / steps, float(steps))
+    return Setting(f"{label}{RESIDUAL}{residual:.1e}", steps, {"residual": residual}, frame / steps, float(steps))
 
 
 def at_steps(frame: float, solver: Solver, steps: int) -> Setting:
