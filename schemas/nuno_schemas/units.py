@@ -9,18 +9,27 @@ from __future__ import annotations
 import functools
 import math
 import re
+import tokenize
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 _LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
 
+UNREADABLE = (ArithmeticError, AssertionError, AttributeError, LookupError, SyntaxError, TypeError, ValueError,
+              tokenize.TokenError)  # fmt: skip
+"""What pint says of a text that it cannot read. No fault of the machine is among them: none looks like a bad text."""
+
 
 @functools.cache
 def _registry() -> Any:
     import pint
 
-    return pint.UnitRegistry(autoconvert_offset_to_baseunit=True, cache_folder=":auto:")
+    registry = functools.partial(pint.UnitRegistry, autoconvert_offset_to_baseunit=True)
+    try:
+        return registry(cache_folder=":auto:")
+    except Exception:  # a folder that cannot be written, or a file in it that was cut short: read the units anew
+        return registry(cache_folder=None)
 
 
 def to_si(value: object, unit: str) -> float:
@@ -70,8 +79,9 @@ def _parse(text: str, unit: str) -> float:
         pass
     if not _is_plain(text):
         raise ValueError(f"not a quantity; {_example(unit)}")
+    registry = _registry()
     try:
-        return float(_registry().Quantity(text).to(unit or "dimensionless").magnitude)
+        return float(registry.Quantity(text).to(unit or "dimensionless").magnitude)
     except pint.UndefinedUnitError as error:
         names = [error.unit_names] if isinstance(error.unit_names, str) else error.unit_names
         raise ValueError(f"unknown unit {', '.join(map(repr, names))}; {_example(unit)}") from None
@@ -79,7 +89,7 @@ def _parse(text: str, unit: str) -> float:
         raise ValueError(
             f"{error.units1} cannot be converted to {unit or 'a plain number'}; {_example(unit)}"
         ) from None
-    except Exception:  # whatever else pint says of a text that it cannot read
+    except UNREADABLE:
         raise ValueError(f"not a quantity; {_example(unit)}") from None
 
 

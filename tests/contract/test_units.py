@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nuno_schemas import units
 from nuno_schemas.units import to_si
+
+
+@pytest.fixture
+def fresh() -> Iterator[None]:
+    """Units that are read anew."""
+    units._registry.cache_clear()
+    yield
+    units._registry.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -87,3 +98,31 @@ def test_any_text_is_a_finite_number_or_a_value_error(text: str, unit: str) -> N
     except ValueError:
         return
     assert math.isfinite(value)
+
+
+@pytest.mark.usefixtures("fresh")
+def test_units_are_read_where_they_cannot_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("no folder can be made below it")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "cache"))
+    assert to_si("1 ms", "s") == pytest.approx(1e-3)
+
+
+@pytest.mark.usefixtures("fresh")
+def test_units_that_were_kept_in_part_are_read_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert to_si("1 ms", "s") == pytest.approx(1e-3)
+    kept = list(tmp_path.rglob("*.pickle"))
+    assert kept
+    for file in kept:
+        file.write_bytes(file.read_bytes()[:-100])
+    units._registry.cache_clear()
+    assert to_si("2 ms", "s") == pytest.approx(2e-3)
+
+
+def test_a_fault_of_the_machine_is_no_bad_quantity(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise PermissionError("no units")
+
+    monkeypatch.setattr(units, "_registry", fail)
+    with pytest.raises(PermissionError):
+        to_si("1 ms", "s")

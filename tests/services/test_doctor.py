@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,3 +35,30 @@ def test_what_would_stop_a_run_fails_with_a_remedy(
     for name in ("recordings", "memory"):
         at = said.index(f"failed {name}")
         assert "remedy: " in said[at:].split("\n", 2)[1]
+
+
+def test_a_home_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
+    """Below a file nobody can make a folder: neither kernels nor units are kept, and both are ready."""
+    (tmp_path / "file").write_text("no folder")
+    own = {name: value for name, value in os.environ.items() if name != "XDG_CACHE_HOME"}
+    run = [sys.executable, "-m", "nuno", "doctor"]
+    home = {"HOME": str(tmp_path / "file" / "home")}
+    ended = subprocess.run(run, env=own | home, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout
+    rows = {line[7:21].strip(): line for line in ended.stdout.splitlines()}
+    assert rows["kernels"].startswith("ok") and "OpenMP" not in rows["threads"]
+    assert rows["kernel cache"].startswith("note") and f"{home['HOME']}/.cache/nuno" in rows["kernel cache"]
+
+
+def test_nothing_is_said_of_threads_before_a_kernel_ran(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any) -> None:
+        raise OSError("no kernels")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(doctor, "Simulation", fail)
+    assert main(["doctor"]) == 1
+    said = capsys.readouterr().out
+    assert "failed kernels" in said and "OpenMP" not in said
+    assert said.count("not known: no kernel has run") == 2

@@ -45,10 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Print a line for each; 1 where a run could not work."""
     del args
-    checks = (_machine, _memory, _kernels, _threads, _cache, _gpu, _bus, _port, _rerun, _mp4, _screen, _disk)
+    checks = (_machine, _memory, _kernels, _gpu, _bus, _port, _rerun, _mp4, _screen, _disk)
     names = ("nuno", "numpy", "numba", "llvmlite", "eclipse-zenoh", "mcap")
     rows = [Row("python", "ok", platform.python_version()), *(Row(name, "ok", version(name)) for name in names)]
-    rows += [_checked(check) for check in checks]
+    for check in checks:
+        rows.append(_checked(check))
+        if check is _kernels:
+            rows += _of_kernels(ready=rows[-1].verdict == "ok")
     for row in rows:
         print(f"{row.verdict:6} {row.name:14} {row.text}")
         if row.remedy:
@@ -81,6 +84,13 @@ def _kernels() -> Row:
     simulation.advance(None, None)
     simulation.about()  # chooses numba's threading layer, which `_threads` reads
     return Row("kernels", "ok", f"ready, and a scene stepped, in {time.perf_counter() - start:.1f} s")
+
+
+def _of_kernels(ready: bool) -> list[Row]:
+    """What kernels say of threads and of their cache: nothing before one has run."""
+    if ready:
+        return [_checked(_threads), _checked(_cache)]
+    return [Row(name, "note", "not known: no kernel has run, see above") for name in ("threads", "kernel cache")]
 
 
 def _threads() -> Row:
