@@ -15,7 +15,8 @@ from nuno_cloth.placement import TEXTURE, find_texture
 from nuno_cloth.quantities import Angle, Length
 from nuno_cloth.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.triangles import face_areas, find_edges
-from nuno_cloth.wearer import Wearer, find_wearer
+from nuno_cloth.wearer import STANDS, TURN, Wearer, find_wearer
+from nuno_schemas.body_size import check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
@@ -79,8 +80,10 @@ class Shirt:
     def build_over(self, config: ShirtConfig, files: Files, seed: int, x: Float, faces: Int) -> Fabric:
         """The shirt on a body's mesh x (v, 3) [m], faces (f, 3).
 
-        Raises BadInput for a body without armpits and arms, and for a shirt that would start inside of it.
+        Raises BadInput for a body of no one's size, for one without armpits and arms, and for a shirt that would
+        start inside of it.
         """
+        check_size(x, config.over.body, "a shirt")
         wearer = find_wearer(x, faces)
         sizes, fit = take_measures(wearer, config)
         cut, sewn = sewn_for(sizes, config)
@@ -127,12 +130,18 @@ STANDARD = Sizes(0.895, 0.955, 0.088, 0.26, 0.165, 0.315, 0.271)
 
 
 def take_measures(wearer: Wearer, config: ShirtConfig) -> tuple[Sizes, Fit]:
-    """Sizes of a body, and how a shirt of them is put on it."""
+    """Sizes of a body, and how a shirt of them is put on it. Raises BadInput where it has no trunk or no arm there."""
     neck = wearer.neck[0] + COLLAR
     height = wearer.top(neck)
     drop = height - wearer.armpit + LOWER
     chest, root = wearer.trunk(wearer.armpit - LOWER), wearer.across(wearer.arms[0], 0.0)
-    assert chest is not None and root is not None
+    ways = np.linspace(LEAVES, max(config.sleeve, 2.0 * LEAVES), 4)
+    arms = [loop.girth for way in ways if (loop := wearer.across(wearer.arms[0], float(way))) is not None]
+    if chest is None or root is None or not arms:
+        raise BadInput(
+            "no trunk and arms are found on this body where its armpits seem to be", field="over.body",
+            limit=STANDS, remedy=TURN,
+        )  # fmt: skip
     # Over the chest, which stands out by half its depth, the way down is longer than the drop.
     deep = 0.5 * float(np.ptp(chest.points[:, 2]))
     down = float(np.hypot(drop, deep))
@@ -141,8 +150,6 @@ def take_measures(wearer: Wearer, config: ShirtConfig) -> tuple[Sizes, Fit]:
     half = len(girths) // 2
     top = root.points[np.argmax(root.points[:, 1])]
     shoulder = float(np.hypot(abs(top[0] - wearer.middle) - neck, top[1] - height))
-    ways = np.linspace(LEAVES, max(config.sleeve, 2.0 * LEAVES), 4)
-    arms = [loop.girth for way in ways if (loop := wearer.across(wearer.arms[0], float(way))) is not None]
     sizes = Sizes(
         max(girths[: half + 1]), max(girths[half:]), neck, down, shoulder, arms[0], max(arms[len(arms) // 2 :])
     )

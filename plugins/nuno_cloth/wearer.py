@@ -27,6 +27,9 @@ CENTRAL = 0.05
 OUT, ALONG = 0.03, 0.10
 """The arm's direction is that from a section so far outside of the armpit to one so much farther out [m]."""
 
+STANDS = "upright (y up), facing +z, arms off its sides"
+TURN = "turn it by the collider's `up: z` or `rotate`, and say by `scale` how long its file's unit is"
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -89,7 +92,7 @@ def find_wearer(x: Float, faces: Int) -> Wearer:
     if not below:
         raise BadInput(
             "no armpits are found on this body", field="over.body",
-            limit="upright (y up), facing +z, arms off its sides", remedy="turn it by `rotate`, scale it to metres",
+            limit=STANDS, remedy=TURN,
         )  # fmt: skip
     pit = max(below)
     width = {i: 0.5 * (left[i] - right[i]) for i in loops if levels[i] - levels[pit] < REACH and i < pit}
@@ -104,7 +107,7 @@ def _find_arm(x: Float, faces: Int, pit: float, side: float, height: float) -> A
     """The arm beyond the trunk's edge x = `pit` at the armpit's height, towards `side` * x."""
     inner, outer = (_arm_loop(x, faces, pit + side * out, side, height) for out in (OUT, OUT + ALONG))
     if inner is None or outer is None:
-        raise BadInput("no arms are found on this body", field="over.body", limit="arms off its sides", remedy=None)
+        raise BadInput("no arms are found on this body", field="over.body", limit=STANDS, remedy=TURN)
     way = outer.centroid() - inner.centroid()
     way /= np.linalg.norm(way)
     middle = inner.centroid()

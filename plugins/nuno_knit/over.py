@@ -14,6 +14,7 @@ from nuno_kernels.limb import Rows, find_limb, lay_rows
 from nuno_kernels.surface_tree import build_tree
 from nuno_knit.quantities import Length, Point, Ratio, Share
 from nuno_knit.structure import Knit as Structure
+from nuno_schemas.body_size import check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config
@@ -24,10 +25,6 @@ SKIN = 5e-5
 """The end rows are held so far off the surface [m]: the gap at which sliding contact rests unless told otherwise."""
 NARROW = 0.9
 """A row's girth at rest is this share of the limb's there at most: rows narrow towards a toe."""
-SMALLEST, LARGEST = 0.02, 5.0
-"""Longest side of the box about a body that can wear a knit [m]: from a doll's leg to twice a person."""
-UNITS = {"1mm": 1e-3, "1cm": 1e-2, "1inch": 0.0254, "1m": 1.0, "1km": 1e3}
-"""Lengths that a file's unit may be [m]; that is proposed which makes the body about a metre long."""
 ROOM = 4e-5
 """Least distance from the surface at which points start [m]."""
 ROUNDS = 8
@@ -71,7 +68,7 @@ def draw_over(over: Over, net: Structure, spacing: tuple[float, float] | None, x
     Raises BadInput for ends that lie outside of the mesh, for a limb that has no room for it, and for a knit that is
     too wide for the limb or starts too far from it.
     """
-    check_size(x, over.body)
+    check_size(x, over.body, "a knit")
     try:
         rows = lay_rows(x, faces, _line(over, x, faces), net.courses + 1, net.columns, over.toe == "closed")
     except BadInput as error:
@@ -113,19 +110,6 @@ def _check_girth(over: Over, girth: Float, limb: Float, spaced: bool) -> None:
             limit=f"at most {NARROW:g}",
             remedy="fewer wales or shorter arcs" if spaced else "0.5 to 0.8 fit well",
         )
-
-
-def check_size(x: Float, body: str) -> None:
-    """Raises BadInput for a body x (v, 3) [m] that no one has, as one is that was read in another unit."""
-    size = float((x.max(axis=0) - x.min(axis=0)).max())
-    if SMALLEST <= size <= LARGEST:
-        return
-    unit = min(UNITS, key=lambda name: abs(np.log(size * UNITS[name])))
-    raise BadInput(
-        "the body is too small or too large to wear a knit: its file may be in another unit than metres",
-        field="over.body", value=f"{body}, {size:.3g} m long", limit=f"{SMALLEST:g} to {LARGEST:g} m",
-        remedy=f"say how long its unit is: --set bodies.{body}.collider.scale={unit}",
-    )  # fmt: skip
 
 
 def _line(over: Over, x: Float, faces: Int) -> Float:

@@ -169,3 +169,21 @@ def test_what_cannot_be_worn_is_refused_by_name(body: Body, fields: dict[str, fl
 def test_bodies_that_wear_no_shirt_are_refused() -> None:
     with pytest.raises(BadInput, match="no armpits are found on this body"):
         shirt(leg_mesh(24))
+
+
+def test_bodies_that_lie_tilted_are_refused_with_what_turns_them(body: Body) -> None:
+    """About 60 degrees: something like armpits is found, and no arm that goes on from them."""
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -np.sqrt(0.75)], [0.0, np.sqrt(0.75), 0.5]])
+    with pytest.raises(BadInput, match="no trunk and arms") as refused:
+        shirt((np.ascontiguousarray(body[0] @ turn.T), body[1]))
+    assert refused.value.remedy is not None and "up: z" in refused.value.remedy and "scale" in refused.value.remedy
+
+
+def test_bodies_in_another_unit_are_refused_before_they_are_searched(
+    body: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nuno_cloth.shirt.find_wearer", lambda *_: pytest.fail("searched for arms"))
+    for unit, per_metre in (("1mm", 1e3), ("1cm", 1e2), ("1km", 1e-3)):
+        with pytest.raises(BadInput, match="too small or too large to wear a shirt") as refused:
+            shirt((per_metre * body[0], body[1]))
+        assert refused.value.remedy is not None and refused.value.remedy.endswith(f"b.collider.scale={unit}")
