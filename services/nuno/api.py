@@ -79,10 +79,19 @@ def run(
     """
     with contextlib.ExitStack() as stack:
         try:
+            _check_overrides(overrides)
             loaded = stack.enter_context(_loaded(scene, overrides, tuple(Path(root) for root in roots)))
             return _run(decide(loaded), record, processes, threads)
         except BadInput as error:
             raise _in_python(error) from None
+
+
+def _check_overrides(overrides: Sequence[object]) -> None:
+    """Raises BadInput for an override that is no text, as a mapping of fields is none."""
+    for item in overrides:
+        if not isinstance(item, str):
+            remedy = 'give each as text after the scene: nuno.run("hanging-sheet", "duration=1", "solver.dt=1ms")'
+            raise BadInput("an override is no text", "overrides", value=item, limit='"key=value"', remedy=remedy)
 
 
 @contextlib.contextmanager

@@ -30,6 +30,7 @@ CHAIN = {
 REFUSALS: dict[str, tuple[Callable[[Path], object], str]] = {
     "an override's field": (lambda _: nuno.run(CHAIN, "solver.dtt=1"), "overrides: solver.dtt: no such field"),
     "an override's form": (lambda _: nuno.run(CHAIN, "solver"), 'for example "solver.dt=1ms"'),
+    "an override's kind": (lambda _: nuno.run(CHAIN, {"duration": 1}), '"duration=1"'),  # type: ignore[arg-type]
     "a folder": (lambda _: nuno.run(CHAIN, roots=["nowhere"]), "roots: no such folder"),
     "a file": (lambda _: nuno.run(CHAIN), "name its folder with roots=[DIR]"),
     "a record": (lambda to: nuno.run(CHAIN, record=to / "a.txt", roots=[to]), "record: a recording's name ends in"),
