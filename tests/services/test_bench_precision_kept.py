@@ -131,3 +131,11 @@ def test_points_too_slow_for_the_budget_are_computed_beside_each_other_without_t
     assert choice_rows(sweep.points, POSITIONS, 0.0) == []
     page = precision.write(tmp_path / "page", replace(found, sweep=sweep))[0].read_text()
     assert all(point.setting in page for point in sweep.points)
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_a_reference_is_computed(tmp_path: Path) -> None:
+    path = write_net(tmp_path)
+    (tmp_path / "out").write_text("a file in the folder's place")
+    with pytest.raises(BadInput, match="cannot write there") as refused:
+        precision._check(arguments(path))
+    assert (refused.value.field, refused.value.value) == ("--out", str(tmp_path / "out"))

@@ -39,7 +39,7 @@ from nuno_bench.report import markdown, plots
 from nuno_bench.report.result import text_table
 from nuno_bench.sweep import executor
 from nuno_bench.sweep.executor import Executor, Here
-from nuno_bench.sweep.kept import hint
+from nuno_bench.sweep.kept import hint, require_place
 from nuno_bench.sweep.kept import require as require_any
 from nuno_bench.sweep.packed import pack
 from nuno_schemas.errors import BadInput
@@ -141,6 +141,8 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
             markdown.check_section(args.docs, _section(one))
     if args.resume:
         require_any([_points(args, one) for one in loaded])
+    for one in loaded:
+        require_place(_points(args, one))
     return loaded
 
 

@@ -21,7 +21,7 @@ from nuno_bench.stability.dye import AXIS, DyePosed
 from nuno_bench.stability.plots import maps
 from nuno_bench.stability.sweep import Mapped, Row, measure_all, settings_of
 from nuno_bench.sweep import executor
-from nuno_bench.sweep.kept import Kept, hint, require
+from nuno_bench.sweep.kept import Kept, hint, require, require_place
 from nuno_schemas.errors import BadInput
 
 MODES_SHARE = 0.25
@@ -44,9 +44,10 @@ def main(args: argparse.Namespace) -> int:
         markdown.check_section(args.docs, f"stability {path.stem}")
     if args.resume:
         require([_rows(args, path) for path in paths])
+    for path in paths:
+        require_place(_rows(args, path))
     mapped = list[Mapped]()
     with executor.opened(args) as where:
-        args.out.mkdir(parents=True, exist_ok=True)
         for path in paths:
             mapped.append(_map(args, path, solvers[path], where))
             if args.docs is not None:

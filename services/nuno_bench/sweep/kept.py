@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,10 +20,13 @@ class Kept:
     """
 
     def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool) -> None:
-        """Start anew, or go on where `resume` and there is a file. Raises BadInput where it is another sweep's."""
+        """Start anew, or go on where `resume` and there is a file.
+
+        Raises BadInput where it is another sweep's, and where nothing can be written.
+        """
         self.path = path
         self.lines: list[dict[str, Any]] = self._read(identity) if resume and path.is_file() else []
-        path.parent.mkdir(parents=True, exist_ok=True)
+        require_place(path)
         text = [json.dumps(dict(identity)), *map(json.dumps, self.lines)]
         path.write_text("\n".join(text) + "\n", encoding="utf-8")
 
@@ -40,6 +44,16 @@ class Kept:
     def add(self, data: Mapping[str, Any]) -> None:
         with self.path.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(dict(data)) + "\n")
+
+
+def require_place(path: Path) -> None:
+    """Make the folder of a sweep's file. Raises BadInput where it, or a file in it, cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=path.parent).close()
+    except OSError as error:
+        problem, remedy = f"cannot write there: {error.strerror}", "choose a folder that can be written"
+        raise BadInput(problem, field="--out", value=str(path.parent), remedy=remedy) from None
 
 
 def require(paths: Iterable[Path]) -> None:
