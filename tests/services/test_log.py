@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -132,3 +133,22 @@ def test_lines_go_to_standard_output_for_a_dash(tmp_path: Path, capsys: pytest.C
     assert main(["run", str(scene), "--no-record", "--no-view", "--log", "-"]) == 0
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
     assert [told[0]["message"], told[-1]["message"]] == ["start", "end: done"]
+
+
+def test_a_reader_of_the_log_that_leaves_is_told_of_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    back, to = os.pipe()
+    with os.fdopen(to, "w") as stream:
+        monkeypatch.setattr("sys.stdout", stream)
+        with log.written("r", Path("-")):
+            log.note("r", "read")
+            assert json.loads(os.read(back, 4096))["message"] == "read"
+            os.close(back)
+            log.note("r", "not read")
+            log.note("r", "nor this")
+        monkeypatch.undo()
+        said = capsys.readouterr().err
+        with contextlib.suppress(BrokenPipeError):
+            stream.close()
+    assert said == "standard output is not whole: Broken pipe\n"

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
@@ -92,7 +92,24 @@ def note_failure(run: str, reason: str) -> None:
     note(run, "end: failed", {"state": "failed", "reason": reason}, logging.ERROR)
 
 
-class _File(logging.FileHandler):
+class _Once(logging.StreamHandler[TextIO]):
+    """Says once that what happens is no longer kept; the run needs its recording, not its log."""
+
+    named = "standard output"
+    _broken = False
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        """See logging.Handler."""
+        error = sys.exception()
+        if not isinstance(error, OSError):
+            return super().handleError(record)
+        if self._broken:
+            return
+        self._broken = True
+        sys.stderr.write(f"{self.named} is not whole: {error.strerror}\n")
+
+
+class _File(_Once, logging.FileHandler):
     """A run's log, under its own name once the services are ready: a run that is refused leaves what is there."""
 
     def __init__(self, target: Path) -> None:
@@ -100,7 +117,7 @@ class _File(logging.FileHandler):
         if target.is_file() or not target.exists():  # else a pipe, which is written as it is
             self.target = target.resolve()
             self.fresh = self.target.with_name(f".{self.target.name}.{secrets.token_hex(4)}")
-        self._broken = False
+        self.named = str(self.target)
         super().__init__(self.fresh, "w", "utf-8")
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -114,16 +131,6 @@ class _File(logging.FileHandler):
         if self.fresh != self.target:
             with contextlib.suppress(OSError):  # its folder may have been removed
                 self.fresh.replace(self.target)
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        """Say once that what happens is no longer kept; the run needs its recording, not its log."""
-        error = sys.exception()
-        if not isinstance(error, OSError):
-            return super().handleError(record)
-        if self._broken:
-            return
-        self._broken = True
-        sys.stderr.write(f"{self.target} is not whole: {error.strerror}\n")
 
     def close(self) -> None:
         """See logging.Handler; what could not be written cannot be written now, either."""
@@ -142,7 +149,7 @@ def written(run: str, target: Path | None) -> Iterator[None]:
         return
     handler: logging.Handler
     try:
-        handler = logging.StreamHandler(sys.stdout) if str(target) == "-" else _File(target)
+        handler = _Once(sys.stdout) if str(target) == "-" else _File(target)
     except OSError as error:
         remedy = "choose a folder that exists and can be written"
         raise BadInput(f"cannot write there: {error.strerror}", "--log", value=str(target), remedy=remedy) from None
