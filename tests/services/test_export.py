@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import subprocess
 import sys
@@ -245,3 +246,19 @@ def test_positions_that_are_not_finite_are_refused(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", sheet, 3)
     with pytest.raises(BadInput, match="not finite"):
         export_mesh(tmp_path / "a.mcap", tmp_path / "a.obj")
+
+
+def test_a_disk_that_cannot_be_written_is_refused_in_words(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it can only be read, removing what was never made fails, too."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    with open_recording(path) as recording:
+        recording.series()
+        monkeypatch.setattr(Path, "open", fail)
+        monkeypatch.setattr(Path, "unlink", fail)
+        with pytest.raises(BadInput, match="cannot write there: Read-only file system"):
+            export_csv(recording, tmp_path / "a.csv")

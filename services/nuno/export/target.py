@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -62,7 +63,8 @@ def writing(path: Path, suffix: str) -> Iterator[Path]:
         reason = error.strerror or str(error)
         raise BadInput(f"cannot write there: {reason}", value=str(path), remedy="choose another place") from None
     finally:
-        new.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
+            new.unlink(missing_ok=True)
 
 
 def _is_kind(path: Path, suffix: str) -> bool:
