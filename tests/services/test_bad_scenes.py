@@ -20,7 +20,10 @@ STEPS: dict[str, tuple[dict[str, Any], str]] = {
     "does not divide a frame": (
         {"solver": {"plugin": "rk4", "dt": "3 ms"}}, "0.00285714286 s (7 steps) or 0.00333333333 s (6 steps)",
     ),
-    "longer than a frame": ({"solver": {"plugin": "rk4", "dt": "30 ms"}}, "0.02 s (1 steps)"),
+    "longer than a frame": (
+        {"solver": {"plugin": "rk4", "dt": "30 ms"}, "allow_unstable": True}, "0.02 s (1 steps)",
+    ),
+    "above the limit, as is what is nearest": ({"solver": {"plugin": "rk4", "dt": "30 ms"}}, "dt: auto"),
     "above the limit": (
         {"solver": {"plugin": "rk4", "dt": "20 ms"}, "objects": sheet()}, "above the stability limit",
     ),

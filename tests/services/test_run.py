@@ -157,6 +157,15 @@ def test_step_above_the_limit_is_refused_with_limit_and_remedy(tmp_path: Path) -
     assert not list(tmp_path.glob("refused*"))
 
 
+def test_a_step_that_is_too_long_and_divides_no_frame_is_refused_for_its_length_first(tmp_path: Path) -> None:
+    """What is named as a remedy for the other fault must not be above the limit."""
+    for dt, problem in (("19 ms", "above the stability limit"), ("0.99 ms", "not a whole number of steps")):
+        scene = write_scene(tmp_path, solver={"plugin": "symplectic_euler", "dt": dt})
+        with pytest.raises(BadInput, match=problem) as caught:
+            nuno.run(scene)
+        assert "dt: auto" in str(caught.value)
+
+
 def test_nothing_listens_beyond_loopback(long_run: Callable[..., Run]) -> None:
     run = long_run()
     sockets = [

@@ -36,8 +36,8 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf) -> tup
         require_few(loaded, "solver.dt", frame, longest, "softer or heavier cloth, or a higher frame_rate")
         steps = max(1, int(np.ceil(frame / longest)))
         return steps, frame / steps
-    steps, dt = whole_steps(loaded, "solver.dt", frame, dt)
-    if dt > limit and not loaded.scene.allow_unstable:
+    # Before what divides a frame: the nearest step that does may be above the limit as well.
+    if dt > limit * (1.0 + SECONDS_TOLERANCE) and not loaded.scene.allow_unstable:
         raise loaded.at(
             "solver.dt",
             BadInput(
@@ -47,7 +47,7 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf) -> tup
                 remedy="use dt: auto, a smaller dt, softer cloth, or allow_unstable: true",
             ),
         )
-    return steps, dt
+    return whole_steps(loaded, "solver.dt", frame, dt)
 
 
 def whole_steps(loaded: Loaded, field: str, frame: float, dt: float) -> tuple[int, float]:
@@ -65,7 +65,7 @@ def whole_steps(loaded: Loaded, field: str, frame: float, dt: float) -> tuple[in
             BadInput(
                 "a frame is not a whole number of steps",
                 value=f"{dt:g} s in frames of {frame:g} s",
-                remedy=f"nearest that divide it: {choices}",
+                remedy=f"nearest that divide it: {choices}; or dt: auto",
             ),
         )
     return steps, frame / steps
