@@ -166,6 +166,20 @@ def test_a_step_that_is_too_long_and_divides_no_frame_is_refused_for_its_length_
         assert "dt: auto" in str(caught.value)
 
 
+def test_a_recording_that_will_be_replaced_is_named_before_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, record = write_scene(tmp_path, duration=0.1), tmp_path / "keep.mcap"
+    said, command = f"replaces {record} once the new one is whole", ["run", str(scene), "--record", str(record)]
+    assert main([*command, "--no-view"]) == 0
+    assert said not in capsys.readouterr().out
+    assert main([*command, "--no-view"]) == 0
+    assert capsys.readouterr().out.startswith(f"{said}\n")
+    before = record.read_bytes()
+    assert main([*command, "--no-record", "--no-view"]) == 0
+    assert said not in capsys.readouterr().out and record.read_bytes() == before
+
+
 def test_nothing_listens_beyond_loopback(long_run: Callable[..., Run]) -> None:
     run = long_run()
     sockets = [

@@ -117,6 +117,8 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
     deployment = Deployment(args.processes, args.listen, args.connect, run, args.config, args.paused)
+    if options.record is not None and options.record.is_file():
+        print(f"replaces {options.record} once the new one is whole", flush=True)
     beside = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
     with log.written(run, args.log or beside):
         return execute(loaded, options, deployment, picture=_wants_picture(args, options))
