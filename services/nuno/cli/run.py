@@ -187,6 +187,7 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
     _name_files(options, outcome)
     if picture and outcome.state in ("done", "stopped") and options.record is not None and options.record.exists():
         target = options.record.with_suffix(".png")
+        print("drawing the last frame", flush=True)  # the first time, the renderer is compiled
         _draw(loaded, options.record, target)
         print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
     print(f"total      {time.perf_counter() - started:.1f} s")
