@@ -75,7 +75,7 @@ def test_a_profile_names_every_part_and_compiles_nothing() -> None:
     state, memory = moved(plugin, system)
     with event.install_listener("numba:compile", compilations):
         parts = plugin.profile(system, state, memory, POSES)
-    assert list(parts) == [*(part for part in PARTS if part != "yarns"), "rest"]  # a skirt has none
+    assert list(parts) == [*(part for part in PARTS if part != "yarns"), "other"]  # a skirt has none
     assert all(seconds >= 0.0 for seconds in parts.values())
     assert sum(parts.values()) > 0.0
     assert compilations.seen == 0
@@ -86,7 +86,7 @@ def test_parts_that_a_system_lacks_are_left_out() -> None:
     calls = []
     bare = make_system(Skirt().build(Skirt.Config.model_validate(SKIRT), None, 0), GRAVITY)
     forced = make_system(bare.fabric, GRAVITY, terms=(Term("python", lambda x, v, t, out: calls.append(t)),))
-    for system, expected in ((bare, ["springs", "hinges", "rest"]), (forced, ["springs", "hinges", "python", "rest"])):
+    for system, expected in ((bare, ["springs", "hinges", "other"]), (forced, ["springs", "hinges", "python", "other"])):
         plugin, state = SymplecticEuler(), start(system)
         memory = plugin.prepare(plugin.Config(), system, state)
         assert list(plugin.profile(system, state, memory, None)) == expected
