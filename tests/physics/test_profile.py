@@ -86,7 +86,10 @@ def test_parts_that_a_system_lacks_are_left_out() -> None:
     calls = []
     bare = make_system(Skirt().build(Skirt.Config.model_validate(SKIRT), None, 0), GRAVITY)
     forced = make_system(bare.fabric, GRAVITY, terms=(Term("python", lambda x, v, t, out: calls.append(t)),))
-    for system, expected in ((bare, ["springs", "hinges", "other"]), (forced, ["springs", "hinges", "python", "other"])):
+    for system, expected in (
+        (bare, ["springs", "hinges", "other"]),
+        (forced, ["springs", "hinges", "python", "other"]),
+    ):
         plugin, state = SymplecticEuler(), start(system)
         memory = plugin.prepare(plugin.Config(), system, state)
         assert list(plugin.profile(system, state, memory, None)) == expected
