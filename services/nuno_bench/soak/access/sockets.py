@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -66,13 +66,19 @@ def _rows(case: str, found: set[Socket], expected: int) -> list[Result]:
 
 
 def listening(pid: int) -> set[Socket]:
-    """TCP sockets that listen and UDP sockets that are bound, of a process and all that it started."""
+    """TCP sockets that listen and UDP sockets that are bound, of a process and all that it started.
+
+    Raises psutil.NoSuchProcess where the process itself has ended.
+    """
     parent = psutil.Process(pid)
+    connections = parent.net_connections(kind="inet")
+    for child in parent.children(recursive=True):
+        with suppress(psutil.NoSuchProcess):  # as a service may ask the system something
+            connections += child.net_connections(kind="inet")
     found = set()
-    for process in (parent, *parent.children(recursive=True)):
-        for each in process.net_connections(kind="inet"):
-            if each.laddr and (each.status == psutil.CONN_LISTEN or each.type == socket.SOCK_DGRAM):
-                found.add((str(each.laddr.ip), int(each.laddr.port)))
+    for each in connections:
+        if each.laddr and (each.status == psutil.CONN_LISTEN or each.type == socket.SOCK_DGRAM):
+            found.add((str(each.laddr.ip), int(each.laddr.port)))
     return found
 
 
