@@ -53,12 +53,16 @@ def _cases(where: Path, scene: Path, quick: bool) -> dict[str, tuple[list[str], 
     cases["nuno run --processes"] = (run(1, "--no-view", "--processes"), usual, 1)
     if importlib.util.find_spec("rerun"):
         cases["nuno run --view web"] = (run(2, "--view", "web"), {*usual, "viewer"}, 3)
-    return cases | {"nuno draw": (["draw", str(scene), "--no-browser"], set(), 1)}
+    model = {"plugin": "sheet", "resolution": [7, 7], "cells": "triangles", "fabric": "denim", "pin": ["top-corners"]}
+    drawn = small.write(where, 1.0, 7, objects=[{"name": "sheet", "model": model}])
+    return cases | {"nuno draw": (["draw", str(drawn), "--no-browser"], set(), 1)}
 
 
 def _rows(case: str, found: set[Socket], expected: int) -> list[Result]:
     outside = {each for each in found if not each[0].startswith("127.") and each[0] != "::1"}
     note = f"on other addresses: {sorted(outside)}" if outside else ""
+    if not found:
+        return [Result(case, "sockets that listen", "", failure="none does: the command has ended")]
     return [
         Result(case, "sockets that listen", "", (len(found),), bar=expected, at_most=True),
         Result(case, "of them not on loopback", "", (len(outside),), bar=0, at_most=True, note=note),
