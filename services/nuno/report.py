@@ -268,9 +268,7 @@ def _warnings(report: Report) -> list[str]:
     depth, expected = report["penetration"], report["rest_depth"]
     if depth is not None and expected is not None and depth > max(MOST_DEPTHS * expected, SEEN_DEPTH):
         often = f"{depth / expected:.0f} times as deep as" if expected else "deeper than"
-        found.append(
-            f"cloth lay in bodies {often} resting contact: from its start? else stiffer contact, slower bodies"
-        )
+        found.append(f"cloth lay in bodies {often} resting contact: from its start? stiffer contact, slower bodies?")
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import yaml
 from nuno import api, registry
 from nuno.cloth import build
 from nuno.scene import choose, scene_file
+from nuno.scene.override import apply_override, as_override
 from nuno.scene.scene_file import Loaded
 from nuno.scene.trials import Method, Trials
 from nuno_bench.precision.accuracy import promised_frames
@@ -176,3 +178,11 @@ def test_trials_stay_within_their_work(tmp_path: Path) -> None:
     trials = Trials(problem.system, (None,) * (problem.frames + 1), problem.frame, problem.frames, problem.size)
     assert trials.affords(method, 10)
     assert not replace(trials, work=1e9).affords(method, 10)
+
+
+def test_what_was_chosen_is_read_back_as_it_was() -> None:
+    """YAML takes 1e-05, as Python writes it, for a text."""
+    chosen = {"plugin": "rkl2", "dt": 1e-05, "start": 0.1, "name": "a: {b}", "far": 1e300}
+    data: dict[str, Any] = {"dye": {}}
+    apply_override(data, as_override("dye.solver", chosen))
+    assert data == {"dye": {"solver": chosen}}

@@ -149,6 +149,15 @@ def test_long_values_are_cut_short(tmp_path: Path) -> None:
     assert len(str(caught.value)) < 600
 
 
+def test_every_scene_that_comes_along_is_the_same_for_all() -> None:
+    """Whatever its plugins were given crosses the bus, and is read alike twice."""
+    scenes = {name: path for folder in ("", *scene_file.FOLDERS) for name, path in scene_file.shipped(folder).items()}
+    assert len(scenes) > 50
+    for path in scenes.values():
+        here, there = (premises_of(scene_file.read(path), False).model_dump_json() for _ in range(2))
+        assert compare("simulation", *map(Premises.model_validate_json, (there, here))) == []
+
+
 def test_premises_cross_the_bus_unchanged(tmp_path: Path) -> None:
     own = premises_of(scene_file.read(write_scene(tmp_path, bodies=BALL)), False)
     assert Premises.model_validate_json(own.model_dump_json()) == own

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from nuno.scene import scene_file, yaml_lines
+from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
@@ -76,7 +74,7 @@ def find_own(scene: Path, overrides: list[str]) -> tuple[list[str], list[Path]]:
         elif equals and (value := _parsed(text)) is not None:
             renamed = _rename(value, key, scene, found)
             if found:
-                item = f"{key}={yaml.safe_dump(renamed, default_flow_style=True, width=math.inf).strip()}"
+                item = as_override(key, renamed)
         named.append(item)
         folders += found
     return named, folders

@@ -18,6 +18,7 @@ import numpy as np
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import first_step
 from nuno.scene import scene_file
+from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST_DYE, Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -161,7 +162,7 @@ def _written(loaded: Loaded, name: str, dt: float | None, why: str, start: int =
     if start != START:
         chosen["start"] = start
     data = {**loaded.data, "dye": {**loaded.data["dye"], "solver": chosen}}
-    overrides = [f"dye.solver={{{', '.join(f'{key}: {value!r}' for key, value in chosen.items())}}}"]
+    overrides = [as_override("dye.solver", chosen)]
     if not loaded.scene.moves:
         data.pop("accuracy", None)
         overrides.append("accuracy=null")

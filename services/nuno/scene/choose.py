@@ -11,11 +11,11 @@ import os
 from dataclasses import dataclass, replace
 
 import numpy as np
-import yaml
 
 from nuno import registry
 from nuno.cloth import build
 from nuno.scene import scene_file
+from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST, Loaded
 from nuno.scene.trials import Method, Trials
 from nuno_schemas.errors import BadInput
@@ -171,8 +171,7 @@ def _written(loaded: Loaded, name: str, dt: float | None, why: str) -> Loaded:
     chosen = {**loaded.scene.solver.config, "plugin": name} | ({} if dt is None else {"dt": dt})
     data = {key: value for key, value in loaded.data.items() if key != "accuracy"} | {"solver": chosen}
     decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
-    text = yaml.safe_dump(chosen, default_flow_style=True, width=math.inf).strip()
-    overrides = (*loaded.overrides, f"solver={text}", "accuracy=null")
+    overrides = (*loaded.overrides, as_override("solver", chosen), "accuracy=null")
     both = f"{why}; dye: {loaded.why}" if loaded.why else why
     return replace(decided, overrides=overrides, path=loaded.path, why=both)
 

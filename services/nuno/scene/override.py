@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
+import yaml
 
 from nuno.scene import yaml_lines
 from nuno.scene.explain import OVERRIDDEN
@@ -32,6 +35,11 @@ def item_at(data: Any, path: yaml_lines.Path) -> Any:
         except (KeyError, IndexError, TypeError):
             return None
     return data
+
+
+def as_override(key: str, value: object) -> str:
+    """`key=value` that is read as just that mapping: of numbers written otherwise, YAML takes 1e-05 for a text."""
+    return f"{key}={yaml.safe_dump(value, default_flow_style=True, width=math.inf).strip()}"
 
 
 def overridden(lines: Mapping[yaml_lines.Path, int], place: yaml_lines.Path) -> dict[yaml_lines.Path, int]:
