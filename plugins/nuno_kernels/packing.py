@@ -28,9 +28,12 @@ Extra = Callable[[Float, Float, float, Float], None]
 
 
 def to_rows(array: Float, out: Float | None = None) -> Float:
-    """(n, 3) -> C-contiguous (3, n)."""
+    """(n, 3) -> C-contiguous (3, n) that shares no memory with it.
+
+    Not np.ascontiguousarray: one vertex transposed is contiguous as it is, and would be handed back as a view.
+    """
     if out is None:
-        return np.ascontiguousarray(array.T, np.float64)
+        return np.array(array.T, np.float64, order="C")
     out[...] = array.T
     return out
 
@@ -179,7 +182,7 @@ def python_terms(system: System, start: float, end: float) -> Extra | None:
 
     def extra(x: Float, v: Float, s: float, a: Float) -> None:
         out = np.zeros((x.shape[1], 3))
-        position, velocity = np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)
+        position, velocity = np.array(x.T, order="C"), np.array(v.T, order="C")
         for call in calls:
             call(position, velocity, start + s * (end - start), out)
         a += out.T

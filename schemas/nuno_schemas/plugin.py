@@ -60,7 +60,7 @@ class Term:
     A `kind` that the kernels know ("springs", "hinges", "wind", "particle_wind", "contact", "slides") is
     fused into the compiled step, and `data` is that kernel's tuple of arrays. Any other force
     has kind "python" and `data` is a function f(x, v, t, out): it adds newtons to `out` (n, 3)
-    and is called at every evaluation.
+    and is called at every evaluation, with x and v (n, 3) that are its own.
     """
 
     kind: str

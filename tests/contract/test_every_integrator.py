@@ -91,6 +91,20 @@ def test_equal_runs_give_equal_bytes_and_leave_the_fabric_alone(plugin: Any) -> 
 
 
 @pytest.mark.parametrize("plugin", PLUGINS, ids=name)
+def test_a_net_of_one_vertex_that_nothing_acts_on_stays_where_it_is(plugin: Any) -> None:
+    """Off the origin. By vertices or by axes, one vertex is the same in memory: no layout of it may be a view."""
+    place, one = np.array([[1.0, 2.0, 3.0]]), np.ones(1)
+    fabric = Fabric("one", place.copy(), np.zeros((1, 3)), one, one == 0.0, np.zeros((0, 3), np.int32), None)
+    system, state = System(fabric, np.zeros(3)), State(place.copy(), np.zeros((1, 3)))
+    plugin.limit(config(plugin), system, state)
+    memory = plugin.prepare(config(plugin), system, state)
+    plugin.limit(config(plugin), system, state)
+    assert plugin.advance(system, state, memory, None, 2, 0.1).status == "ok"
+    assert state.x.tolist() == place.tolist()
+    assert fabric.position.tolist() == place.tolist()
+
+
+@pytest.mark.parametrize("plugin", PLUGINS, ids=name)
 def test_frames_cut_anywhere_end_in_the_same_bytes(plugin: Any) -> None:
     system = oscillator()
     whole = run(plugin, system, 12, 0.01)
