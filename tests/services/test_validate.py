@@ -20,7 +20,7 @@ from nuno_bench.sweep.executor import Here
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.validation import page as validation_page
 from nuno_bench.validation import suite as validate
-from nuno_bench.validation.laws import statics
+from nuno_bench.validation.laws import oscillator, statics
 from nuno_bench.validation.laws.base import Case, Found, Outcome, Unsupported
 from nuno_integrators.rk4 import RK4
 from nuno_kernels.acceleration import evaluate
@@ -97,6 +97,32 @@ def test_every_installed_solver_passes_the_quick_cases() -> None:
     found = outcomes(QUICK, [])
     assert {key: o.reason for key, o in found.items() if o.verdict == "failed"} == {}
     assert {s for _, s in found} == set(registry.installed(GROUP))
+
+
+def test_the_order_of_what_soon_is_at_rounding_is_fitted_above_it() -> None:
+    (outcome,) = outcomes(["order, oscillator"], ["dop853"]).values()
+    assert outcome.verdict == "passed"
+    assert outcome.found is not None
+    assert abs(outcome.found.measured - 8.0) < 0.15
+
+
+class OrderEight:
+    order = 8
+
+
+def test_rounding_hides_no_wrong_order() -> None:
+    counts = np.array([10.0, 14.0, 20.0, 28.0])
+
+    def found(errors: Float) -> Found:
+        return oscillator.order_found(OrderEight(), counts, 1.0, errors, 1.0)
+
+    rounded = np.maximum(4.9e-4 / counts**8, 2e-15)
+    assert rounded[-1] == 2e-15
+    assert found(rounded).error < 1e-9
+    assert found(4.9e-4 / counts**7).error == pytest.approx(1.0)
+    assert math.isnan(found(np.full(4, math.nan)).error), "which fails"
+    with pytest.raises(Unsupported, match="only 0 of 4 errors are above rounding"):
+        found(np.zeros(4))
 
 
 @pytest.mark.usefixtures("foreign")

@@ -60,7 +60,7 @@ def measure_order(plugin: Any) -> Found:
         run = Run(plugin, swinging_net())
         run.go(int(count), DURATION / count)
         errors.append(float(np.abs(np.stack([run.state.x, run.state.v]) - _swung()).max()))
-    return order_found(plugin, DURATION / counts, np.array(errors))
+    return order_found(plugin, counts, DURATION, np.array(errors), float(np.abs(_swung()).max()))
 
 
 def measure_projectile(plugin: Any) -> Found:
