@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -22,7 +23,7 @@ from nuno_kernels.packing import pack, python_terms, silence_bodies, thread_coun
 from nuno_kernels.rest import unbalance
 from nuno_kernels.stability import measure_rates, stable_step
 from nuno_schemas.bodies import Poses
-from nuno_schemas.fabric import Float, Memory, State
+from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.plugin import StepLimit, StepReport, System
 
 CHECKPOINTED = ("anchor", "anchor_frame")
@@ -122,10 +123,11 @@ class Compiled(ABC):
         told = self.go(work, packed, extra, steps, dt) if steps else Told(0)
         if work.pace is not None:
             work.pace.took(time.perf_counter() - started, told.totals.get("evaluations", told.steps))
+        lost = _say_lost(system.fabric, state, work)
         state.x[...] = work.x.T
         state.v[...] = work.v.T
         state.t += steps * dt
-        return _report(system, work, packed, told, time.perf_counter() - began)
+        return _report(system, work, packed, told, lost, time.perf_counter() - began)
 
     def profile(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
@@ -225,7 +227,24 @@ def _restore(packed: Packed, work: Work, memory: Memory) -> None:
             memory.arrays[name] = own
 
 
-def _report(system: System, work: Work, packed: Packed, told: Told, seconds: float) -> StepReport:
+def _say_lost(fabric: Fabric, before: State, work: Work) -> str:
+    """What is said of vertices without a finite position or velocity, nothing where there are none.
+
+    Within an interval they take all others along, pinned ones too, on which an infinite force times no mobility is NaN.
+    So the one that is named is the free vertex that was fastest in the state before.
+    """
+    lost = ~(np.isfinite(work.x).all(axis=0) & np.isfinite(work.v).all(axis=0))
+    if not lost.any():
+        return ""
+    speed = np.where(lost & ~fabric.pinned, np.abs(before.v).max(axis=1), -1.0)
+    vertex = int(np.argmax(speed))
+    return (
+        f"{int(lost.sum())} of {fabric.number} vertices have no finite position or velocity; the fastest free one of "
+        f"them was vertex {vertex}, at {math.hypot(*before.v[vertex]):.3g} m/s before"
+    )
+
+
+def _report(system: System, work: Work, packed: Packed, told: Told, lost: str, seconds: float) -> StepReport:
     energy = measure_energy(
         work.x, work.v, system.fabric.mass, packed._replace(gravity=np.asarray(system.gravity, np.float64))
     )
@@ -238,13 +257,8 @@ def _report(system: System, work: Work, packed: Packed, told: Told, seconds: flo
         from nuno_kernels.slides import count_slides
 
         counts |= count_slides(packed.slides)
-    finite = np.isfinite(work.x).all(axis=0) & np.isfinite(work.v).all(axis=0)
-    status: Literal["ok", "diverged", "unconverged"] = "unconverged" if told.problem else "ok"
-    message = told.problem
-    if not finite.all():
-        first, total = int(np.argmin(finite)), int((~finite).sum())
-        status = "diverged"
-        message = f"vertex {first} has no finite position or velocity ({total} of {finite.shape[0]} vertices)"
+    status: Literal["ok", "diverged", "unconverged"] = "diverged" if lost else "unconverged" if told.problem else "ok"
+    message = lost or told.problem
     names = ("kinetic", "gravitational", "springs", "hinges", *(("yarns",) if packed.yarns is not None else ()))
     kinds = {name: getattr(energy, name) for name in names}
     times = {"steps": seconds}

@@ -86,10 +86,27 @@ def test_frames_and_new_memory_change_no_bit(plugin: Any) -> None:
 def test_divergence_is_said(plugin: Any) -> None:
     position, springs = grid_springs(6, 6, 0.01, k=1e6)
     position[:, 2] += 1e-3 * np.random.default_rng(1).standard_normal(36)
-    system = make_system(make_fabric(position, springs))
+    velocity = np.zeros((36, 3))
+    velocity[[0, 20, 21]] = [[0.0, 5.0, 0.0], [0.0, -3.0, 4.0], [1.0, 0.0, 0.0]]
+    system = make_system(make_fabric(position, springs, pinned=np.arange(36) % 6 == 0, velocity=velocity))
     report = run(plugin, system, start(system), 4000, 1.0)
     assert report.status == "diverged"
-    assert report.message.startswith("vertex ")
+    assert report.message.startswith("36 of 36 vertices have no finite position or velocity")
+    assert "vertex 20, at 5 m/s" in report.message, "the fastest of those that can move"
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_force_in_python_may_do_what_it_likes_to_what_it_is_given(count: int) -> None:
+    """x and v are copies, also of one vertex."""
+
+    def spoil(x: Float, v: Float, t: float, out: Float) -> None:
+        x[...], v[...] = 7.0, 9.0
+
+    system = make_system(make_fabric(np.ones((count, 3))), terms=(Term("python", spoil),))
+    state = start(system)
+    run(Leapfrog(), system, state, 3, 0.1)
+    assert state.x.tolist() == np.ones((count, 3)).tolist()
+    assert not state.v.any()
 
 
 def test_unknown_and_doubled_terms_are_refused() -> None:
