@@ -1,7 +1,8 @@
 """Implicit methods: stable at any step, for cloth too stiff to follow.
 
 Implicit Euler and TR-BDF2 share one stage, x = x^ + g v with v = v^ + g a(x, v), solved by Newton's
-method to a stated residual (nuno_kernels.newton). Where it does not converge the step is halved.
+method to a stated residual (nuno_kernels.newton). Where it does not converge the step is halved, and where that does
+not help solved with more patience.
 
 TR-BDF2 (Bank et al. 1985; Hosea & Shampine 1996, Appl. Numer. Math. 20, 21-37) takes a trapezoidal
 stage to gamma = 2 - sqrt(2) of the step and the second-order backward formula from there: of order 2,
@@ -23,12 +24,24 @@ from nuno_integrators.adaptive import cloth_size
 from nuno_integrators.compiled import Compiled, Told, Work
 from nuno_kernels.acceleration import Packed, commit, evaluate
 from nuno_kernels.newton import Stage, compile_stage, limit_approach, make_stage, solve_stage
-from nuno_kernels.solver import Counts
+from nuno_kernels.solver import Counts, prefer_factors
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config, StepLimit, System
 
+Limits = tuple[float, int]
+
 GAMMA = 2.0 - math.sqrt(2.0)
-MOST_HALVINGS = 10
+MOST_HALVINGS = 14
+"""Of a frame of 1/60 s steps of 1 us are left. Before that the inertia m / h^2 outweighs 4 k s / (1 - s), with which
+springs that are shorter than at rest by the share s push a vertex m aside, and a step has one solution: at a third and
+a gram for every k up to 5e8 N/m."""
+PATIENT_FROM = 4
+"""A step that so many halvings did not help is not one that is too long. Most steps that fail, as over contact, go
+through after one halving or two, and those cost less than patience."""
+PATIENCE = 10
+"""Times as many Newton steps are taken then, by factorisations. A chain of stiff springs in compression gives way to
+the side: tens of steps leave the straight line, where rounding alone pushes it aside, and then it takes about one for
+every vertex along it. Loose solutions turn stiff springs by so little a step that they take hundreds."""
 
 
 class ImplicitConfig(Config):
@@ -40,7 +53,12 @@ class ImplicitConfig(Config):
         lt=1,
         description="force that may be missing at a vertex, as a share of the largest single force",
     )
-    most_iterations: int = Field(20, ge=1, le=1000, description="Newton steps before a time step is halved")
+    most_iterations: int = Field(
+        20,
+        ge=1,
+        le=1000,
+        description="Newton steps before a time step is halved; where four halvings do not help, ten times as many",
+    )
 
 
 @dataclass
@@ -48,7 +66,7 @@ class ImplicitWork(Work):
     """`stage` is the solver's memory; `limits` its residual and the most Newton steps."""
 
     stage: Stage
-    limits: tuple[float, int]
+    limits: Limits
 
 
 class Implicit(Compiled):
@@ -75,7 +93,7 @@ class Implicit(Compiled):
         for step in range(steps):
             done, residual = self._step(work, packed, extra, step * dt, dt, span, 0)
             taken += done
-            if not math.isnan(residual):
+            if residual is not None:
                 message = f"a residual of {residual:.3g} N is left after steps of {dt / 2**MOST_HALVINGS:.2g} s"
                 return Told(taken, message, _totals(work.stage.counts, taken))
         return Told(taken, "", _totals(work.stage.counts, taken))
@@ -89,27 +107,33 @@ class Implicit(Compiled):
 
     def _step(
         self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, depth: int
-    ) -> tuple[int, float]:
-        """One step, halved as often as needed: steps taken, and the residual it failed with or NaN."""
-        work.stage.solver.direct = False
-        ok, residual = self.attempt(work, packed, extra, start, h, span)
+    ) -> tuple[int, float | None]:
+        """One step, halved as often as needed: steps taken, and the residual it failed with, None where it did not."""
+        solver, (tolerance, most) = work.stage.solver, work.limits
+        solver.direct = False
+        ok, residual = self.attempt(work, packed, extra, start, h, span, work.limits)
+        if not ok and depth == PATIENT_FROM and prefer_factors(solver):
+            ok, residual = self.attempt(work, packed, extra, start, h, span, (tolerance, PATIENCE * most))
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
             commit(work.x, work.v, (start + h) / span, packed.bindings, packed.contact, packed.slides, packed.threads)
-            return 1, math.nan
+            return 1, None
         if depth == MOST_HALVINGS:
             return 0, residual
         work.stage.counts.halvings += 1
         first, failed = self._step(work, packed, extra, start, 0.5 * h, span, depth + 1)
-        if not math.isnan(failed):
+        if failed is not None:
             return first, failed
         second, failed = self._step(work, packed, extra, start + 0.5 * h, 0.5 * h, span, depth + 1)
         return first + second, failed
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float
+        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
     ) -> tuple[bool, float]:
-        """Leave the state after a step of h in work.stage; whether it converged, and the residual [N]."""
+        """Leave the state after a step of h in work.stage; whether it converged, and the residual [N].
+
+        `limits` as of nuno_kernels.newton.solve_stage.
+        """
         raise NotImplementedError
 
     def step_at_rest(self, work: ImplicitWork, extra: Any) -> Any:
@@ -138,10 +162,10 @@ class ImplicitEuler(Implicit):
     order: ClassVar[int] = 1
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float
+        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
     ) -> tuple[bool, float]:
         work.stage.v[...] = work.v
-        return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, work.limits)
+        return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, limits)
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
@@ -155,7 +179,7 @@ class TRBDF2(Implicit):
     order: ClassVar[int] = 2
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float
+        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
     ) -> tuple[bool, float]:
         """With g = gamma h / 2 both stages are x = x^ + g v: x^ = x + g v at first, then the backward formula's."""
         st, (xhat, vhat), g = work.stage, work.stages, 0.5 * GAMMA * h
@@ -168,7 +192,7 @@ class TRBDF2(Implicit):
         np.multiply(st.a, g, out=vhat)
         vhat += work.v
         st.v[...] = work.v
-        ok, residual = solve_stage(st, packed, extra, xhat, vhat, g, (start + GAMMA * h) / span, work.x, work.limits)
+        ok, residual = solve_stage(st, packed, extra, xhat, vhat, g, (start + GAMMA * h) / span, work.x, limits)
         if not ok:
             return ok, residual
         # near * middle - (near - 1) * old, written so that what stands still does so to the last bit.
@@ -177,7 +201,7 @@ class TRBDF2(Implicit):
             np.subtract(middle, old, out=hat)
             hat *= near
             hat += old
-        return solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), work.limits)
+        return solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), limits)
 
     def amplification(self, omega: float, damping: float, dt: float) -> Float:
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""

@@ -88,10 +88,8 @@ def solve_linear(s: Solver, packed: Packed, x: Float, rate: float, residual: Flo
             return True
     elif _iterate(s, packed, x, rate, residual, kinds, math.ceil(PATIENCE * math.sqrt(n))):
         return True
-    else:
-        s.direct = _make_room(s)
-        if s.direct:
-            return False
+    elif prefer_factors(s):
+        return False
     _iterate(s, packed, x, rate, residual, (False,), 20 * n + 100)
     return True
 
@@ -111,13 +109,14 @@ def _iterate(
     return True
 
 
-def _make_room(s: Solver) -> bool:
-    """Plan the factorisation, once; False if there is no room for it."""
+def prefer_factors(s: Solver) -> bool:
+    """Use factorisations for the rest of the time step; False if there is no room for one. It is planned once."""
     if s.factor is None and not s.barred:
         plan = make_plan(s.position, s.linear)
         s.barred = plan.entries > MOST_ENTRIES
         s.factor = None if s.barred else make_factor(plan, s.position.shape[0])
-    return not s.barred
+    s.direct = not s.barred
+    return s.direct
 
 
 def _factorise(s: Solver, packed: Packed, x: Float, rate: float, residual: Float, kinds: tuple[bool, ...]) -> bool:
