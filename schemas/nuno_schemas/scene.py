@@ -179,7 +179,7 @@ class Scene(Part):
     nuno: Literal[1] = Field(description="scene schema version")
     name: Name = Field(description="of the scene, and of its recordings")
     description: str = Field(default="", description="what it shows, in a sentence")
-    duration: Duration = Field(description="simulated time [s]")
+    duration: Duration = Field(description="simulated time [s], whole frames of it")
     until: Literal["duration", "rest", "balance"] = Field(
         "duration",
         description="rest: end before `duration` where the cloth has come to rest, no vertex faster than a thousandth "
@@ -289,4 +289,8 @@ class Scene(Part):
     @property
     def frames(self) -> int:
         """Whole frames in the duration, at least one."""
-        return max(1, round(float(self.duration * self.frame_rate)))
+        return self.in_frames(self.duration)
+
+    def in_frames(self, seconds: float) -> int:
+        """The whole number of frames, at least one, that is taken for a time [s]."""
+        return max(1, round(float(seconds * self.frame_rate)))

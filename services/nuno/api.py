@@ -7,6 +7,7 @@ import json
 import os
 import re
 import tempfile
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -74,8 +75,8 @@ def run(
     """Simulate a scene: a file, the name of a shipped scene, or a mapping of its fields.
 
     `overrides` are "key=value" as after --set; `record` is the recording's file (default: a
-    temporary one). Raises BadInput for a bad scene and RunFailed for a run that failed or
-    diverged, whose recording is kept.
+    temporary one). Warns (UserWarning) of what makes the scene or its start doubtful. Raises BadInput for a
+    bad scene and RunFailed for a run that failed or diverged, whose recording is kept.
     """
     with contextlib.ExitStack() as stack:
         try:
@@ -120,9 +121,12 @@ def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool,
     outcome = supervisor.supervise(
         loaded, options, Deployment(processes=processes, run=run_id), None, lambda o: make_report(loaded, o)
     )
+    report = make_report(loaded, outcome)
+    for text in report["warnings"]:
+        warnings.warn(text, stacklevel=3)  # at the caller of `run`
     if outcome.problem:
         raise RunFailed(f"{outcome.problem}; recording kept in {path}")
-    digest, report = outcome.summary["digest"], make_report(loaded, outcome)
+    digest = outcome.summary["digest"]
     x = v = np.zeros((0, 3))
     t, amounts = 0.0, dict[str, Float]()
     with open_recording(path) as recording:

@@ -6,6 +6,7 @@ from typing import Any, TextIO
 
 from nuno.scene.scene_file import Loaded
 from nuno.supervision.supervisor import Outcome
+from nuno.warnings import result_warnings, scene_warnings
 from nuno.words import counted, duration, factor
 from nuno_schemas.messages import FRAMES
 
@@ -13,12 +14,6 @@ Report = dict[str, Any]
 SIZES, DYE_SIZES = ("vertices", "springs", "hinges"), ("cells",)
 
 ENDS = (("min", "shortest"), ("max", "longest"))
-MOST_STRETCH = 1.0
-"""No woven or knitted thread is twice as long as it was and still cloth."""
-MOST_DEPTHS, SEEN_DEPTH = 5.0, 0.005
-"""Cloth is too deep in bodies from this many times the depth of resting contact on, if that is also
-more than this [m]. By the first alone every garment would be: a fold carries more than a vertex's own
-weight (sheet on a sphere: 22 times at rest, 0.5 mm), and cloth that lands sinks in for a moment (2 mm)."""
 TOLD: dict[str, Any] = {
     "digest": "", "began": 0.0, "paused_seconds": 0.0, "step_seconds": {}, "totals": {}, "dt": None,
     "steps_per_frame": None, "idle": 0, "rested": False, "threads": "", "energy": [], "stretch": 0.0,
@@ -52,6 +47,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "solver": solver.name,
         "adaptive": loaded.scene.moves and solver.plugin.adaptive,
         "chosen": loaded.why,
+        "warnings": [*scene_warnings(loaded), *summary.get("warnings", [])],
         "dt_limit": (summary.get("limit") or {}).get("dt"),
         "omega": (summary.get("limit") or {}).get("omega"),
         "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
@@ -141,7 +137,7 @@ def lines(report: Report) -> list[tuple[str, str]]:
     work = {name: n for name, n in report["totals"].items() if name != "steps"}
     if work:
         rows.append(("solver", ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in work.items())))
-    rows += _physics(report)
+    rows += [*_physics(report), *(("warning", text) for text in [*report["warnings"], *result_warnings(report)])]
     frames = report["frames"]
     text = f"{frames['sent']} sent"
     if frames["recorded"] is not None:
@@ -243,7 +239,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     if warnings:
         rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))
     rows += _dye(report) if report.get("dye") else []
-    return rows + [("warning", text) for text in _warnings(report)]
+    return rows
 
 
 def _knit(report: Report) -> list[tuple[str, str]]:
@@ -257,19 +253,6 @@ def _knit(report: Report) -> list[tuple[str, str]]:
         places = "".join(f", {name} {value:.4g} Pa" for name, value in pressure.items())
         rows.append(("pressure", f"{mean:.4g} Pa on average, {low:.4g} to {high:.4g} Pa{places}"))
     return rows
-
-
-def _warnings(report: Report) -> list[str]:
-    """What makes a result doubtful though the run went through."""
-    found = []
-    # Elastic yarns are made to be drawn out further than any woven cloth bears.
-    if (report["stretch"] or 0.0) > MOST_STRETCH and not report.get("yarns"):
-        found.append(f"threads were stretched by more than {MOST_STRETCH:.0%}: a stiffer fabric, or less load?")
-    depth, expected = report["penetration"], report["rest_depth"]
-    if depth is not None and expected is not None and depth > max(MOST_DEPTHS * expected, SEEN_DEPTH):
-        often = f"{depth / expected:.0f} times as deep as" if expected else "deeper than"
-        found.append(f"cloth lay in bodies {often} resting contact: from its start? stiffer contact, slower bodies?")
-    return found
 
 
 def _millimetres(depth: float) -> str:

@@ -10,7 +10,8 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.report import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH, Report, lines
+from nuno.report import Report, lines
+from nuno.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 
 
 @pytest.fixture(scope="module")

@@ -12,12 +12,12 @@ import numpy as np
 from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
 from nuno.collision.distance import penetration
-from nuno.report import SEEN_DEPTH
 from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision.plan import make_plan
+from nuno.warnings import SEEN_DEPTH, scene_warnings
 from nuno.words import factor
 from nuno_schemas.bodies import Geometry, Poses
 
@@ -40,6 +40,7 @@ def main(args: argparse.Namespace) -> int:
         from nuno.dye.describe import describe_dye
 
         rows += describe_dye(loaded)
+    rows += [("WARNING", text) for text in scene_warnings(loaded)]
     rows += [("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)]
     for name, text in rows:
         print(f"{name:9} {text}")

@@ -24,7 +24,7 @@ class Driver(Lockstep):
         super().__init__(context, dyeing, STATUS if context.loaded.scene.moves else None)
         self.dyeing = dyeing
         every = self.scene.record.dye_every
-        self.every = 1 if every is None else max(1, round(every * self.scene.frame_rate))
+        self.every = 1 if every is None else self.scene.in_frames(every)
         """Frames from one whose amounts are published to the next."""
         self.shown: list[int] = []
         """Frames whose amounts were."""

@@ -29,7 +29,7 @@ class Render:
         scene = context.loaded.scene
         self.context, self.artist = context, artist
         every = scene.view.pictures
-        self.every = None if every == "end" or every is None else max(1, round(every * scene.frame_rate))
+        self.every = None if every == "end" or every is None else scene.in_frames(every)
         """Frames between two pictures; None: the last frame alone."""
         self.last: Frame | None = None
         self.queued = -1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from typing import Any
@@ -108,7 +109,7 @@ class Supervisor:
             waited = time.monotonic() - begin
             if progress is not None and not told and waited > COMPILING_AFTER:
                 told = True
-                self._say(COMPILING, progress)
+                self.say(COMPILING, progress)
             if waited > self.patience:
                 raise RunFailed(f"not ready within {self.patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
@@ -129,7 +130,7 @@ class Supervisor:
                     continue
                 raise RunFailed(f"the {error.peer} service died: {self._why(error.peer)}") from None
             for note in notes:
-                self._say(note, progress)
+                self.say(note, progress)
 
     def _why(self, name: str) -> str:
         """Why a service is over."""
@@ -179,14 +180,14 @@ class Supervisor:
     def follow(self, progress: Progress | None) -> str:
         """Let the run go to its end; the error that ended it early, or ""."""
         if self.paused:
-            self._say(f"paused before its first frame; to go on: nuno control {self.run} resume", progress)
+            self.say(f"paused before its first frame; to go on: nuno control {self.run} resume", progress)
         else:
             self.bus.ask_json("control", {"action": "start"})
         while self.ended is None:
             self._drain(progress, timeout=0.2)
             if progress is not None:
-                self.laggards.look(lambda text: self._say(text, progress))
-                self.silence.look(lambda text: self._say(text, progress))
+                self.laggards.look(lambda text: self.say(text, progress))
+                self.silence.look(lambda text: self.say(text, progress))
             if broken := self.cut_off():
                 return broken
             for name in self.dispensable - self.watch.alive() - self.without.keys():
@@ -201,9 +202,9 @@ class Supervisor:
                 return f"the {name} service died: {self._why(name)}"
         return ""
 
-    def _say(self, text: str, progress: Progress | None) -> None:
+    def say(self, text: str, progress: Progress | None, level: int = logging.INFO) -> None:
         """Tell who watches, and the log."""
-        log.note(self.run, text)
+        log.note(self.run, text, level=level)
         if progress is not None:
             progress(text)
 
@@ -211,7 +212,7 @@ class Supervisor:
         """Go on without a service that the run can do without, and say so, once."""
         if name not in self.without:
             self.without[name] = self.errors.get(name) or why
-            self._say(f"the run goes on without a view: the {name} service died: {self.without[name]}", progress)
+            self.say(f"the run goes on without a view: the {name} service died: {self.without[name]}", progress)
 
     def _last_words(self, dead: set[str], progress: Progress | None) -> bool:
         """Hear why services died, which may come after their tokens are gone; whether the run was over."""
@@ -250,7 +251,7 @@ class Supervisor:
             # One that the run gave up waiting for has had its time.
             patience = FINISH_TIMEOUT if name == self.blamed else PATIENCE_AT_END.get(name, FINISH_TIMEOUT)
             if name == "render" and progress is not None and not error:
-                self._say(DRAWING, progress)
+                self.say(DRAWING, progress)
             try:
                 answers[name] = self._ask_to_finish(name, request, patience, progress)
             except RunFailed as failure:
@@ -271,7 +272,7 @@ class Supervisor:
         except KeyboardInterrupt:
             if name != "render":
                 raise
-        self._say(UNDRAWN, progress)
+        self.say(UNDRAWN, progress)
         answer = self.bus.ask_json(f"finish/{name}", {"error": "interrupted"}, patience)
         self.errors[name] = f"interrupted, pictures left undrawn: {answer.get('undrawn')}"
         return answer
@@ -284,7 +285,7 @@ class Supervisor:
             self._miss(name, why, progress)
         elif name not in self.errors:
             self.errors[name] = f"the service did not finish: {why}"
-            self._say(f"{name}: {self.errors[name]}", progress)
+            self.say(f"{name}: {self.errors[name]}", progress)
 
     def _await_recorder(self) -> None:
         """Wait until the recorder can be told what becomes of its file: it may be creating it just now."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -15,6 +16,7 @@ from nuno.service import SUPERVISOR, Options
 from nuno.supervision import launch, log, runs
 from nuno.supervision.oversight import COMPILE_TIMEOUT, Progress, Supervisor
 from nuno.supervision.plan import Plan, make_plan
+from nuno.warnings import scene_warnings
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import cut_off, hub_at, identity, spoke
 from nuno.words import counted
@@ -99,6 +101,8 @@ def supervise(
         log.note_start(run, loaded, plan.services)
         supervisor = Supervisor(loaded, options, plan, session, run)
         supervisor.paused = deployment.paused
+        for text in scene_warnings(loaded):
+            supervisor.say(f"warning: {text}", progress, logging.WARNING)
         if deployment.connect:
             supervisor.cut_off = partial(cut_off, session, endpoint)
         else:

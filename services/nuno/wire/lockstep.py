@@ -252,7 +252,7 @@ class Lockstep(ABC):
         if (
             report.status == "ok"
             and every is not None
-            and frame % max(1, round(every * self.scene.frame_rate)) == 0
+            and frame % self.scene.in_frames(every) == 0
             and frame < self.scene.frames
         ):
             self.keep()

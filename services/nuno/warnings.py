@@ -1,0 +1,57 @@
+"""What makes a run doubtful though it goes through.
+
+What is known of it before its first step is said by the plan, at the start and in the report; the rest in the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from nuno.scene.scene_file import Loaded
+
+MOST_STRETCH = 1.0
+"""No woven or knitted thread is twice as long as it was and still cloth."""
+MOST_DEPTHS, SEEN_DEPTH = 5.0, 0.005
+"""Cloth is too deep in bodies from this many times the depth of resting contact on, if that is also
+more than this [m]. By the first alone every garment would be: a fold carries more than a vertex's own
+weight (sheet on a sphere: 22 times at rest, 0.5 mm), and cloth that lands sinks in for a moment (2 mm)."""
+TOLERANCE = 1e-6
+"""Share by which a time may be off whole frames without a word: the rounding of a decimal number."""
+
+
+def scene_warnings(loaded: Loaded) -> list[str]:
+    """Warnings that follow from a scene alone."""
+    return rounded_times(loaded)
+
+
+def rounded_times(loaded: Loaded) -> list[str]:
+    """Times of the scene that are no whole number of frames, and what is taken for them."""
+    scene, told = loaded.scene, list[str]()
+    times = {
+        "duration": scene.duration,
+        "record.checkpoint_every": scene.record.checkpoint_every,
+        "record.dye_every": scene.record.dye_every,
+        "view.pictures": None if scene.view.pictures == "end" else scene.view.pictures,
+    }
+    for field, seconds in times.items():
+        taken = scene.in_frames(seconds) / scene.frame_rate if seconds is not None else 0.0
+        if seconds is None or abs(taken - seconds) <= TOLERANCE * seconds:
+            continue
+        frames = f"{seconds * scene.frame_rate:.4g} frames at {scene.frame_rate:.7g} Hz"
+        what = "the run ends at" if field == "duration" else "taken as"
+        told.append(f"{field}: {seconds:.7g} s is {frames}: {what} {taken:.7g} s; change it, or frame_rate")
+    return told
+
+
+def result_warnings(report: Mapping[str, Any]) -> list[str]:
+    """What makes a result doubtful though the run went through."""
+    found = []
+    # Elastic yarns are made to be drawn out further than any woven cloth bears.
+    if (report["stretch"] or 0.0) > MOST_STRETCH and not report.get("yarns"):
+        found.append(f"threads were stretched by more than {MOST_STRETCH:.0%}: a stiffer fabric, or less load?")
+    depth, expected = report["penetration"], report["rest_depth"]
+    if depth is not None and expected is not None and depth > max(MOST_DEPTHS * expected, SEEN_DEPTH):
+        often = f"{depth / expected:.0f} times as deep as" if expected else "deeper than"
+        found.append(f"cloth lay in bodies {often} resting contact: from its start? stiffer contact, slower bodies?")
+    return found
