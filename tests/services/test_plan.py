@@ -22,4 +22,4 @@ def test_cloth_that_starts_in_a_body_is_told_beside_where_its_frame_is(capsys: p
     assert found is not None and "WARNING" not in fits
     x, y, z = (float(value) for value in found[1].split(", "))
     low = told(capsys, "--set", f"objects.0.model.centre=[{x}, {y}, {z}]")
-    assert re.search(r"^WARNING +[1-9][0-9,]* vertices start in a body, up to [0-9.]+ mm deep", low, re.MULTILINE)
+    assert re.search(r"^WARNING +[1-9][0-9]* of 1,920 vertices start in a body, up to [0-9.]+ mm", low, re.MULTILINE)

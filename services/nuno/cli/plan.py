@@ -7,17 +7,15 @@ import math
 import time
 from pathlib import Path
 
-import numpy as np
-
 from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
-from nuno.collision.distance import penetration
+from nuno.cloth.worn import start_warnings
 from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision.plan import make_plan
-from nuno.warnings import SEEN_DEPTH, scene_warnings
+from nuno.warnings import scene_warnings
 from nuno.words import factor
 from nuno_schemas.bodies import Geometry, Poses
 
@@ -51,10 +49,12 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
     poses = bodies.poses(0.0) if bodies else None
     simulation = Simulation(loaded, bodies.geometry if bodies else None, poses, 0)
-    seconds = _time_frame(simulation, bodies)
+    rows = _size(simulation)
+    if bodies is not None and poses is not None:
+        rows += _worn(simulation, bodies.geometry, poses)
+    seconds = _time_frame(simulation, bodies)  # from here on the cloth has moved
     return [
-        *_size(simulation),
-        *(_worn(simulation, bodies.geometry, poses) if bodies is not None and poses is not None else []),
+        *rows,
         ("solver", _solver(simulation)),
         *([("chosen", loaded.why)] if loaded.why else []),
         *_cost(simulation, seconds),
@@ -81,10 +81,7 @@ def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tupl
         ("attached", f"to {name}, which starts at [{', '.join(f'{v:.3g}' for v in place)}] m")
         for name, place in places.items()
     ]
-    depth = penetration(simulation.state.x, geometry, poses)
-    if depth.max(initial=0.0) > SEEN_DEPTH:
-        inside = f"{np.count_nonzero(depth > 0.0):,} vertices start in a body, up to {depth.max() * 1e3:.3g} mm deep"
-        rows.append(("WARNING", f"{inside}: place or size the cloth, or move the body, otherwise"))
+    rows += [("WARNING", text) for text in start_warnings(simulation.fabric, simulation.state.x, geometry, poses)]
     return rows
 
 

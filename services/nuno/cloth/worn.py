@@ -1,4 +1,4 @@
-"""Whether cloth that is attached to a body's frame starts anywhere near it.
+"""Whether cloth starts where it can be worn: near the frame that it is attached to, and outside of bodies.
 
 Attached vertices keep their place in the frame from the start on, wherever that is: a skirt whose
 centre was forgotten would be dragged along from a metre away, without an error.
@@ -10,10 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno.collision.distance import signed_distance
+from nuno.collision.distance import penetration, signed_distance
+from nuno.warnings import SEEN_DEPTH
 from nuno_schemas.bodies import BOX, FIELD, OF_TRIANGLES, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Fabric, Float
 
 FARTHEST = 2.0
 """Largest distance of attached cloth from the body's surface, in radii of the body there. A waist
@@ -37,6 +38,27 @@ def check_worn(x: Float, geometry: Geometry, poses: Poses, frame: int) -> None:
         limit=f"{FARTHEST * radius:.3g} m, {FARTHEST:g} times the body's radius there",
         remedy=f"place the cloth at the frame, which starts at [{centre}] m, or attach it to a nearer frame",
     )
+
+
+def start_warnings(fabric: Fabric, x: Float, geometry: Geometry, poses: Poses) -> list[str]:
+    """What is to be said of cloth at x (n, 3) [m] before its first step.
+
+    A body through an edge that is held is not refused: capsules are rough bodies, and a waistband that cuts a little
+    into one is how it is worn. But nothing takes held vertices out of a body as contact does free ones.
+    """
+    depth, found = penetration(x, geometry, poses), list[str]()
+    if inside := _told(depth, "vertices"):
+        found.append(f"{inside}: place or size the cloth, or move the body, otherwise")
+    if inside := _told(depth[fabric.pinned], "held vertices"):
+        found.append(f"a body is through the edge that is held: {inside}, and stay there: widen or move that edge")
+    return found
+
+
+def _told(depth: Float, what: str) -> str:
+    """How many of the vertices that are so deep (n,) [m] in bodies start there; empty where none is seen to."""
+    most = float(depth.max(initial=0.0))
+    number = f"{np.count_nonzero(depth):,} of {len(depth):,} {what}"
+    return f"{number} start in a body, up to {most * 1e3:.3g} mm deep" if most > SEEN_DEPTH else ""
 
 
 def _nearest(places: Float, geometry: Geometry, poses: Poses, frame: int) -> tuple[float, float]:

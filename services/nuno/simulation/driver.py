@@ -15,6 +15,7 @@ from nuno import registry
 from nuno.cloth.edges import edge_yarns, structural_edges
 from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.tension import tension_arrays
+from nuno.cloth.worn import start_warnings
 from nuno.cloth.yarns import measure_courses, measure_yarns
 from nuno.collision.ask import ask_poses
 from nuno.service import Context
@@ -50,6 +51,10 @@ class Driver(Lockstep):
         self.stretch = 0.0
         self.started = False
         self.rest: dict[str, float] = {}
+        self.warnings: list[str] = []
+        """What is to be said of how the cloth starts."""
+        if simulation.geometry is not None and poses is not None and simulation.frame == 0:
+            self.warnings = start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, poses)
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """See `Lockstep`; what is added, is added to the dye where the scene has any."""
@@ -77,6 +82,8 @@ class Driver(Lockstep):
         """The cloth, and its state before the first step."""
         self.started = True
         simulation = self.simulation
+        for text in self.warnings:
+            self.context.event("warning", text, simulation.frame, simulation.t)
         self.publish_fabric(simulation.frame)
         measured = simulation.measure(self.poses)
         self.publish(Frame(simulation.frame, measured, 0.0, simulation.digest()), "running")
@@ -212,6 +219,7 @@ class Driver(Lockstep):
             "stretch": self.stretch,
             "rest": self.rest,
             "counts": self.counts,
+            "warnings": self.warnings,
             "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
             "yarns": measure_yarns(fabric),
             "courses": measure_courses(fabric, simulation.state.x),

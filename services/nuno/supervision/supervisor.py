@@ -102,7 +102,7 @@ def supervise(
         supervisor = Supervisor(loaded, options, plan, session, run)
         supervisor.paused = deployment.paused
         for text in scene_warnings(loaded):
-            supervisor.say(f"warning: {text}", progress, logging.WARNING)
+            supervisor.say(text, progress, logging.WARNING)
         if deployment.connect:
             supervisor.cut_off = partial(cut_off, session, endpoint)
         else:
