@@ -11,7 +11,7 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.quantities import Angle, Point, Time
+from nuno_contact.quantities import Point, Spin, Time
 from nuno_contact.rotations import from_axis_angle, from_euler, slerp
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -30,7 +30,7 @@ class KeyframesConfig(Config):
     positions: list[Point] | None = Field(
         default=None, description="of the body's origin [m], one for each time; at rest at the origin unless given"
     )
-    rotations: list[list[Angle]] | None = Field(
+    rotations: list[list[Spin]] | None = Field(
         default=None,
         description="one for each time, in the given form: euler [x, y, z], angles [rad] about world x first, then y, "
         "then z; axis_angle [x, y, z, angle [rad]]; quaternion [w, x, y, z], normalised",

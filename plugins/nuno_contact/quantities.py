@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     Size = float
     Reach = float
     Angle = float
+    Spin = float
     Tilt = float
     Turn = float
     Time = float
@@ -21,13 +22,14 @@ if TYPE_CHECKING:
     Rate = float
     Tempo = float
 else:
-    from nuno_schemas.units import quantity
+    from nuno_schemas.units import ANY, quantity
 
     Number = quantity("")
     Length = quantity("m")
     Size = quantity("m", gt=0)
     Reach = quantity("m", ge=0)
     Angle = quantity("rad")
+    Spin = quantity("rad", ANY)  # a body may turn many times
     Tilt = quantity("rad", ge=0, le=0.5)
     Turn = quantity("rad", ge=0, le=0.8)
     Time = quantity("s")

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_dye.cells_file import load_arrays, read_shape
+from nuno_dye.quantities import CellSize
 from nuno_dye.resist import Resists, find_resists, put_on
 from nuno_dye.supply import Supplies, prepare_supplies
 from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config, Files
-from nuno_schemas.units import quantity
 
-if TYPE_CHECKING:
-    Length = float
-else:
-    Length = quantity("m", gt=0)
 Tau = Annotated[float, Field(ge=0, le=1)]
 
 ROUNDING = 1e-12
@@ -50,7 +46,7 @@ class CellsConfig(Config):
         "along x, layer 1 the warp: fibre and up bool, porosity, tau1, resist, phi (mobile dye), fixed; phi and "
         "fixed are (dyes, 2, ny, nx) where there are several dyes; no other key"
     )
-    cell_size: Length = Field(description="side of a cell [m]")
+    cell_size: CellSize = Field(description="side of a cell [m]")
     tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
     tau3: Tau3Config = Field(description="by kind of face, I to V")
     v_max: float = Field(default=1.0, gt=0, le=1e12, description="most that a cell holds")

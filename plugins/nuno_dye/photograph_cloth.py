@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field, model_validator
 from nuno_dye.cells import Tau
 from nuno_dye.photograph import Colours, Masks, find_up, read_masks, read_photograph, read_size, split_by_colour
 from nuno_dye.picture import Drawing, begin_drawing, draw
-from nuno_dye.quantities import Length, Positive, Share
+from nuno_dye.quantities import CellSize, Positive, Share
 from nuno_dye.resist import Resists, find_resists, put_on
 from nuno_dye.supply import Supplies, prepare_supplies
 from nuno_schemas.colour import parse_hex, to_linear
@@ -48,7 +48,7 @@ class PhotographConfig(Config):
     masks: Masks | None = Field(default=None, description="where warp shows, and where weft does")
     colours: Colours | None = Field(default=None, description="in the place of masks: what warp and weft look like")
     pixels: Annotated[int, Field(ge=1, le=256)] = Field(default=1, description="of the photograph, across a cell")
-    cell_size: Length = Field(default=5e-5, description="side of a cell [m]")
+    cell_size: CellSize = Field(default=5e-5, description="side of a cell [m]")
     weft: FibreConfig = Field(default=FibreConfig(), description="yarns along x")
     warp: FibreConfig = Field(default=FibreConfig(), description="yarns along y")
     tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")

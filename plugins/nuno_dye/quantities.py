@@ -6,16 +6,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     Length = float
+    CellSize = float
     Metres = float
     Moment = float
     Angle = float
     Share = float
     Positive = float
 else:
-    from nuno_schemas.units import quantity
+    from nuno_schemas.units import Plausible, quantity
 
-    Length = quantity("m", gt=0)
-    Metres = quantity("m")
+    SMALL = Plausible(0.0, 5.0, ("mm", "cm"))
+    Length = quantity("m", SMALL, gt=0)
+    CellSize = quantity("m", Plausible(1e-6, 1e-3, ("mm", "um")), gt=0)
+    Metres = quantity("m", SMALL)
     Moment = quantity("s", ge=0)
     Angle = quantity("rad")
     Share = quantity("", ge=0, le=1)

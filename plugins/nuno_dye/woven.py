@@ -12,7 +12,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from nuno_dye.quantities import Length, Share
+from nuno_dye.quantities import CellSize, Share
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
@@ -48,7 +48,7 @@ class WovenConfig(Config):
     """A woven cloth; its weave is given apart."""
 
     cells: tuple[Number, Number] = Field(default=(200, 200), description="across and down, in each of the two layers")
-    cell_size: Length = Field(default=5e-5, description="side of a cell [m]")
+    cell_size: CellSize = Field(default=5e-5, description="side of a cell [m]")
     weft: YarnConfig = Field(default=YarnConfig(), description="yarns along x")
     warp: YarnConfig = Field(default=YarnConfig(), description="yarns along y")
     gap_porosity: Share | None = Field(default=None, description="P of a gap; its layer's yarns' unless given")

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     Rate = float
     Point = tuple[float, float, float]
 else:
-    from nuno_schemas.units import quantity
+    from nuno_schemas.units import Plausible, quantity
 
     Length = quantity("m", gt=0)
     Reach = quantity("m", ge=0)
     Metres = quantity("m")
-    Mass = quantity("kg", gt=0)
-    LinearDensity = quantity("kg/m", gt=0)
+    Mass = quantity("kg", Plausible(1e-10, 0.01, ("mg", "g")), gt=0)
+    LinearDensity = quantity("kg/m", Plausible(1e-7, 0.01, ("dtex", "tex")), gt=0)
     Newtons = quantity("N", gt=0)
     Stiffness = quantity("N/m", gt=0)
     SpringDamping = quantity("N*s/m", ge=0)

@@ -9,12 +9,12 @@ from pydantic import Field
 
 from nuno_render.config import Colour, Direction, Height
 from nuno_schemas.plugin import Config
-from nuno_schemas.units import quantity
+from nuno_schemas.units import Plausible, quantity
 
 if TYPE_CHECKING:
     Thickness = float
 else:
-    Thickness = quantity("m", gt=0)
+    Thickness = quantity("m", Plausible(1e-6, 0.02, ("um", "mm")), gt=0)
 
 PALETTE: tuple[Colour, ...] = ("#3a2a24", "#74503c", "#8c5f48", "#3b5b8c", "#5d8a4f", "#7d5ba6")
 SKIN = "#e0b096"

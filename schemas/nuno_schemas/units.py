@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
@@ -92,8 +93,35 @@ def _example(unit: str) -> str:
     return f"write for example '1 {unit}', or a plain number in {unit}" if unit else "write a plain number"
 
 
-def quantity(unit: str, **limits: Any) -> Any:
-    """A pydantic float type in the SI `unit`; `limits` are those of `pydantic.Field`."""
+@dataclass(frozen=True)
+class Plausible:
+    """Which bare numbers of a quantity are taken without a word: 0, and magnitudes from `low` to `high` in `unit`.
+
+    Others are warned of. A value with a unit is meant as it is written.
+    """
+
+    low: float
+    high: float
+    meant: tuple[str, ...] = ()
+    """Units that a number beyond may have been meant in."""
+    source: str = ""
+    unit: str = ""
+
+
+PLAUSIBLE = {
+    "m": Plausible(0.0, 50.0, ("cm", "mm")),
+    "rad": Plausible(0.0, 7.0, ("deg",)),
+    "m/s": Plausible(0.0, 100.0, ("km/h", "cm/s")),
+    "m/s^2": Plausible(0.0, 100.0, ("cm/s^2", "mm/s^2")),
+    "m^2/s": Plausible(1e-14, 1e-6, ("mm^2/h", "mm^2/s")),
+}
+"""Of a quantity in a unit, unless its type says otherwise: of things as large as people, in metres and seconds."""
+ANY = Plausible(0.0, math.inf)
+
+
+def quantity(unit: str, plausible: Plausible | None = None, **limits: Any) -> Any:
+    """A pydantic float type in the SI `unit`; `limits` are those of `pydantic.Field`, beyond which nothing is taken."""
     number = {"type": "number"} | {_LIMITS[name]: value for name, value in limits.items()}
     schema = WithJsonSchema({"anyOf": [number, {"type": "string"}], "unit": unit})
-    return Annotated[float, BeforeValidator(functools.partial(to_si, unit=unit)), Field(**limits), schema]
+    usual = replace(plausible or PLAUSIBLE.get(unit, ANY), unit=unit)
+    return Annotated[float, BeforeValidator(functools.partial(to_si, unit=unit)), Field(**limits), schema, usual]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from nuno.scene.plausible import implausible_numbers
 from nuno.scene.scene_file import Loaded
 
 MOST_STRETCH = 1.0
@@ -22,7 +23,7 @@ TOLERANCE = 1e-6
 
 def scene_warnings(loaded: Loaded) -> list[str]:
     """Warnings that follow from a scene alone."""
-    return rounded_times(loaded)
+    return [*rounded_times(loaded), *implausible_numbers(loaded)]
 
 
 def rounded_times(loaded: Loaded) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import pytest
 from scenes import BALL, write_scene
@@ -12,6 +13,9 @@ import nuno
 from nuno.cli import main
 from nuno.recording.reader import Recording
 from nuno.report import lines
+from nuno.scene.files import SceneFiles
+from nuno.scene.scene_file import FOLDERS, find, load, read, shipped
+from nuno.warnings import scene_warnings
 from nuno_schemas.messages import EVENT
 
 
@@ -102,3 +106,90 @@ def test_a_body_through_a_waistband_is_said(shared_data: Path, capsys: pytest.Ca
     walk = f"bodies.walker.motion.file={shared_data / 'cmu_12_01_walk.bvh'}"
     said = told(capsys, "plan", "skirt-walk", *small, "--set", walk)
     assert "a body is through the edge that is held" in said
+
+
+HANGING = {
+    "nuno": 1,
+    "name": "bare",
+    "duration": 0.1,
+    "frame_rate": 10,
+    "solver": {"plugin": "symplectic_euler", "dt": 1e-9},
+    "objects": [{"name": "cloth", "model": {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [3, 3]}}],
+}
+
+
+def hanging(scene: dict[str, Any] | None = None, **model: Any) -> list[str]:
+    """What is warned of a hanging sheet with other fields of its model, and of its scene."""
+    cloth = HANGING["objects"][0]  # type: ignore[index]
+    objects = [cloth | {"model": cloth["model"] | model}]
+    return scene_warnings(load(HANGING | {"objects": objects} | (scene or {}), {}, "bare", SceneFiles(Path())))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said", "meant"),
+    [
+        (
+            "fabric",
+            {"preset": "denim", "density": 150},
+            "fabric.density: a bare 150",
+            "150 g/m^2, which is 0.15 kg/m^2?",
+        ),
+        ("fabric", {"preset": "denim", "bend_weft": 5}, "fabric.bend_weft: a bare 5", "5 uN*m, which is 5e-06 N*m"),
+        ("fabric", {"density": 0.1, "structural": [60, 6e6]}, "fabric.structural[1]: a bare 6e+06", "plausible"),
+        ("fabric", {"density": 0.1, "structural": 6e6}, "fabric.structural: a bare 6e+06", "plausible"),
+        ("size", [100, 0.5], "size[0]: a bare 100", "100 cm, which is 1 m; or 100 mm, which is 0.1 m?"),
+        ("size", ["100", "0.5"], "size[0]: a bare 100", "100 cm, which is 1 m; or 100 mm, which is 0.1 m?"),
+        ("rotate", {"angle": -90}, "rotate.angle: a bare -90", "-90 deg, which is -1.571 rad?"),
+        ("velocity", [0, 0, 1e308], "velocity[2]: a bare 1e+308", "up to 100 m/s is plausible"),
+    ],
+)
+def test_bare_numbers_that_no_cloth_has_are_said_with_what_was_meant(
+    field: str, value: Any, said: str, meant: str
+) -> None:
+    (warning,) = hanging(**{field: value})
+    assert f"objects[0].model.{said}" in warning and meant in warning
+    if "bare 150" in said:
+        assert "0.003 to 5 kg/m^2 is plausible (nine in ten of 618 measured fabrics have 0.031 to 0.488)" in warning
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("fabric", {"preset": "denim", "density": "150 g/m^2", "bend_weft": "5 uN*m"}),
+        ("fabric", {"preset": "denim", "density": "150 kg/m^2"}),  # what is written with its unit is meant
+        ("fabric", {"preset": "denim", "bend_weft": 0}),
+        ("fabric", {"density": 0.031, "structural": 60, "hinge": 1.1e-4}),
+        ("size", ["100 cm", 1.0]),
+        ("rotate", {"angle": 6.28}),
+    ],
+)
+def test_plausible_numbers_and_those_with_units_pass_without_a_word(field: str, value: Any) -> None:
+    assert hanging(**{field: value}) == []
+
+
+def test_bare_numbers_are_looked_at_in_all_of_a_scene() -> None:
+    bodies = [{"name": "ball", "collider": {"plugin": "sphere", "centre": [0, 0, 0], "radius": 75}}]
+    forces = [{"plugin": "wind", "velocity": ["120 km/h", 0, 0], "density": 1225}]
+    found = hanging({"gravity": [0, -981, 0], "view": {"azimuth": 45}, "bodies": bodies, "forces": forces})
+    fields = ["gravity[1]", "view.azimuth", "bodies[0].collider.radius", "forces[0].density"]
+    assert sorted(text.partition(":")[0] for text in found) == sorted(fields)
+    keyframes = {"plugin": "keyframes", "times": [0, 1], "rotations": [[0, 0, 0], [0, 90, 0]]}
+    assert (
+        hanging({"bodies": [bodies[0] | {"collider": {"plugin": "sphere", "radius": 0.1}, "motion": keyframes}]}) == []
+    )
+
+
+@pytest.mark.parametrize("name", [name for folder in ("", *FOLDERS) for name in shipped(folder)])
+def test_shipped_scenes_are_beyond_doubt(name: str) -> None:
+    assert scene_warnings(read(find(name))) == []
+
+
+def test_implausible_numbers_are_said_by_plan_run_and_python(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, warning = write_scene(tmp_path, gravity=[0, -981, 0], duration=0.1), "gravity[1]: a bare -981 is -981 m/s^2"
+    assert warning in told(capsys, "plan", str(scene))
+    assert told(capsys, "run", str(scene), "--no-record", "--no-view").count(warning) == 2
+    with pytest.warns(UserWarning, match="was it -981 cm/s"):
+        result = nuno.run(scene, record=tmp_path / "run.mcap")
+    assert [text.startswith(warning) for text in result.report["warnings"]] == [True]

@@ -25,9 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    loaded = decide(load_scene(args))
+    loaded = load_scene(args)
+    _show([("scene", f"{loaded.scene.name}: {loaded.scene.description}")])
+    _show([("WARNING", text) for text in scene_warnings(loaded)])  # before what it is warned of takes long, or fails
+    loaded = decide(loaded)
     plan = make_plan(loaded, Options(record=Path("recordings")))
-    rows = [("scene", f"{loaded.scene.name}: {loaded.scene.description}"), ("services", ", ".join(plan.services))]
+    rows = [("services", ", ".join(plan.services))]
     if loaded.scene.moves:
         rows += _cloth(loaded)
     if loaded.scene.view.pictures is not None:
@@ -38,11 +41,13 @@ def main(args: argparse.Namespace) -> int:
         from nuno.dye.describe import describe_dye
 
         rows += describe_dye(loaded)
-    rows += [("WARNING", text) for text in scene_warnings(loaded)]
-    rows += [("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)]
-    for name, text in rows:
-        print(f"{name:9} {text}")
+    _show(rows + [("left out" if i == 0 else "", text) for i, text in enumerate(plan.left_out)])
     return 0
+
+
+def _show(rows: list[tuple[str, str]]) -> None:
+    for name, text in rows:
+        print(f"{name:9} {text}", flush=True)
 
 
 def _cloth(loaded: Loaded) -> list[tuple[str, str]]:

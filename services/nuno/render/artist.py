@@ -79,4 +79,4 @@ class Artist:
 
 def _default() -> Chosen:
     plugin = registry.load(GROUP, STYLE)
-    return Chosen(GROUP, plugin, plugin.Config(), "view.yarns")
+    return Chosen(GROUP, plugin, plugin.Config(), "view.yarns", {})

@@ -34,6 +34,8 @@ class Chosen:
     plugin: Any
     config: BaseModel
     field: str
+    given: Mapping[str, Any]
+    """What the scene says of the configuration, as it is written there."""
 
     @property
     def name(self) -> str:
@@ -199,7 +201,7 @@ def choose_plugin(
     except BadInput as error:
         raise located(error, file, lines, dotted((*place, "plugin"))) from None
     try:
-        return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(place))
+        return Chosen(group, plugin, plugin.Config.model_validate(choice.config), dotted(place), choice.config)
     except ValidationError as error:
         beside = tuple(type(choice).model_fields)
         raise explain(error, choice.config, place, file, lines, plugin.Config, beside) from None

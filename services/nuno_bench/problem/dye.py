@@ -90,7 +90,7 @@ class DyeProblem:
         chosen = self.loaded.dye
         if chosen is None:
             raise BadInput("the scene has no dye", self.loaded.file)
-        solver = Chosen(self.group, plugin, config, "dye.solver")
+        solver = Chosen(self.group, plugin, config, "dye.solver", {})
         return DyeRun(replace(self.loaded, dye=replace(chosen, solver=solver)), self.threads, steps)
 
     def run(self, plugin: Any, config: BaseModel, steps: int, most_seconds: float = math.inf) -> Run:

@@ -1,0 +1,81 @@
+"""Bare numbers that are hardly meant in SI units: what a unit was forgotten of."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from nuno.recording.provenance import chosen_by
+from nuno.scene.scene_file import Loaded
+from nuno.scene.yaml_lines import Path, dotted
+from nuno_schemas.units import Plausible, to_si
+
+MOST = 10
+"""Warnings of a scene; how many more there are is said."""
+
+Found = tuple[Path, float, Plausible]
+
+
+def implausible_numbers(loaded: Loaded) -> list[str]:
+    """Warnings of the scene's bare numbers beyond what its types of quantities declare (`nuno_schemas.units`)."""
+    told = [_words("", *found) for found in _in_model(loaded.data, loaded.scene)]
+    for chosen in (*chosen_by(loaded), *filter(None, [loaded.yarn_picture])):
+        told += [_words(f"{chosen.field}.", *found) for found in _in_model(chosen.given, chosen.config)]
+    return told if len(told) <= MOST else [*told[:MOST], f"and {len(told) - MOST:,} more bare numbers are implausible"]
+
+
+def _words(field: str, place: Path, number: float, usual: Plausible) -> str:
+    unit, low = usual.unit, f"{usual.low:g} to " if usual.low else "up to "
+    source = f" ({usual.source})" if usual.source else ""
+    others = [(f"{number:g} {other}", number * to_si(f"1 {other}", unit)) for other in usual.meant]
+    meant = [f"{text}, which is {si:.4g} {unit}" for text, si in others if _is_plausible(si, usual)]
+    question = f"; or was it {'; or '.join(meant)}?" if meant else ""
+    usually = f"{low}{usual.high:g} {unit} is plausible{source}"
+    return f"{field}{dotted(place)}: a bare {number:g} is {number:g} {unit}, where {usually}{question}"
+
+
+def _is_plausible(number: float, usual: Plausible) -> bool:
+    return number == 0.0 or usual.low <= abs(number) <= usual.high
+
+
+def _in_model(given: Mapping[str, Any], model: BaseModel, place: Path = ()) -> Iterator[Found]:
+    """Implausible numbers in what was given for a model, by their places."""
+    for name, field in type(model).model_fields.items():
+        if name in given:
+            usual = _declared((field.annotation, *field.metadata))
+            yield from _in_value(given[name], getattr(model, name, None), usual, (*place, name))
+
+
+def _in_value(given: Any, value: Any, usual: Plausible | None, place: Path) -> Iterator[Found]:
+    """`value` is what the field of a model holds: it tells which of several models was chosen."""
+    if isinstance(given, Mapping):
+        if isinstance(value, BaseModel):
+            yield from _in_model(given, value, place)
+        elif isinstance(value, Mapping):
+            for key, one in given.items():
+                yield from _in_value(one, value.get(key), usual, (*place, key))
+    elif isinstance(given, list) and isinstance(value, list | tuple):
+        for i, (one, its) in enumerate(zip(given, value, strict=False)):
+            yield from _in_value(one, its, usual, (*place, i))
+    elif usual is not None and (number := _bare(given)) is not None and not _is_plausible(number, usual):
+        yield place, number, usual
+
+
+def _bare(given: Any) -> float | None:
+    """The number that is written without a unit."""
+    try:
+        return float(given) if isinstance(given, int | float | str) else None
+    except ValueError:
+        return None
+
+
+def _declared(kinds: tuple[Any, ...]) -> Plausible | None:
+    """What the first quantity among types and their metadata declares."""
+    for kind in kinds:
+        found = kind if isinstance(kind, Plausible) else _declared(typing.get_args(kind))
+        if found is not None:
+            return found
+    return None
