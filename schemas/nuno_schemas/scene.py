@@ -12,7 +12,7 @@ from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.errors import nearest
 from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Colour, Name, Part, require_distinct
-from nuno_schemas.units import quantity
+from nuno_schemas.units import Plausible, quantity
 from nuno_schemas.view import View
 
 if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
     Damping = float
     Diffusion = float
     Speed = float
+    Roughness = float
 else:
     Interval = quantity("s", gt=0)
     Duration = quantity("s", gt=0, le=1e9)
@@ -33,6 +34,7 @@ else:
     Damping = quantity("1/s", ge=0)
     Diffusion = quantity("m^2/s", ge=0)
     Speed = quantity("", gt=0, le=1e9)
+    Roughness = quantity("m", Plausible(0.0, 0.01, ("mm", "um")), ge=0)
 
 AUTO = "auto"
 """The solver that is chosen for the scene, with its step."""
@@ -73,6 +75,7 @@ class Object(Part):
 
     name: Name = Field(description="of the piece; no other has it")
     model: Choice = Field(description="what builds it: a plugin and its fields")
+    roughness: Roughness = Field(default=0.0, description="root mean square of an unevenness it starts with [m]")
     colour: Colour | None = Field(default=None, description="#rrggbb; stretch is shown where it is left out")
 
 

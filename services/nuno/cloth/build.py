@@ -10,6 +10,7 @@ import numpy as np
 import psutil
 
 from nuno.cloth.join import join_fabrics
+from nuno.cloth.roughness import roughen
 from nuno.cloth.worn import check_worn
 from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
@@ -105,6 +106,11 @@ def build_fabrics(loaded: Loaded, geometry: Geometry | None = None, poses: Poses
                 check_texture(fabric, spec.name)
         except BadInput as error:
             raise loaded.at(f"objects[{i}].model", error) from None
+        if spec.roughness:
+            try:
+                fabric = roughen(fabric, spec.roughness, loaded.scene.seed + i)
+            except BadInput as error:
+                raise loaded.at(f"objects[{i}].roughness", error) from None
         fabrics.append(fabric)
     return fabrics
 
