@@ -17,10 +17,10 @@ from nuno_kernels.surface_crossing import first_crossing
 ROUNDS = 12
 """Times that a movement is looked at: the last two planes it meets hold it off together."""
 TOUCHING = 1.0 - 1e-6
-"""A movement may end no nearer to the surface than this share of the gap.
+"""A movement that planes have changed may end no nearer to the surface than this share of the gap.
 
-Not chosen: 0.99, which spares most vertices a second look. One at rest then falls through that hundredth step by step,
-feeling no friction, until it is put back to the gap, and shakes the links round it by thousandths of their tension.
+One that none has changed yet meets the surface as soon as it ends nearer than the gap, by however little: a vertex that
+could fall through a part of the gap unseen would feel no friction on the way, which at short steps is several of them.
 """
 
 
@@ -72,7 +72,7 @@ def slide(
                 p[0], p[1], p[2], place, root, boxes, child, corners, face, faces, edges, vertex_normals,
                 edge_normals, waiting, bound,
             )  # fmt: skip
-            if distance >= TOUCHING * gap:
+            if distance >= (gap if planes == 0 else TOUCHING * gap):
                 return made, n1, n2, planes, distance, place, False
             n2 = outward(p, (x, y, z), distance, (nx, ny, nz))
             h2 = gap + (x - start[0]) * n2[0] + (y - start[1]) * n2[1] + (z - start[2]) * n2[2]
