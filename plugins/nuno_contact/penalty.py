@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -46,6 +47,21 @@ def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
     return np.maximum(weight, np.minimum(stop, SHARE * reaction))
 
 
+def slip_speed(damping: float) -> float:
+    """How much faster than by Coulomb's law what starts to slide is at most, in mu g sqrt(m / k) [m/s].
+
+    What is pulled off from rest by mu N or a little more has the friction f = x + 2 zeta x' in units of mu N,
+    x'' = 1 - f, until f is 1, and gains what is missing of it until then: the largest speed of a damped oscillator's
+    answer to a step, exp(-zeta arccos(zeta) / sqrt(1 - zeta^2)). A stronger pull loads the friction spring sooner, and
+    gains less.
+    """
+    if damping < 1.0:
+        return math.exp(-damping * math.acos(damping) / math.sqrt(1.0 - damping**2))
+    if damping > 1.0:
+        return math.exp(-damping * math.acosh(damping) / math.sqrt(damping**2 - 1.0))
+    return math.exp(-1.0)
+
+
 def check(geometry: Geometry) -> None:
     """Raises BadInput for a body that is a mesh, or whose contact constants make no sense."""
     for primitive in np.flatnonzero(geometry.kind == MESH).tolist():
@@ -88,10 +104,15 @@ class Penalty:
         weight = fabric.mass * float(np.linalg.norm(gravity))
         omega_squared = (stiffness.sum(axis=0) / fabric.mass)[free]
         rate = (damping.sum(axis=0) / fabric.mass)[free]
+        shares = np.array([slip_speed(ratio) for ratio in geometry.damping.tolist()]) * geometry.friction
+        faster = shares[:, None] * weight / np.sqrt(stiffness * fabric.mass)
         return Term(
             kind="contact",
             data=make_contact(geometry, stiffness, damping),
             omega_squared=float(omega_squared.max(initial=0.0)),
             damping_rate=float(rate.max(initial=0.0)),
-            facts={"rest_depth": float((weight / stiffness.min(axis=0)).max(initial=0.0))},
+            facts={
+                "rest_depth": float((weight / stiffness.min(axis=0)).max(initial=0.0)),
+                "slip_speed": float(faster[:, free].max(initial=0.0)),
+            },
         )

@@ -15,6 +15,13 @@ oscillator k, c and limits the step exactly as much as the normal spring alone, 
 give before sliding is mu times the depth. A larger k_t would cost step size, a smaller one only
 adds give; elastic spheres have 2/3 <= k_t/k <= 1 (Mindlin 1949).
 
+Until its spring is loaded a vertex that starts to slide feels less than mu N, and ends up faster than by Coulomb's law
+by a share of mu g sqrt(m / k) at most (nuno_contact.penalty.slip_speed), twice that where it turns round: whatever the
+step, for the spring's travel and time do not depend on it. Once it slides friction is mu N. Every law in which friction
+grows with a way or a speed has such a loss. Not chosen: friction that cancels the other forces on a sticking vertex, as
+far as mu N allows, which loses nothing. It depends on the vertex's springs, and so on its neighbours: the matrix of
+implicit solvers would have to hold that, asymmetric. And forces in Python are added after it.
+
 A commit looks only at the vertices that touched at the step's last evaluation, with the primitive
 they touched: a search of its own would nearly double the cost. A vertex that arrives after that
 evaluation gets its anchor a step later, before which it has nothing to be held by anyway.

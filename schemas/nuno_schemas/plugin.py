@@ -71,7 +71,8 @@ class Term:
     damping_rate: float = 0.0
     """Likewise for the damping rate c/m [1/s]."""
     facts: Mapping[str, float] = field(default_factory=dict)
-    """Numbers for the report, e.g. the depth m g / k at which a contact rests ("rest_depth", [m])."""
+    """Numbers for the report: of contact the depth m g / k at which it rests ("rest_depth", [m]), and by how much more
+    than Coulomb's law says its friction lets go what starts to slide ("slip_speed", [m/s])."""
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,9 @@ class Body(Part):
         default="auto", description="of the contact, for each cloth vertex [N/m]; auto: what the cloth can bear"
     )
     damping: float = Field(default=0.5, ge=0, le=10, description="normal damping in contact, as a ratio of critical")
-    friction: float = Field(default=0.3, ge=0, le=100, description="Coulomb coefficient")
+    friction: float = Field(
+        default=0.3, ge=0, le=100, description="Coulomb coefficient; penalty contact gives way a little first"
+    )
 
 
 class Record(Part):

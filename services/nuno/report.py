@@ -53,7 +53,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
         "penetration": services.get("collision", {}).get("deepest"),
         "last_penetration": services.get("collision", {}).get("last_depth"),
-        "rest_depth": (summary.get("facts") or {}).get("rest_depth"),
+        **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed")},
         # One that was asked to finish before its first frame has no amounts.
         "dye": dyer["dye"] if "supplied" in (dyer.get("dye") or {}) else None,
         "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,
@@ -215,13 +215,8 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     if report["energy"]:
         first, last = report["energy"][0], report["energy"][-1]
         kinds = [kind for kind in last if first.get(kind) or last.get(kind)]
-        rows.append(
-            (
-                "energy",
-                ", ".join(f"{kind} {_joules(first.get(kind, 0.0))} -> {_joules(last[kind])}" for kind in kinds)
-                or "0 J",
-            )
-        )
+        text = ", ".join(f"{kind} {_joules(first.get(kind, 0.0))} -> {_joules(last[kind])}" for kind in kinds)
+        rows.append(("energy", text or "0 J"))
         since = f", since the run went on at {report['began']:g} s" if report["began"] else ""
         rows.append(("balance", _balance(first, last, report["left_out"]) + since))
     stretch = report["stretch"]
@@ -235,6 +230,9 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         if report["rest_depth"] is not None:
             text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
+    if report["slip_speed"]:
+        text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"
+        rows.append(("friction", f"{text}, what turns round up to twice that"))
     warnings = {name: n for name, n in report["counts"].items() if n and name != "contacts"}
     if warnings:
         rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))

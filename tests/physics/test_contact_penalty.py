@@ -220,6 +220,14 @@ def test_limits_add_over_bodies_and_leave_pinned_vertices_out():
     assert term.damping_rate == 20.0
 
 
+def test_the_report_gets_the_fastest_start_to_slide_of_all_free_vertices_and_bodies():
+    mass, pinned = np.array([1.0, 4.0, 100.0]), np.array([False, False, True])
+    shape = geometry(plane(), plane(body=1), stiffness=100.0, damping=1.0)
+    shape.friction[:] = 0.1, 0.3
+    term = Penalty().prepare(PenaltyConfig(), fabric(mass, pinned=pinned), shape, DOWN)
+    assert term.facts["slip_speed"] == pytest.approx(np.exp(-1.0) * 0.3 * G * np.sqrt(4.0 / 100.0), rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("field", "value"), [("stiffness", 0.0), ("damping", -0.1), ("friction", -1.0), ("friction", np.nan)]
 )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from contact_world import STILL, G, capsule, contact_for, fall, geometry, move, plane, points, settle
 
+from nuno_contact.penalty import slip_speed
 from nuno_kernels.contact import add_contact
 
 MU = 0.4
@@ -155,3 +156,35 @@ def test_leaving_the_body_drops_the_anchor():
     assert contact.anchor_frame[0, 0] == -1
     add_contact(points((0.2, -0.1, 0.0)), v, 0.0, contact, force := np.zeros((3, 1)))
     np.testing.assert_array_equal(force[:, 0], [0.0, 5.0, 0.0])
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3, 0.5, 1.0, 2.0])
+def test_what_starts_to_slide_is_faster_than_coulomb_says_by_no_more_than_is_said(damping):
+    """Let go at rest on an incline: all of what is said where the pull is hardly more than friction, as it falls with
+    1 / sqrt(k) at any step, and less under a stronger one.
+    """
+    mass, duration = np.array([1e-2]), 0.3
+    for share, least in ((1.001, 0.98), (1.5, 0.2)):
+        alpha = np.arctan(share * MU)
+        weight = G * np.array([np.sin(alpha), -np.cos(alpha), 0.0])
+        for k, dt in ((1e4, 1e-5), (1e4, 2e-6), (1e6, 2e-6)):
+            contact = contact_for(geometry(plane(), friction=MU, damping=damping), mass, k)
+            x, v = points((0.0, -mass[0] * G * np.cos(alpha) / k, 0.0)), np.zeros((3, 1))
+            settle(contact, x, v)
+            fall(x, v, mass, weight, contact, 0.0, 0.0, round(duration / dt), dt, np.zeros((3, 1)))
+            gained = v[0, 0] - (weight[0] + MU * weight[1]) * duration
+            said = slip_speed(damping) * MU * -weight[1] * np.sqrt(mass[0] / k)
+            assert least * said < gained < 1.005 * said, (share, k, dt)
+
+
+def test_what_turns_round_is_faster_by_twice_as_much():
+    """Thrown up an incline it comes to rest with the friction spring drawn out the other way."""
+    mass, k, speed, damping, duration, dt = np.array([1e-2]), 1e4, 0.5, 0.5, 0.3, 1e-5
+    alpha = np.arctan(1.001 * MU)
+    pull, grip = G * np.sin(alpha), MU * G * np.cos(alpha)
+    contact = contact_for(geometry(plane(), friction=MU, damping=damping), mass, k)
+    x, v = points((0.0, -mass[0] * G * np.cos(alpha) / k, 0.0)), points((-speed, 0.0, 0.0))
+    settle(contact, x, v)
+    fall(x, v, mass, slope(alpha), contact, 0.0, 0.0, round(duration / dt), dt, np.zeros((3, 1)))
+    gained = v[0, 0] - (pull - grip) * (duration - speed / (pull + grip))
+    assert gained == pytest.approx(2.0 * slip_speed(damping) * grip * np.sqrt(mass[0] / k), rel=0.02)

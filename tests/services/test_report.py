@@ -35,6 +35,16 @@ def test_penetration_is_the_peak_and_the_last_frames(result: nuno.Result) -> Non
     assert text.startswith(f"at most {depth.max() * 1e3:.3g} mm, {depth[-1] * 1e3:.3g} mm at the end")
 
 
+def test_friction_says_how_near_to_coulombs_law_it_is(result: nuno.Result) -> None:
+    (text,) = rows(result.report, "friction")
+    assert f"up to {result.report['slip_speed'] * 1e3:.3g} mm/s faster" in text
+    assert (
+        rows(result.report | {"slip_speed": 0.0}, "friction")
+        == rows(result.report | {"slip_speed": None}, "friction")
+        == []
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
