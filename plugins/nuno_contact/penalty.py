@@ -69,7 +69,7 @@ def check(geometry: Geometry) -> None:
         raise BadInput(
             "penalty contact knows no meshes",
             field=body,
-            remedy="contact: {plugin: sliding}, or collider: {plugin: sdf, ...}",
+            remedy="give the body contact: {plugin: sliding}, or collider: {plugin: sdf, ...}",
         )
     for index, body in enumerate(geometry.bodies):
         stiffness = geometry.stiffness[index]

@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.quantities import Size
 from nuno_kernels.mesh_check import check_closed, check_crossings
-from nuno_kernels.slides import make_slides
+from nuno_kernels.slides import Slid
 from nuno_kernels.surface_tree import build_tree
 from nuno_schemas.bodies import FIELD, OF_TRIANGLES, Geometry
 from nuno_schemas.errors import BadInput
@@ -39,17 +39,14 @@ class Sliding:
 
     def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
         """The term. Raises BadInput for a body that is no closed mesh, and for friction that makes no sense."""
-        gap = cast(SlidingConfig, config).gap
+        gap = float(cast(SlidingConfig, config).gap)
         check_meshes(geometry)
         for body, friction in zip(geometry.bodies, geometry.friction, strict=True):
             if not 0.0 <= friction < np.inf:
                 raise BadInput("friction must not be negative", field=body, value=float(friction), limit=">= 0")
-        trees = [build_tree(*geometry.mesh(i)) for i in range(len(geometry.kind))]
-        slides = make_slides(
-            trees, geometry.frame, geometry.friction[geometry.body], len(geometry.frames), gap,
-            np.where(fabric.pinned, 0.0, fabric.mass),
-        )  # fmt: skip
-        return Term(kind="slides", data=slides, facts={"gap": gap})
+        parts = zip(geometry.frame.tolist(), geometry.friction[geometry.body].tolist(), strict=True)
+        bodies = [Slid(build_tree(*geometry.mesh(i)), *part, gap) for i, part in enumerate(parts)]
+        return Term(kind="slides", data=(bodies, len(geometry.frames)))
 
 
 def check_meshes(geometry: Geometry) -> None:
@@ -59,7 +56,7 @@ def check_meshes(geometry: Geometry) -> None:
         if kind not in OF_TRIANGLES:
             raise BadInput(
                 "sliding contact is with meshes", field=body,
-                remedy="give the body a mesh as collider, or leave contact to penalty",
+                remedy="give the body a mesh as collider, or contact: {plugin: penalty} of its own",
             )  # fmt: skip
         if kind == FIELD:
             x, faces = geometry.mesh(primitive)

@@ -256,7 +256,8 @@ def _report(system: System, work: Work, packed: Packed, told: Told, lost: str, s
     if packed.slides is not None:
         from nuno_kernels.slides import count_slides
 
-        counts |= count_slides(packed.slides)
+        slid = count_slides(packed.slides)
+        counts |= slid | {"touching": counts.get("touching", 0) + slid["touching"]}
     status: Literal["ok", "diverged", "unconverged"] = "diverged" if lost else "unconverged" if told.problem else "ok"
     message = lost or told.problem
     names = ("kinetic", "gravitational", "springs", "hinges", *(("yarns",) if packed.yarns is not None else ()))

@@ -241,21 +241,21 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
 @kernel
 def commit(x: Any, v: Any, s: float, bindings: Any, contact: Any, slides: Any, threads: Any) -> None:
-    """After a whole step that ends at fraction s: place bound vertices, update friction anchors, and hold vertices
-    off the bodies that they slide on.
+    """After a whole step that ends at fraction s: place bound vertices, hold vertices off the bodies that they slide
+    on, and update friction anchors on the others by where that leaves them.
     """
     if bindings is not None:
         place_bound(x, v, s, bindings)
-    if contact is not None:
-        if threads is None:
-            commit_contact(x, v, s, contact)
-        else:
-            commit_contact_parallel(x, v, s, contact)
     if slides is not None:
         if threads is None:
             commit_slides(x, v, s, slides)
         else:
             commit_slides_parallel(x, v, s, slides)
+    if contact is not None:
+        if threads is None:
+            commit_contact(x, v, s, contact)
+        else:
+            commit_contact_parallel(x, v, s, contact)
 
 
 @kernel

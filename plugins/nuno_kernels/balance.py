@@ -44,13 +44,13 @@ def along_planes(m: Any, n1: Any, n2: Any, planes: int) -> tuple[float, float, f
 def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
     """Hold the forces (3, n) on a block's vertices off all bodies, in place."""
     waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
-    length = TRIAL * s.gap[0]
     for body in range(s.root.shape[0]):
-        f = s.frame[body]
+        f, gap = s.frame[body], s.gap[body]
+        length = TRIAL * gap
         for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
             g = (force[0, i], force[1, i], force[2, i])
             size = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-            if s.mass[i] == 0.0 or s.clear[body, i] > NEAR * s.gap[0] or not 0.0 < size < math.inf:
+            if s.mass[i] == 0.0 or s.clear[body, i] > NEAR * gap or not 0.0 < size < math.inf:
                 continue
             px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, f)
             g = turn_in(g, s.frames, f)
@@ -59,7 +59,7 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
                 px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges,
                 s.vertex_normals, s.edge_normals, waiting, bound,
             )  # fmt: skip
-            if distance > NEAR * s.gap[0]:
+            if distance > NEAR * gap:
                 continue
             # Held where it is: what would put it back to the gap is no force, and friction none of that.
             made, n1, n2, planes, _, _, _ = slide(

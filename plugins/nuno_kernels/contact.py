@@ -35,6 +35,7 @@ for any number of threads. All scratch is in `Contact`; nothing is allocated in 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +49,7 @@ from nuno_kernels.contact_poses import pose_bodies, set_poses
 from nuno_kernels.contact_response import add_body, commit_body, drop_anchors, find_deepest
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.field import DistanceField
 
 __all__ = [
     "Contact", "add_contact", "add_contact_parallel", "commit_contact", "commit_contact_parallel",
@@ -226,8 +228,9 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
     a, b = np.where(of_field[:, None], 0.5 * (a + b), a), np.where(of_field[:, None], 0.5 * (b - a), b)
     # A field's surface may lie outside of its mesh by the tolerance.
     radius[of_field] = (np.cumsum(g.kind == FIELD) - 1)[order][of_field]
+    fields = [field for field in g.fields if field is not None]
     for p in np.flatnonzero(of_field).tolist():
-        b[p] += g.fields[int(radius[p])].tolerance
+        b[p] += fields[int(radius[p])].tolerance
 
     def floats(array: Float) -> Float:
         return np.array(array, np.float64, order="C")
@@ -257,15 +260,15 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         near=np.zeros((bodies, blocks), np.bool_),
         bounds=np.zeros((blocks, 6)),
         tally=np.zeros((blocks, 2), np.int64),
-        **(pack_fields(g) if of_field.any() else {}),
+        **(pack_fields(fields) if of_field.any() else {}),
     )
 
 
-def pack_fields(geometry: Geometry) -> dict[str, NDArray[Any]]:
-    """The arrays of a geometry's distance fields, read only: solvers share them."""
+def pack_fields(fields: Sequence[DistanceField]) -> dict[str, NDArray[Any]]:
+    """The arrays of distance fields, read only: solvers share them."""
     from nuno_kernels.field_sample import join_fields
 
-    head, cells, corners = join_fields(geometry.fields)
+    head, cells, corners = join_fields(fields)
     for array in (head, cells, corners):
         array.setflags(write=False)
     return {"field_head": head, "field_cells": cells, "field_corners": corners}

@@ -17,12 +17,16 @@ from nuno_schemas.plugin import System
 
 if TYPE_CHECKING:
     from nuno_kernels.bindings import Bindings
+    from nuno_kernels.slides import Slides
     from nuno_kernels.yarns import YarnLists
 
 PARALLEL_FROM = 4096
 """Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""
 
-FUSED = ("contact", "slides", "wind", "particle_wind")
+FUSED = ("contact", "wind", "particle_wind")
+
+JOINED = ("bindings", "slides", "python")
+"""Kinds of terms of which a system may have several."""
 
 Extra = Callable[[Float, Float, float, Float], None]
 
@@ -61,6 +65,7 @@ def pack(system: System) -> Packed:
         hinge_runs=hinge_runs,
         hinge_lists=hinge_lists,
         bindings=_find_bindings(system),
+        slides=_find_slides(system),
         yarns=_find_yarns(fabric),
         threads=threads if threads > 1 else None,
         **_find_fused(system),
@@ -131,6 +136,17 @@ def _find_bindings(system: System) -> Bindings | None:
     return make_bindings(vertices, local, frame) if vertices.size else None
 
 
+def _find_slides(system: System) -> Slides | None:
+    """All bodies that vertices slide on: data of a "slides" term is (bodies, number of frames)."""
+    parts: list[Any] = [term.data for term in system.terms if term.kind == "slides"]
+    if not parts:
+        return None
+    from nuno_kernels.slides import make_slides
+
+    fabric, bodies = system.fabric, [body for part in parts for body in part[0]]
+    return make_slides(bodies, parts[0][1], np.where(fabric.pinned, 0.0, fabric.mass))
+
+
 def _find_yarns(fabric: Fabric) -> YarnLists | None:
     """Pairs of links between which tension passes, None where none does: their kernel is then not loaded."""
     if fabric.yarns is None or fabric.springs is None:
@@ -147,16 +163,16 @@ def _find_fused(system: System) -> dict[str, Any]:
             if term.kind in found:
                 raise BadInput(
                     f"two forces of kind {term.kind!r}",
-                    field="forces",
+                    field="contact" if term.kind == "contact" else "forces",
                     limit="one of each kind",
                     remedy="leave one out",
                 )
             found[term.kind] = own_copy(term.data)
-        elif term.kind not in ("bindings", "python"):
+        elif term.kind not in JOINED:
             raise BadInput(
                 f"no kernel for a force of kind {term.kind!r}",
                 field="forces",
-                limit=f"one of {', '.join((*FUSED, 'bindings', 'python'))}",
+                limit=f"one of {', '.join((*FUSED, *JOINED))}",
                 remedy='use kind "python" with a function f(x, v, t, out)',
             )
     wind = found.pop("wind", None)

@@ -18,6 +18,7 @@ them would need one of its own.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ class Slides(NamedTuple):
     friction: Float
     """(b,) Coulomb coefficient"""
     gap: Float
-    """(1,) distance from the surface at which vertices rest [m]"""
+    """(b,) distance from the surface at which vertices rest [m]"""
     mass: Float
     """(n,) [kg], 0 for vertices that are held or carried: they are left alone"""
     rotation0: Float
@@ -131,7 +132,7 @@ def slide_bodies(block: int, x: Any, v: Any, s: Any) -> None:
     s.tally[block, 0] = 0
     for body in range(s.root.shape[0]):
         slide_block(
-            block, x, v, body, s.root[body], s.frame[body], s.friction[body], s.gap[0], s.mass, s.frames, s.boxes,
+            block, x, v, body, s.root[body], s.frame[body], s.friction[body], s.gap[body], s.mass, s.frames, s.boxes,
             s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals, s.edge_normals, s.before, s.clear,
             s.place, s.planes, s.impulse, s.tally,
         )  # fmt: skip
@@ -201,7 +202,7 @@ def find_block_room(block: int, x: Any, s: Any) -> None:
             ex, ey, ez = px - s.before[body, 0, i], py - s.before[body, 1, i], pz - s.before[body, 2, i]
             s.before[body, 0, i], s.before[body, 1, i], s.before[body, 2, i] = px, py, pz
             left = s.clear[body, i] - (1.0 + 1e-9) * math.sqrt(ex * ex + ey * ey + ez * ez)
-            if not left > s.gap[0] and abs(px) + abs(py) + abs(pz) < math.inf:
+            if not left > s.gap[body] and abs(px) + abs(py) + abs(pz) < math.inf:
                 place, _, _, _, _, _, left, _, _, _ = closest(
                     px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces,
                     s.edges, s.vertex_normals, s.edge_normals, waiting, bound,
@@ -238,11 +239,18 @@ def count_slides(slides: Slides) -> dict[str, int]:
     return {"touching": touching, "put_back": back}
 
 
-def make_slides(trees: list[Tree], frame: Int, friction: Float, frames: int, gap: float, mass: Float) -> Slides:
-    """Slides of bodies that stand still: a tree each, the `frame` (b,) of `frames` that carries it, friction (b,).
+class Slid(NamedTuple):
+    """A body that vertices slide on: its tree, the frame that carries it, Coulomb's coefficient, the gap [m]."""
 
-    `gap` [m]; mass (n,) [kg], 0 for vertices that contact leaves alone.
-    """
+    tree: Tree
+    frame: int
+    friction: float
+    gap: float
+
+
+def make_slides(bodies: Sequence[Slid], frames: int, mass: Float) -> Slides:
+    """Slides of bodies that stand still, on some of so many `frames`; mass (n,) [kg], 0 for vertices left alone."""
+    trees = [body.tree for body in bodies]
     n, b = len(mass), len(trees)
     blocks = -(-n // BLOCK)
     nodes, leaves, triangles, corners, sides = (
@@ -250,9 +258,9 @@ def make_slides(trees: list[Tree], frame: Int, friction: Float, frames: int, gap
     )
     return Slides(
         root=nodes[:-1].astype(np.int64),
-        frame=np.array(frame, np.int32),
-        friction=np.array(friction, np.float64),
-        gap=np.full(1, gap),
+        frame=np.array([body.frame for body in bodies], np.int32),
+        friction=np.array([body.friction for body in bodies], np.float64),
+        gap=np.array([body.gap for body in bodies], np.float64),
         mass=np.array(mass, np.float64),
         rotation0=np.tile(np.eye(3).ravel(), (frames, 1)),
         origin0=np.zeros((frames, 3)),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -39,8 +40,8 @@ class Geometry:
     vertices   (v, 3)        of all meshes, in their primitives' frames [m]
     faces      (t, 3) int32  triangles of them, counter-clockwise seen from outside, each MESH closed
     owner      (t,) int32    primitive that the triangle belongs to
-    fields                   of the primitives of kind FIELD, in their order; empty where they are only to be drawn,
-               and where contact is with the triangles
+    fields                   of the primitives of kind FIELD, in their order, None where contact is with the triangles;
+                             empty where they are only to be drawn
     """
 
     bodies: tuple[str, ...]
@@ -57,7 +58,29 @@ class Geometry:
     vertices: Float = field(default_factory=partial(no_rows, np.float64, 3))
     faces: Int = field(default_factory=partial(no_rows, np.int32, 3))
     owner: Int = field(default_factory=partial(no_rows, np.int32))
-    fields: tuple[DistanceField, ...] = ()
+    fields: tuple[DistanceField | None, ...] = ()
+
+    def distance_field(self, primitive: int) -> DistanceField | None:
+        """The field that contact with a primitive reads, None where it reads none."""
+        if self.kind[primitive] != FIELD or not self.fields:
+            return None
+        return self.fields[int((self.kind[:primitive] == FIELD).sum())]
+
+    def of_primitives(self, chosen: Sequence[int]) -> Geometry:
+        """Some of the primitives, by number in their order, of the same bodies and frames."""
+        own = {name: getattr(self, name)[chosen] for name in ("kind", "frame", "body", "a", "b", "radius")}
+        kept = np.isin(self.owner, chosen)
+        return replace(
+            self, **own, faces=self.faces[kept], owner=np.searchsorted(chosen, self.owner[kept]).astype(np.int32),
+            fields=tuple(self.distance_field(i) for i in chosen if self.kind[i] == FIELD),
+        )  # fmt: skip
+
+    def of_bodies(self, chosen: Sequence[int]) -> Geometry:
+        """Some of the bodies, by number in their order, on the same frames."""
+        part = self.of_primitives(np.flatnonzero(np.isin(self.body, chosen)).tolist())
+        own = {name: getattr(self, name)[chosen] for name in ("stiffness", "damping", "friction")}
+        body = np.searchsorted(chosen, part.body).astype(np.int32)
+        return replace(part, **own, bodies=tuple(self.bodies[i] for i in chosen), body=body)
 
     def mesh(self, primitive: int) -> tuple[Float, Int]:
         """Vertices (n, 3) [m] and faces (f, 3) of a primitive that has a mesh."""

@@ -58,7 +58,8 @@ class Term:
     """One force, prepared for one fabric.
 
     A `kind` that the kernels know ("springs", "hinges", "wind", "particle_wind", "contact", "slides") is
-    fused into the compiled step, and `data` is that kernel's tuple of arrays. Any other force
+    fused into the compiled step, and `data` is that kernel's tuple of arrays ("slides": what
+    nuno_kernels.slides.make_slides joins it from). Any other force
     has kind "python" and `data` is a function f(x, v, t, out): it adds newtons to `out` (n, 3)
     and is called at every evaluation, with x and v (n, 3) that are its own.
     """
@@ -167,7 +168,9 @@ class Contact(Protocol):
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]
 
-    def prepare(self, config: Any, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term: ...
+    def prepare(self, config: Any, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
+        """The term of the bodies that have this contact, so configured: those of `geometry`, on the frames of all."""
+        ...
 
 
 class Integrator(Protocol):

@@ -85,6 +85,7 @@ class Body(Part):
     name: Name = Field(description="of the body; no other has it")
     collider: Choice = Field(description="its shape: a plugin and its fields")
     motion: Choice | None = Field(default=None, description="left out: the body does not move")
+    contact: Choice | None = Field(default=None, description="with the cloth; the scene's where it is left out")
     stiffness: Stiffness | Literal["auto"] = Field(
         default="auto", description="of the contact, for each cloth vertex [N/m]; auto: what the cloth can bear"
     )
@@ -217,7 +218,7 @@ class Scene(Part):
     operations: list[Applied] = Field(
         default_factory=list, max_length=1000, description="what changes the cloth while the scene goes on: wrinkle"
     )
-    contact: Choice = Field(default=Choice(plugin="penalty"), description="the force between cloth and bodies")
+    contact: Choice = Field(default=Choice(plugin="penalty"), description="between cloth and the bodies that name none")
     dye: Dyeing | None = Field(default=None, description="a cloth that is dyed; alone, or on an object")
     record: Record = Field(default=Record(), description="what goes into the recording beside every frame")
     view: View = Field(default=View(), description="how pictures are taken")

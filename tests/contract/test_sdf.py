@@ -116,7 +116,9 @@ def test_a_field_that_contact_does_not_read_is_neither_sent_nor_measured_by(file
         path = files.folder / f"{contact}.yaml"
         path.write_text(yaml.safe_dump(scene | {"contact": {"plugin": contact}}))
         bodies = build_bodies(read(path))
-        fields.append(len(bodies.geometry.fields))
+        fields.append(sum(field is not None for field in bodies.geometry.fields))
+        sent = decode_geometry(encode_geometry(bodies.geometry)).fields
+        assert [field is None for field in sent] == [contact == "sliding"]
         points = 0.2999 * np.eye(3)
         depth = -signed_distance(points, bodies.geometry, bodies.poses(0.0))
         exact = -signed_distance(points, replace(bodies.geometry, kind=np.array([MESH], np.int8)), bodies.poses(0.0))

@@ -56,7 +56,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     simulation = Simulation(loaded, bodies.geometry if bodies else None, poses, 0)
     rows = _size(simulation)
     if bodies is not None and poses is not None:
-        rows += _worn(simulation, bodies.geometry, poses)
+        rows += [*_contact(loaded), *_worn(simulation, bodies.geometry, poses)]
     seconds = _time_frame(simulation, bodies)  # from here on the cloth has moved
     return [
         *rows,
@@ -76,6 +76,15 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
         ("fabric", ", ".join([f"{fabric.number:,} vertices", *counts])),
         ("terms", ", ".join(terms) or "gravity and inertia only"),
     ]
+
+
+def _contact(loaded: Loaded) -> list[tuple[str, str]]:
+    """How the cloth meets which bodies."""
+    groups = [
+        (contact.name, ", ".join(loaded.scene.bodies[i].name for i in own))
+        for contact, own in build.group_contacts(loaded)
+    ]
+    return [("contact", "; ".join(f"{name} with {bodies}" for name, bodies in groups))]
 
 
 def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:

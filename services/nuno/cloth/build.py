@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -193,7 +195,8 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
     bodies = loaded.scene.bodies
     names = [f"{body.name}/{frame}" for body, shape in zip(bodies, shapes, strict=True) for frame in shape.frames]
     starts = np.cumsum([0, *(len(s.frames) for s in shapes)])
-    of_triangles = loaded.contact is not None and getattr(loaded.contact.plugin, "of_triangles", False)
+    of_triangles = [getattr(contact.plugin, "of_triangles", False) for contact in loaded.contacts]
+    fields = [None if of else field for s, of in zip(shapes, of_triangles, strict=True) for field in s.fields]
     return Geometry(
         tuple(body.name for body in bodies),
         tuple(names),
@@ -207,7 +210,7 @@ def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
         np.array([b.damping for b in bodies]),
         np.array([b.friction for b in bodies]),
         *_join_meshes(shapes),
-        () if of_triangles else tuple(field for shape in shapes for field in shape.fields),
+        tuple(fields),
     )
 
 
@@ -258,9 +261,22 @@ def build_system(
     terms = bind(loaded, fabric, pieces, geometry, poses)
     for i, force in enumerate(loaded.forces):
         terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
-    if geometry is not None and loaded.contact is not None and len(geometry.kind):
-        terms.append(_prepared(loaded, "contact", loaded.contact, fabric, geometry, gravity))
+    fields = {body.name: of.field for body, of in zip(loaded.scene.bodies, loaded.contacts, strict=True)}
+    for contact, bodies in group_contacts(loaded):
+        if geometry is not None and len((own := geometry.of_bodies(bodies)).kind):
+            terms.append(_prepared(loaded, contact.field, contact, fabric, own, gravity, fields=fields))
     return System(fabric, gravity, _start_damping(loaded.scene), tuple(terms), threads)
+
+
+def group_contacts(loaded: Loaded) -> list[tuple[Chosen, list[int]]]:
+    """The contacts of a scene, each with the numbers of the bodies that it is with: alike ones are one."""
+    groups: list[tuple[Chosen, list[int]]] = []
+    for i, contact in enumerate(loaded.contacts):
+        alike = (own for one, own in groups if (one.name, one.config) == (contact.name, contact.config))
+        if (own := next(alike, None)) is None:
+            groups.append((contact, own := []))
+        own.append(i)
+    return groups
 
 
 def _start_damping(scene: Scene) -> float:
@@ -268,12 +284,15 @@ def _start_damping(scene: Scene) -> float:
     return 3.0 * scene.frame_rate if scene.damping == "auto" else float(scene.damping)
 
 
-def _prepared(loaded: Loaded, field: str, chosen: Chosen, *args: object) -> Term:
+def _prepared(
+    loaded: Loaded, field: str, chosen: Chosen, *args: object, fields: Mapping[str, str] = MappingProxyType({})
+) -> Term:
+    """A plugin's term; an error is about `field`, or the one of `fields` that it names the body of."""
     prepare = partial(chosen.plugin.prepare, chosen.config)
     try:
         term: Term = prepare(*args)
     except BadInput as error:
-        raise loaded.at(field, error) from None
+        raise loaded.at(fields.get(error.field or "", field), error) from None
     return term
 
 

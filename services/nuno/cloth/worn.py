@@ -6,13 +6,11 @@ centre was forgotten would be dragged along from a metre away, without an error.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from nuno.collision.distance import penetration, signed_distance
 from nuno.warnings import SEEN_DEPTH
-from nuno_schemas.bodies import BOX, FIELD, OF_TRIANGLES, PLANE, Geometry, Poses
+from nuno_schemas.bodies import BOX, OF_TRIANGLES, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 
@@ -67,7 +65,7 @@ def _nearest(places: Float, geometry: Geometry, poses: Poses, frame: int) -> tup
     A frame that carries none counts as a ball round its origin, as thick as its body at most.
     """
     found = [
-        (float(signed_distance(places, _only(geometry, i), poses).min()), _radius(geometry, i))
+        (float(signed_distance(places, geometry.of_primitives([i]), poses).min()), _radius(geometry, i))
         for i in np.flatnonzero(geometry.frame == frame).tolist()
     ]
     if found:
@@ -75,14 +73,6 @@ def _nearest(places: Float, geometry: Geometry, poses: Poses, frame: int) -> tup
     body = geometry.bodies.index(geometry.frames[frame].partition("/")[0])
     radius = max((_radius(geometry, i) for i in np.flatnonzero(geometry.body == body).tolist()), default=0.0)
     return float(np.linalg.norm(places - poses.translation[frame], axis=1).min()) - radius, radius
-
-
-def _only(geometry: Geometry, i: int) -> Geometry:
-    chosen = {name: getattr(geometry, name)[i : i + 1] for name in ("kind", "frame", "body", "a", "b", "radius")}
-    faces = geometry.faces[geometry.owner == i]
-    before = int((geometry.kind[:i] == FIELD).sum())
-    own = geometry.fields[before : before + 1] if geometry.kind[i] == FIELD else ()
-    return replace(geometry, **chosen, faces=faces, owner=np.zeros(len(faces), np.int32), fields=own)
 
 
 def _radius(geometry: Geometry, i: int) -> float:

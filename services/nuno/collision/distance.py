@@ -12,7 +12,7 @@ import numpy as np
 
 from nuno.collision.field import field_distance
 from nuno.collision.mesh import are_inside, columns_of, distances
-from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 
 
@@ -70,8 +70,8 @@ def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
     inside by the depth of penalty contact, and the distance of so many vertices to every triangle would take longer
     than the run.
     """
-    if geometry.kind[i] == FIELD and geometry.fields:
-        return field_distance(p, geometry.fields[int((geometry.kind[:i] == FIELD).sum())])
+    if (field := geometry.distance_field(i)) is not None:
+        return field_distance(p, field)
     vertices, faces = geometry.mesh(i)
     inside = are_inside(p, columns_of(vertices, faces, geometry.faces, i))
     if not inside_only:

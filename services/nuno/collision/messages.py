@@ -29,8 +29,9 @@ def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:
     arrays = {name: getattr(geometry, name) for name in (*_ARRAYS, *_MESHES)}
     text: dict[str, Any] = {"bodies": geometry.bodies, "frames": geometry.frames, "fields": []}
     for number, field in enumerate(geometry.fields if whole else ()):
-        arrays |= {f"field{number}.{name}": getattr(field, name) for name in _FIELDS}
-        text["fields"].append({name: getattr(field, name) for name in _NUMBERS})
+        text["fields"].append(None if field is None else {name: getattr(field, name) for name in _NUMBERS})
+        if field is not None:
+            arrays |= {f"field{number}.{name}": getattr(field, name) for name in _FIELDS}
     return encode_arrays(arrays, text)
 
 
@@ -63,7 +64,8 @@ def _check(geometry: Geometry) -> None:
         if name in below and values.size and not 0 <= values.min() <= values.max() < below[name]:
             raise BadMessage(f"geometry whose {name} goes from {values.min()} to {values.max()}, of {below[name]}")
     for field in g.fields:
-        _check_field(field)
+        if field is not None:
+            _check_field(field)
 
 
 def _check_field(field: DistanceField) -> None:
@@ -84,7 +86,11 @@ def _check_field(field: DistanceField) -> None:
         raise BadMessage("a distance field whose cells lead nowhere")
 
 
-def _field(arrays: Mapping[str, NDArray[Any]], number: int, numbers: Mapping[str, float]) -> DistanceField:
+def _field(
+    arrays: Mapping[str, NDArray[Any]], number: int, numbers: Mapping[str, float] | None
+) -> DistanceField | None:
+    if numbers is None:
+        return None
     low, shape, child, corners = (arrays[f"field{number}.{name}"] for name in _FIELDS)
     size, tolerance, band = (float(numbers[name]) for name in _NUMBERS)
     return DistanceField(low, size, shape, tolerance, band, child, corners)

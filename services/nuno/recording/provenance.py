@@ -82,7 +82,16 @@ def _strings(value: object) -> Iterator[str]:
 
 def chosen_by(loaded: Loaded) -> list[Chosen]:
     """The plugins of a scene that can change a result."""
-    optional = [c for c in (*loaded.motions, loaded.contact) if c is not None]
+    motions = [motion for motion in loaded.motions if motion is not None]
     dye = loaded.dye.plugins if loaded.dye is not None else []
     own = [loaded.integrator] if loaded.scene.moves else []
-    return [*loaded.models, *own, *dye, *loaded.colliders, *loaded.forces, *loaded.operations, *optional]
+    return [
+        *loaded.models,
+        *own,
+        *dye,
+        *loaded.colliders,
+        *loaded.forces,
+        *loaded.operations,
+        *motions,
+        *loaded.contacts,
+    ]

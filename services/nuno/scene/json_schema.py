@@ -12,6 +12,7 @@ _PLACES = {
     ("Object", "model"): "nuno.models",
     ("Body", "collider"): "nuno.colliders",
     ("Body", "motion"): "nuno.motions",
+    ("Body", "contact"): "nuno.contacts",
     ("Scene", "solver"): "nuno.integrators",
     ("Scene", "contact"): "nuno.contacts",
     ("Scene", "forces"): "nuno.forces",

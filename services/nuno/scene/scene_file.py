@@ -74,7 +74,8 @@ class Loaded:
     colliders: list[Chosen]
     motions: list[Chosen | None]
     forces: list[Chosen]
-    contact: Chosen | None
+    contacts: list[Chosen]
+    """Of each body: its own, or the scene's."""
     operations: list[Chosen] = field(default_factory=list)
     dye: ChosenDye | None = None
     yarn_picture: Chosen | None = None
@@ -192,6 +193,17 @@ def _chosen_dye(dye: Dyeing, chosen: Callable[[str, Choice, yaml_lines.Path], Ch
     )
 
 
+def _contacts(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path], Chosen]) -> list[Chosen]:
+    """Of each body; the scene's is checked even where no body takes it."""
+    if not scene.bodies:
+        return []
+    shared = chosen("nuno.contacts", scene.contact, ("contact",))
+    return [
+        chosen("nuno.contacts", body.contact, ("bodies", i, "contact")) if body.contact else shared
+        for i, body in enumerate(scene.bodies)
+    ]
+
+
 def choose_plugin(
     group: str, choice: Choice, place: yaml_lines.Path, file: str, lines: Mapping[yaml_lines.Path, int]
 ) -> Chosen:
@@ -246,7 +258,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
             choose_operation(applied, ("operations", i), file, lines, files)
             for i, applied in enumerate(scene.operations)
         ],
-        contact=chosen("nuno.contacts", scene.contact, ("contact",)) if scene.bodies else None,
+        contacts=_contacts(scene, chosen),
         dye=_chosen_dye(scene.dye, chosen) if scene.dye is not None else None,
         yarn_picture=chosen("nuno.yarn_pictures", scene.view.yarns, ("view", "yarns")) if scene.view.yarns else None,
     )
