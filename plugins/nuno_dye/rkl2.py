@@ -62,7 +62,7 @@ STIFFER = 1.25
 class Rkl2Config(Config):
     """How a step begins where amounts jump."""
 
-    start: int = Field(4, ge=1, le=64, description="steps in each doubling of the time since amounts jumped")
+    start: int = Field(4, ge=1, le=1024, description="steps in each doubling of the time since amounts jumped")
 
 
 @dataclass

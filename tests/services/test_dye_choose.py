@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from nuno.scene import scene_file
 from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.verify import verify
+from nuno_bench.precision.accuracy_dye import CASES, measure_case
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -62,7 +64,7 @@ def test_long_steps_are_taken_where_they_keep_the_promise(accuracy: Any, tmp_pat
 
 
 def test_the_choice_is_the_same_every_time_and_stands_in_the_recording(tmp_path: Path) -> None:
-    first, second = (decide(read(tmp_path)) for _ in range(2))
+    first, second = (decide(read(tmp_path, dyes=[RED])) for _ in range(2))
     assert first.data == second.data and first.overrides == second.overrides
     result = nuno.run(tmp_path / "scene.yaml", record=tmp_path / "run.mcap")
     with nuno.open(result.path) as recording:
@@ -71,10 +73,37 @@ def test_the_choice_is_the_same_every_time_and_stands_in_the_recording(tmp_path:
     assert result.report["chosen"] == first.why
 
 
-def test_a_frame_within_an_explicit_step_is_explicit(tmp_path: Path) -> None:
-    decided = decide(read(tmp_path, duration="4 s", frame_rate=1.0))
-    assert decided.dye is not None and decided.dye.solver.name == "explicit"
-    assert "no longer than an explicit step" in decided.why
+@pytest.mark.parametrize(
+    ("name", "length", "frames"),
+    [("two-cells", 0.05, 200), *product(CASES, (9.0,), (1, 10)), *product(CASES, (900.0,), (4,))],
+)
+def test_the_promise_is_kept_against_the_exact_evolution(name: str, length: float, frames: int, tmp_path: Path) -> None:
+    """Whether a frame holds many explicit steps, a few or a part of one, and the error of the first frames falls or
+    grows until long after them.
+    """
+    found = measure_case(name, length, frames, list(PROMISE), tmp_path)
+    assert [(one.accuracy, one.promised) for one in found] == list(PROMISE.items())
+    assert all(one.error <= one.promised for one in found), found
+
+
+def test_a_late_drop_spreads_in_long_steps_as_one_at_the_start_does(tmp_path: Path) -> None:
+    def run(start: float) -> list[Float]:
+        drop = {"kind": "drop", "place": [8 * CELL, 8 * CELL], "diameter": 7 * CELL, "start": start}
+        cloth = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": TAU3, "supply": [drop]}
+        fixed = {"adsorption": 0.02, "isotherm": {"plugin": "langmuir", "K": 20}}
+        data = arrays(16, 18)
+        data["phi"] *= 0.0
+        path = write_scene(tmp_path, data=data, solver={"plugin": "rkl2", "dt": "30 min"}, cloth=cloth,
+                           dyes=[RED | fixed], duration="5 h", frame_rate=1 / 3600.0)  # fmt: skip
+        dyeing, out = DyeRun(scene_file.read(path), 1), []
+        while not dyeing.finished:
+            dyeing.advance()
+            out.append(np.stack([dyeing.state.phi, dyeing.state.fixed]))
+        return out
+
+    at_once, late = run(0.0), run(7200.0)
+    assert not late[1].any() and at_once[0][1].any()
+    np.testing.assert_array_equal(late[2:], at_once[:3])
 
 
 @pytest.mark.parametrize("hours", [0.5, 0.6, 2.75])

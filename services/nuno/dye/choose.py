@@ -1,9 +1,10 @@
 """`dye.solver: auto`: which solver and which step, found by spreading the scene's dye over its first frames.
 
-A run at some steps a frame and one at twice as many differ by 3/4 of the error of the first, rkl2 being of second
-order. The second also begins in steps half as long: fibre keeps what it fixes while dye spreads from a jump, and two
-runs that begin alike do not tell what that is off by. Costs are counted in explicit steps, never timed, so that the
-choice is the same every time.
+The error is measured as cloth's is, against runs of shorter steps. A run at some steps a frame and one at m times as
+many differ by at least (m - 1) / m of the error of the first, since every solver is of first order or better: `rkl2`
+is of second where amounts are smooth, and of first where a limit begins to bind, a finite bath exchanges, or fibre
+keeps what it fixes while dye spreads from a jump. For the last, the shorter steps also begin more finely. Costs are
+counted in explicit steps, never timed, so that the choice is the same every time.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from nuno.dye.run import DyeRun
-from nuno.dye.supply import first_step
+from nuno.dye.supply import ROUNDING, first_step
 from nuno.scene import scene_file
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST_DYE, Loaded
@@ -25,56 +28,100 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.scene import AUTO, Accuracy
 
 PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
-"""Distance of any cell's amount to the exact one, as a share of the largest amount there is."""
+"""Distance of any cell's amount to the exact evolution of the cells, at the end of any frame, as a share of the largest
+amount at the end of any frame."""
 LONG = "rkl2"
-START, MOST_START = 4, 64
-"""Steps in each doubling of the time since amounts jumped, at first and at most."""
+FINER = {FIRST_DYE: (2, 4), LONG: (2,)}
+"""Steps for one of a run whose error is measured. Two cells by themselves spread by (1 - z)^n in n explicit steps,
+and by (1 - z / 2)^2n in twice as many: for z = 1.17 and an even n they are equal by chance, and both far off. So
+explicit steps are compared with four times as many, too, and those with each other."""
+ORDER = {FIRST_DYE: 1, LONG: 2}
+START, MOST_START = 4, 512
+"""Steps in each doubling of the time since amounts jumped, at first and at most; those that tell its error have twice
+as many."""
 STAGE = 3.0
 """Explicit steps that a stage takes the time of: 2 by Freundlich or where limits may bind, 4 by the other isotherms."""
-MOST_FRAMES, MOST_WORK = 4, 5e8
-"""Frames of a trial, and cells times stages of all trials of a scene: some seconds of one core."""
+FEWEST_FRAMES, SPREADING, MOST_WORK = 4, 8.0, 5e8
+"""Frames of a trial, and longest explicit steps, after the last supply has begun or ended; cells times stages of all
+trials of a scene: some seconds of one core."""
+EXPLICIT_TRIAL = 1 + sum(FINER[FIRST_DYE])
+"""Explicit steps that tell the error of one."""
+FEW_CELLS = 30_000
+"""Cells of which a stage takes as long as what is done around it: fewer count as so many."""
+FEW_STEPS = 64
+"""Steps a frame that are taken for a supply to be on time, even if fewer explicit ones do."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A solver with the steps a frame that it needs, its error there [largest amounts], and its cost [explicit steps a
+    frame]; `tried` is False where the error follows from fewer steps by the order that was seen.
+    """
+
+    name: str
+    steps: int
+    error: float
+    cost: float
+    tried: bool = True
 
 
 @dataclass
 class Trials:
-    """Runs of a scene's first frames at so many steps each, with the stages that a frame takes.
+    """Runs of a scene's first frames, each made once.
 
-    `first` are the fewest steps a frame that are tried.
+    frame [s] of dyeing; how many of them are tried; the fewest steps a frame that are; `work` done so far, in cells
+    times stages.
     """
 
     loaded: Loaded
+    frame: float
     frames: int
     first: int
     work: float = 0.0
-    kept: dict[int, tuple[Float, float]] = field(default_factory=dict)
+    kept: dict[tuple[str, int, int], tuple[Float, float]] = field(default_factory=dict)
 
-    def run(self, steps: int) -> tuple[Float, float]:
-        """Amounts at the end of every frame (frames, 2, dyes, 2, ny, nx), nan where it fails; stages a frame."""
-        if steps not in self.kept:
-            begun = _written(self.loaded, LONG, None, "", self.start(steps))
-            dyeing, out, stages = DyeRun(begun, os.cpu_count() or 1, steps), [], []
+    def run(self, name: str, steps: int, finer: int = 1) -> tuple[Float, float]:
+        """With `finer` times so many steps a frame, and as much finer a beginning: amounts at the end of every frame
+        (frames, 2, dyes, 2, ny, nx), nan where it fails; explicit steps a frame that it costs.
+
+        Raises BadInput where the solver refuses the scene.
+        """
+        key = name, finer * steps, finer * self.start(name, steps)
+        if key not in self.kept:
+            begun = _written(self.loaded, name, None, "", key[2])
+            dyeing, out, costs = DyeRun(begun, os.cpu_count() or 1, key[1]), [], []
             for _ in range(self.frames):
                 report = dyeing.advance().report
-                stages.append(report.totals["stages"])
+                stages = report.totals.get("stages")
+                costs.append(float(key[1]) if stages is None else STAGE * stages / len(dyeing.names))
                 failed = math.nan if report.status != "ok" else 0.0
                 out.append(np.stack([dyeing.state.phi, dyeing.state.fixed]) + failed)
-            self.work += sum(stages) * dyeing.cells.fibre.size
+            self.work += _stages(dyeing, sum(costs))
             # The first frames take more than those to come, which are as the last of them.
             frames = self.loaded.scene.frames
-            whole = sum(stages) + (frames - self.frames) * stages[-1]
-            self.kept[steps] = np.stack(out), whole / frames / len(dyeing.names)
-        return self.kept[steps]
+            whole = sum(costs) + (frames - self.frames) * costs[-1]
+            self.kept[key] = np.stack(out), whole / frames
+        return self.kept[key]
 
-    def start(self, steps: int) -> int:
-        """How finely a run at so many steps a frame begins."""
-        return min(START * -(-steps // self.first), MOST_START)
+    def start(self, name: str, steps: int) -> int:
+        """How finely a run at so many steps a frame begins; 0 for a solver that is not asked."""
+        return 0 if name == FIRST_DYE else min(START * -(-steps // self.first), MOST_START)
 
-    def error(self, steps: int) -> float:
-        """Largest error at so many steps a frame, as a share of the largest amount; inf where it fails."""
-        coarse, fine = self.run(steps)[0], self.run(2 * steps)[0]
-        largest = float(np.abs(fine).max())
-        apart = float(np.abs(coarse - fine).max()) * 4.0 / 3.0
-        return apart / (largest or 1.0) if math.isfinite(apart) else math.inf
+    def error(self, name: str, steps: int) -> float:
+        """Largest error at so many steps a frame, as a share of the largest amount; inf where it fails.
+
+        Errors of what has jumped fall with time, and fall on. One that is largest at the end of the trial is taken to
+        grow in proportion to time.
+        """
+        runs = [self.run(name, steps, finer)[0] for finer in (1, *FINER[name])]
+        largest, apart = float(np.abs(runs[-1]).max()) or 1.0, np.zeros(self.frames)
+        for (n, coarse), (m, fine) in combinations(zip((1, *FINER[name]), runs, strict=True), 2):
+            difference = np.abs(coarse - fine).reshape(self.frames, -1).max(axis=1)
+            apart = np.maximum(apart, difference / (1.0 / n - 1.0 / m))
+        worst = float(apart.max()) / largest
+        if not math.isfinite(worst):
+            return math.inf
+        return worst * (self.loaded.scene.frames / self.frames if apart[-1] == apart.max() else 1.0)
 
 
 def decide_dye(loaded: Loaded) -> Loaded:
@@ -83,83 +130,118 @@ def decide_dye(loaded: Loaded) -> Loaded:
     if dye is None or dye.solver.plugin != AUTO:
         return loaded
     accuracy = scene.accuracy or "normal"
-    explicit = _written(loaded, FIRST_DYE, None, "")
-    run = DyeRun(explicit, 1)
-    steps, dt = run.steps, run.dt
-    if steps == 1:
-        return _written(loaded, FIRST_DYE, dt, "a frame is no longer than an explicit step")
-    found = _try_longer(_written(loaded, LONG, None, ""), steps, _first_on_time(run), PROMISE[accuracy])
-    if isinstance(found, str):
-        return _written(loaded, FIRST_DYE, dt, f"{accuracy}: {steps} explicit steps a frame; {found}")
-    number, start, error, cost = found
+    explicit = DyeRun(_written(loaded, FIRST_DYE, None, ""), 1)
+    first = _first_on_time(explicit)
+    stable = first * -(-explicit.steps // first)
+    trials = _begin_trials(loaded, explicit, first, stable)
+    long = _settle(trials, LONG, first, PROMISE[accuracy])
+    plain = _settle_explicit(trials, explicit, stable, PROMISE[accuracy], long)
+    best, other = (plain, long) if isinstance(plain, Found) else (long, plain)
+    if isinstance(best, str):
+        why = f"{accuracy}: {stable} explicit steps a frame, and how far they are off is not known: {best}; {other}"
+        return _written(loaded, FIRST_DYE, trials.frame / stable, why)
+    tried = f" (tried on {trials.frames} of {scene.frames} frames)" if trials.frames < scene.frames else ""
+    if isinstance(other, Found):
+        other = f"{other.name} would take {other.cost:.3g}"
     why = (
-        f"{accuracy}: with {number} step{'s' if number > 1 else ''} a frame amounts are off by about {error:.2g} of "
-        f"the largest, {PROMISE[accuracy]:g} was asked for; {cost:.3g} explicit steps' work, where {steps} would do"
+        f"{accuracy}: with {best.steps} step{'s' if best.steps > 1 else ''} a frame amounts are off by "
+        f"{'' if best.tried else 'about '}{best.error:.2g} of the largest, {PROMISE[accuracy]:g} was asked for{tried}; "
+        f"{best.cost:.3g} explicit steps' work; {other}"
     )
-    return _written(loaded, LONG, dye.speed / scene.frame_rate / number, why, start)
+    return _written(loaded, best.name, trials.frame / best.steps, why, trials.start(best.name, best.steps))
+
+
+def _stages(dyeing: DyeRun, costs: float) -> float:
+    """Cells times stages of so many explicit steps of each dye."""
+    return costs / STAGE * len(dyeing.names) * max(dyeing.cells.fibre.size, FEW_CELLS)
+
+
+def _times(explicit: DyeRun) -> list[float]:
+    """When supplies begin and end [s], before the scene does."""
+    end = explicit.loaded.scene.frames * explicit.steps * explicit.dt
+    given = [entry.supply for entry in explicit.supplies.entries]
+    return [time for one in given for time in (one.start, one.stop) if time is not None and time < end]
 
 
 def _first_on_time(explicit: DyeRun) -> int:
-    """Steps a frame, a power of two, with which supplies begin and end no later than an explicit step after their time.
+    """Steps a frame with which supplies begin and end at their times, as they do with any multiple of them.
 
-    Supplies wait for the next step: one that came in the middle of a long step would be late by half of it, in a
-    frame that no trial may have seen. Any multiple of these steps is on time, too.
+    Supplies wait for the next step: one that came in the middle of a long step would be late by half of it, in a frame
+    that no trial may have seen, or by as much at twice the steps, which no trial would tell. Where no number of steps
+    that is at most the explicit ones' meets all times, it is a power of two, late by no more than an explicit step.
     """
-    end = explicit.loaded.scene.frames * explicit.steps * explicit.dt
-    given = [entry.supply for entry in explicit.supplies.entries]
-    times = [time for one in given for time in (one.start, one.stop) if time is not None and time < end]
+    frame, times = explicit.steps * explicit.dt, _times(explicit)
+
+    def late(steps: int) -> float:
+        return max((first_step(time, frame / steps) * frame / steps - time for time in times), default=0.0)
+
+    most = max(explicit.steps, FEW_STEPS)
+    exact = math.lcm(*(Fraction(time / frame).limit_denominator(most).denominator for time in times))
+    if exact <= most and late(exact) <= ROUNDING * frame:
+        return exact
     steps = 1
-    while steps < explicit.steps:
-        dt = explicit.steps * explicit.dt / steps
-        if all(first_step(time, dt) * dt - time <= explicit.dt for time in times):
-            break
+    while steps < explicit.steps and late(steps) > explicit.dt:
         steps *= 2
     return steps
 
 
-def _try_longer(loaded: Loaded, most: int, first: int, promise: float) -> tuple[int, int, float, float] | str:
-    """Steps a frame of the long steps that keep the promise, and in the first doublings of time, their error and cost
-    [explicit steps]; or why none do.
-
-    `most` are the explicit steps, `first` the fewest long ones.
-    """
+def _begin_trials(loaded: Loaded, explicit: DyeRun, first: int, stable: int) -> Trials:
+    """Trials of the frames in which supplies begin and end and some more, or of as many as are affordable."""
+    frame = explicit.steps * explicit.dt
+    spread = max(_times(explicit), default=0.0) + SPREADING * explicit.limit
+    wanted = min(float(loaded.scene.frames), FEWEST_FRAMES + spread / frame)
+    pilot = Trials(loaded, frame, 1, first)
     try:
-        trials = Trials(loaded, min(loaded.scene.frames, MOST_FRAMES), first)
-        trials.run(first)
-        if trials.work > 0.1 * MOST_WORK and trials.frames > 1:
-            trials = Trials(loaded, 1, first)
-        steps = first
+        pilot.run(LONG, first)
+    except BadInput:  # as _settle will say
+        pilot.work = _stages(explicit, EXPLICIT_TRIAL * stable)
+    return Trials(loaded, frame, max(1, int(min(wanted, 0.2 * MOST_WORK / pilot.work))), first)
+
+
+def _settle(trials: Trials, name: str, first: int, promise: float, cheapest: float = math.inf) -> Found | str:
+    """The fewest steps a frame, doubled from `first` on, that keep the promise; or why none do for less than
+    `cheapest` explicit steps a frame.
+    """
+    steps, before = first, math.inf
+    try:
         while True:
-            cost = STAGE * trials.run(steps)[1]
-            if cost >= most:
-                return f"{LONG} would take as long as {cost:.3g} for the same"
-            error = trials.error(steps)
+            error, cost = trials.error(name, steps), trials.run(name, steps)[1]
+            if cost >= cheapest:
+                return f"{name} would take {cost:.3g} or more"
             if error <= promise:
-                return steps, trials.start(steps), error, cost
-            if trials.work > MOST_WORK and math.isfinite(error):
-                return _extrapolated(trials, steps, error, promise, most)
-            steps *= 2
+                return Found(name, steps, error, cost)
+            if trials.work > MOST_WORK:
+                break
+            steps, before = 2 * steps, error
     except BadInput as refused:
         return str(refused.problem)
-
-
-def _extrapolated(
-    trials: Trials, steps: int, error: float, promise: float, most: int
-) -> tuple[int, int, float, float] | str:
-    """What the second order makes of the last trial."""
-    factor = math.sqrt(error / promise)
-    wanted = steps * math.ceil(factor)
+    if not math.isfinite(error):
+        return f"{name} fails with {steps} steps a frame"
+    # The order that was seen: 1 where none was, which is the least that there is.
+    order = min(max(math.log2(before / error), 1.0), ORDER[name]) if math.isfinite(before) else 1
+    times = math.ceil((error / promise) ** (1.0 / order))
     # Stages of a step fall with the root of its length: those of a frame grow with the root of their number.
-    cost = STAGE * trials.run(steps)[1] * math.sqrt(wanted / steps)
-    if cost >= most:
-        return f"{LONG} would take as long as {cost:.3g} for the same"
-    return wanted, trials.start(wanted), promise, cost
+    cost *= times ** (1.0 / ORDER[name])
+    if cost >= cheapest:
+        return f"{name} would take {cost:.3g} or more"
+    return Found(name, times * steps, promise, cost, tried=False)
 
 
-def _written(loaded: Loaded, name: str, dt: float | None, why: str, start: int = START) -> Loaded:
+def _settle_explicit(trials: Trials, explicit: DyeRun, stable: int, promise: float, long: Found | str) -> Found | str:
+    """The same of explicit steps, where they may cost less than what else there is, and can be tried."""
+    cheapest = long.cost if isinstance(long, Found) else math.inf
+    if stable >= cheapest:
+        return f"{FIRST_DYE} would take {stable} or more"
+    work = _stages(explicit, float(EXPLICIT_TRIAL * stable * trials.frames))
+    if trials.work + work > 2.0 * MOST_WORK:
+        return f"{FIRST_DYE} takes too long to try"
+    return _settle(trials, FIRST_DYE, stable, promise, cheapest)
+
+
+def _written(loaded: Loaded, name: str, dt: float | None, why: str, start: int = 0) -> Loaded:
     """The scene as if its author had named the dye's solver, its step and how finely it begins."""
     chosen: dict[str, Any] = {"plugin": name} | ({} if dt is None else {"dt": dt})
-    if start != START:
+    if start not in (0, START):
         chosen["start"] = start
     data = {**loaded.data, "dye": {**loaded.data["dye"], "solver": chosen}}
     overrides = [as_override("dye.solver", chosen)]

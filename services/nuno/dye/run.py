@@ -140,7 +140,9 @@ class DyeRun:
         totals: Counter[str] = Counter()
         taken, exchanged = 0, False
         while True:
-            self.supplies.begin(self.state.phi, step)
+            if self.supplies.begin(self.state.phi, step):
+                # Amounts have jumped: a solver of long steps begins anew, as it does after what it can see itself.
+                self.memory = self._prepare(self.supplies)
             until = self.supplies.until(step, end)
             kept = self.supplies.keep(step)
             report = self._step(kept, until - step)

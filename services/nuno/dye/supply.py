@@ -125,8 +125,9 @@ class Supplies:
             volume = supply.liquor * add_up(self.room.ravel()[places])
         self.entries.append(Entry(supply, name, first, last, volume, supply.amount, places))
 
-    def begin(self, phi: Float, step: int) -> None:
-        """Give what starts with a step; again, nothing more. phi is (dyes, 2, ny, nx)."""
+    def begin(self, phi: Float, step: int) -> bool:
+        """Give what starts with a step; again, nothing more. phi is (dyes, 2, ny, nx). Whether anything was given."""
+        before = self.gross
         for entry in self.entries:
             if entry.first != step or (entry.finite and not entry.acts(step)):
                 continue
@@ -136,6 +137,7 @@ class Supplies:
                 supply = entry.supply
                 phi[supply.dye], given = give(phi[supply.dye], self.room, supply.cells, supply.amount)
                 self.note(supply.dye, entry.name, given)
+        return self.gross != before
 
     def until(self, step: int, end: int) -> int:
         """The step, `end` at most, up to which the solver can go on from `step` by itself."""
