@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field
 from nuno_dye.colour import mix
 from nuno_dye.texture import TextureConfig, Textures, find_lays
 from nuno_kernels import kernel
-from nuno_schemas.colour import parse_hex, to_srgb
+from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Layers, Picture, Window
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.look import DyeColour
@@ -37,7 +37,9 @@ class YarnsConfig(Config):
     """Yarns drawn as twisted cylinders."""
 
     ground: Colour | None = Field(
-        default=None, description="colour of the undyed cloth, #rrggbb; the first dye's light unless given"
+        default=None,
+        description="colour of the undyed cloth, #rrggbb; left out: of each yarn, where a WIF file says, or the first "
+        "dye's light",
     )
     texture: TextureConfig | None = Field(
         default=TextureConfig(), description="how yarns look; null: colours alone, as where a cloth is seen from afar"
@@ -125,6 +127,10 @@ def begin_drawing(
     )
     near = yarns[0][wide.top : wide.bottom], yarns[1][wide.left : wide.right]
     fibre = np.ascontiguousarray(layers.fibre[:, wide.top : wide.bottom, wide.left : wide.right])
+    if ground is None and layers.ground is not None:
+        weft, warp = (to_linear(colours) for colours in layers.ground)
+        both = weft[wide.top : wide.bottom, None], warp[None, wide.left : wide.right]
+        ground = np.stack([np.broadcast_to(colours, (*fibre.shape[1:], 3)) for colours in both])
     inside = window.top - wide.top, window.left - wide.left
     return Drawing(layers, tuple(dyes), ground, wide, inside, scale, layer, shade, near, fibre)
 

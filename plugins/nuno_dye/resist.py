@@ -34,7 +34,10 @@ class ImageResist(_Resist):
     """A stencil: white keeps dye out."""
 
     kind: Literal["image"] = "image"
-    file: str = Field(description="a grey PNG beside the scene, a pixel for each cell; transparent keeps nothing out")
+    file: str = Field(
+        description="a grey PNG beside the scene, a pixel for each cell, white being the most that its bits can say; "
+        "transparent keeps nothing out"
+    )
     invert: bool = Field(default=False, description="black keeps dye out")
     fit: Literal["exact", "stretch"] = Field(
         default="exact",
@@ -134,7 +137,9 @@ def combine(parts: Sequence[Float]) -> Float:
 def read_image(
     path: Path, shape: tuple[int, int] | None, invert: bool = False, of: tuple[str, str] = ("cloth's", "cells")
 ) -> Float:
-    """(ny, nx) a grey PNG of any bit depth, as shares of its white; what is transparent counts less.
+    """(ny, nx) a grey PNG of any bit depth, as shares of the white of that depth; what is transparent counts less.
+
+    One with opacity or in colours that are all grey is read to 8 bits of each channel.
 
     `of` says whose size `shape` is, and in what; without a shape an image of any size is read.
 
@@ -173,10 +178,12 @@ def stretch(values: Float, shape: tuple[int, int]) -> Float:
 
 def _read_pixels(image: Any) -> tuple[Float, Float | float]:
     """Values (ny, nx) or (ny, nx, 3) and opacity, in [0, 1]."""
-    if image.mode.startswith("I"):
-        return np.asarray(image, np.float64) / 65535.0, 1.0
-    if image.mode == "1":
-        return np.asarray(image, np.float64), 1.0
+    if image.mode == "1" or image.mode.startswith("I"):
+        most = 255.0 if image.mode == "1" else 65535.0
+        values = np.asarray(image.convert("L") if image.mode == "1" else image, np.float64)
+        # The one value that such a file may call transparent: Pillow does not convert it.
+        clear = image.info.get("transparency")
+        return values / most, 1.0 if clear is None else (values != clear).astype(np.float64)
     mode = "LA" if image.mode in ("L", "LA") else "RGBA"
     pixels = np.asarray(image.convert(mode), np.float64) / 255.0
     return (pixels[..., 0] if mode == "LA" else pixels[..., :3]), pixels[..., -1]

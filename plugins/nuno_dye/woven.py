@@ -47,12 +47,21 @@ class VaryConfig(Config):
 class WovenConfig(Config):
     """A woven cloth; its weave is given apart."""
 
-    cells: tuple[Number, Number] = Field(default=(200, 200), description="across and down, in each of the two layers")
+    cells: tuple[Number, Number] | None = Field(
+        default=None,
+        description="across and down, in each of the two layers; left out: as many as the yarns of a WIF file take, or "
+        "200 x 200 of another weave",
+    )
     cell_size: CellSize = Field(default=5e-5, description="side of a cell [m]")
     weft: YarnConfig = Field(default=YarnConfig(), description="yarns along x")
     warp: YarnConfig = Field(default=YarnConfig(), description="yarns along y")
     gap_porosity: Share | None = Field(default=None, description="P of a gap; its layer's yarns' unless given")
     vary: VaryConfig | None = Field(default=None, description="differences from yarn to yarn")
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """Cells across and down."""
+        return self.cells or (200, 200)
 
 
 class Lay(NamedTuple):
@@ -98,7 +107,7 @@ def build_cells(
     `lays` are those of weft and warp, where yarns are not even. Raises BadInput for a cloth of too many cells, and
     for a variation of nothing.
     """
-    (nx, ny), weft, warp = config.cells, config.weft, config.warp
+    (nx, ny), weft, warp = config.extent, config.weft, config.warp
     _check(config)
     down, across = lays or (lay_evenly(weft.width, weft.gap, ny), lay_evenly(warp.width, warp.gap, nx))
     picks, ends = drawdown.shape
@@ -136,7 +145,7 @@ def draw_factors(vary: VaryConfig | None, name: Quantity, lay: Lay, seed: int, l
 
 
 def _check(config: WovenConfig) -> None:
-    nx, ny = config.cells
+    nx, ny = config.extent
     if 2 * nx * ny > MOST_CELLS:
         raise BadInput("too many cells", field="cells", value=f"2 x {ny} x {nx}", limit=f"{MOST_CELLS}")
     vary = config.vary

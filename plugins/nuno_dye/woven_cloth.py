@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -23,11 +24,11 @@ from nuno_dye.weaves import (
     read_matrix,
 )
 from nuno_dye.wif import Draft, read_wif
-from nuno_dye.wif_yarns import Yarns
-from nuno_dye.woven import Lay, WovenConfig, build_cells, lay_measured
+from nuno_dye.wif_yarns import UNDYED, Yarns
+from nuno_dye.woven import Lay, WovenConfig, YarnConfig, build_cells, lay_measured
 from nuno_schemas.dye import Cells, DyeState, Supply
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.plugin import Config, Files
 
 
@@ -62,26 +63,66 @@ class WovenCloth:
     Config: ClassVar[type[BaseModel]] = WovenClothConfig
 
     def count(self, config: WovenClothConfig, files: Files) -> int:
-        return 2 * config.cells[0] * config.cells[1]
+        nx, ny = fit_draft(config, read_draft(config, files) if config.cells is None else None).extent
+        return 2 * nx * ny
 
     def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
         """Raises BadInput for a weave or resist that is none, or does not fit the cloth."""
-        drawdown, lays = draw_weave(config, files)
+        draft = read_draft(config, files)
+        config = fit_draft(config, draft)
+        drawdown, lays = draw_weave(config, draft)
         cells = build_cells(drawdown, config, config.tau3.with_weave(config.tau2), seed, lays, config.v_max)
+        if draft is not None:
+            cells = replace(cells, ground=find_ground(draft, cells))
         put_on(self.resists(config, cells, files), cells)
         empty = np.zeros((dyes, *cells.fibre.shape))
         return cells, DyeState(empty, empty.copy())
 
     def resists(self, config: WovenClothConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
         """Raises BadInput for what touches no cell, and an image that does not fit."""
-        return find_resists(config.resist, (config.cells[1], config.cells[0]), config.cell_size, files)
+        _, ny, nx = cells.fibre.shape
+        return find_resists(config.resist, (ny, nx), config.cell_size, files)
 
     def supplies(self, config: WovenClothConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
         """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
-        return prepare_supplies(config.supply, (config.cells[1], config.cells[0]), config.cell_size, dyes)
+        _, ny, nx = cells.fibre.shape
+        return prepare_supplies(config.supply, (ny, nx), config.cell_size, dyes)
 
 
-def draw_weave(config: WovenClothConfig, files: Files) -> tuple[Bool, tuple[Lay, Lay] | None]:
+def read_draft(config: WovenClothConfig, files: Files) -> Draft | None:
+    """The draft that the weave is of, None of any other weave. Raises BadInput."""
+    return read_wif(files.resolve(config.weave.file)) if isinstance(config.weave, WifConfig) else None
+
+
+def fit_draft(config: WovenClothConfig, draft: Draft | None) -> WovenClothConfig:
+    """With as many cells as a draft's yarns take, where the scene does not say how many. Raises BadInput."""
+    weave = config.weave
+    if config.cells is not None or draft is None or not isinstance(weave, WifConfig):
+        return config
+
+    def along(what: str, yarns: Yarns, even: YarnConfig, number: int) -> int:
+        if weave.measured:
+            return max(1, round(float(require_spacing(what, yarns, weave.file).sum()) / config.cell_size))
+        return number * (even.width + even.gap)
+
+    picks, ends = draft.drawdown.shape
+    across, down = along("WARP", draft.warp, config.warp, ends), along("WEFT", draft.weft, config.weft, picks)
+    return config.model_copy(update={"cells": (across, down)})
+
+
+def find_ground(draft: Draft, cells: Cells) -> tuple[Float, Float] | None:
+    """Colours of the yarns by row of weft and by column of warp; None where the draft has none."""
+    if cells.yarns is None or (draft.weft.colour is None and draft.warp.colour is None):
+        return None
+
+    def colours(yarns: Yarns, yarn: Int) -> Float:
+        known = np.array([UNDYED]) if yarns.colour is None else yarns.colour
+        return known[yarn % len(known)]
+
+    return colours(draft.weft, cells.yarns[0]), colours(draft.warp, cells.yarns[1])
+
+
+def draw_weave(config: WovenClothConfig, draft: Draft | None) -> tuple[Bool, tuple[Lay, Lay] | None]:
     """Drawdown (picks, ends), and lays of weft and warp where a file has measured them."""
     weave = config.weave
     if isinstance(weave, TwillConfig):
@@ -90,8 +131,7 @@ def draw_weave(config: WovenClothConfig, files: Files) -> tuple[Bool, tuple[Lay,
         return draw_satin(weave.ends, weave.step, weave.face), None
     if isinstance(weave, MatrixConfig):
         return read_matrix(weave.rows), None
-    if isinstance(weave, WifConfig):
-        draft = read_wif(files.resolve(weave.file))
+    if isinstance(weave, WifConfig) and draft is not None:
         return draft.drawdown, lay_draft(draft, weave.file, config) if weave.measured else None
     return draw_plain(), None
 
@@ -103,17 +143,23 @@ def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Lay, Lay]:
     """
 
     def lay(what: str, yarns: Yarns, cells: int) -> Lay:
-        if yarns.spacing is None:
-            raise BadInput(
-                "the file does not say how far its yarns are apart", file=file, field=f"[{what}] Spacing",
-                remedy="measured: false, and width and gap of the yarns in cells",
-            )  # fmt: skip
-        thickness = yarns.spacing if yarns.thickness is None else np.minimum(yarns.thickness, yarns.spacing)
+        spacing = require_spacing(what, yarns, file)
+        thickness = spacing if yarns.thickness is None else np.minimum(yarns.thickness, spacing)
         if thickness.min() < config.cell_size:
             raise BadInput(
                 "a yarn is finer than a cell", file=file, field="cell_size", value=config.cell_size,
                 limit=f"{thickness.min():g} m, the finest yarn of [{what}]",
             )  # fmt: skip
-        return lay_measured(yarns.spacing, thickness, config.cell_size, cells)
+        return lay_measured(spacing, thickness, config.cell_size, cells)
 
-    return lay("WEFT", draft.weft, config.cells[1]), lay("WARP", draft.warp, config.cells[0])
+    return lay("WEFT", draft.weft, config.extent[1]), lay("WARP", draft.warp, config.extent[0])
+
+
+def require_spacing(what: str, yarns: Yarns, file: str) -> Float:
+    """(n,) from yarn to yarn [m]. Raises BadInput for a file that does not say."""
+    if yarns.spacing is None:
+        raise BadInput(
+            "the file does not say how far its yarns are apart", file=file, field=f"[{what}] Spacing",
+            remedy="measured: false, and width and gap of the yarns in cells",
+        )  # fmt: skip
+    return yarns.spacing

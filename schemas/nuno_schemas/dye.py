@@ -51,6 +51,8 @@ class Cells:
     v_max                        most that a cell holds
     yarns     (ny,) and (nx,)    the yarn in whose pitch a row of weft, or a column of warp, lies, for pictures
     photograph                   of the cloth, for pictures, where there is one
+    ground    (ny, 3), (nx, 3)   colour of the undyed yarns by row of weft and by column of warp, sRGB in [0, 1], for
+                                 pictures; None where nothing says
     """
 
     fibre: Bool
@@ -63,6 +65,7 @@ class Cells:
     v_max: float = 1.0
     yarns: tuple[Int, Int] | None = None
     photograph: Photograph | None = None
+    ground: tuple[Float, Float] | None = None
 
     @property
     def mobile_room(self) -> Float:

@@ -40,6 +40,8 @@ class Layers:
     yarns  (ny,) and (nx,)     the yarn in whose pitch a row of weft, or a column of warp, lies; None where only
                                gaps tell yarns apart
     photograph                 of the cloth, where there is one
+    ground (ny, 3), (nx, 3)    colour of the undyed yarns by row of weft and by column of warp, sRGB in [0, 1]; None
+                               where nothing says
     """
 
     fibre: Bool
@@ -47,6 +49,7 @@ class Layers:
     v_max: float = 1.0
     yarns: tuple[Int, Int] | None = None
     photograph: Photograph | None = None
+    ground: tuple[Float, Float] | None = None
 
 
 class Window(NamedTuple):

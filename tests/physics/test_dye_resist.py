@@ -40,8 +40,8 @@ class Folder:
         return self.root / name
 
 
-def png(path: Path, values: np.ndarray, depth: int, kind: int) -> Path:
-    """A PNG (RFC 2083) of integers (ny, nx, channels), packed by hand."""
+def png(path: Path, values: np.ndarray, depth: int, kind: int, clear: int | None = None) -> Path:
+    """A PNG (RFC 2083) of integers (ny, nx, channels), packed by hand; the grey value `clear` is transparent."""
 
     def chunk(name: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
@@ -53,7 +53,8 @@ def png(path: Path, values: np.ndarray, depth: int, kind: int) -> Path:
         bits += "0" * (-len(bits) % 8)
         rows += b"\0" + bytes(int(bits[i : i + 8], 2) for i in range(0, len(bits), 8))
     header = struct.pack(">IIBBBBB", nx, ny, depth, kind, 0, 0, 0)
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    transparent = b"" if clear is None else chunk(b"tRNS", struct.pack(">H", clear))
+    body = chunk(b"IHDR", header) + transparent + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
     return path
 
@@ -77,6 +78,27 @@ def test_grey_in_colour_channels_and_transparency(tmp_path: Path, kind: int) -> 
     values = channels if kind == 2 else np.concatenate([channels, opacity], axis=2)
     share = grey[..., 0] / 255 * (1.0 if kind == 2 else opacity[..., 0] / 255)
     assert np.abs(read_image(png(tmp_path / "a.png", values, 8, kind), (5, 6)) - share).max() < 1e-15
+
+
+@pytest.mark.parametrize("kind", [2, 4, 6])
+def test_several_channels_of_16_bits_are_read_to_8(tmp_path: Path, kind: int) -> None:
+    """Against white and full opacity, never against the most that the image holds."""
+    rng = np.random.default_rng(kind)
+    grey, opacity = rng.integers(0, 30_000, (5, 6, 1)), rng.integers(0, 30_000, (5, 6, 1))
+    channels = np.tile(grey, 3) if kind != 4 else grey
+    values = channels if kind == 2 else np.concatenate([channels, opacity], axis=2)
+    share = grey[..., 0] / 65535 * (1.0 if kind == 2 else opacity[..., 0] / 65535)
+    assert np.abs(read_image(png(tmp_path / "a.png", values, 16, kind), (5, 6)) - share).max() < 1 / 255
+
+
+@pytest.mark.parametrize("depth", [1, 8, 16])
+def test_a_grey_value_that_is_transparent_keeps_nothing_out(tmp_path: Path, depth: int) -> None:
+    most = 2**depth - 1
+    values = np.array([[[0], [most], [most // 2], [most]]])
+    found = read_image(png(tmp_path / "a.png", values, depth, 0, clear=most), (1, 4))
+    assert found[0].tolist() == [0.0, 0.0, most // 2 / most, 0.0]
+    inverse = read_image(tmp_path / "a.png", (1, 4), invert=True)
+    assert inverse[0].tolist() == [1.0, 0.0, 1.0 - most // 2 / most, 0.0]
 
 
 def test_images_that_cannot_be_used_are_refused_with_both_sizes(tmp_path: Path) -> None:

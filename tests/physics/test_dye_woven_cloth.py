@@ -12,11 +12,14 @@ from pydantic import ValidationError
 
 from nuno_dye.explicit import Explicit
 from nuno_dye.isotherms import Langmuir
+from nuno_dye.picture import YarnsConfig, YarnsPicture
 from nuno_dye.resist import write_image
 from nuno_dye.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.woven_cloth import WovenCloth, WovenClothConfig
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem
+from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.errors import BadInput
+from nuno_schemas.look import DyeColour
 
 DROP = {"kind": "drop", "place": ["1 mm", "1 mm"], "diameter": "0.6 mm"}
 WIF = """[WIF]
@@ -99,6 +102,40 @@ def test_measured_yarns_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "b.wif").write_text(WIF.replace("Spacing=0.04\n", ""))
     with pytest.raises(BadInput, match=r"\[WEFT\] Spacing"):
         build(tmp_path, weave={"plugin": "wif", "file": "b.wif", "measured": True})
+
+
+def test_a_draft_says_how_large_its_cloth_is(tmp_path: Path) -> None:
+    """Two ends 0.5 mm apart and two picks 0.4 mm apart; or, where yarns are so many cells wide, 10 cells each."""
+    (tmp_path / "a.wif").write_text(WIF)
+    for weave, shape in (({"measured": True}, (16, 20)), ({}, (20, 20))):
+        cells, _ = build(tmp_path, cells=None, weave={"plugin": "wif", "file": "a.wif", **weave})
+        assert cells.fibre.shape == (2, *shape)
+        assert np.array_equal(np.unique(cells.yarns[0]), [0, 1]) and np.array_equal(np.unique(cells.yarns[1]), [0, 1])  # type: ignore[index]
+    said, _ = build(tmp_path, cells=[50, 40], weave={"plugin": "wif", "file": "a.wif", "measured": True})
+    assert said.fibre.shape == (2, 40, 50)
+    other, _ = build(tmp_path, cells=None)
+    assert other.fibre.shape == (2, 200, 200)
+
+
+def test_undyed_yarns_have_the_colours_of_the_draft(tmp_path: Path) -> None:
+    """The end of each colour, where it is up; the weft, of which the file says nothing, is white."""
+    table = "[COLOR TABLE]\n1=255,0,0\n2=0,51,102\n[WARP COLORS]\n1=1\n2=2\n"
+    (tmp_path / "a.wif").write_text(WIF + table)
+    cells, state = build(tmp_path, cells=None, weave={"plugin": "wif", "file": "a.wif"})
+    layers = Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, None, cells.ground)
+    dye = DyeColour(light="#808080", mid="#404040", dark="#000000")
+
+    def draw(amounts: np.ndarray, **config: Any) -> np.ndarray:
+        look, plugin = YarnsConfig(texture=None, **config), YarnsPicture()
+        prepared = plugin.prepare(look, Folder(tmp_path), layers, [dye], Window(0, 20, 0, 20), 1)
+        return plugin.draw(prepared, amounts)
+
+    undyed = draw(state.phi)
+    red, blue, white = [255, 0, 0], [0, 51, 102], [255, 255, 255]
+    assert [undyed[5, 5].tolist(), undyed[15, 15].tolist()] == [red, blue] and cells.up[1, 5, 5] and cells.up[1, 15, 15]
+    assert undyed[5, 15].tolist() == undyed[15, 5].tolist() == white
+    assert (draw(np.ones_like(state.phi)) == 0).all(), "dye at its darkest covers any yarn"
+    assert (draw(state.phi, ground="#336699")[5, 5] == [0x33, 0x66, 0x99]).all(), "the scene's own word counts first"
 
 
 def test_resists_leave_the_product_of_their_room_and_drops_fill_it(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
     return [
         (
             "dye cloth" if loaded.scene.moves else "cloth",
-            f"{_object(loaded)}{dyeing.cells.fibre.size:,} cells of {dyeing.cells.size * 1e3:.4g} mm, in two layers",
+            f"{_object(loaded)}{_size(dyeing)}",
         ),
         ("dyes", ", ".join(map(_dye, dyeing.system.dyes))),
         *([("supply", "; ".join(map(_supply, dyeing.supplies.entries)))] if dyeing.supplies.entries else []),
@@ -31,6 +31,12 @@ def _dye(one: Dye) -> str:
     slower = one.weisz_zollinger
     factor = f" x min({slower.cap:g}, {slower.phi0:g} / phi)" if slower is not None else ""
     return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h{factor}, {law})"
+
+
+def _size(dyeing: DyeRun) -> str:
+    _, ny, nx = dyeing.cells.fibre.shape
+    size = dyeing.cells.size * 1e3
+    return f"{nx * size:.4g} mm x {ny * size:.4g} mm: {2 * ny * nx:,} cells of {size:.4g} mm, in two layers"
 
 
 def _object(loaded: Loaded) -> str:

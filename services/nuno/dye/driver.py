@@ -47,6 +47,8 @@ class Driver(Lockstep):
         }
         if cells.yarns is not None:
             arrays |= {"weft_yarn": cells.yarns[0], "warp_yarn": cells.yarns[1]}
+        if cells.ground is not None:
+            arrays |= {"weft_colour": cells.ground[0], "warp_colour": cells.ground[1]}
         if cells.photograph is not None:
             arrays |= {"photograph": cells.photograph.light, "photograph_warp": cells.photograph.warp}
         text = {"scene": self.scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}

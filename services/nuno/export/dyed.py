@@ -14,6 +14,7 @@ from nuno.wire.arrays import BadMessage, decode_arrays
 from nuno_schemas.dye import Cells
 from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
 from nuno_schemas.look import Crop, DyeColour
 from nuno_schemas.look import DyePicture as Look
 from nuno_schemas.plugin import Files
@@ -126,7 +127,7 @@ def painter_of(loaded: Loaded, side: int = PICTURE_SIDE, most: int | None = None
 def check_picture(loaded: Loaded, cells: Cells) -> None:
     """Raises BadInput, before a run, for a picture that could not be drawn after it."""
     painter, (ny, nx) = painter_of(loaded), cells.fibre.shape[1:]
-    layers = Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph)
+    layers = Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph, cells.ground)
     try:
         if painter.object is not None and painter.look.crop is not None:
             problem, remedy = "an object shows all of the cloth that dyes it", "leave crop out"
@@ -153,9 +154,20 @@ def read_layers(payload: bytes) -> tuple[Layers, float]:
         for yarn, cells in zip(yarns or (), fibre.shape[1:], strict=False):
             if yarn.shape != (cells,) or yarn.dtype.kind != "i" or not (yarn.min() >= 0 and yarn.max() <= cells):
                 raise BadMessage(f"yarns of shape {yarn.shape} for {cells} cells side by side")
-        return Layers(fibre, up, v_max, yarns, _photograph(arrays, fibre.shape)), size
+        return Layers(fibre, up, v_max, yarns, _photograph(arrays, fibre.shape), _ground(arrays, fibre.shape)), size
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"not a cloth: {error}") from None
+
+
+def _ground(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> tuple[Float, Float] | None:
+    """Colours of a cloth's yarns in a message. Raises BadMessage for what are none."""
+    if "weft_colour" not in arrays:
+        return None
+    weft, warp = arrays["weft_colour"], arrays["warp_colour"]
+    for colours, cells in zip((weft, warp), shape[1:], strict=True):
+        if colours.shape != (cells, 3) or not ((colours >= 0.0) & (colours <= 1.0)).all():
+            raise BadMessage(f"colours of shape {colours.shape} for {cells} cells side by side")
+    return weft, warp
 
 
 def _photograph(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> Photograph | None:
