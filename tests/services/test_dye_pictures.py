@@ -217,6 +217,20 @@ def test_the_recording_of_a_photograph_needs_no_file_beside_it(tmp_path: Path) -
     assert main(["export", str(path), "--rrd", str(tmp_path / "run.rrd")]) == 0
 
 
+def test_the_colours_of_a_draft_s_yarns_are_recorded(tmp_path: Path) -> None:
+    """Two red ends and two white picks, plainly woven: each shows where it is above."""
+    wif = "[WIF]\n[WEAVING]\nShafts=2\n[WARP]\nThreads=2\nColor=1\n[WEFT]\nThreads=2\n[COLOR TABLE]\n1=255,0,0\n"
+    (tmp_path / "draft.wif").write_text(wif + "[THREADING]\n1=1\n2=2\n[LIFTPLAN]\n1=1\n2=2\n")
+    cloth = {"plugin": "woven", "weave": {"plugin": "wif", "file": "draft.wif"}, "tau3": {"I": 1, "II": 1, "III": 1}}
+    scene = write_scene(tmp_path, cloth=cloth, picture={"texture": None})
+    path = nuno.run(scene, record=tmp_path / "run.mcap").path
+    seen = export(path, "--scale", "1")
+    assert seen.shape == (20, 20, 3)
+    assert [seen[y, x].tolist() for y in (5, 15) for x in (5, 15)] == [
+        [255, 0, 0], [255, 255, 255], [255, 255, 255], [255, 0, 0],
+    ]  # fmt: skip
+
+
 def test_a_caption_tells_the_time_of_the_dyeing(tmp_path: Path) -> None:
     scene = write_scene(tmp_path, speed="1 min/s", solver="explicit", picture={"scale": 40})
     path = nuno.run(scene, record=tmp_path / "run.mcap").path
