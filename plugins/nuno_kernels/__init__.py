@@ -1,8 +1,9 @@
 """Compiled functions that plugins share: springs, hinges, contact, the acceleration.
 
 Kernels see one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when
-only a callee in another module changes, so its folder carries a hash of all kernel sources,
-the compile flags and the versions; it is set here, before any function is decorated.
+only a callee in another module changes, so its folder carries a hash of the sources of the solvers'
+packages, the compile flags and the versions; it is set here, before any function is decorated. Kernels of
+other packages are known by all that they reach beside, see `nuno_kernels.reached`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from nuno_kernels.kept import keep
+from nuno_kernels.reached import SOLVERS
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -36,21 +38,15 @@ def _cache_folder() -> Path:
             (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3], sorted(FLAGS.items()))
         ).encode()
     )
-    for folder in (here, *(here.parent / name for name in ("nuno_integrators", "nuno_dye", "nuno_wrinkle"))):
-        for source in sorted(folder.glob("*.py")):
+    for package in SOLVERS:
+        for source in sorted((here.parent / package).glob("*.py")):
             digest.update(source.name.encode() + b"\0" + source.read_bytes())
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return root / "nuno" / "kernels" / digest.hexdigest()[:16]
 
 
 CACHE = _cache_folder()
-_COLD = not any(CACHE.glob("**/*.nbi")) if CACHE.is_dir() else True
 numba.config.CACHE_DIR = str(CACHE)
-
-
-def cache_is_cold() -> bool:
-    """Whether this version's kernels had never been compiled here when this process started."""
-    return _COLD
 
 
 def kernel(function: F) -> F:

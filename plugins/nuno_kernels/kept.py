@@ -1,7 +1,9 @@
-"""Compiled kernels kept between runs: checked when they are read, and done without where that is not to be had.
+"""Compiled kernels kept between runs: keyed by all that they reach, checked when they are read, and done without where
+that is not to be had.
 
-By itself numba fails a run for good where one of its files was cut short (a power cut, a full disk), fails it where one
-cannot be written, and where the folder cannot be made turns to others, in which kernels go stale.
+By itself numba runs old code where a callee or a constant of another module has changed, fails a run for good where one
+of its files was cut short (a power cut, a full disk), fails it where one cannot be written, and where the folder cannot
+be made turns to others.
 """
 
 from __future__ import annotations
@@ -16,7 +18,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from numba.core import dispatcher as numba_dispatcher
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+from nuno_kernels.reached import digest_of
 
 LOGGER = logging.getLogger("nuno.kernels")
 CHECKSUM = 16
@@ -49,6 +54,14 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         stamp = self._impl.locator.get_source_stamp()
         self._cache_file = _Files(self._cache_path, self._impl.filename_base, stamp)
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """See numba, which compiles what is not found, and saves it: of what was reached before."""
+        self._reached = digest_of(self._py_func)
+        return super().load_overload(sig, target_context)
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return (*super()._index_key(sig, codegen), self._reached)
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """See numba; a kernel that cannot be kept is compiled again by the next run."""
         try:
@@ -60,10 +73,14 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             _say(self._cache_path, str(error.strerror))
 
 
+# What third parties compile with numba's own `cache=True` is kept in the same folder, and calls kernels, too.
+numba_dispatcher.FunctionCache = _Cache  # type: ignore[attr-defined]
+
+
 def keep(dispatcher: Any, folder: Path) -> Any:
     """The same compiled function, kept in numba's present folder, which is `folder`."""
     if _can_be_written(folder):
-        dispatcher._cache = _Cache(dispatcher.py_func)
+        dispatcher.enable_caching()
     return dispatcher
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ from typing import Any
 import numba
 import pytest
 
+from nuno_kernels import reached
 from nuno_kernels.kept import CHECKSUM, keep
 
 
@@ -76,3 +79,80 @@ def test_a_full_disk_costs_the_keeping_alone(
     monkeypatch.setattr(kernel._cache._cache_file, "save", fail)
     assert used(kernel) == 0
     assert "No space left on device" in caplog.text
+
+
+CALLER = """\
+import helper
+from helper import *
+from nuno_kernels import kernel
+@{compiler}
+def force(x):
+    return {body}
+"""
+HELPERS = {
+    "compiled": ("pull(x)", "@numba.njit\ndef pull(x): return {} * x"),
+    "kept": ("pull(x)", "@numba.njit(cache=True)\ndef pull(x): return {} * x"),
+    "shared source": ("pull(x)", "@numba.extending.register_jitable\ndef pull(x): return {} * x"),
+    "two calls away": (
+        "pull(x)",
+        "@numba.njit\ndef drag(x): return {} * x\n@numba.njit\ndef pull(x, law=0): return drag(x)",
+    ),
+    "attribute": ("helper.pull(x)", "@numba.njit\ndef pull(x): return {} * x"),
+    "ufunc": ("pull(x)", "@numba.vectorize\ndef pull(x): return {} * x"),
+    "constant": ("K * x", "K = {}.0"),
+    "constant by attribute": ("helper.K * x", "K = {}.0"),
+    "array": ("K[1] * x", "K = np.array([0.0, {}])"),
+    "tuple": ("K[1][0] * x", "K = (0.0, ({}.0,))"),
+    "kind": ("K.A.value * x", "import enum\nclass K(enum.IntEnum):\n    A = {}"),
+    "closure": (
+        "pull(x)",
+        "def make(k):\n    @numba.njit\n    def pull(x): return k * x\n    return pull\npull = make({})",
+    ),
+    "default": ("pull(x)", "@numba.njit\ndef pull(x, k={}): return k * x"),
+    "read": ("K * x", "import pathlib\nK = float(pathlib.Path(__file__).with_name('k.txt').read_text())"),
+    "overload": (
+        "pull(x)",
+        "def pull(x): pass\n@numba.extending.overload(pull)\ndef compile_pull(x): return lambda x: {} * x",
+    ),
+}
+
+
+class Package:
+    """A caller and, in another folder, what it calls."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self.monkeypatch = folder, monkeypatch
+        monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder / "kernels"))
+        for name in ("caller", "helper"):
+            (folder / name).mkdir()
+            monkeypatch.syspath_prepend(str(folder / name))
+
+    def force(self, kind: str, value: int, compiler: str) -> Any:
+        """The caller's compiled function as a new process has it."""
+        body, helper = HELPERS[kind]
+        (self.folder / "helper" / "k.txt").write_text(str(value))
+        texts = {"helper": "import numba\nimport numpy as np\n" + helper.replace("{}", str(value))}
+        texts["caller"] = "import numba\n" + CALLER.format(compiler=compiler, body=body)
+        for name, text in texts.items():
+            path = self.folder / name / f"{name}.py"
+            if not path.exists() or path.read_text() != text:  # an untouched file keeps its time
+                path.write_text(text)
+            self.monkeypatch.delitem(sys.modules, name, raising=False)
+        self.monkeypatch.setattr(sys, "dont_write_bytecode", True)
+        reached._sources.cache_clear()
+        importlib.invalidate_caches()
+        return importlib.import_module("caller").force
+
+
+@pytest.mark.parametrize(
+    ("kind", "compiler"), [*((kind, "kernel") for kind in HELPERS), ("compiled", "numba.njit(cache=True)")]
+)
+def test_what_a_kernel_reaches_in_another_module_is_never_stale(
+    kind: str, compiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The caller's file is untouched, which is all that numba by itself looks at; nothing changed is found kept."""
+    package = Package(tmp_path, monkeypatch)
+    for value, hits in ((2, 0), (2, 1), (7, 0), (7, 1)):
+        force = package.force(kind, value, compiler)
+        assert force(1.5) == 1.5 * value
+        assert sum(force.stats.cache_hits.values()) == hits
