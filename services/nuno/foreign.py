@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno import contain
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import BodyShape, Mover, Term
@@ -20,9 +21,9 @@ from nuno_schemas.plugin import BodyShape, Mover, Term
 class Foreign:
     """Stands for a plugin; every method of it is guarded.
 
-    A method may raise BadInput and RunFailed; anything else, SystemExit too, becomes RunFailed with the plugin's name.
-    How NumPy treats errors is as it was afterwards. Values that are not finite are found in what `build` gives, in
-    what a force adds and in the state after `advance`, and the first vertex is named.
+    A method may raise BadInput and RunFailed; anything else, KeyboardInterrupt too where no signal came, becomes
+    RunFailed with the plugin's name; see `nuno.contain` for what else it cannot do. Values that are not finite are
+    found in what `build` gives, in what a force adds and in the state after `advance`, and the first vertex is named.
     """
 
     def __init__(self, plugin: Any, group: str, name: str, package: str) -> None:
@@ -46,13 +47,12 @@ class Foreign:
         return call
 
     def _call(self, name: str, method: Callable[..., Any], *args: Any, **named: Any) -> Any:
-        try:
-            with np.errstate():
-                return method(*args, **named)
-        except (BadInput, RunFailed):
-            raise
-        except (Exception, SystemExit) as error:
-            raise RunFailed(f"{self._who} failed in {name}: {type(error).__name__}: {error}") from error
+        def fail(error: BaseException) -> BaseException:
+            if isinstance(error, BadInput | RunFailed):
+                return error
+            return RunFailed(f"{self._who} failed in {name}: {type(error).__name__}: {error}")
+
+        return contain.call(fail, method, *args, **named)
 
     def _checked(self, name: str, found: Any) -> Any:
         """What a method gave, looked at, and its own functions guarded in turn."""

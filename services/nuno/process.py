@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from os import _exit  # as it is before a plugin is refused it
 from types import FrameType
 from typing import NoReturn
 
@@ -81,6 +82,23 @@ def _count_signals(source: int, after: int) -> None:
         if seen >= after:
             os.write(2, b"ended at once\n")
             os._exit(1)
+
+
+def _fail() -> None:
+    os.write(2, b"failed: compiled code has ended the process (exit, or STOP in Fortran)\n")
+    _exit(1)
+
+
+_FAIL = ctypes.CFUNCTYPE(None)(_fail)
+
+
+def fail_on_exit() -> None:
+    """Have C's exit(), which compiled code of a plugin may call with code 0 in the middle of a run, end with code 1.
+
+    The `nuno` command itself ends by `leave`, without it.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        getattr(ctypes.CDLL(None), "__cxa_atexit")(_FAIL, None, None)
 
 
 def leave(code: int) -> NoReturn:

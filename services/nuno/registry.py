@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
+from nuno import contain
 from nuno.foreign import Foreign
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import GROUPS
@@ -63,16 +64,17 @@ def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
             value=owners,
             remedy=f"uninstall one of them: pip uninstall {distribution(foreign)}",
         )
-    try:
-        plugin = point.load()()
-    except (Exception, SystemExit) as error:
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        raise BadInput(
-            f"the plugin {name!r} of {package(point)} cannot be imported: {type(error).__name__}: {error}",
-            value=f"{point.value}, {last.filename}:{last.lineno}",
-            remedy="reinstall or remove that package; `nuno plugins` lists what is installed",
-        ) from error
+    plugin = contain.call(partial(_not_imported, name, point), lambda: point.load()())
     return plugin if is_own(point) else Foreign(plugin, group, name, package(point))
+
+
+def _not_imported(name: str, point: EntryPoint, error: BaseException) -> BadInput:
+    places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != contain.__file__]
+    return BadInput(
+        f"the plugin {name!r} of {package(point)} cannot be imported: {type(error).__name__}: {error}",
+        value=f"{point.value}, {places[-1].filename}:{places[-1].lineno}",
+        remedy="reinstall or remove that package; `nuno plugins` lists what is installed",
+    )
 
 
 def package_version(group: str, name: str) -> str:

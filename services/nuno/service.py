@@ -170,7 +170,7 @@ def run_service(
     except KeyboardInterrupt:
         context.event("error", "interrupted")
         raise
-    except Exception as error:
+    except BaseException as error:
         context.event("error", f"{type(error).__name__}: {error}", trace=traceback.format_exc())
         raise
     finally:

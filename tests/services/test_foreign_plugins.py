@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -84,6 +87,9 @@ def test_a_name_that_two_packages_claim_is_refused_and_hinders_no_other(
     [
         ("import nowhere_at_all\n", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("raise SystemExit(3)\n", "SystemExit: 3"),
+        ("raise BaseException('no')\n", "BaseException: no"),
+        ("raise KeyboardInterrupt\n", "KeyboardInterrupt: "),
+        ("import os\nos._exit(0)\n", r"SystemExit: os\._exit\(0\)"),
         ("class Other: pass\n", "AttributeError: .*has no attribute 'Push'"),
         ("class Push:\n    def __init__(self): 1 / 0\n", "ZeroDivisionError: division by zero"),
     ],
@@ -95,7 +101,16 @@ def test_one_that_cannot_be_imported_is_named_with_its_package_and_line(
     with pytest.raises(BadInput, match=f"'push' of broken 1.2 cannot be imported: {words}") as refusal:
         registry.load("nuno.forces", "push")
     assert str(refusal.value.value).startswith("broken:Push, ")
+    assert "broken.py:" in str(refusal.value.value) or code.startswith("class Other")
     assert registry.load("nuno.forces", "wind").name == "wind"
+
+
+def test_the_users_own_interrupt_of_an_import_is_no_fault_of_the_plugin(packages: Packages) -> None:
+    packages.add("slow", "import signal\nsignal.raise_signal(signal.SIGINT)\n" + force(), "push = slow:Push")
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        registry.load("nuno.forces", "push")
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_an_unknown_name_is_answered_with_where_was_looked(packages: Packages) -> None:
@@ -142,6 +157,8 @@ def test_a_force_is_not_to_blame_for_what_came_before_it(packages: Packages) -> 
 LATE = {
     "nan": (force("out[3, 1] = np.nan if t > 0.03 else 0.0"), "s its force is nan at row 3"),
     "raise": (force("if t > 0.03: raise ValueError('no')"), "failed in its force: ValueError: no"),
+    "interrupt": (force("if t > 0.03: raise KeyboardInterrupt"), "failed in its force: KeyboardInterrupt"),
+    "generator": (force("if t > 0.03: raise GeneratorExit"), "failed in its force: GeneratorExit"),
 }
 
 
@@ -163,6 +180,43 @@ def test_a_run_ends_at_the_frame_that_fails_and_keeps_its_recording(
         events = [recording.json(m.payload) for m in recording.messages([f"{EVENT.name}/simulation"])]
     (error,) = (event for event in events if event["kind"] == "error")
     assert fault == "nan" or "pushing.py" in error["args"]["trace"]
+
+
+@pytest.mark.parametrize("place", ["push", "prepare"])
+def test_one_that_leaves_the_folder_leaves_the_recording_where_it_was_asked_for(
+    packages: Packages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    packages.add("pushing", "import os\n" + force(**{place: "os.chdir('/')"}), "push = pushing:Push")
+    scene = write_scene(tmp_path, forces=[{"plugin": "push"}], duration=0.1)
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", str(scene), "--no-view", "--record", "run.mcap"]) == 0
+    assert Path.cwd() == tmp_path
+    with nuno.open(tmp_path / "run.mcap") as recording:
+        assert recording.complete
+
+
+ENDS = {
+    "python": ("import os\n", "os._exit(0)", "pushing 1.2 in nuno.forces failed in its force: SystemExit: os._exit(0)"),
+    "compiled": ("import ctypes\n", "ctypes.CDLL(None).exit(0)", "failed: compiled code has ended the process"),
+}
+
+
+@pytest.mark.parametrize("way", ENDS)
+def test_one_that_ends_the_process_does_not_end_it_as_done(packages: Packages, tmp_path: Path, way: str) -> None:
+    """Exit code 0 says that there is a recording, whoever asks for it."""
+    head, end, words = ENDS[way]
+    packages.add("pushing", head + force(f"if t > 0.03: {end}"), "push = pushing:Push")
+    scene = write_scene(tmp_path, forces=[{"plugin": "push"}], duration=0.1)
+    command = [sys.executable, "-m", "nuno", "run", str(scene), "--no-view", "--record", "run.mcap"]
+    path = os.environ | {"PYTHONPATH": str(packages.folder / "pushing")}
+    ended = subprocess.run(command, cwd=tmp_path, env=path, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 1
+    assert words in ended.stderr
+    if way == "python":
+        with nuno.open(tmp_path / "run.mcap") as recording:
+            assert not recording.complete and len(list(recording.frames())) > 1
+    else:
+        assert not (tmp_path / "run.mcap").exists()
 
 
 def test_how_numpy_treats_errors_stays_as_it_was(packages: Packages) -> None:

@@ -52,7 +52,11 @@ def command() -> NoReturn:
     process.return_large_arrays()
     process.collect_rarely()
     process.end_when_terminated()
-    process.leave(main())
+    process.fail_on_exit()
+    try:
+        process.leave(main())
+    except SystemExit as end:  # of --help
+        process.leave(int(end.code or 0))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

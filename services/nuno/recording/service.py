@@ -36,7 +36,8 @@ def main(context: Context) -> None:
     if path is None:
         raise BadInput("the recorder needs a file", field="--record", remedy="name one: --record FILE")
     inbox = Inbox(context.bus, [ALL])
-    writer = RecordingWriter(path, describe_run(context.loaded, context.bus.run), assets(context.loaded))
+    # Whatever a plugin may make of the working folder, which all threads share, the file is closed where it was begun.
+    writer = RecordingWriter(path.absolute(), describe_run(context.loaded, context.bus.run), assets(context.loaded))
     if context.options.resume is not None:
         try:
             with open_recording(context.options.resume) as before:
@@ -126,7 +127,7 @@ class Recorder:
         path = self._writer.finish({END: end})
         size = path.stat().st_size
         return {
-            "file": str(path),
+            "file": str(self._context.options.record),
             "messages": sum(counts.values()),
             "counts": {topic: self._written(topic) for topic in counts},
             "payload_bytes": self._writer.bytes,

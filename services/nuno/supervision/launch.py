@@ -35,7 +35,7 @@ def threads(
             over[name] = ""
         except (BadInput, RunFailed) as error:
             over[name] = str(error)
-        except Exception as error:
+        except BaseException as error:  # whatever it is, the supervisor waits for a word
             over[name] = f"{type(error).__name__}: {error}"
 
     threads = [threading.Thread(target=body, args=(name,), name=name, daemon=True) for name in plan.services]

@@ -1,0 +1,97 @@
+"""Calls of other distributions' code, which may do what no plugin may: contained, so that it is said who it was."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from os import _exit
+from types import FrameType
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+_inside = threading.local()
+
+
+def call(fail: Callable[[BaseException], BaseException], function: Callable[..., T], *args: Any, **named: Any) -> T:
+    """What `function` gives. Raises `fail(error)` for whatever it raises, but the user's own Ctrl-C or SIGTERM.
+
+    `os._exit` in it raises SystemExit, instead of ending the process with any exit code it likes; the working folder
+    and how NumPy treats errors are as they were afterwards.
+    """
+    with np.errstate(), _same_folder(), _staying(), _signals() as came:
+        try:
+            return function(*args, **named)
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt) and came:
+                raise
+            failure = fail(error)
+            if failure is error:
+                raise
+            raise failure from error
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[list[int]]:
+    """The signals that have come meanwhile: a KeyboardInterrupt without any is not the user's.
+
+    Python handles signals in the main thread alone.
+    """
+    came: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {n: known for n in (signal.SIGINT, signal.SIGTERM) if callable(known := signal.getsignal(n))}
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        before[number](number, frame)
+
+    for number in before:
+        signal.signal(number, note)
+    try:
+        yield came
+    finally:
+        for number, known in before.items():
+            if signal.getsignal(number) is note:
+                signal.signal(number, known)
+
+
+@contextlib.contextmanager
+def _same_folder() -> Iterator[None]:
+    """Put back the working folder, which all threads share."""
+    before = _folder()
+    try:
+        yield
+    finally:
+        if before and _folder() != before:
+            os.chdir(before)
+
+
+def _folder() -> str:
+    try:
+        return os.getcwd()
+    except FileNotFoundError:  # it has been removed
+        return ""
+
+
+@contextlib.contextmanager
+def _staying() -> Iterator[None]:
+    """Have `os._exit` refused to this thread; it stays what it is for others, and for processes that are forked."""
+    os._exit = _refuse_exit
+    before = getattr(_inside, "process", None)
+    _inside.process = os.getpid()
+    try:
+        yield
+    finally:
+        _inside.process = before
+
+
+def _refuse_exit(status: int) -> NoReturn:
+    if getattr(_inside, "process", None) == os.getpid():
+        raise SystemExit(f"os._exit({status})")
+    _exit(status)
