@@ -5,29 +5,37 @@ The project's own plugins are held to their contract by its tests, and pay for n
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import logging
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nuno import contain
+from nuno.handed import check, check_turn, doubts
+from nuno.wrong import Wrong, check_array
+from nuno_schemas.dye import DyeState, Isotherm
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import BodyShape, Mover, Term
+from nuno_schemas.fabric import Float, State
+from nuno_schemas.plugin import Mover, Term
+
+LOGGER = logging.getLogger("nuno.plugins")
+ARRAYS: dict[type, tuple[str, ...]] = {State: ("x", "v"), DyeState: ("phi", "fixed")}
+"""What a solver advances in place."""
 
 
 class Foreign:
     """Stands for a plugin; every method of it is guarded.
 
     A method may raise BadInput and RunFailed; anything else, KeyboardInterrupt too where no signal came, becomes
-    RunFailed with the plugin's name; see `nuno.contain` for what else it cannot do. Values that are not finite are
-    found in what `build` gives, in what a force adds and in the state after `advance`, and the first vertex is named.
+    RunFailed with the plugin's name; see `nuno.contain` for what else it cannot do. What it gives is held against the
+    layout of its kind (`nuno.handed`), and so are the state after `advance` and what its functions give.
     """
 
     def __init__(self, plugin: Any, group: str, name: str, package: str) -> None:
-        self._plugin, self._who = plugin, f"the plugin {name!r} of {package} in {group}"
+        self._plugin, self._group, self._who = plugin, group, f"the plugin {name!r} of {package} in {group}"
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # what Python asks of an object that is being copied
@@ -37,12 +45,14 @@ class Foreign:
 
     def _guarded(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **named: Any) -> Any:
-            known = [(state, state.x.shape, state.v.shape) for state in args if isinstance(state, State)]
+            known = [(state, {n: getattr(state, n).shape for n in ARRAYS[type(state)]})
+                     for state in args if type(state) in ARRAYS]  # fmt: skip
             found = self._call(name, method, *args, **named)
-            for state, *shapes in known:
-                for array, shape in zip((state.x, state.v), shapes, strict=True):
-                    self._check(array, f"{name} leaves a state", shape, finite=getattr(found, "status", "ok") == "ok")
-            return self._checked(name, found)
+            for state, shapes in known:
+                for field, shape in shapes.items():
+                    finite = getattr(found, "status", "ok") == "ok"
+                    self._check(f"{name} leaves a state whose {field}", getattr(state, field), shape, finite)
+            return self._checked(name, found, args)
 
         return call
 
@@ -54,21 +64,26 @@ class Foreign:
 
         return contain.call(fail, method, *args, **named)
 
-    def _checked(self, name: str, found: Any) -> Any:
+    def _checked(self, name: str, found: Any, args: Sequence[Any]) -> Any:
         """What a method gave, looked at, and its own functions guarded in turn."""
-        if isinstance(found, Fabric):
-            for field in ("position", "velocity", "mass"):
-                values = getattr(found, field)
-                self._check(values, f"{name} gives a fabric whose {field}", (len(found.position), 3)[: values.ndim])
-        elif isinstance(found, Term) and found.kind == "python":
+        with self._named(f"{name} gives {type(found).__name__}"):
+            check(self._group, name, found, args)
+        for doubt in doubts(found):
+            LOGGER.warning("%s: %s gives %s: %s", self._who, name, type(found).__name__, doubt)
+        if isinstance(found, Term) and found.kind == "python":
             return replace(found, data=self._force(found.data))  # type: ignore[arg-type]
-        elif isinstance(found, Mover):
+        if isinstance(found, Mover):
             return replace(found, pose=lambda t: self._pose(found, t))
-        elif isinstance(found, BodyShape):
-            for field in ("a", "b", "vertices"):
-                values = getattr(found, field)
-                self._check(values, f"{name} gives a body whose {field}", (len(values), 3))
+        if isinstance(found, Isotherm) and found.function is not None:
+            return replace(found, function=self._law(found.function))
         return found
+
+    @contextlib.contextmanager
+    def _named(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except Wrong as error:
+            raise RunFailed(f"{self._who}: {what}: {error}") from None
 
     def _force(self, function: Callable[[Float, Float, float, Float], None]) -> Callable[..., None]:
         def add(x: Float, v: Float, t: float, out: Float) -> None:
@@ -77,22 +92,32 @@ class Foreign:
             if not np.isfinite(out).all() and np.isfinite(x).all() and np.isfinite(v).all():
                 own = np.zeros_like(out)
                 self._call("its force", function, x, v, t, own)
-                self._check(own, f"at {t:g} s its force", out.shape)
+                self._check(f"at {t:g} s its force", own, out.shape)
 
         return add
+
+    def _law(self, function: Callable[[Float, Float], Float]) -> Callable[[Float, Float], Float]:
+        def fixed(phi: Float, room: Float) -> Float:
+            found: Float = self._call("its isotherm", function, phi, room)
+            self._check("its isotherm", found, phi.shape, bool(np.isfinite(phi).all()))
+            return found
+
+        return fixed
 
     def _pose(self, mover: Mover, t: float) -> tuple[Float, Float]:
         rotation, translation = self._call("its pose", mover.pose, t)
         number = len(mover.joints)
-        self._check(rotation, f"at {t:g} s its rotation", (number, 4))
-        self._check(translation, f"at {t:g} s its translation", (number, 3))
+        self._check(f"at {t:g} s its rotation", rotation, (number, 4), strided=True)
+        self._check(f"at {t:g} s its translation", translation, (number, 3), strided=True)
+        with self._named(f"at {t:g} s"):
+            check_turn(rotation)
         return rotation, translation
 
-    def _check(self, values: NDArray[Any], what: str, shape: tuple[int, ...], finite: bool = True) -> None:
+    def _check(
+        self, what: str, values: Any, shape: tuple[int, ...], finite: bool = True, strided: bool = False
+    ) -> None:
         """Raises RunFailed for another shape or dtype, and values that are not finite."""
-        if not isinstance(values, np.ndarray) or values.dtype != np.float64 or values.shape != shape:
-            given = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
-            raise RunFailed(f"{self._who}: {what} is {given}, not float64 {shape}")
-        if finite and not np.isfinite(values).all():
-            place = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-            raise RunFailed(f"{self._who}: {what} is {values[place]} at row {place[0]}")
+        try:
+            check_array(what, values, np.float64, shape, finite=finite, strided=strided)
+        except Wrong as error:
+            raise RunFailed(f"{self._who}: {error}") from None

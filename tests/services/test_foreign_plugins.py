@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foreign_packages import Packages, packages
 from scenes import write_scene
 
 import nuno
@@ -24,10 +25,8 @@ from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import State
 from nuno_schemas.messages import EVENT, FrameStatus
 
-HEAD = """\
-import numpy as np
-from nuno_schemas.plugin import Config, Mover, Term
-"""
+__all__ = ["packages"]
+
 FORCE = """\
 class Push:
     name = "push"
@@ -38,29 +37,6 @@ class Push:
 def push(x, v, t, out):
     {push}
 """
-
-
-class Packages:
-    """Distributions in folders of their own, found as installed ones are."""
-
-    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.folder, self.monkeypatch = folder, monkeypatch
-
-    def add(self, name: str, code: str, *points: str, group: str = "nuno.forces") -> None:
-        """A distribution whose only module is of its own name; `points` are lines `name = module:class`."""
-        place = self.folder / name
-        about = place / f"{name}-1.2.dist-info"
-        about.mkdir(parents=True)
-        (place / f"{name}.py").write_text(HEAD + code)
-        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
-        (about / "entry_points.txt").write_text("\n".join([f"[{group}]", *points]) + "\n")
-        self.monkeypatch.syspath_prepend(str(place))
-        self.monkeypatch.delitem(sys.modules, name, raising=False)
-
-
-@pytest.fixture
-def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Packages:
-    return Packages(tmp_path / "packages", monkeypatch)
 
 
 def force(push: str = "pass", prepare: str = "pass") -> str:
@@ -227,9 +203,9 @@ def test_how_numpy_treats_errors_stays_as_it_was(packages: Packages) -> None:
 
 
 STEPS = {
-    "nan": ("state.x[4, 2] = np.nan", "leaves a state is nan at row 4"),
-    "shape": ("state.x = state.x[:-1]", r"leaves a state is float64 \(5, 3\), not float64 \(6, 3\)"),
-    "dtype": ("state.v = state.v.astype(np.float32)", r"leaves a state is float32 \(6, 3\)"),
+    "nan": ("state.x[4, 2] = np.nan", "leaves a state whose x is nan at row 4"),
+    "shape": ("state.x = state.x[:-1]", r"leaves a state whose x is float64 \(5, 3\), not float64 \(6, 3\)"),
+    "dtype": ("state.v = state.v.astype(np.float32)", r"leaves a state whose v is float32 \(6, 3\)"),
 }
 
 
