@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from nuno import contain
-from nuno.handed import check, check_turn, doubts
+from nuno.handed import CHECKS, check, check_turn, doubts
 from nuno.wrong import Wrong, check_array
 from nuno_schemas.dye import DyeState, Isotherm
 from nuno_schemas.errors import BadInput, RunFailed
@@ -36,10 +36,14 @@ class Foreign:
 
     def __init__(self, plugin: Any, group: str, name: str, package: str) -> None:
         self._plugin, self._group, self._who = plugin, group, f"the plugin {name!r} of {package} in {group}"
+        self.name = name  # a scene and its recording know it by the entry point
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # what Python asks of an object that is being copied
             raise AttributeError(name)
+        if not hasattr(self._plugin, name) and (name == "Config" or (self._group, name) in CHECKS):
+            remedy = "its package is not of this version's plugin protocol: update it, or write to its maker"
+            raise BadInput(f"{self._who} has no {name}", remedy=remedy)
         value = getattr(self._plugin, name)
         return self._guarded(name, value) if callable(value) and not isinstance(value, type) else value
 

@@ -100,6 +100,27 @@ def test_an_unknown_name_is_answered_with_where_was_looked(packages: Packages) -
     assert "nuno.integrators has one" in str(refusal.value.limit)
 
 
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("class Push:\n    name = 'push'\n", "the plugin 'push' of pushing 1.2 in nuno.forces has no Config"),
+        (force().replace("prepare", "other"), "the plugin 'push' of pushing 1.2 in nuno.forces has no prepare"),
+        (
+            force().replace("Config = Config", "class Config(Config):\n        def __init__(self, **given): {}['k']"),
+            "the configuration of 'push' cannot be read: KeyError: 'k'",
+        ),
+    ],
+)
+def test_one_that_lacks_what_its_kind_owes_is_named(
+    packages: Packages, tmp_path: Path, capsys: pytest.CaptureFixture[str], code: str, words: str
+) -> None:
+    packages.add("pushing", code, "push = pushing:Push")
+    scene = write_scene(tmp_path, forces=[{"plugin": "push"}], duration=0.1)
+    assert main(["plan", str(scene)]) == 2
+    said = capsys.readouterr().err
+    assert words in said and "forces[0]" in said
+
+
 FAULTS = {
     "prepare": (force(prepare="raise KeyError('k')"), "failed in prepare: KeyError: 'k'"),
     "exit": (force(prepare="raise SystemExit(0)"), "failed in prepare: SystemExit: 0"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -288,9 +287,8 @@ def _prepared(
     loaded: Loaded, field: str, chosen: Chosen, *args: object, fields: Mapping[str, str] = MappingProxyType({})
 ) -> Term:
     """A plugin's term; an error is about `field`, or the one of `fields` that it names the body of."""
-    prepare = partial(chosen.plugin.prepare, chosen.config)
     try:
-        term: Term = prepare(*args)
+        term: Term = chosen.plugin.prepare(chosen.config, *args)
     except BadInput as error:
         raise loaded.at(fields.get(error.field or "", field), error) from None
     return term

@@ -217,6 +217,11 @@ def choose_plugin(
     except ValidationError as error:
         beside = tuple(type(choice).model_fields)
         raise explain(error, choice.config, place, file, lines, plugin.Config, beside) from None
+    except BadInput as error:
+        raise located(error, file, lines, dotted((*place, "plugin"))) from None
+    except Exception as error:  # of a validator of another distribution: pydantic lets most pass
+        problem = f"the configuration of {choice.plugin!r} cannot be read: {type(error).__name__}: {error}"
+        raise located(BadInput(problem), file, lines, dotted(place)) from error
 
 
 def choose_operation(
