@@ -7,15 +7,14 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from os import _exit
 from types import FrameType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-T = TypeVar("T")
+from nuno.process import refusing_exit
 
-_inside = threading.local()
+T = TypeVar("T")
 
 
 def call(fail: Callable[[BaseException], BaseException], function: Callable[..., T], *args: Any, **named: Any) -> T:
@@ -24,7 +23,7 @@ def call(fail: Callable[[BaseException], BaseException], function: Callable[...,
     `os._exit` in it raises SystemExit, instead of ending the process with any exit code it likes; the working folder
     and how NumPy treats errors are as they were afterwards.
     """
-    with np.errstate(), _same_folder(), _staying(), _signals() as came:
+    with np.errstate(), _same_folder(), refusing_exit(), _signals() as came:
         try:
             return function(*args, **named)
         except BaseException as error:
@@ -77,21 +76,3 @@ def _folder() -> str:
         return os.getcwd()
     except FileNotFoundError:  # it has been removed
         return ""
-
-
-@contextlib.contextmanager
-def _staying() -> Iterator[None]:
-    """Have `os._exit` refused to this thread; it stays what it is for others, and for processes that are forked."""
-    os._exit = _refuse_exit
-    before = getattr(_inside, "process", None)
-    _inside.process = os.getpid()
-    try:
-        yield
-    finally:
-        _inside.process = before
-
-
-def _refuse_exit(status: int) -> NoReturn:
-    if getattr(_inside, "process", None) == os.getpid():
-        raise SystemExit(f"os._exit({status})")
-    _exit(status)

@@ -10,12 +10,19 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from os import _exit  # as it is before a plugin is refused it
 from types import FrameType
 from typing import NoReturn
 
 M_MMAP_THRESHOLD = -3
 LARGE = 1 << 20
+
+
+end_process = os._exit
+"""End the process at once, as nobody else may once `os._exit` is refused."""
+
+_refused = threading.local()
+_command: int | None = None
+"""The process of the `nuno` command."""
 
 
 def return_large_arrays() -> None:
@@ -81,12 +88,12 @@ def _count_signals(source: int, after: int) -> None:
         seen += sum(number in (signal.SIGINT, signal.SIGTERM) for number in numbers)
         if seen >= after:
             os.write(2, b"ended at once\n")
-            os._exit(1)
+            end_process(1)
 
 
 def _fail() -> None:
     os.write(2, b"failed: compiled code has ended the process (exit, or STOP in Fortran)\n")
-    _exit(1)
+    end_process(1)
 
 
 _FAIL = ctypes.CFUNCTYPE(None)(_fail)
@@ -101,6 +108,31 @@ def fail_on_exit() -> None:
         getattr(ctypes.CDLL(None), "__cxa_atexit")(_FAIL, None, None)
 
 
+def refuse_exit() -> None:
+    """Have `os._exit` raise SystemExit in all of this process, the command's: in threads that plugins start, too."""
+    global _command
+    _command = os.getpid()
+    os._exit = _refuse_exit
+
+
+@contextlib.contextmanager
+def refusing_exit() -> Iterator[None]:
+    """Have `os._exit` raise SystemExit in this thread; it stays what it is for others, and for forked processes."""
+    os._exit = _refuse_exit
+    before = getattr(_refused, "process", None)
+    _refused.process = os.getpid()
+    try:
+        yield
+    finally:
+        _refused.process = before
+
+
+def _refuse_exit(status: int) -> NoReturn:
+    if os.getpid() in (getattr(_refused, "process", None), _command):
+        raise SystemExit(f"os._exit({status})")
+    end_process(status)
+
+
 def leave(code: int) -> NoReturn:
     """End the process without Python's own shutdown.
 
@@ -111,4 +143,4 @@ def leave(code: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    os._exit(code)
+    end_process(code)

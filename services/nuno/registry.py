@@ -9,11 +9,12 @@ from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from nuno import contain
+from nuno import contain, process
 from nuno.foreign import Foreign
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import GROUPS
 
+OWN_FRAMES = (contain.__file__, process.__file__)
 OWN = "nuno"
 """The distribution whose plugins are the project's own."""
 
@@ -69,7 +70,7 @@ def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
 
 
 def _not_imported(name: str, point: EntryPoint, error: BaseException) -> BadInput:
-    places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != contain.__file__]
+    places = [f for f in traceback.extract_tb(error.__traceback__) if f.filename not in OWN_FRAMES]
     return BadInput(
         f"the plugin {name!r} of {package(point)} cannot be imported: {type(error).__name__}: {error}",
         value=f"{point.value}, {places[-1].filename}:{places[-1].lineno}",

@@ -53,6 +53,7 @@ def command() -> NoReturn:
     process.collect_rarely()
     process.end_when_terminated()
     process.fail_on_exit()
+    process.refuse_exit()
     try:
         process.leave(main())
     except SystemExit as end:  # of --help

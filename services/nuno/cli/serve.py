@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from nuno.cli.common import add_config
+from nuno.process import end_process
 from nuno.scene import scene_file
 from nuno.scene.choose import decide
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
@@ -101,7 +102,7 @@ def _hold(stop: threading.Event, keeping: threading.Event) -> None:
         pass
     stop.set()
     time.sleep(FINISH_TIMEOUT if keeping.is_set() else LINGER)
-    os._exit(1)
+    end_process(1)
 
 
 def _route(args: argparse.Namespace) -> int:
