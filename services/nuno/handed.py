@@ -224,6 +224,11 @@ def check_outcome(outcome: Outcome, vertices: int) -> None:
         raise Wrong("changed.source does not keep the order of the old vertices")
 
 
+def check_picture(picture: NDArray[Any]) -> None:
+    """A picture in sRGB."""
+    check_array("it", picture, np.uint8, (None, None, 3), strided=True)
+
+
 def _of(kind: type, args: Sequence[Any]) -> Any:
     return next((arg for arg in args if isinstance(arg, kind)), None)
 
@@ -245,6 +250,9 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
     ("nuno.integrators", "limit"): (StepLimit, lambda found, args: check_limit(found)),
     ("nuno.integrators", "advance"): (StepReport, lambda found, args: check_report(found)),
     ("nuno.operations", "apply"): (Outcome, lambda found, args: check_outcome(found, len(_of(State, args).x))),
+    ("nuno.renderers", "render"): (np.ndarray, lambda found, args: check_picture(found)),
+    ("nuno.dye_pictures", "draw"): (np.ndarray, lambda found, args: check_picture(found)),
+    ("nuno.yarn_pictures", "draw"): (np.ndarray, lambda found, args: check_picture(found)),
     ("nuno.dye_solvers", "prepare"): (Memory, lambda found, args: check_memory(found)),
     **DYE_CHECKS,
 }
