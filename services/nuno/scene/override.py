@@ -12,6 +12,7 @@ from nuno.scene import yaml_lines
 from nuno.scene.explain import OVERRIDDEN
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.errors import BadInput
+from nuno_schemas.scene import Scene
 
 DIGITS = 9
 """Of a place in a list, at most."""
@@ -28,10 +29,10 @@ def number_or_name(part: str) -> int | str:
 
 
 def item_at(data: Any, path: yaml_lines.Path) -> Any:
-    """What stands at a path, None where nothing does."""
+    """What stands at a path, None where nothing does; a part of a list goes by its number or its name."""
     for part in path:
         try:
-            data = data[part]
+            data = data[_number(data, str(part)) if isinstance(data, list) else part]
         except (KeyError, IndexError, TypeError):
             return None
     return data
@@ -69,25 +70,37 @@ def apply_override(data: dict[str, Any], item: str) -> yaml_lines.Path:
         elif isinstance(here, dict):
             place.append(part)
         else:
-            remedy = f"{dotted(tuple(place))} holds {_kind(here)}; name what is there"
+            remedy = f"{dotted(tuple(place))} holds {_kind(here)}" + ("; name what is there" if here else "")
             raise BadInput("no such field", "--set", field=key, value=part, remedy=remedy)
         if i < len(parts) - 1:
-            here = here.setdefault(part, {}) if isinstance(here, dict) else here[place[-1]]
+            here = here.setdefault(part, {} if i else _left_out(part)) if isinstance(here, dict) else here[place[-1]]
     here[place[-1]] = value
     return tuple(place)
 
 
+def _left_out(field: str) -> list[Any] | dict[str, Any]:
+    """What part of a field is put into where the scene leaves the field out: its default, if that is a list."""
+    known = Scene.model_fields.get(field)
+    default = known.get_default(call_default_factory=True) if known is not None else None
+    return list(default) if isinstance(default, (list, tuple)) else {}
+
+
 def _number(parts: list[Any], part: str) -> int | None:
-    """Which of a list's parts is meant, by its number or by its name; None for neither."""
+    """Which of a list's parts is meant, by its number or by a name that only one has; None for neither."""
     if part.isdecimal():
         number = number_or_name(part)
         return number if isinstance(number, int) and number < len(parts) else None
-    names = [one.get("name") if isinstance(one, dict) else None for one in parts]
-    return names.index(part) if part in names else None
+    names = _names(parts)
+    return names.index(part) if names.count(part) == 1 else None
+
+
+def _names(parts: list[Any]) -> list[str | None]:
+    """Of a list's parts; a part that has no name, as a force, goes by its plugin's."""
+    return [one.get("name", one.get("plugin")) if isinstance(one, dict) else None for one in parts]
 
 
 def _kind(value: Any) -> str:
     if isinstance(value, list):
-        names = [str(one["name"]) for one in value if isinstance(one, dict) and "name" in one]
-        return f"a list of {len(value)}, counted from 0{''.join(f', {name}' for name in names)}"
+        names = "".join(f", {name}" for name in _names(value) if name is not None)
+        return f"a list of {len(value)}, counted from 0{names}" if value else "an empty list; give all of it"
     return f"the value {value!r:.60}"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nuno.cloth import build
 from nuno.scene.choose import decide
-from nuno.scene.override import apply_override, overridden
+from nuno.scene.override import apply_override, overridden, parts_of
 from nuno.scene.scene_file import Loaded, load
 from nuno.scene.step import choose_step
 from nuno.simulation.alter import carry
@@ -235,7 +235,8 @@ class Simulation(Changing):
 
     def set(self, item: str) -> None:
         """Change a field of the running scene, `gravity=[0, -1.6, 0]`. Raises BadInput."""
-        field = item.partition("=")[0].split(".")[0].split("[")[0]
+        key = item.partition("=")[0]
+        field = parts_of(key)[0]
         if field not in SETTABLE:
             dyed = "; nuno control RUN add gives its dye supplies and resists" if self.loaded.dye else ""
             raise BadInput(
@@ -246,23 +247,22 @@ class Simulation(Changing):
                 remedy=f"stop, and run again with --set{dyed}",
             )
         before, kept, step = self.loaded, self.memory.arrays, (self.steps, self.dt)
-        data = _copied(before.data)
+        # With defaults: what the scene leaves out can be changed in part as well.
+        data = _copied(before.data) | {field: before.value(field)}
         lines = overridden(before.lines, apply_override(data, item))
         changed = load(data, lines, before.file, before.files)
         try:
             self.loaded = changed
             self._prepare({name: kept[name] for name in kept if name != RELAXATION or _finds_damping(changed)})
             if step[1] > self.limit.dt and not before.scene.allow_unstable:
-                raise BadInput(
-                    "that would make the present step unstable",
-                    value=f"{step[1]:g} s",
-                    limit=f"{self.limit.dt:.4g} s",
-                    remedy="choose a smaller change",
-                )
-        except BadInput:
+                raise BadInput("unstable", field="solver.dt", limit=f"{self.limit.dt:.4g} s")
+        except BadInput as error:
             self.loaded = before
             self._prepare(dict(kept))
-            raise
+            if error.field not in ("solver.dt", "solver.plugin"):
+                raise
+            problem, remedy = "that would make the present step unstable", "choose a smaller change"
+            raise BadInput(problem, field=key, value=f"{step[1]:g} s", limit=error.limit, remedy=remedy) from None
         finally:
             # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
             self.steps, self.dt = step

@@ -53,6 +53,11 @@ CASES: dict[str, Case] = {
         cloth(LYING | {"resolution": [120, 120]}, auto("symplectic_euler"), bodies=BALL, duration=0.24)
     ),
     "leapfrog, changed": Case(cloth(HUNG, auto("leapfrog")), (), ((7, "set", "gravity=[0, -1.6, 0]"),)),
+    "wind, changed": Case(
+        cloth(HUNG, auto("symplectic_euler")),
+        (),
+        ((6, "set", "forces=[{plugin: wind, velocity: [3, 0, 1]}]"), (14, "set", "forces.wind.velocity=[-2, 0, 4]")),
+    ),
     "dopri5": Case(cloth(LYING, {"plugin": "dopri5"}, bodies=BALL)),
     "implicit_euler": Case(cloth(LYING, auto("implicit_euler"), bodies=BALL)),
     "tr_bdf2": Case(cloth(LYING, auto("tr_bdf2"), bodies=BALL)),
