@@ -45,7 +45,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def fake(made: str, *settings: dict[str, float], package: str = "") -> Kind:
-    return Kind(f"fake-{made.lower()}", package, "nuno[fake]", "fake_engines", made, settings, f"{made} <is> given.")
+    return Kind(f"fake-{made.lower()}", package, "fake_engines", made, settings, f"{made} <is> given.")
 
 
 def test_arrays_given_to_engines_have_the_accelerations_of_our_kernels(sheet: Sheet) -> None:
@@ -133,7 +133,7 @@ def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
         Point("other", "fine", 0.1, (5.0,), good),
         Point("never", "", None, (), None, "not done after 9 s"),
     ]
-    kinds = [Kind(name, "", "", "", "", (), "") for name in ("nuno-a", "other", "never")]
+    kinds = [Kind(name, "", "", "", (), "") for name in ("nuno-a", "other", "never")]
     found = peer_page.Found(kinds, points, (), 1.0)
     assert [row[-1] for row in peer_page.rows(found)] == ["not accurate", "best of its kind"] * 2 + ["failed"]
     assert peer_page.notes(found) == [["never", "", "not done after 9 s"]]
@@ -166,7 +166,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, Path]:
 
 def test_absent_engine_is_named_with_its_install_command_and_no_error(run: tuple[int, str, Path]) -> None:
     code, out, folder = run
-    told = "fake-hang is left out: no_such_engine is not installed (pip install 'nuno[fake]')"
+    told = "left out, fake-hang: no_such_engine is not installed (pip install 'no_such_engine')"
     assert code == 0
     assert told in out
     assert json.loads((folder / "peers.json").read_text())["left_out"] == [told]

@@ -10,7 +10,7 @@ import numpy as np
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_bench import machine, options
+from nuno_bench import extras, machine, options
 from nuno_bench.peers import page as shown
 from nuno_bench.peers.problem import Sheet
 from nuno_bench.peers.process import Point, measure
@@ -39,6 +39,7 @@ def main(args: argparse.Namespace) -> int:
     """Run every setting, print the table, write page, CSV and JSON. A peer that breaks is a finding."""
     plots.require_matplotlib()
     kinds = choose(args.only)
+    left_out = leave_out(kinds, args.only)
     options.require_repeats(args.repeats)
     if not args.limit > 0.0:
         raise BadInput("a setting needs time", field="--limit", value=args.limit, limit="> 0 s")
@@ -46,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
         markdown.check_section(args.docs, "peers")
     args.out.mkdir(parents=True, exist_ok=True)
     others = machine.Others()
-    found = measure_all(kinds, args.repeats, args.limit)
+    found = measure_all(kinds, left_out, args.repeats, args.limit)
     used = [kind.package for kind in kinds if kind.package and not kind.missing]
     about = {"command": machine.command(), **machine.describe(), "peers": shown.versions(used)}
     about["load"] = others.describe()
@@ -71,6 +72,22 @@ def choose(only: str | None) -> list[Kind]:
     return [kind for kind in KINDS if not names or kind in chosen]
 
 
+def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
+    """Which are not installed and how they are, a sentence for each package, said before anything runs.
+
+    Raises BadInput where the user asked for one by name.
+    """
+    lacking: dict[str, list[str]] = {}
+    for kind in (kind for kind in kinds if kind.missing):
+        lacking.setdefault(kind.package, []).append(kind.name)
+    if only:
+        extras.require(f"{only} needs", lacking, "--only")
+    told = [f"left out, {', '.join(names)}: {extras.told([package])}" for package, names in lacking.items()]
+    for text in told:
+        print(text, file=sys.stderr)
+    return told
+
+
 def stiff_sheet(overrides: Sequence[str] = ()) -> Sheet:
     """The shipped scene. Its sheet is 1 m wide and high, so that its texture coordinates are metres."""
     simulation = Simulation(scene_file.read(scene_file.find(stiff.SCENE), tuple(overrides)), None, None, 1)
@@ -92,18 +109,14 @@ def stiff_sheet(overrides: Sequence[str] = ()) -> Sheet:
     )
 
 
-def measure_all(kinds: list[Kind], repeats: int, limit: float) -> shown.Found:
+def measure_all(kinds: list[Kind], left_out: list[str], repeats: int, limit: float) -> shown.Found:
     """Points of every kind that is installed, against the converged run of ours."""
     sheet = stiff_sheet()
     print("the converged run ...", file=sys.stderr)
     exact = stiff.run(*stiff.REFERENCE)
     points: list[Point] = []
-    left_out = []
     for kind in kinds:
-        if kind.missing:
-            left_out.append(f"{kind.name} is left out: {kind.package} is not installed (pip install '{kind.install}')")
-            continue
-        for setting in kind.settings:
+        for setting in () if kind.missing else kind.settings:
             print(f"{kind.name}, {label(setting)} ...", file=sys.stderr)
             points.append(measure(kind, setting, label(setting), sheet, exact.x, repeats, limit))
     return shown.Found(kinds, points, left_out, exact.seconds)

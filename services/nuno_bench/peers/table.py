@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+from nuno_bench import extras
 
 Setting = Mapping[str, float | str]
 
@@ -16,7 +17,7 @@ class Kind:
     """One way to step the sheet.
 
     name      as it is shown, and as --only takes it
-    package   what is imported, "" for what always is there; install what `pip` takes
+    package   what is imported, "" for what always is there
     module    of the class `made`, which is made as `made(sheet, **setting)`
     settings  from coarse to fine
     posed     what the engine is given, and where that is not the same material
@@ -24,7 +25,6 @@ class Kind:
 
     name: str
     package: str
-    install: str
     module: str
     made: str
     settings: Sequence[Setting]
@@ -32,7 +32,7 @@ class Kind:
 
     @property
     def missing(self) -> bool:
-        return bool(self.package) and importlib.util.find_spec(self.package) is None
+        return bool(self.package and extras.missing([self.package]))
 
 
 def _nuno(solver: str, given: str, *steps: str) -> Kind:
@@ -40,21 +40,21 @@ def _nuno(solver: str, given: str, *steps: str) -> Kind:
     chosen = [step if step == "auto" else repr(1 / 60 / int(step)) for step in steps]
     settings = [{"solver": f"plugin: {solver}, {given}dt: {dt}"} for dt in chosen]
     posed = f"{EXACT}; kernels without services."
-    return Kind(f"nuno-{solver}", "", "nuno", "nuno_bench.peers.python", "Nuno", settings, posed)
+    return Kind(f"nuno-{solver}", "", "nuno_bench.peers.python", "Nuno", settings, posed)
 
 
 def _auto() -> Kind:
     settings = [{"solver": "plugin: auto", "accuracy": accuracy} for accuracy in ("preview", "normal")]
     posed = f"{EXACT}; solver and step as nuno takes them by itself for an accuracy."
-    return Kind("nuno-auto", "", "nuno", "nuno_bench.peers.python", "Nuno", settings, posed)
+    return Kind("nuno-auto", "", "nuno_bench.peers.python", "Nuno", settings, posed)
 
 
 def _newton(made: str, settings: Sequence[Setting], posed: str) -> Kind:
-    return Kind(f"newton-{made.lower()}", "newton", "nuno[peers]", "nuno_bench.peers.newton", made, settings, posed)
+    return Kind(f"newton-{made.lower()}", "newton", "nuno_bench.peers.newton", made, settings, posed)
 
 
 def _mujoco(made: str, settings: Sequence[Setting], posed: str) -> Kind:
-    return Kind(f"mujoco-{made.lower()}", "mujoco", "nuno[peers]", "nuno_bench.peers.mujoco", made, settings, posed)
+    return Kind(f"mujoco-{made.lower()}", "mujoco", "nuno_bench.peers.mujoco", made, settings, posed)
 
 
 WOVEN = (
@@ -72,7 +72,6 @@ KINDS = (
     Kind(
         "numpy",
         "",
-        "nuno",
         "nuno_bench.peers.python",
         "NumPy",
         [{"dt": 1 / 7500}, {"dt": 1 / 15000}],
@@ -81,7 +80,6 @@ KINDS = (
     Kind(
         "scipy",
         "scipy",
-        "nuno[bench]",
         "nuno_bench.peers.python",
         "SciPy",
         [{"method": "RK45", "rtol": 1e-3}, {"method": "RK45", "rtol": 1e-5}, {"method": "DOP853", "rtol": 1e-4}],

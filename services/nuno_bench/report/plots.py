@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import re
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_schemas.errors import BadInput
+from nuno_bench import extras
 
 COLOURS = ("#2f5d8a", "#b3541e", "#3b7d4f", "#7a4a8c", "#8a7a2f", "#555b66", "#2a9d9f", "#c2558f", "#7fa23a", "#5a3a22")
 BAD = "#a3262a"
@@ -54,8 +53,7 @@ class Curve:
 
 def require_matplotlib() -> None:
     """Raises BadInput where figures cannot be drawn."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise BadInput("pages with figures need matplotlib", remedy="pip install 'nuno[bench]'")
+    extras.require("pages with figures need", ["matplotlib"])
 
 
 def curves(panels: Mapping[str, Sequence[Curve]], xlabel: str, log: Sequence[str] = ()) -> str:

@@ -6,9 +6,9 @@ import argparse
 import importlib
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
-from nuno_bench import machine, options
+from nuno_bench import extras, machine, options
 from nuno_bench.report import markdown
 from nuno_bench.report.result import Result, number, text_table
 
@@ -21,6 +21,11 @@ PARTS: dict[str, str] = {
     "fuzz": "nuno_bench.soak.fuzz.part",
 }
 """Module of each part; its `run(quick, seed)` gives results, of which every bar is a law: a missed one is a failure."""
+
+NEEDS = {"fuzz": ("atheris", "coverage")}
+"""Packages without which a part cannot be run."""
+LOOKS = {"same-bits": ("rerun",), "access": ("rerun",)}
+"""Packages without which a part tries less."""
 
 HEADINGS = ("case", "what", "found", "must be", "verdict")
 VERDICTS = {"bar met": "holds", "aim met": "holds", "missed": "BROKEN", "failed": "FAILED", "": ""}
@@ -36,7 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the parts one after the other; 1 if anything that must hold does not."""
     options.require_known(args.parts, PARTS, "part", "PART")
-    parts = args.parts or list(PARTS)
+    for part in args.parts:
+        extras.require(f"the part {part} needs", NEEDS.get(part, ()), "PART")
+    parts = args.parts or [part for part in PARTS if not extras.missing(NEEDS.get(part, ()))]
+    _tell_lacking(args.parts or PARTS)
     if args.docs is not None:
         for part in parts:
             markdown.check_section(args.docs, f"soak {part}")
@@ -52,6 +60,15 @@ def main(args: argparse.Namespace) -> int:
             section = [summary(results), markdown.table(HEADINGS, rows(results)), *notes(results)]
             markdown.replace_section(args.docs, f"soak {part}", [*section, markdown.facts({"command": how, **about})])
     return int(broken > 0)
+
+
+def _tell_lacking(parts: Iterable[str]) -> None:
+    """Say before anything runs what is left out, and how it need not be."""
+    for part in parts:
+        if lacking := extras.missing(NEEDS.get(part, ())):
+            print(f"{part} is left out: {extras.told(lacking)}", file=sys.stderr)
+        if lacking := extras.missing(LOOKS.get(part, ())):
+            print(f"{part} tries no viewer: {extras.told(lacking)}", file=sys.stderr)
 
 
 def run_part(part: str, quick: bool, seed: int) -> list[Result]:

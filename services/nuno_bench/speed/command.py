@@ -7,8 +7,9 @@ import importlib
 import json
 import sys
 import traceback
+from collections.abc import Iterable
 
-from nuno_bench import machine, options
+from nuno_bench import extras, machine, options
 from nuno_bench.report import markdown
 from nuno_bench.report.result import HEADINGS, Result, number, rows, text_table
 from nuno_bench.speed import limits
@@ -36,6 +37,12 @@ CASES = {
 """Module and function of each case; a function takes the number of repeats and gives results."""
 
 
+NEEDS = {"scipy": ("scipy",)}
+"""Packages without which a case cannot be measured."""
+PEERS = {"closest": ("rtree", "igl", "open3d"), "dye": ("devito",)}
+"""Packages beside which a case is measured where they are installed."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"which to run (default: all): {', '.join(CASES)}")
     options.add_repeats(parser, 7, "samples of each figure")
@@ -52,15 +59,28 @@ def main(args: argparse.Namespace) -> int:
         from nuno_bench.report.plots import require_matplotlib
 
         require_matplotlib()
+    for name in args.cases:
+        extras.require(f"the case {name} needs", NEEDS.get(name, ()), "CASE")
+    lacking = _tell_lacking(args.cases or CASES)
     others = machine.Others()
     results: list[Result] = []
-    for name in args.cases or CASES:
+    for name in (name for name in args.cases or CASES if not extras.missing(NEEDS.get(name, ()))):
         print(f"{name} ...", file=sys.stderr)
         results += run_case(name, args.repeats)
-    about = machine.describe() | {"load": others.describe()} | _limits(results)
+    about = machine.describe() | {"load": others.describe()} | lacking | _limits(results)
     _show(results, about)
     _write(args, results, about)
     return 1 if any(result.failure for result in results) else 0
+
+
+def _tell_lacking(cases: Iterable[str]) -> dict[str, str]:
+    """What is left out for a package that is not installed, by what lacks it; said before anything runs."""
+    lacking = {f"{name} is left out": extras.missing(NEEDS.get(name, ())) for name in cases}
+    lacking |= {f"{name} has fewer peers": extras.missing(PEERS.get(name, ())) for name in cases}
+    said = {what: extras.told(packages) for what, packages in lacking.items() if packages}
+    for what, text in said.items():
+        print(f"{what}: {text}", file=sys.stderr)
+    return said
 
 
 def run_case(name: str, repeats: int) -> list[Result]:

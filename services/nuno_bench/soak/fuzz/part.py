@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import os
 import shutil
@@ -19,7 +18,6 @@ from nuno_bench.report.result import Result
 from nuno_bench.soak.fuzz.kind import Kind
 from nuno_bench.soak.fuzz.kinds import KINDS
 from nuno_bench.soak.fuzz.worker import MEMORY, SLOW
-from nuno_schemas.errors import BadInput
 
 INPUTS, SECONDS = 100_000, 1200.0
 """Of each kind, and how long they may take at most [s of processor time]."""
@@ -30,16 +28,12 @@ START = 600.0
 """Longest that a worker may take beside its inputs [s]: it may have to compile kernels."""
 SHARED = 4
 """Of so many others a worker may have to share its core with."""
-NEEDED = ("atheris", "coverage")
 LIVE: set[subprocess.Popen[bytes]] = set()
 """Processes that are going on, to be ended where this one is."""
 
 
 def run(quick: bool, seed: int) -> list[Result]:
-    """A result for each kind, and what all have in common. Raises BadInput where what it needs is not installed."""
-    for name in NEEDED:
-        if importlib.util.find_spec(name) is None:
-            raise BadInput(f"fuzzing needs {name}, which is not installed", remedy="pip install 'nuno[soak]'")
+    """A result for each kind, and what all have in common."""
     seconds = QUICK_SECONDS if quick else SECONDS
 
     def tried(kind: Kind) -> dict[str, Any]:

@@ -1,0 +1,94 @@
+"""A command that needs what is not installed says so first, with what installs it, and then does nothing."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nuno.cli import main
+from nuno_bench.peers import command as peers
+from nuno_bench.report.result import Result
+from nuno_bench.soak import command as soak
+from nuno_bench.speed import command as speed
+
+EXTRAS = (
+    "scipy", "matplotlib", "rerun", "rerun_cli", "imageio_ffmpeg", "mujoco", "newton", "igl", "rtree", "open3d",
+    "devito", "dask", "distributed", "atheris", "coverage",
+)  # fmt: skip
+
+
+@pytest.fixture
+def bare(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is installed but what comes with nuno: to import one of these fails, and to look for it finds none."""
+    for name in EXTRAS:
+        monkeypatch.setitem(sys.modules, name, None)
+
+
+@pytest.mark.parametrize(
+    ("command", "packages", "extra"),
+    [
+        ("bench speed scipy", "scipy", "bench"),
+        ("bench speed numpy --html page.html", "matplotlib", "bench"),
+        ("bench peers", "matplotlib", "bench"),
+        ("bench precision net", "matplotlib", "bench"),
+        ("bench stability net", "matplotlib", "bench"),
+        ("bench integrators skirt-paper", "matplotlib", "bench"),
+        ("validate --html page.html", "matplotlib", "bench"),
+        ("validate --rrd page.rrd", "rerun", "view"),
+        ("validate --dask tcp://127.0.0.1:1", "Dask", "sweep"),
+        ("soak fuzz --quick", "atheris and coverage", "soak"),
+        ("run net --view web --no-record", "rerun", "view"),
+        ("run net --save run.rrd --no-record", "rerun", "view"),
+    ],
+)
+def test_what_is_missing_is_named_with_what_installs_it(
+    bare: None, command: str, packages: str, extra: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As bad input: nothing has run, and there is no trace."""
+    assert main(command.split()) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("error: ")
+    assert packages in said.err and f"pip install 'nuno[{extra}]'" in said.err and "Traceback" not in said.err
+
+
+def test_a_named_peer_that_is_missing_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    assert main(["bench", "peers", "--only", "numpy,scipy"]) == 2
+    assert "needs scipy, which is not installed" in (said := capsys.readouterr().err)
+    assert "pip install 'nuno[bench]'" in said
+
+
+def test_peers_that_are_missing_are_named_before_anything_is_measured(bare: None, capsys: Any) -> None:
+    told = peers.leave_out(peers.choose(None), None)
+    assert capsys.readouterr().err.splitlines() == told
+    assert told[0] == "left out, scipy: scipy is not installed (pip install 'nuno[bench]')"
+    assert [("mujoco-edges" in text, "newton-vbd" in text) for text in told[1:]] == [(True, False), (False, True)]
+
+
+def test_all_cases_go_on_without_the_one_that_is_missing(
+    bare: None, monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path
+) -> None:
+    """Said before the first, and in what is kept; nothing has failed."""
+    cases = ("numpy", "scipy", "closest", "dye")
+    monkeypatch.setattr(speed, "CASES", {name: speed.CASES[name] for name in cases})
+    monkeypatch.setattr(speed, "run_case", lambda name, repeats: [Result(name, "what", "unit", (1.0,))])
+    kept = tmp_path / "speed.json"
+    assert main(["bench", "speed", "--json", str(kept)]) == 0
+    out, err = capsys.readouterr()
+    scipy = "scipy is left out: scipy is not installed (pip install 'nuno[bench]')"
+    assert err.splitlines()[0] == scipy and "scipy ..." not in err
+    assert "closest has fewer peers: rtree is not installed (pip install 'nuno[peers]'), igl is" in err.splitlines()[1]
+    assert scipy in out and "scipy is left out" in kept.read_text()
+
+
+def test_parts_that_cannot_run_are_named_before_the_first(
+    bare: None, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.setattr(soak, "run_part", lambda part, quick, seed: [Result(part, "what", "", (1,), bar=1)])
+    assert main(["soak", "--quick"]) == 0
+    out, err = capsys.readouterr()
+    assert any(line.startswith("fuzz is left out: atheris is not installed") for line in err.splitlines()[:3])
+    assert "fuzz" not in out and err.splitlines()[3] == "same-bits ..."
