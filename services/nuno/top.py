@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from nuno.wire.health import Health
@@ -102,8 +102,12 @@ def table(lines: list[Line]) -> str:
         cells += [f"{line.received_megabytes:.2f}", *(str(n) for n in (line.waiting, line.missing, line.refused))]
         cells += ['"', '"'] if shared else [f"{line.processor:.0%}", f"{line.memory / 2**20:.0f} MiB"]
         rows.append([*cells, line.process])
-    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
-    left = (0, len(HEADINGS) - 1)
+    return align(rows, (0, len(HEADINGS) - 1))
+
+
+def align(rows: Sequence[Sequence[str]], left: Collection[int]) -> str:
+    """Lines of cells; columns are flush right, those of `left` flush left."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     pad = [
         [c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
         for row in rows

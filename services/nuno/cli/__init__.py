@@ -21,6 +21,7 @@ COMMANDS = {
     "export": ("nuno.cli.export", "meshes, arrays, tables, pictures and animations of a recording"),
     "control": ("nuno.cli.control", "pause, resume, step, stop, change or add to a run that goes on"),
     "top": ("nuno.cli.top", "what the services of a run that goes on are doing: rates, who is behind, what was lost"),
+    "topics": ("nuno.cli.topics", "what a run that goes on publishes on its bus: topics, types, sizes, rates"),
     "draw": ("nuno.cli.draw", "a page for drawing ridges and valleys on a cloth by hand"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
     "certs": ("nuno.cli.certs", "certificates and access control, for a run on several hosts"),

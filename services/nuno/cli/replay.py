@@ -16,6 +16,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options, run_service
 from nuno.supervision import runs
 from nuno.wire.bus import Bus
+from nuno.wire.health import offer_health
 from nuno.wire.sessions import hub_at
 from nuno_schemas.errors import BadInput
 
@@ -62,6 +63,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         session, endpoint = stack.enter_context(hub_at(args.listen, args.config))
         stack.enter_context(runs.announced(run, endpoint))
         bus = Bus(session, run, SUPERVISOR)
+        offer_health(bus)
         stack.enter_context(bus.alive())
         viewer = None
         if shown:

@@ -14,7 +14,7 @@ from nuno.service import SUPERVISOR
 from nuno.supervision import runs
 from nuno.top import Line, as_json, compare, head, table
 from nuno.wire.bus import Bus
-from nuno.wire.health import ask_health
+from nuno.wire.health import Health, ask_health
 from nuno.wire.sessions import spoke
 from nuno_schemas.errors import BadInput
 
@@ -33,11 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Look at the run until it ends or the user has seen enough."""
-    if not 0.05 <= args.interval <= 3600.0:
-        raise BadInput("no such interval", field="--interval", value=args.interval, limit="0.05 to 3600 s")
     run, endpoint = (args.run, args.connect) if args.connect else runs.find(args.run)
     with spoke(endpoint, args.config) as session, contextlib.suppress(KeyboardInterrupt):
-        looks = _looks(Bus(session, run, "top"), args.interval)
+        looks = filter(None, (compare(*pair) for pair in look(Bus(session, run, "top"), args.interval)))
         if args.once:
             _print(run, next(looks, []), as_text=not args.json)
         elif args.json or not sys.stdout.isatty():
@@ -49,8 +47,10 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _looks(bus: Bus, interval: float) -> Iterator[list[Line]]:
-    """Lines of each interval until the run ends. Raises BadInput where there is none."""
+def look(bus: Bus, interval: float) -> Iterator[tuple[dict[str, Health], dict[str, Health]]]:
+    """What services tell at both ends of each interval [s] until the run ends. Raises BadInput where there is none."""
+    if not 0.05 <= interval <= 3600.0:
+        raise BadInput("no such interval", field="--interval", value=interval, limit="0.05 to 3600 s")
     end = time.monotonic() + PATIENCE
     while SUPERVISOR not in (present := bus.present()):
         if time.monotonic() > end:
@@ -62,8 +62,7 @@ def _looks(bus: Bus, interval: float) -> Iterator[list[Line]]:
         if SUPERVISOR not in (present := bus.present()):
             return
         after = ask_health(bus, present)
-        if lines := compare(before, after):
-            yield lines
+        yield before, after
         before = after
 
 

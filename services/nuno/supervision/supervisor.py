@@ -98,6 +98,8 @@ def supervise(
             trusted = [identity(run, name) for name in plan.services if name != "viewer" or name in plan.must_see]
             session, endpoint = stack.enter_context(hub_at(deployment.listen, deployment.config, trusted))
             stack.enter_context(runs.announced(run, endpoint, loaded.own_path))
+        if progress is not None:
+            progress(f"run {run}, its bus at {endpoint}")
         log.note_start(run, loaded, plan.services)
         supervisor = Supervisor(loaded, options, plan, session, run)
         supervisor.paused = deployment.paused

@@ -18,6 +18,16 @@ from nuno_schemas.errors import RunFailed
 HEALTH = "health"
 
 
+class Published(BaseModel):
+    """What a service has published on one topic since its start: messages, and the bytes of their payloads."""
+
+    topic: str
+    encoding: str
+    type: str
+    sent: int
+    sent_bytes: int
+
+
 class Health(BaseModel):
     """What one service counts, since its start; processor time and memory are those of its process.
 
@@ -46,6 +56,7 @@ class Health(BaseModel):
     """[s]"""
     memory: int
     """Resident [bytes]."""
+    topics: list[Published]
 
 
 def measure(bus: Bus) -> Health:
@@ -78,6 +89,11 @@ def measure(bus: Bus) -> Health:
         refused=total("refused"),
         processor=used.user + used.system,
         memory=memory,
+        topics=[
+            Published(topic=t.name, encoding=t.encoding, type=t.schema, sent=p.sent, sent_bytes=p.payload_bytes)
+            for p in publishers
+            for t in [p.topic]
+        ],
     )
 
 

@@ -1,0 +1,106 @@
+"""What a run publishes can be found and listened to from outside: where, what, and by the documentation's script."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from live_run import Run, wait_until
+from scenes import write_scene
+from test_readme import ROOT, blocks
+
+import nuno
+from nuno.cli import main
+from nuno.supervision import runs
+from nuno.wire.bus import Bus, Inbox, Message
+from nuno_schemas.messages import STATE, Topic
+
+TOPICS = {
+    "sim/fabric", "sim/state", "sim/status", "collision/geometry", "collision/bodies", "collision/report",
+    "run/event/simulation", "ack/collision", "ack/recorder",
+}  # fmt: skip
+LATER = {"sim/checkpoint"}
+"""Those that a run of a few frames may have or not."""
+
+
+def told_of(run: Run, interval: float, capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, Any]]:
+    """What `nuno topics` says of a run, by topic."""
+    assert main(["topics", run.run, "--interval", str(interval), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["run"], told["endpoint"]) == (run.run, run.endpoint)
+    return {line["topic"]: line for line in told["topics"]}
+
+
+def test_a_run_says_where_its_bus_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before anything else, and by the name that other commands take."""
+    assert main(["run", str(write_scene(tmp_path)), "--run", "r1", "--no-record", "--no-view"]) == 0
+    first = capsys.readouterr().err.splitlines()[0]
+    assert first.startswith("run r1, its bus at tcp/127.0.0.1:")
+
+
+def test_topics_are_those_that_a_subscriber_gets(
+    paused: tuple[Run, zenoh.Session], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Names, numbers and sizes of a run that stands still."""
+    run, session = paused
+    run.wait_until_paused()
+    lines = told_of(run, 0.05, capsys)
+    assert set(lines) - LATER == TOPICS and not any(lines[name]["rate"] for name in TOPICS if name.startswith("sim/"))
+    inbox = Inbox(Bus(session, run.run, "test"), [Topic("**", "json", "")], newest_only=True)
+    run.control("step", frames=3)
+    frame = run.wait_until_paused()
+    got: list[Message] = []
+    while isinstance(item := inbox.get(0.5), Message):
+        got.append(item)
+    states = [item for item in got if item.topic == STATE.name]
+    assert [item.header.seq for item in states] == [lines[STATE.name]["messages"] + i for i in range(3)]
+    after = told_of(run, 0.05, capsys)[STATE.name]
+    size = after["messages"] * after["size"] - lines[STATE.name]["messages"] * lines[STATE.name]["size"]
+    assert size == pytest.approx(sum(len(item.payload) for item in states))
+    assert (lines[STATE.name]["type"], lines[STATE.name]["encoding"]) == ("foxglove.PointCloud", "protobuf")
+    assert lines[STATE.name]["messages"] == states[0].header.frame == frame - 2
+    assert main(["topics", run.run, "--interval", "0.05"]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0] == f"zenoh at {run.endpoint}, keys nuno/{run.run}/TOPIC"
+    assert {line.split()[0] for line in shown[2:]} - LATER == TOPICS
+
+
+def test_rates_are_those_of_a_run_that_goes_on(
+    paused: tuple[Run, zenoh.Session], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As many positions as statuses, and as many bytes as they have."""
+    run, _ = paused
+    run.control("resume")
+    lines = told_of(run, 0.3, capsys)
+    state = lines[STATE.name]
+    assert state["rate"] > 0.0 and state["megabytes"] == pytest.approx(1e-6 * state["rate"] * state["size"], rel=0.1)
+    assert lines["sim/status"]["rate"] == pytest.approx(state["rate"], rel=0.2)
+    assert lines["sim/fabric"]["rate"] == 0.0
+
+
+def test_the_subscriber_of_the_page_gets_every_frame_of_a_run(tmp_path: Path) -> None:
+    """As it is written there: each frame's middle is that of the recording, and it ends with the run."""
+    (script,) = blocks(ROOT / "docs" / "bus.md", "python")
+    assert len([line for line in script.splitlines() if line.strip()]) <= 26
+    (tmp_path / "listen.py").write_text(script)
+    run = Run(write_scene(tmp_path), tmp_path / "run.mcap", paused=True)
+    wait_until(lambda: run.run in runs.running())
+    command = [sys.executable, str(tmp_path / "listen.py"), run.run, run.endpoint]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "listening\n"
+        wait_until(lambda: run.control("status")["ok"])  # the hub has heard of it by now
+        run.control("resume")
+        lines = child.stdout.read().splitlines()
+        assert child.wait(30) == 0
+    assert run.join().state == "done"
+    with nuno.open(run.record) as recording:
+        kept = [[frame.number, frame.t, *frame.x.mean(axis=0)] for frame in recording.frames()]
+    np.testing.assert_allclose([[float(word) for word in line.split()] for line in lines], kept, rtol=0, atol=1e-12)
+    assert len(kept) == 26
