@@ -20,6 +20,12 @@ def duration(seconds: float) -> str:
     return f"{seconds / unit:.3g} {name}"
 
 
+def roughly(seconds: float) -> str:
+    """A time that is not known better, in its own unit: about 8 min."""
+    unit, name = time_of(seconds)
+    return f"about {seconds / unit:.2g} {name}"
+
+
 def factor(times: float) -> str:
     """How many times as fast, without digits that nobody reads."""
     return f"{times:.2f}x" if times < 100.0 else f"{times:,.0f}x"

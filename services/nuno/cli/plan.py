@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from pathlib import Path
 
+from nuno.ahead import time_frame
 from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
 from nuno.cloth.worn import start_warnings
@@ -57,7 +57,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     rows = _size(simulation)
     if bodies is not None and poses is not None:
         rows += [*_contact(loaded), *_worn(simulation, bodies.geometry, poses)]
-    seconds = _time_frame(simulation, bodies)  # from here on the cloth has moved
+    seconds = time_frame(simulation, bodies)  # from here on the cloth has moved
     return [
         *rows,
         ("solver", _solver(simulation)),
@@ -120,15 +120,3 @@ def _cost(simulation: Simulation, seconds: float) -> list[tuple[str, str]]:
         ("time", f"about {seconds * scene.frames:.2g} s, {factor(rate)} real time (by a frame)"),
         ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
     ]
-
-
-def _time_frame(simulation: Simulation, bodies: build.Bodies | None) -> float:
-    """Wall time of the second frame [s]; the first one may compile."""
-    seconds = 0.0
-    for frame in range(2):
-        rate = simulation.loaded.scene.frame_rate
-        ends = [bodies.poses((frame + i) / rate) if bodies else None for i in range(2)]
-        start = time.perf_counter()
-        simulation.advance(*ends)
-        seconds = time.perf_counter() - start
-    return max(seconds, 1e-9)

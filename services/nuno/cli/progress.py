@@ -7,19 +7,28 @@ import time
 from types import TracebackType
 from typing import Any
 
-from nuno.words import LONG, factor, time_of
+from nuno.words import LONG, factor, roughly, time_of
 from nuno_schemas.messages import FrameStatus
 from nuno_schemas.scene import Scene
 
+SETTLED = 2.0
+"""Wall time of frames that the first estimate is made of [s]; a shorter run needs none."""
+LEAST = 1.0
+"""What is left is told where it is longer than this [s]."""
+
 
 class ProgressLine:
-    """A bar on a terminal; elsewhere a line at the start and at each tenth."""
+    """A bar on a terminal; elsewhere a line at the start and at each tenth.
+
+    What is left follows from the frames that are done. The first estimate is a line of its own, after SETTLED.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.start = 0.0
         self.first = 0.0
         self.tenth = -1
+        self.estimated = False
         self._terminal = sys.stderr.isatty()
         self._bar: Any = None
 
@@ -58,6 +67,12 @@ class ProgressLine:
             self.start, self.first = now, t
         times = (t - self.first) / max(now - self.start, 1e-9)
         rate = f"{factor(times)} real time" if t > self.first else ""
+        left = (self.scene.duration - t) / times if t > self.first else 0.0
+        if not self.estimated and now - self.start > SETTLED and left > 0.0:
+            self.estimated = True
+            until = self.scene.until
+            ends = "" if until == "duration" else f" at most, less where it comes to {until} before"
+            print(f"the run takes {roughly(now - self.start + left)}{ends}", file=sys.stderr)
         unit, name = time_of(self.scene.duration) if self.scene.duration > LONG else (1.0, "s")
         done = f"{t / unit:.2f} of {self.scene.duration / unit:g} {name}"
         if self._bar is not None:
@@ -66,4 +81,4 @@ class ProgressLine:
         tenth = int(10 * t / self.scene.duration + 1e-9)
         if tenth > self.tenth:
             self.tenth = tenth
-            print(f"{done}  {rate}", file=sys.stderr)
+            print(f"{done}  {rate}{f', {roughly(left)} left' if left > LEAST else ''}", file=sys.stderr)

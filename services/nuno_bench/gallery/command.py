@@ -6,9 +6,13 @@ import argparse
 import base64
 import io
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
+from nuno.ahead import Pace, run_seconds
+from nuno.scene import scene_file
+from nuno.words import roughly
 from nuno_bench import machine
 from nuno_bench.gallery import dye, knit, wrinkle
 from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, Kind, Shown
@@ -31,10 +35,16 @@ def main(args: argparse.Namespace) -> int:
     """Run all scenes; 1 where one fails, or does not show what it must."""
     kind, others = KINDS[args.kind], machine.Others()
     paths = _choose(kind, args.scenes)
+    print(f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True)
+    pace = Pace({path.stem: run_seconds(scene_file.read(path)) for path in paths})
+    print(f"steps take {roughly(pace.left)}, compiling and pictures apart", file=sys.stderr, flush=True)
     shown = []
-    for path in paths:
-        print(f"{path.stem} ...", file=sys.stderr, flush=True)
+    for i, path in enumerate(paths):
+        left = f", {roughly(pace.left)} left" if i else ""
+        print(f"{path.stem}, {i + 1} of {len(paths)}{left} ...", file=sys.stderr, flush=True)
+        begin = time.perf_counter()
         shown.append(kind.run_scene(path))
+        pace.taken[path.stem] = time.perf_counter() - begin
         print(f"{path.stem}: {_said(kind, shown[-1])}", flush=True)
     found = kind.compare({one.name: one for one in shown if not one.failed})
     for row in found:

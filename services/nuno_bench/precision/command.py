@@ -20,6 +20,7 @@ from nuno.scene import scene_file
 from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require
+from nuno.words import duration
 from nuno_bench import machine, options
 from nuno_bench.precision.errors import find_scales, measure_errors
 from nuno_bench.precision.findings import judge
@@ -149,6 +150,7 @@ def _check(args: argparse.Namespace) -> list[Loaded]:
 def sweep_scene(loaded: Loaded, args: argparse.Namespace, where: Executor) -> Findings:
     """Reference, horizon and sweep of one scene. Raises BadInput."""
     others, told = machine.Others(), _teller(loaded.scene.name)
+    told(f"at most {duration(args.budget)} for the points, and as much for each run of the reference")
     problem = pose(loaded)
     solvers, omitted = choose_solvers(problem, options.names_of(args.solvers))
     solvers, own = add_own(problem, solvers)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+from nuno.words import duration, roughly
 from nuno_bench.precision.errors import RAN_AWAY, Scales, errors_over_frames, measure_errors, ran_away
 from nuno_bench.precision.point import DONE, Kept, Point
 from nuno_bench.precision.settings import Omission, Setting, Solver
@@ -136,6 +137,8 @@ def run_sweep(
         if solver.name in costs
     }
     share = budget / (REPEATED * max(1, len(costs)))
+    once = sum(setting.work * costs[name] for name, ones in waiting.items() for _, setting in ones)
+    told(f"points: {roughly(min(once, budget))} by the solvers' first calls, at most {duration(budget)} with repeats")
 
     def estimate(name: str) -> tuple[bool, float]:
         setting = waiting[name][0][1]

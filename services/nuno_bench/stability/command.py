@@ -11,6 +11,7 @@ from nuno import registry
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require as require_viewer
+from nuno.words import duration
 from nuno_bench import machine, options
 from nuno_bench.report import markdown, plots
 from nuno_bench.report.result import text_table
@@ -94,6 +95,7 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: execut
     def told(text: str) -> None:
         print(f"{path.stem}: {text}", file=sys.stderr)
 
+    told(f"at most {duration(args.budget)}, and what compiling takes")
     settings, omissions = settings_of(path, args.overrides)
     identity = {"scene": settings[0].scene.digest, "solvers": solvers, "versions": executor.versions()}
     kept = Kept(_rows(args, path), identity, args.resume)

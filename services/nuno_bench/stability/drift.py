@@ -144,7 +144,8 @@ def measure_modes(
             yield name, side * max(0.0, end - time.monotonic()) / (len(wanted) - i)
 
     for (name, _), modes in executor.run(measure_mode, tasks()):
-        told(f"{name}: a mode, and energy over {STEPS:,} steps")
+        left = max(0.0, end - time.monotonic())
+        told(f"{name}: a mode, and energy over {STEPS:,} steps ({left:.0f} s left of the solvers' modes at most)")
         if isinstance(modes, BadInput | Lost):
             why = modes.problem if isinstance(modes, BadInput) else modes.reason
             omissions.append(f"modes and energy of {name}: {why}")

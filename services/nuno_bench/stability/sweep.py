@@ -146,7 +146,7 @@ def measure_all(
     # Taken when it can be started: clocks of other machines would make nothing of a deadline.
     tasks = (Task(s, names, most, deadline - time.monotonic()) for s, names in wanted.items() if names)
     for task, found in executor.run(measure_setting, tasks):
-        told(task.describe())
+        told(f"{task.describe()} ({max(0.0, deadline - time.monotonic()):.0f} s left at most)")
         if isinstance(found, BadInput | Lost):
             why = found.problem if isinstance(found, BadInput) else found.reason
             sweep.omissions.append(f"{task.describe()}, {', '.join(task.solvers)}: {why}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import random
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from nuno import registry
+from nuno.words import roughly
 from nuno_bench.options import require_known
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_bench.sweep.kept import Kept
@@ -24,6 +25,8 @@ GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
 """What the solvers of each group solve."""
 SLIPS = {"rk4_printed": "kept with the paper's slips: gravity counted twice, damping frozen at the step's start"}
 """Solvers that are there to show what a mistake does: what they fail is told, but is no failure of the suite."""
+SAY_EVERY = 5.0
+"""How often it is said how much is left [s]."""
 FEWEST = 3
 """Each case is supported by at least so many solvers, or the suite says that it is not."""
 
@@ -103,20 +106,27 @@ def check_named(task: tuple[str, str]) -> Outcome:
 
 
 def check_all(parts: Sequence[Part], executor: Executor, kept: Kept, told: Callable[[str], None]) -> list[Outcome]:
-    """Every case with every solver of its part, in this order; what comes is kept."""
+    """Every case with every solver of its part, in this order; what comes is kept.
+
+    They are taken in an order drawn at random: the mean of those that are done is then that of those that are left,
+    whatever each takes, which is how long they will take on this machine.
+    """
     found = {(outcome.case, outcome.solver): outcome for outcome in map(Outcome.from_json, kept.lines)}
     every = [(case.name, name) for part in parts for case in part.cases for name in part.solvers]
     wanted = [key for key in every if key not in found]
-    left = Counter(case for case, _ in wanted)
+    random.Random(len(wanted)).shuffle(wanted)
+    told(f"{len(wanted)} checks; the first of them tell how long all take")
+    begin, said, done = time.monotonic(), 0.0, 0
     for key, outcome in executor.run(check_named, wanted):
         if isinstance(outcome, BadInput | Lost):
             why = str(outcome) if isinstance(outcome, BadInput) else outcome.reason
             outcome = Outcome(*key, "failed", why)
         found[key] = outcome
         kept.add(outcome.json())
-        left[key[0]] -= 1
-        if not left[key[0]]:
-            told(f"{len(left) - len(+left)} of {len(left)}: {key[0]}")
+        done, spent = done + 1, time.monotonic() - begin
+        if spent >= said + SAY_EVERY and done >= 2 * executor.width and done < len(wanted):
+            said = spent
+            told(f"{done} of {len(wanted)}, {roughly(spent / done * (len(wanted) - done))} left")
     return [found[key] for key in every]
 
 
