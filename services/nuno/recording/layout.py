@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,18 +30,13 @@ from mcap.records import (
     Statistics,
 )
 
-from nuno.recording.mcap_file import CHUNK_HEAD, MAGIC, MESSAGE_HEAD
+from nuno.recording.chunks import Damaged, channel_of, chunk_records, chunk_times, fits, records
+from nuno.recording.mcap_file import MAGIC, MESSAGE_HEAD
 from nuno_schemas.errors import BadInput
 
 T = TypeVar("T")
 FOOTER_BYTES = 29
 _RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQIIQ")
-_MESSAGE = struct.Struct("<HIQQ")
-
-
-class Damaged(Exception):
-    """Bytes that are not what they should be; never leaves this package."""
 
 
 @dataclass(frozen=True)
@@ -79,17 +74,6 @@ class Layout:
     counts: dict[int, int] = field(default_factory=lambda: defaultdict(int))
 
 
-@dataclass(frozen=True)
-class RawMessage:
-    """A message of a chunk: the payload is a view into it."""
-
-    channel: int
-    sequence: int
-    log_time: int
-    publish_time: int
-    payload: memoryview
-
-
 def read_layout(stream: BinaryIO, path: Path) -> Layout:
     """The layout of an open file. Raises BadInput where it is no recording at all."""
     size = stream.seek(0, io.SEEK_END)
@@ -100,7 +84,7 @@ def read_layout(stream: BinaryIO, path: Path) -> Layout:
     try:
         return _from_index(stream, size)
     except Damaged:
-        return _from_scan(stream, size)
+        return _from_scan(stream, size, path)
 
 
 def read_at(stream: BinaryIO, place: Place, size: int) -> bytes:
@@ -122,42 +106,6 @@ def parse(read: Callable[[ReadDataStream], T], body: bytes | memoryview) -> T:
         raise Damaged(str(error)) from None
 
 
-def records(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
-    """Opcode, offset and body of each record in a piece of a file. Raises Damaged."""
-    at = 0
-    while at < len(data):
-        if at + _RECORD.size > len(data):
-            raise Damaged("a record is cut")
-        opcode, length = _RECORD.unpack_from(data, at)
-        body = at + _RECORD.size
-        if body + length > len(data):
-            raise Damaged(f"a record of {length} bytes in {len(data) - body}")
-        yield opcode, body, data[body : body + length]
-        at = body + length
-
-
-def chunk_records(body: bytes) -> memoryview:
-    """The records of a chunk's body, whose checksum fits. Raises Damaged."""
-    if len(body) < CHUNK_HEAD:
-        raise Damaged("a chunk is cut")
-    _, _, size, crc, compression, length = _CHUNK.unpack_from(body)
-    if compression or size != length or CHUNK_HEAD + length != len(body):
-        raise Damaged("a chunk is compressed or has the wrong length")
-    data = memoryview(body)[CHUNK_HEAD:]
-    if zlib.crc32(data) != crc:
-        raise Damaged("a chunk's checksum does not fit")
-    return data
-
-
-def chunk_messages(body: bytes, channels: frozenset[int]) -> Iterator[RawMessage]:
-    """The messages of some channels in a chunk's body, in order. Raises Damaged."""
-    for opcode, _, record in records(chunk_records(body)):
-        if opcode == Opcode.MESSAGE and len(record) >= MESSAGE_HEAD:
-            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record)
-            if channel in channels:
-                yield RawMessage(channel, sequence, log_time, publish_time, record[MESSAGE_HEAD:])
-
-
 def _from_index(stream: BinaryIO, size: int) -> Layout:
     tail_size = FOOTER_BYTES + len(MAGIC)
     tail = read_at(stream, Place(size - tail_size, tail_size), size)
@@ -165,10 +113,12 @@ def _from_index(stream: BinaryIO, size: int) -> Layout:
         raise Damaged("no footer")
     footer = parse(Footer.read, tail[9:])
     summary = read_at(stream, Place(footer.summary_start, size - tail_size - footer.summary_start), size)
-    if zlib.crc32(tail[: FOOTER_BYTES - 4], zlib.crc32(summary)) != footer.summary_crc:
+    if not fits(footer.summary_crc, tail[: FOOTER_BYTES - 4], zlib.crc32(summary)):
         raise Damaged("the index's checksum does not fit")
-    layout = Layout(size, indexed=True, readable=size)
+    layout, found = Layout(size, indexed=True, readable=size), Counter[int]()
+    told: Statistics | None = None
     for opcode, _, body in records(memoryview(summary)):
+        found[opcode] += 1
         if opcode == Opcode.CHUNK_INDEX:
             index = parse(ChunkIndex.read, body)
             place = index.chunk_start_offset + 9, index.chunk_length - 9
@@ -181,14 +131,24 @@ def _from_index(stream: BinaryIO, size: int) -> Layout:
             item = parse(MetadataIndex.read, body)
             _add_metadata(layout, read_at(stream, Place(item.offset + 9, item.length - 9), size))
         elif opcode == Opcode.STATISTICS:
-            layout.counts = parse(Statistics.read, body).channel_message_counts
+            told = parse(Statistics.read, body)
+            layout.counts = told.channel_message_counts
         else:
             _add_channel(layout, opcode, body)
+    # Other programs may leave out any part of an index; what is not in it is to be found all the same.
+    whole = told is not None and (told.chunk_count, told.attachment_count, told.metadata_count) == (
+        found[Opcode.CHUNK_INDEX], found[Opcode.ATTACHMENT_INDEX], found[Opcode.METADATA_INDEX]
+    )  # fmt: skip
+    if not whole or not all(chunk.channels for chunk in layout.chunks) or (layout.counts and not layout.chunks):
+        raise Damaged("the index leaves something out")
     return layout
 
 
-def _from_scan(stream: BinaryIO, size: int) -> Layout:
-    """Everything up to the first record that is cut or damaged: what a killed writer left."""
+def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
+    """Everything up to the first record that is cut or damaged: what a killed writer left.
+
+    Raises BadInput for messages without chunks: nothing would tell damaged ones from others.
+    """
     layout = Layout(size, indexed=False, readable=len(MAGIC))
     try:
         for opcode, place in _each_record(stream, size):
@@ -200,6 +160,9 @@ def _from_scan(stream: BinaryIO, size: int) -> Layout:
                 layout.attachments[attachment(read_at(stream, place, size))[0]] = place
             elif opcode == Opcode.DATA_END:
                 break
+            elif opcode == Opcode.MESSAGE and not layout.chunks:
+                problem, remedy = "its messages stand outside of chunks", "write it with chunks"
+                raise BadInput(problem, str(path), limit=f"{size} bytes", remedy=remedy)
             layout.readable = place.offset + place.length
     except Damaged:
         pass
@@ -223,11 +186,10 @@ def _add_chunk(layout: Layout, place: Place, body: bytes) -> None:
     found: dict[int, int] = defaultdict(int)
     for opcode, _, record in records(chunk_records(body)):
         if opcode == Opcode.MESSAGE and len(record) >= MESSAGE_HEAD:
-            found[_MESSAGE.unpack_from(record)[0]] += 1
+            found[channel_of(record)] += 1
         else:
             _add_channel(layout, opcode, record)
-    start, end = _CHUNK.unpack_from(body)[:2]
-    layout.chunks.append(ChunkPlace(place.offset, place.length, start, end, frozenset(found)))
+    layout.chunks.append(ChunkPlace(place.offset, place.length, *chunk_times(body), frozenset(found)))
     for channel, number in found.items():
         layout.counts[channel] += number
 
@@ -248,7 +210,7 @@ def _add_metadata(layout: Layout, body: bytes) -> None:
 
 def attachment(body: bytes) -> tuple[str, bytes]:
     """Name and bytes of an attachment's body, whose checksum fits. Raises Damaged."""
-    if len(body) < 4 or zlib.crc32(memoryview(body)[:-4]) != struct.unpack("<I", body[-4:])[0]:
+    if len(body) < 4 or not fits(struct.unpack("<I", body[-4:])[0], memoryview(body)[:-4]):
         raise Damaged("an attachment's checksum does not fit")
 
     record = parse(Attachment.read, body)

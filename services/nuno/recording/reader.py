@@ -11,7 +11,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.recording.layout import ChunkPlace, Damaged, Layout, attachment, chunk_messages, read_at, read_layout
+from nuno.recording.chunks import Damaged, chunk_messages
+from nuno.recording.layout import ChunkPlace, Layout, attachment, read_at, read_layout
 from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
 from nuno.recording.writer import part_of
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
