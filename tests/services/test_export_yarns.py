@@ -116,7 +116,7 @@ def test_polylines_are_read_back_by_kind(recorded: Path, tmp_path: Path) -> None
     order = np.argsort(made.curves.kind, kind="stable")
     for yarn, found in zip(order, yarns, strict=True):
         expected = made.curves.points[made.curves.ptr[yarn] : made.curves.ptr[yarn + 1]]
-        assert np.allclose(points[found], expected, rtol=1e-8, atol=1e-12)
+        assert np.array_equal(points[found], expected)
 
 
 def test_the_command_writes_and_says_what_it_did(

@@ -109,7 +109,7 @@ def write_curves(path: Path, made: Outcome, shown: Frame) -> None:
 
 
 def _write_obj(stream: BinaryIO, curves: YarnCurves, frame: Frame) -> None:
-    """Nine digits, as other OBJ exports have; points count from 1."""
+    """As many digits as give every float64 back; points count from 1."""
     stream.write(f"# nuno yarns of frame {frame.number} at {frame.t!r} s\n".encode())
     number = 0
     for kind, name in enumerate(curves.names):
@@ -119,7 +119,7 @@ def _write_obj(stream: BinaryIO, curves: YarnCurves, frame: Frame) -> None:
         stream.write(f"# radius {float(curves.radius[mine].max())!r} m\no {name}\n".encode())
         for yarn in mine:
             points = curves.points[curves.ptr[yarn] : curves.ptr[yarn + 1]]
-            lines = ["v {:.9g} {:.9g} {:.9g}".format(*row) for row in points.tolist()]
+            lines = ["v {!r} {!r} {!r}".format(*row) for row in points.tolist()]
             lines.append("l " + " ".join(map(str, range(number + 1, number + 1 + len(points)))))
             stream.write(("\n".join(lines) + "\n").encode())
             number += len(points)

@@ -13,6 +13,7 @@ from nuno.export.paint import BODY, PLAIN, paint_stretch
 from nuno.export.target import Progress, opened, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
+from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -21,9 +22,10 @@ from nuno_schemas.fabric import Float, Int
 def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
     """Write one frame (default: the last) of the cloth; the name's ending says how.
 
-    .obj and .ply hold the cloth: float32 positions [m], faces, texture coordinates. .glb also
-    holds the bodies, the texture images and colours. Raises BadInput for another ending, a frame
-    that is not there or not finite, or where the file cannot be written.
+    .obj and .ply hold the cloth: positions [m] with all their digits, faces, texture coordinates. .glb also
+    holds the bodies, the texture images and colours; its positions, float32 by the format, are about an origin that
+    its nodes are moved to. Raises BadInput for another ending, a frame that is not there or not finite, or where the
+    file cannot be written.
     """
     suffix = path.suffix.lower()
     with opened(source) as recording:
@@ -92,11 +94,11 @@ def _write(suffix: str, stream: BinaryIO, recording: Recording, pieces: list[Pie
 
 
 def _write_obj(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
-    """One group per piece. Nine digits give every float32 back; OBJ counts from 1 over all pieces."""
+    """One group per piece. As many digits as give every float64 back; OBJ counts from 1 over all pieces."""
     stream.write(f"# nuno frame {frame.number} at {frame.t!r} s\n".encode())
     for piece in pieces:
-        x = frame.x[piece.start : piece.stop].astype(np.float32)
-        lines = [f"o {piece.name}", *("v {:.9g} {:.9g} {:.9g}".format(*row) for row in x.tolist())]
+        x = frame.x[piece.start : piece.stop]
+        lines = [f"o {piece.name}", *("v {!r} {!r} {!r}".format(*row) for row in x.tolist())]
         corners = piece.faces + piece.start + 1
         if piece.uv is not None:
             lines += ["vt {:.9g} {:.9g}".format(*row) for row in piece.uv.tolist()]
@@ -107,21 +109,20 @@ def _write_obj(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
 
 
 def _write_ply(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
-    """Binary, all pieces as one mesh, texture coordinates as s and t."""
+    """Binary, all pieces as one mesh, positions as double, texture coordinates as s and t."""
     faces = np.concatenate([np.zeros((0, 3), np.int32), *(piece.faces + piece.start for piece in pieces)])
-    names = ["x", "y", "z"]
-    columns = [frame.x]
-    uvs = [piece.uv for piece in pieces]
-    if uvs and all(uv is not None for uv in uvs) and sum(len(uv) for uv in uvs if uv is not None) == len(frame.x):
-        names += ["s", "t"]
-        columns.append(np.concatenate([uv for uv in uvs if uv is not None]))
-    properties = "".join(f"property float {name}\n" for name in names)
+    uvs = [piece.uv for piece in pieces if piece.uv is not None]
+    textured = len(uvs) == len(pieces) > 0 and sum(map(len, uvs)) == len(frame.x)
+    kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), *([("s", "<f4"), ("t", "<f4")] if textured else [])]
+    columns = [*frame.x.T, *(np.concatenate(uvs).T if textured else [])]
+    vertices = np.rec.fromarrays(columns, dtype=np.dtype(kinds))
+    properties = "".join(f"property {'double' if kind == '<f8' else 'float'} {name}\n" for name, kind in kinds)
     stream.write(
         f"ply\nformat binary_little_endian 1.0\ncomment nuno frame {frame.number} at {frame.t!r} s\n"
         f"element vertex {len(frame.x)}\n{properties}"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n".encode()
     )
-    stream.write(np.concatenate(columns, axis=1).astype("<f4").tobytes())
+    stream.write(vertices.tobytes())
     table = np.empty(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
     table["count"], table["corners"] = 3, faces
     stream.write(table.tobytes())
@@ -131,17 +132,18 @@ def _glb(recording: Recording, pieces: list[Piece], frame: Frame) -> bytes:
     """glTF is y up and right-handed, as the scene is."""
     import trimesh
 
-    scene = trimesh.Scene()
+    scene, place = trimesh.Scene(), np.eye(4)
+    place[:3, 3] = origin = origin_of(frame.x)
     for piece in pieces:
         if len(piece.faces):
-            x = frame.x[piece.start : piece.stop]
+            x = frame.x[piece.start : piece.stop] - origin
             mesh = _trimesh(x, piece.faces, _visual(piece, x))
-            scene.add_geometry(mesh, node_name=piece.name, geom_name=piece.name)
+            scene.add_geometry(mesh, node_name=piece.name, geom_name=piece.name, transform=place)
     bodies = read_bodies(recording)
     points = body_vertices(recording, bodies, frame.t)
     if bodies is not None and len(points):
-        mesh = _trimesh(points, bodies.faces, _plain(BODY, two_sided=False))
-        scene.add_geometry(mesh, node_name="bodies", geom_name="bodies")
+        mesh = _trimesh(points - origin, bodies.faces, _plain(BODY, two_sided=False))
+        scene.add_geometry(mesh, node_name="bodies", geom_name="bodies", transform=place)
     if not scene.geometry:
         raise BadInput("nothing in the recording has faces", str(recording.path), remedy="a net has none: export .npz")
     return bytes(scene.export(file_type="glb", include_normals=True))

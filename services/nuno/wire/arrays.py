@@ -145,15 +145,18 @@ def _point_cloud_fields() -> Any:
     return [messages.PackedElementField(name=axis, offset=4 * i, type=kind) for i, axis in enumerate("xyz")]
 
 
-def encode_points(x: NDArray[np.float64], t: float) -> bytes:
-    """(n, 3) positions [m] -> foxglove.PointCloud of float32 about an origin.
-
-    The origin is the first point, rounded to whole metres, so that float32 keeps its 24 bits for
-    the cloth itself even far from the world's origin; it is the cloud's pose.
+def origin_of(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) [m] about which positions (n, 3) [m] are written as float32: the first point, rounded to whole metres, so
+    that float32 keeps its 24 bits for the cloth itself even far from the world's origin.
     """
+    return np.round(x[0]) if len(x) and np.isfinite(x[0]).all() else np.zeros(3)
+
+
+def encode_points(x: NDArray[np.float64], t: float) -> bytes:
+    """(n, 3) positions [m] -> foxglove.PointCloud of float32 about `origin_of` them, which is the cloud's pose."""
     from foxglove import messages
 
-    origin = np.round(x[0]) if len(x) and np.isfinite(x[0]).all() else np.zeros(3)
+    origin = origin_of(x)
     with np.errstate(over="ignore"):  # a diverging run's last frame may not fit; it is kept as inf
         points = np.subtract(x, origin, out=np.empty(x.shape, np.float32), casting="same_kind")
     seconds, nanos = divmod(round(t * 1e9), 10**9)
