@@ -112,12 +112,17 @@ def metadata(scene: dict[str, Any] | None = None) -> dict[str, dict[str, str]]:
 
 
 def write(
-    path: Path, sheet: Sheet, frames: int = 20, attachments: dict[str, bytes] | None = None, **options: Any
+    path: Path,
+    sheet: Sheet,
+    frames: int = 20,
+    attachments: dict[str, bytes] | None = None,
+    scene: dict[str, Any] | None = None,
+    **options: Any,
 ) -> list[Item]:
     """Write a finished recording; the messages in it."""
     messages = list(items(sheet, frames, **options))
-    scene = {"name": "waving", "objects": [{"name": "cloth", "model": {"texture": "check.png"}}]}
-    writer = RecordingWriter(path, metadata(scene), attachments or {})
+    usual = {"name": "waving", "objects": [{"name": "cloth", "model": {"texture": "check.png"}}]}
+    writer = RecordingWriter(path, metadata(scene or usual), attachments or {})
     for topic, header, payload in messages:
         writer.write(topic, header, payload)
     writer.finish({END: {"state": "done", "complete": "true", "missing": "{}"}})

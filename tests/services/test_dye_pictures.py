@@ -148,7 +148,7 @@ def test_what_makes_no_sense_is_refused_before_any_file_is_written(
 
 def test_moving_cloth_has_no_view_of_dye(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = nuno.run(write_cloth(tmp_path), "duration=0.05", record=tmp_path / "run.mcap").path
-    for flag in (["--view", "fixed"], ["--scale", "0"], ["--crop", "0", "0", "1", "1"], ["--set", "a=1"]):
+    for flag in (["--view", "fixed"], ["--scale", "0"], ["--crop", "0", "0", "1", "1"]):
         assert main(["export", str(path), "--png", str(tmp_path / "out.png"), *flag]) == 2
         assert f"{flag[0]}: for pictures of dyed cloth" in capsys.readouterr().err
 

@@ -57,6 +57,50 @@ def test_the_scene_chooses_size_and_camera(tmp_path: Path) -> None:
     assert painter.camera.eye == pytest.approx([0.5, -3.125, 0.25])
 
 
+SEEN_FROM = {"azimuth": "90deg", "elevation": 0.5, "target": [0.5, 0.25, 0.125], "distance": "3 m", "size": [80, 60]}
+
+
+@pytest.mark.parametrize("field", SEEN_FROM)
+@pytest.mark.parametrize("kind", ["png", "gif"])
+def test_a_picture_from_another_side_needs_no_other_run(
+    field: str, kind: str, path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is the very picture of a run whose scene says so; a GIF without --size has one of its own."""
+    says_so = tmp_path / "other.mcap"
+    write(says_so, Sheet(), FRAMES, scene={"name": "waving", "view": {field: SEEN_FROM[field]}})
+
+    def export(recording: Path, *flags: str) -> bytes:
+        target = tmp_path / f"out.{kind}"
+        assert main(["export", str(recording), f"--{kind}", str(target), "--end", "0.1", *flags]) == 0
+        return target.read_bytes()
+
+    found = export(path, "--set", f"view.{field}={SEEN_FROM[field]}".replace("'", ""))
+    assert found == export(says_so)
+    assert (found == export(path)) == ((kind, field) == ("gif", "size"))
+
+
+@pytest.mark.parametrize(
+    ("item", "words"),
+    [
+        ("view.azimut=1", ["view.azimut", "no matter of pictures"]),
+        ("view.azimuth=left", ["--set: view.azimuth", "'left'"]),
+        ("view.azimuth.x=1", ["view.azimuth"]),
+        ("view.size=[5, 5]", ["--set: view.size", "at least 16"]),
+        ("view.links=yarn", ["view.links", "no matter of pictures"]),
+        ("solver.dt=1", ["solver.dt", "no matter of pictures"]),
+    ],
+)
+@pytest.mark.parametrize("colour", ["auto", "stretch"])
+def test_what_is_no_camera_is_refused_before_any_file_is_written(
+    item: str, words: list[str], colour: str, path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flags = ["--npz", str(tmp_path / "a.npz"), "--png", str(tmp_path / "a.png"), "--colour", colour, "--set", item]
+    assert main(["export", str(path), *flags]) == 2
+    said = capsys.readouterr().err
+    assert all(word in said for word in words), said
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_every_look_of_an_animation_is_inside_the_picture(path: Path) -> None:
     with open_recording(path) as recording:
         frames = list(recording.frames())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -48,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--rrd", type=Path, metavar="FILE", help="a file for the rerun viewer (needs nuno[view])")
     add_yarns(parser, what)
     _add_parts(parser.add_argument_group("which part"))
-    _add_dyed(parser.add_argument_group("pictures and animations of dyed cloth (default: as the scene says)"))
+    _add_drawn(parser.add_argument_group("how pictures and animations are drawn (default: as the scene says)"))
 
 
 def _add_parts(which: argparse._ArgumentGroup) -> None:
@@ -74,22 +75,26 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
     )
 
 
-def _add_dyed(dye: argparse._ArgumentGroup) -> None:
-    dye.add_argument(
-        "--view", choices=get_args(DyeView), help="all dye, what fibre has fixed of it, or what is still mobile"
+def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
+    drawn.add_argument(
+        "--view", choices=get_args(DyeView), help="dyed cloth: all dye, what fibre has fixed of it, or what is mobile"
     )
-    dye.add_argument("--scale", type=int, metavar="N", help="pixels a cell")
-    dye.add_argument(
-        "--crop", nargs=4, metavar=("LEFT", "TOP", "RIGHT", "BOTTOM"), help="a part of the cloth, e.g. 2mm 2mm 4mm 3mm"
+    drawn.add_argument("--scale", type=int, metavar="N", help="dyed cloth: pixels a cell")
+    drawn.add_argument(
+        "--crop",
+        nargs=4,
+        metavar=("LEFT", "TOP", "RIGHT", "BOTTOM"),
+        help="dyed cloth by itself: a part of it, e.g. 2mm 2mm 4mm 3mm",
     )
-    dye.add_argument(
+    drawn.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="KEY=VALUE",
         dest="overrides",
-        help="change how dye is drawn, e.g. dye.dyes.0.colour.full=0.1, dye.picture.ground=#f0ead8; with --style how "
-        "yarns are, e.g. view.yarns.radius=0.1mm",
+        help="change from where moving cloth is looked at, e.g. view.azimuth=90deg (also elevation, target, distance, "
+        "size); how dye is drawn, e.g. dye.dyes.0.colour.full=0.1, dye.picture.ground=#f0ead8; with --style how yarns "
+        "are, e.g. view.yarns.radius=0.1mm",
     )
 
 
@@ -199,12 +204,10 @@ def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
                 raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)
         return
     dyed = recording.scene.get("dye") is not None
-    dyeing = ("crop",) if dyed else ("view", "scale", "crop", "overrides")
-    for name in (name for name in dyeing if not (args.style and name == "overrides")):
-        if getattr(args, name) not in (None, []):
-            flag = "set" if name == "overrides" else name
+    for name in ("crop",) if dyed else ("view", "scale", "crop"):
+        if getattr(args, name) is not None:
             problem = "for pictures of dyed cloth; the recording is of cloth that moves"
-            raise BadInput(problem, str(recording.path), field=f"--{flag}", remedy="leave it out")
+            raise BadInput(problem, str(recording.path), field=f"--{name}", remedy="leave it out")
 
 
 def _check_wishes(recording: Recording, args: argparse.Namespace) -> None:
@@ -228,7 +231,7 @@ def _check_wishes(recording: Recording, args: argparse.Namespace) -> None:
 
 
 def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
-    from nuno.export import cloth, dyed_object, pictures
+    from nuno.export import camera, cloth, dyed_object, pictures
 
     if args.png or any(getattr(args, suffix[1:]) for suffix in MESHES):
         cloth.read_frame(recording, args.frame)
@@ -236,11 +239,13 @@ def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Cha
         pictures.check_sides(_size(args.size))
     if args.gif or args.mp4:
         pictures.choose_frames(recording, args.fps, args.start, args.end)
-    if (args.png or args.gif or args.mp4) and not args.style:
+    seen_from, of_dye = camera.of_camera(recording, changes.overrides)
+    camera.read_view(recording, seen_from)
+    if (args.png and not args.style) or args.gif or args.mp4:
         if args.colour == "pressure":
             pictures.require_pressure(recording)
         elif args.colour != "stretch":
-            dyed_object.read_dyed_object(recording, changes)
+            dyed_object.read_dyed_object(recording, replace(changes, overrides=of_dye))
 
 
 def _check_dyed_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
@@ -256,9 +261,11 @@ def _check_dyed_pictures(recording: Recording, args: argparse.Namespace, changes
 
 
 def _changes(args: argparse.Namespace) -> Changes:
+    """Of all pictures but those of a style, whose own settings are none of theirs."""
     from nuno.export.dyed_pictures import Changes
 
-    return Changes(args.view, args.scale, _crop(args.crop), tuple(args.overrides))
+    overrides = (item for item in args.overrides if not (args.style and item.startswith("view.yarns")))
+    return Changes(args.view, args.scale, _crop(args.crop), tuple(overrides))
 
 
 def _crop(sides: list[str] | None) -> Crop | None:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import copy
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from pydantic import ValidationError
 
 from nuno.recording.reader import Recording
+from nuno.scene.explain import explain
+from nuno.scene.override import apply_override, overridden
+from nuno.scene.yaml_lines import Path
 from nuno_schemas.camera import frame as fit_camera
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
@@ -21,13 +26,30 @@ def z_up(points: Float) -> Float:
     return np.ascontiguousarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
 
 
-def read_view(recording: Recording) -> View:
-    """How the scene wants pictures taken. Raises BadInput where that is damaged."""
+CAMERA = re.compile(r"view\.(azimuth|elevation|target|distance|size)\b")
+"""Fields of a recorded scene that only change where it is looked at from."""
+
+
+def of_camera(recording: Recording, overrides: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Those of some overrides, key=value, that are the camera's, and others, of dye. Raises BadInput without dye."""
+    camera = tuple(item for item in overrides if CAMERA.match(item))
+    others = tuple(item for item in overrides if item not in camera)
+    if others and recording.scene.get("dye") is None:
+        problem, limit = "this field is no matter of pictures of cloth that is not dyed", "where view looks from"
+        raise BadInput(problem, "--set", value=others[0], limit=limit, remedy="for example --set view.azimuth=90deg")
+    return camera, others
+
+
+def read_view(recording: Recording, overrides: Sequence[str] = ()) -> View:
+    """How the scene wants pictures taken, but for some key=value of it. Raises BadInput for what no view can be."""
+    data = {"view": copy.deepcopy(recording.scene.get("view", {}))}
+    lines: dict[Path, int] = {}
+    for item in overrides:
+        lines = overridden(lines, apply_override(data, item))
     try:
-        return View.model_validate(recording.scene.get("view", {}))
+        return View.model_validate(data["view"])
     except ValidationError as error:
-        first = error.errors()[0]["msg"]
-        raise BadInput(f"the recording's view is damaged: {first}", str(recording.path), field="view") from None
+        raise explain(error, data["view"], ("view",), str(recording.path), lines, View) from None
 
 
 MARGIN = 0.08

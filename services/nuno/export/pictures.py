@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno import registry
-from nuno.export.camera import place_camera, read_view, z_up
+from nuno.export.camera import of_camera, place_camera, read_view, z_up
 from nuno.export.cloth import Bodies, Piece, Pieces, body_vertices, check_size, read_bodies, read_frame
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.dyed_pictures import Changes
@@ -57,18 +57,20 @@ class Painter:
     """Settings of the renderer, e.g. samples."""
     colour: Colour = "auto"
     changes: Changes | None = None
-    """How dye on an object is drawn otherwise than the scene says."""
+    """What is drawn otherwise than the scene says: from where, and dye on an object."""
 
     def __post_init__(self) -> None:
         check_colour(self.colour)
         self.cloth = Pieces(self.recording)
         self.bodies: Bodies | None = read_bodies(self.recording)
         measured = self.colour in ("stretch", "pressure")
-        self.dyed = None if measured else read_dyed_object(self.recording, self.changes)
+        changes = self.changes or Changes()
+        camera, of_dye = of_camera(self.recording, changes.overrides)
+        self.dyed = None if measured else read_dyed_object(self.recording, replace(changes, overrides=of_dye))
         self.pressure = require_pressure(self.recording) if self.colour == "pressure" else None
         self.most = 1.0 if self.pressure is None else _most(self.pressure, self.shown)
         self.renderer = registry.load("nuno.renderers", RENDERER)
-        view = read_view(self.recording)
+        view = read_view(self.recording, camera)
         meshes = [mesh for frame in self.shown for mesh in self.meshes(frame)]
         self.ground = self._ground(meshes)
         dyed = "" if self.dyed is None else self.dyed.name
