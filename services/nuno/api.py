@@ -6,10 +6,12 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import tempfile
 import warnings
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,14 @@ WORDS = (
 """Arguments of the command line, and of `run`."""
 
 
+class _Folder:
+    """A folder that goes with whoever refers to it, at the latest when Python ends."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        weakref.finalize(self, shutil.rmtree, path, ignore_errors=True)
+
+
 @dataclass(frozen=True)
 class Result:
     """A finished run.
@@ -46,7 +56,8 @@ class Result:
     x (n, 3) [m] and v (n, 3) [m/s] are the last state, float64; of a cloth that is dyed phi and fixed
     (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, and no vertices where it is dyed alone. digest is
     that of the state, of a dyed garment of its vertices. report is what the command line prints;
-    recording is the file with every frame.
+    recording is the file with every frame, at `path`. Unless a file was asked for, it is a temporary one: it is
+    removed when neither this result nor a `recording` of it is referred to any more.
     """
 
     state: str
@@ -58,10 +69,14 @@ class Result:
     path: Path
     phi: Float | None = None
     fixed: Float | None = None
+    folder: _Folder | None = field(default=None, repr=False, compare=False)
 
     @property
     def recording(self) -> Recording:
-        return open_recording(self.path)
+        """The recording, opened anew."""
+        found = open_recording(self.path)
+        found.owner = self.folder
+        return found
 
 
 def run(
@@ -75,8 +90,8 @@ def run(
     """Simulate a scene: a file, the name of a shipped scene, or a mapping of its fields.
 
     `overrides` are "key=value" as after --set; `record` is the recording's file (default: a
-    temporary one). Warns (UserWarning) of what makes the scene or its start doubtful. Raises BadInput for a
-    bad scene and RunFailed for a run that failed or diverged, whose recording is kept.
+    temporary one, which goes with the result). Warns (UserWarning) of what makes the scene or its start doubtful.
+    Raises BadInput for a bad scene and RunFailed for a run that failed or diverged, whose recording is kept.
     """
     with contextlib.ExitStack() as stack:
         try:
@@ -115,15 +130,27 @@ def _loaded(
 
 
 def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool, threads: int) -> Result:
-    run_id = runs.new_id(loaded.scene.name)
-    path = Path(record) if record is not None else Path(tempfile.mkdtemp(prefix="nuno-")) / f"{run_id}.mcap"
-    options = Options(record=path, threads=threads)
-    outcome = supervisor.supervise(
-        loaded, options, Deployment(processes=processes, run=run_id), None, lambda o: make_report(loaded, o)
-    )
+    deployment = Deployment(processes=processes, run=runs.new_id(loaded.scene.name))
+    if record is not None:
+        return _recorded(loaded, Options(record=Path(record), threads=threads), deployment)
+    folder = Path(tempfile.mkdtemp(prefix="nuno-"))
+    try:
+        options = Options(record=folder / f"{deployment.run}.mcap", threads=threads, temporary=True)
+        return replace(_recorded(loaded, options, deployment), folder=_Folder(folder))
+    except RunFailed:
+        raise
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _recorded(loaded: Loaded, options: Options, deployment: Deployment) -> Result:
+    path = options.record
+    assert path is not None
+    outcome = supervisor.supervise(loaded, options, deployment, None, lambda o: make_report(loaded, o))
     report = make_report(loaded, outcome)
     for text in report["warnings"]:
-        warnings.warn(text, stacklevel=3)  # at the caller of `run`
+        warnings.warn(text, stacklevel=4)  # at the caller of `run`
     if outcome.problem:
         raise RunFailed(f"{outcome.problem}; recording kept in {path}")
     digest = outcome.summary["digest"]
@@ -138,7 +165,7 @@ def _run(loaded: Loaded, record: str | os.PathLike[str] | None, processes: bool,
 
             end = last_checkpoint(recording)
             t, amounts = end.t, {name: np.array(per_dye(getattr(end, name))) for name in ("phi", "fixed")}
-    return Result(outcome.state, t, x, v, digest, report, path, **amounts)
+    return Result(outcome.state, t, x, v, digest, report, path, amounts.get("phi"), amounts.get("fixed"))
 
 
 def _in_python(error: BadInput) -> BadInput:

@@ -53,6 +53,8 @@ class Options:
     """Most threads for kernels; 0 = all."""
     must_see: tuple[str, ...] = ()
     """Services that acknowledge every frame before the simulation runs far ahead."""
+    temporary: bool = False
+    """Whether the recording is not to be kept."""
 
     def __post_init__(self) -> None:
         if self.threads < 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from scenes import write_chain, write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.restore import restored_scene
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 
 
 def test_the_module_lists_what_it_offers() -> None:
@@ -81,3 +82,54 @@ def test_a_resumed_scene_is_called_by_its_recording(tmp_path: Path, capfd: pytes
     assert main(["run", *flags, "--set", "duration=0.2", "--processes"]) == 0
     with nuno.open(target) as recording:
         assert recording.complete
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where temporary files go."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return folder
+
+
+def test_a_recording_goes_with_its_result(tmp_path: Path, temporary: Path) -> None:
+    """A sweep leaves nothing; what still reads it keeps it."""
+    write_chain(tmp_path)
+    for _ in range(3):
+        result = nuno.run(CHAIN, roots=[tmp_path])
+        assert result.path.is_file()
+        assert [path.suffix for path in temporary.rglob("*") if path.is_file()] == [".mcap"]
+    path, recording = result.path, result.recording
+    frames = recording.frames()
+    del result, recording
+    assert path.is_file()
+    assert [frame.number for frame in frames] == list(range(6))
+    del frames
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_recording_that_was_asked_for_stays(tmp_path: Path, temporary: Path) -> None:
+    write_chain(tmp_path)
+    nuno.run(CHAIN, roots=[tmp_path], record=tmp_path / "kept.mcap")
+    with nuno.open(tmp_path / "kept.mcap") as recording:
+        assert recording.complete
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_run_that_fails_keeps_its_recording_and_one_that_is_refused_leaves_nothing(
+    tmp_path: Path, temporary: Path
+) -> None:
+    write_chain(tmp_path)
+    with pytest.raises(BadInput):
+        nuno.run(CHAIN, "solver.dt=1s", roots=[tmp_path])
+    with pytest.raises(BadInput):
+        nuno.run(CHAIN, roots=[tmp_path], threads=-1)
+    assert list(temporary.iterdir()) == []
+    with pytest.raises(RunFailed, match="diverged") as caught:
+        nuno.run(CHAIN, "solver.dt=20ms", "allow_unstable=true", "duration=20", roots=[tmp_path])
+    (kept,) = temporary.rglob("*.mcap")
+    assert str(kept) in str(caught.value)
+    with nuno.open(kept) as recording:
+        assert recording.counts["sim/state"] > 1

@@ -42,6 +42,8 @@ class Recording:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
+        self.owner: object = None
+        """What the file goes with, where it is a temporary one."""
         try:
             self._stream: BinaryIO = self.path.open("rb")
         except OSError as error:
