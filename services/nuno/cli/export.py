@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from nuno.cli.common import warn
 from nuno.cli.export_yarns import add_yarns, check_wish, prepare_yarns
 from nuno.recording.reader import Recording, open_recording
+from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import Crop, DyeView
 
@@ -24,7 +25,7 @@ MESHES = (".obj", ".ply", ".glb")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recording", type=Path, metavar="RECORDING")
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="a file, or last")
     what = parser.add_argument_group("what to write (any number of these)")
     what.add_argument(
         "--npz",
@@ -99,7 +100,7 @@ def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    with open_recording(args.recording) as recording:
+    with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
         written = _export(recording, args)
     if not written:

@@ -10,18 +10,19 @@ from typing import Any
 from nuno.recording.gaps import find_gaps, missing, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
 from nuno.report import lines
+from nuno.supervision import runs
 
 MOST_GAPS = 5
 """Gaps that are listed for a person."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recording", type=Path, metavar="FILE")
+    parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
     parser.add_argument("--json", action="store_true", help="the same for a program, as one JSON object")
 
 
 def main(args: argparse.Namespace) -> int:
-    with open_recording(args.recording) as recording:
+    with open_recording(runs.find_recording(args.recording)) as recording:
         if args.json:
             print(json.dumps(describe(recording), indent=2))
             return 0

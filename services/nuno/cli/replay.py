@@ -22,7 +22,7 @@ from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recording", type=Path, metavar="FILE")
+    parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
     speed = parser.add_mutually_exclusive_group()
     speed.add_argument("--rate", type=float, default=1.0, metavar="X", help="simulated seconds a second (default: 1)")
     speed.add_argument("--fast", action="store_true", help="as fast as the subscribers take it")
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    with open_recording(args.recording) as recording:
+    with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
         return _replay(recording, args)
 

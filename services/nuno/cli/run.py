@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resume",
         type=Path,
         metavar="FILE",
-        help="go on from the last checkpoint of a recording, with its own scene",
+        help="go on from the last checkpoint of a recording, or of the last, with its own scene",
     )
     recording.add_argument(
         "--log",
@@ -103,6 +103,7 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
                 limit=", ".join(RESUMABLE),
                 remedy="change the others while it runs: nuno control last set ...",
             )
+    args.resume = runs.find_recording(args.resume)
     with open_recording(args.resume) as recording, restored_scene(recording, tuple(args.overrides)) as loaded:
         t = check_unfinished(recording, loaded)
         cut = ", which was not finished" if recording.recovered else ""
@@ -130,7 +131,7 @@ def _options(args: argparse.Namespace, run: str) -> Options:
     record = None
     if not args.no_record:
         target: Path | None = args.record
-        record = runs.record_path(target.parent if target else Path("recordings"), run)
+        record = runs.record_path(target.parent if target else runs.RECORDINGS, run)
         record = target or record
     view = args.view
     if view is None and not args.no_view and args.save is None and has_screen():

@@ -10,17 +10,18 @@ from nuno.cli.common import warn
 from nuno.cli.progress import ProgressLine
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
+from nuno.supervision import runs
 from nuno.verify import Verification, verify
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recording", type=Path, metavar="FILE")
+    parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
     parser.add_argument("--threads", type=int, default=0, metavar="N", help="most threads for kernels (default: all)")
 
 
 def main(args: argparse.Namespace) -> int:
     """Compare; 1 where the recording differs."""
-    with open_recording(args.recording) as recording:
+    with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
         with restored_scene(recording) as loaded:
             scene = loaded.scene

@@ -1,22 +1,31 @@
-"""Runs of this user: their names, where their recordings go, and which are going on, for `nuno control`."""
+"""Runs of this user: their names, where their recordings go, which are going on, and which is the last."""
 
 from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import re
 import secrets
+import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
 
+from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput, nearest
 
+LAST = "last"
+"""What stands for the run begun last: of this folder if there is one, else of any."""
+RECORDINGS = Path("recordings")
+"""Where runs are recorded unless the user names another file."""
+RECORDED = "recorded"
+"""Below the folder of notes, for each folder from which runs were begun one that says where the last is recorded."""
 ATTEMPTS, LOOK_SECONDS = 10, 0.01
 """How often a run tries to hold its note: whoever looks which runs go on may hold it for a moment."""
 
@@ -78,7 +87,7 @@ def announced(run: str, endpoint: str, scene: Path | None = None) -> Iterator[No
     The note is locked meanwhile. Its process's number would not do: once that has been killed, it may be another's.
     Raises BadInput where a run of that name goes on, or the note cannot be written.
     """
-    note: dict[str, object] = {"endpoint": endpoint}
+    note: dict[str, object] = {"endpoint": endpoint, "folder": _here()}
     if scene is not None:
         note["scene"] = str(scene.resolve())
     path = folder() / f"{run}.json"
@@ -159,20 +168,72 @@ def running() -> dict[str, str]:
 
 def scene_path(run: str) -> Path | None:
     """The file that a run going on has its scene from; None where there is none, or no such run."""
-    try:
-        path = Path(json.loads((folder() / f"{run}.json").read_text())["scene"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    path = Path(_noted(folder() / f"{run}.json", "scene"))
     return path if path.is_file() else None
+
+
+def _noted(path: Path, name: str) -> str:
+    """A text of a note; empty where there is none."""
+    try:
+        return str(json.loads(path.read_text())[name])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
 
 
 def find(run: str) -> tuple[str, str]:
     """A running run by id, unique prefix, or "last". Raises BadInput."""
     alive = running()
     matches = [run] if run in alive else [name for name in alive if name.startswith(run)]
-    if run == "last":
-        matches = list(alive)[-1:]
+    if run == LAST:
+        matches = _newest([(_noted(folder() / f"{name}.json", "folder"), name) for name in alive])
     if len(matches) != 1:
         problem = "no such run is going on" if not matches else "several runs begin with that"
         raise BadInput(problem, value=run, remedy=nearest(run, alive) if alive else "start one: nuno run SCENE")
     return matches[0], alive[matches[0]]
+
+
+def _here() -> str:
+    """The folder that this program works in; empty where that has been removed."""
+    with suppress(OSError):
+        return os.getcwd()
+    return ""
+
+
+def _newest(begun: Sequence[tuple[str, str]]) -> list[str]:
+    """Of folders and what was begun in them, in order, the last of this folder, or else of all; it is said which."""
+    here = [pair for pair in begun if pair[0] == _here()]
+    for place, found in (here or begun)[-1:]:
+        print(f"{LAST} is {found}{'' if here else f', begun in {place}'}", file=sys.stderr, flush=True)
+        return [found]
+    return []
+
+
+def note_recording(path: Path) -> None:
+    """Let `last` mean a recording that is being written, by a run of the folder that this program works in."""
+    here = _here()
+    notes = folder() / RECORDED
+    target = notes / f"{hashlib.sha256(here.encode()).hexdigest()[:32]}.json"
+    new = target.with_suffix(f".{os.getpid()}")
+    with suppress(OSError):  # no run fails for it
+        notes.mkdir(exist_ok=True)
+        new.write_text(json.dumps({"folder": here, "recording": str(path.resolve())}))
+        new.replace(target)
+
+
+def find_recording(path: Path) -> Path:
+    """The same path, or for `last` the recording that was written to last. Raises BadInput where there is none."""
+    if str(path) != LAST:
+        return path
+    known = [(_here(), file) for pattern in ("*.mcap", "*.mcap.part") for file in RECORDINGS.glob(pattern)]
+    for note in (folder() / RECORDED).glob("*.json"):
+        file = Path(_noted(note, "recording"))
+        known += [(_noted(note, "folder"), one) for one in (file, part_of(file))]
+    found = []
+    for place, file in known:
+        with suppress(OSError):
+            found.append((file.stat().st_mtime_ns, place, str(file)))
+    newest = _newest([(place, file) for _, place, file in sorted(found)])
+    if not newest:
+        problem, remedy = "no recording is known here", f"name one, or make one: nuno run SCENE (into {RECORDINGS}/)"
+        raise BadInput(problem, value=LAST, remedy=remedy)
+    return Path(newest[0])

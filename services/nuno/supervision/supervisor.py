@@ -133,6 +133,8 @@ def _conduct(
         if apart:
             supervisor.check_premises(progress)
         ready = time.perf_counter()
+        if supervisor.options.record is not None and not supervisor.options.temporary:
+            runs.note_recording(supervisor.options.record)
         log.note(supervisor.run, log.READY, {"seconds": ready - began})
         error = supervisor.follow(progress)
     except BadInput:
