@@ -1,0 +1,154 @@
+"""A recording's file: opened, its messages in order or from the end, with every damage reported."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO, Self
+
+from nuno.recording.chunks import Damaged, chunk_messages
+from nuno.recording.layout import ChunkPlace, Layout, attachment, read_at, read_layout
+from nuno.recording.recorded import Arrays, Recorded
+from nuno.recording.writer import part_of
+from nuno.wire.arrays import BadMessage, decode_arrays
+from nuno_schemas.errors import BadInput
+
+
+class RecordedFile:
+    """What is in a recording, whatever it means. Close it, or use it in a `with`.
+
+    Raises BadInput where the file is missing, no recording, or (while reading) damaged.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self.owner: object = None
+        """What the file goes with, where it is a temporary one."""
+        try:
+            self._stream: BinaryIO = self.path.open("rb")
+        except OSError as error:
+            part = part_of(self.path)
+            remedy = f"its run did not finish it: read {part}" if part.is_file() else "give the name of a recording"
+            raise BadInput(f"cannot be read: {error.strerror}", str(path), remedy=remedy) from None
+        try:
+            self.layout: Layout = read_layout(self._stream, self.path)
+            if "run" not in self.layout.metadata:
+                limits = f"{self.layout.readable} of {self.layout.size} bytes could be read"
+                raise BadInput("no recording by nuno, or cut before its first record", str(path), limit=limits)
+        except BadInput:
+            self._stream.close()
+            raise
+        self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._stream.close()
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Everything by name: run, scene, versions, plugins and, where it was finished, end."""
+        return self.layout.metadata
+
+    @property
+    def recovered(self) -> bool:
+        """Whether the file was not finished, and is read up to its last whole chunk."""
+        return not self.layout.indexed
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages per topic."""
+        return {topic: self.layout.counts.get(id, 0) for id, topic in self._topics.items()}
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Simulation time [s] of the earliest and the latest message."""
+        chunks = self.layout.chunks
+        return min((c.start for c in chunks), default=0) / 1e9, max((c.end for c in chunks), default=0) / 1e9
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the files that the scene used."""
+        return tuple(self.layout.attachments)
+
+    def attachment(self, name: str) -> bytes:
+        with self._damage_reported():
+            return attachment(read_at(self._stream, self.layout.attachments[name], self.layout.size))[1]
+
+    def messages(
+        self, topics: Iterable[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[Recorded]:
+        """Messages in the order they were written, with start <= t < end [s].
+
+        A topic that ends in "/*" stands for all that begin so.
+        """
+        wanted = self._channels(topics)
+        first = -1 if start is None else round(start * 1e9)
+        last = 2**64 if end is None else round(end * 1e9)
+        for chunk in self.layout.chunks:
+            if chunk.channels & wanted and chunk.end >= first and chunk.start < last:
+                for message in self._in_chunk(chunk, wanted):
+                    if first <= message.log_time < last:
+                        yield message
+
+    def last(self, topic: str, before: float | None = None) -> Recorded | None:
+        """The last message of a topic with t <= before [s], read from the end."""
+        wanted = self._channels([topic])
+        limit = 2**64 if before is None else round(before * 1e9)
+        for chunk in reversed(self.layout.chunks):
+            if chunk.channels & wanted and chunk.start <= limit:
+                found = [m for m in self._in_chunk(chunk, wanted) if m.log_time <= limit]
+                if found:
+                    return found[-1]
+        return None
+
+    def _channels(self, topics: Iterable[str] | None) -> frozenset[int]:
+        if topics is None:
+            return frozenset(self._topics)
+        names = tuple(topics)
+        return frozenset(
+            id for id, topic in self._topics.items()
+            if any(topic.startswith(n[:-1]) if n.endswith("/*") else topic == n for n in names)
+        )  # fmt: skip
+
+    def _in_chunk(self, chunk: ChunkPlace, wanted: frozenset[int]) -> Iterator[Recorded]:
+        with self._damage_reported():
+            body = read_at(self._stream, chunk, self.layout.size)
+            for m in chunk_messages(body, wanted):
+                yield Recorded(self._topics[m.channel], m.sequence, m.log_time, m.publish_time, bytes(m.payload))
+
+    def arrays(self, message: Recorded | None) -> tuple[Arrays, dict[str, Any]]:
+        """Arrays and text of a message; empty for None. Raises BadInput where it is damaged."""
+        if message is None:
+            return {}, {}
+        with self._damage_reported(message):
+            return decode_arrays(message.payload)
+
+    def json(self, payload: bytes | str) -> dict[str, Any]:
+        """The mapping that a message holds; empty for anything else. Raises BadInput where it is damaged."""
+        try:
+            value = json.loads(payload)
+        except (ValueError, RecursionError) as error:
+            raise BadInput(f"a message is damaged: {error}", str(self.path)) from None
+        return value if isinstance(value, dict) else {}
+
+    def whole(self, value: object) -> int:
+        """A whole number that a message holds. Raises BadInput for anything else."""
+        if type(value) is not int:
+            raise BadInput("a message is damaged: no whole number", str(self.path), value=value)
+        return value
+
+    @contextmanager
+    def _damage_reported(self, message: Recorded | None = None) -> Iterator[None]:
+        place = f"{message.topic} {message.seq} at {message.t:g} s: " if message else ""
+        try:
+            yield
+        except (Damaged, BadMessage) as error:
+            remedy = "the disk or a copy changed it: take another copy"
+            raise BadInput(f"the recording is damaged: {place}{error}", str(self.path), remedy=remedy) from None
