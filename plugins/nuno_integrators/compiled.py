@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from nuno_integrators.forces import find_forces, own_contact
 from nuno_integrators.pace import Pace
 from nuno_integrators.profile import profile_steps
 from nuno_kernels import threads_available
@@ -24,7 +25,7 @@ from nuno_kernels.rest import unbalance
 from nuno_kernels.stability import measure_rates, stable_step
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Memory, State
-from nuno_schemas.plugin import StepLimit, StepReport, System
+from nuno_schemas.plugin import Forces, StepLimit, StepReport, System
 
 CHECKPOINTED = ("anchor", "anchor_frame")
 """Arrays of the contact tuple that are part of the state."""
@@ -152,6 +153,13 @@ class Compiled(ABC):
 
             hold_forces(work.x, force, packed.slides)
         return unbalance(system.fabric, state.x, state.v, force.T)
+
+    def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
+        """See nuno_schemas.plugin.Integrator."""
+        work: Work = memory.work  # type: ignore[assignment]
+        packed = _set_poses(own_contact(work.packed), poses)
+        extra = _enter(system, state, work, state.t)
+        return find_forces(system, state, packed, work.x, work.v, extra, poses)
 
     def slopes(self, memory: Memory) -> Callable[[Float, Float, Float], None]:
         """The compiled acceleration by itself, bodies left out: a function (x, v, out) of rows (3, n).

@@ -128,6 +128,21 @@ class StepReport:
     """Of a scene until balance: vertices farther from rest than it allows."""
 
 
+@dataclass(frozen=True)
+class Forces:
+    """What acts on a fabric in one state, by the laws of its scene, whatever the solver makes of them in a step."""
+
+    parts: Mapping[str, Float]
+    """(n, 3) [N] by kind, as far as there is any: gravity, damping (of the scene), springs (with their own damping),
+    hinges, yarns (tension that passes along them), wind, particle_wind, python, contact. All act on vertices that are
+    held or carried, too, which do not follow them. Sliding contact is no law of force: what it says is what surfaces
+    and friction hold against the other forces, as on a vertex at rest."""
+    acceleration: Float
+    """(n, 3) [m/s^2] the sum of all over the mass; 0 for vertices that are held or carried"""
+    tension: Float
+    """(s,) [N] along each spring, with what it takes over along its yarn, without damping; > 0 pulls"""
+
+
 class Model(Protocol):
     """Builds a fabric at rest."""
 
@@ -214,6 +229,12 @@ class Integrator(Protocol):
         """(n,) how far each vertex is from rest: the force that surfaces and friction leave on it, and what its
         velocity will turn into, as a share of the springs' mean tension. 0 for vertices that are held, inf for all
         others of cloth without springs. Changes neither state nor memory; poses as in `advance`.
+        """
+        ...
+
+    def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
+        """What acts in a state, by kind of force, with bodies as at the start of the interval of `poses`, and as fast:
+        what an explicit method's next step begins with. Changes neither state nor memory.
         """
         ...
 

@@ -1,4 +1,6 @@
-"""Textile simulation as services. `nuno.run(scene)` simulates, `nuno.open(file)` reads a recording."""
+"""Textile simulation as services. `nuno.run(scene)` simulates, `nuno.open(file)` reads a recording, and
+`nuno.states(recording)` gives its frames as they were, in float64, with what acted on them.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nuno.api import Result, run
+    from nuno.moments import Moment, states
     from nuno.recording.reader import open_recording as open
 
-__all__ = ["Result", "open", "run"]
+__all__ = ["Moment", "Result", "open", "run", "states"]
 
 
 def __dir__() -> list[str]:
@@ -21,6 +24,10 @@ def __getattr__(name: str) -> Any:
         from nuno import api
 
         return getattr(api, name)
+    if name in ("states", "Moment"):
+        from nuno import moments
+
+        return getattr(moments, name)
     if name == "open":
         from nuno.recording.reader import open_recording
 

@@ -73,6 +73,10 @@ class Again(ABC):
     checkpoint: str
     """Topics of its digests, of its float32 and of its float64 arrays."""
 
+    @abstractmethod
+    def __init__(self, recording: Recording, loaded: Loaded, threads: int, start: Recorded | None = None) -> None:
+        """From a checkpoint's message on, or else from the start. Raises BadInput."""
+
     @property
     @abstractmethod
     def frame(self) -> int:

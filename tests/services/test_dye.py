@@ -18,6 +18,7 @@ from live_run import Run
 
 import nuno
 from nuno.cli import main
+from nuno.dye.checkpoint import read_checkpoints
 from nuno.dye.run import DyeRun
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
@@ -53,6 +54,25 @@ def test_the_exact_scene_equals_a_plain_loop(tmp_path: Path) -> None:
     assert fixed.max() > 0.05 and not np.array_equal(phi, data["phi"])
     assert result.report["totals"]["steps"] == 10
     assert result.report["dye"]["balance"] < 1e-13
+
+
+def test_any_frame_of_dye_is_had_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Between checkpoints and to the last bit: what a run that ends there has."""
+    record = {"checkpoint_every": "7.2 s"}
+    path = nuno.run(write_scene(tmp_path, record=record), record=tmp_path / "run.mcap").path
+    ended = nuno.run(tmp_path / "scene.yaml", "duration=10.8 s")
+    with nuno.open(path) as recording:
+        assert [point.frame for point in read_checkpoints(recording)] == [4, 8, 10]
+        (moment,) = nuno.states(recording, [6])
+    assert moment.digest == ended.digest and moment.t == ended.t
+    assert moment.phi is not None and moment.fixed is not None and ended.phi is not None and ended.fixed is not None
+    assert moment.phi.tobytes() == ended.phi.tobytes() and moment.fixed.tobytes() == ended.fixed.tobytes()
+    assert moment.x.shape == (0, 3) and moment.fabric is None
+    assert main(["export", str(path), "--frame", "6", "--npz", str(tmp_path / "six.npz")]) == 0
+    with np.load(tmp_path / "six.npz") as out:
+        assert np.array_equal(out["phi"], ended.phi) and float(out["t"]) == moment.t
+    assert main(["export", str(path), "--forces", str(tmp_path / "no.npz")]) == 2
+    assert "--forces: a recording of dye" in capsys.readouterr().err
 
 
 def test_no_service_of_moving_cloth_is_started(tmp_path: Path) -> None:

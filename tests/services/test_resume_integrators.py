@@ -36,6 +36,37 @@ def test_resumed_run_ends_in_the_same_bits(name: str, tmp_path: Path) -> None:
         assert [f.digest for f in ours.frames()] == [f.digest for f in reference.frames()]
 
 
+@pytest.mark.parametrize("name", INTEGRATORS)
+def test_a_frame_is_had_again_and_its_forces_are_the_scenes_whatever_the_solver(name: str, tmp_path: Path) -> None:
+    """Also those of contact and friction, whose dashpots solvers bound in their own steps."""
+    fields = {"bodies": BALL, "allow_unstable": True, "duration": 0.4}
+    scene = write_scene(tmp_path, solver={"plugin": name, "dt": "1 ms"}, **fields)
+    path = nuno.run(scene, record=tmp_path / "run.mcap").path
+    with nuno.open(path) as recording:
+        points = list(recording.checkpoints())
+        between = next(nuno.states(recording, [13]))
+        kept = list(nuno.states(recording, [point.frame for point in points], forces=True))
+    assert between.x.dtype == np.float64 and len(points) == 4
+    loaded = scene_file.read(write_scene(tmp_path, solver={"plugin": "symplectic_euler", "dt": "1 ms"}, **fields))
+    bodies = build.build_bodies(loaded)
+    poses = bodies.poses(0.0)
+    other = Simulation(loaded, bodies.geometry, poses, 1)
+    touching = 0
+    for point, moment in zip(points, kept, strict=True):
+        anchors = {key: values for key, values in point.memory.items() if key.startswith("anchor")}
+        other.resume(point.frame, point.x, point.v, anchors)
+        expected, found = other.forces((poses, poses)), moment.forces
+        assert found is not None and set(found.parts) == set(expected.parts) == {"gravity", "springs", "contact"}
+        for kind, force in expected.parts.items():
+            assert np.array_equal(found.parts[kind], force), kind
+        assert np.array_equal(found.acceleration, expected.acceleration)
+        assert np.array_equal(found.parts["gravity"][:, 1], np.full(6, 0.01 * -9.81))
+        length = np.linalg.norm(np.diff(moment.x, axis=0), axis=1)
+        assert np.allclose(found.tension, 100.0 * (length - 0.1), rtol=0.0, atol=1e-12)
+        touching += bool(found.parts["contact"].any())
+    assert touching
+
+
 def test_memory_matters_where_the_run_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without it the tests above would end in the same bits whatever a checkpoint holds."""
     scene = write_scene(tmp_path, bodies=BALL, duration=0.4)

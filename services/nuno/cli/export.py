@@ -7,96 +7,22 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
 from nuno.cli.common import warn
-from nuno.cli.export_yarns import add_yarns, check_wish, prepare_yarns
+from nuno.cli.export_flags import MESHES, add_arguments
+from nuno.cli.export_yarns import check_wish, prepare_yarns
 from nuno.recording.reader import Recording, open_recording
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
-from nuno_schemas.look import Crop, DyeView
+from nuno_schemas.look import Crop
 
 if TYPE_CHECKING:
     from nuno.export.dyed_pictures import Changes
 
-MESHES = (".obj", ".ply", ".glb")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="a file, or last")
-    what = parser.add_argument_group("what to write (any number of these)")
-    what.add_argument(
-        "--npz",
-        type=Path,
-        metavar="FILE",
-        help="float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint",
-    )
-    what.add_argument(
-        "--csv", type=Path, metavar="FILE", help="energy, stretch, penetration, dye and step time of every frame"
-    )
-    what.add_argument("--png", type=Path, metavar="FILE", help="a picture of a frame")
-    what.add_argument("--gif", type=Path, metavar="FILE", help="an animation")
-    what.add_argument("--mp4", type=Path, metavar="FILE", help="an animation (needs nuno[video])")
-    for suffix in MESHES:
-        text = "; a folder: every frame"
-        what.add_argument(
-            f"--{suffix[1:]}",
-            type=Path,
-            metavar="FILE",
-            help=f"the cloth{' and bodies' if suffix == '.glb' else ''} in a frame{text}",
-        )
-    what.add_argument("--rrd", type=Path, metavar="FILE", help="a file for the rerun viewer (needs nuno[view])")
-    add_yarns(parser, what)
-    _add_parts(parser.add_argument_group("which part"))
-    _add_drawn(parser.add_argument_group("how pictures and animations are drawn (default: as the scene says)"))
-
-
-def _add_parts(which: argparse._ArgumentGroup) -> None:
-    which.add_argument("--frame", type=int, metavar="N", help="frame for --png, meshes and yarns (default: the last)")
-    which.add_argument("--start", type=float, metavar="SECONDS", help="animations: from here")
-    which.add_argument("--end", type=float, metavar="SECONDS", help="animations: to here")
-    which.add_argument(
-        "--fps", type=float, default=25.0, metavar="N", help="animations: pictures a second (default: %(default)g)"
-    )
-    which.add_argument("--size", metavar="WxH", help="of pictures of moving cloth, e.g. 960x720")
-    which.add_argument(
-        "--colour",
-        choices=["auto", "cloth", "stretch", "pressure"],
-        default="auto",
-        help="pictures and animations: cloth in its own texture or colour, by its stretch, or by a knit's pressure "
-        "(default: its own where the scene gives one)",
-    )
-    which.add_argument(
-        "--style",
-        metavar="NAME",
-        help="--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of pressure "
-        "on skin); --set view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera",
-    )
-
-
-def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
-    drawn.add_argument(
-        "--view", choices=get_args(DyeView), help="dyed cloth: all dye, what fibre has fixed of it, or what is mobile"
-    )
-    drawn.add_argument("--scale", type=int, metavar="N", help="dyed cloth: pixels a cell")
-    drawn.add_argument(
-        "--crop",
-        nargs=4,
-        metavar=("LEFT", "TOP", "RIGHT", "BOTTOM"),
-        help="dyed cloth by itself: a part of it, e.g. 2mm 2mm 4mm 3mm",
-    )
-    drawn.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="overrides",
-        help="change from where moving cloth is looked at, e.g. view.azimuth=90deg (also elevation, target, distance, "
-        "size); how dye is drawn, e.g. dye.dyes.0.colour.full=0.1, dye.picture.ground=#f0ead8; with --style how yarns "
-        "are, e.g. view.yarns.radius=0.1mm",
-    )
+__all__ = ["add_arguments", "main"]
 
 
 def main(args: argparse.Namespace) -> int:
@@ -122,7 +48,9 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     yarns = prepare_yarns(recording, args) if args.yarns else None
     written: list[Path] = []
     if args.npz:
-        written.append(tables.export_npz(recording, args.npz))
+        written.append(tables.export_npz(recording, args.npz, frame=args.frame))
+    if args.forces:
+        written.append(tables.export_forces(recording, args.forces, args.frame))
     if args.csv:
         written.append(tables.export_csv(recording, args.csv))
     written += [drawn()] if drawn else []
@@ -195,10 +123,10 @@ def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
         problem = "a style is for --png of a knit"
         raise BadInput(problem, str(recording.path), field="--style", value=args.style, remedy="leave it out")
     if recording.dyed_alone:
-        meshes = [name for name in (m[1:] for m in MESHES) if getattr(args, name)]
-        if meshes:
+        shapes = [name for name in ("forces", *(m[1:] for m in MESHES)) if getattr(args, name)]
+        if shapes:
             problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
-            raise BadInput(problem, str(recording.path), field=f"--{meshes[0]}", remedy=remedy)
+            raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)
         for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown")):
             if getattr(args, name) not in (None, "auto"):
                 problem = "for pictures of moving cloth; the recording is of dye"
@@ -218,7 +146,7 @@ def _check_wishes(recording: Recording, args: argparse.Namespace) -> None:
     from nuno.viewer.require import require
 
     size, changes, files = _size(args.size), _changes(args), (".npz", ".csv", ".png", *MESHES)
-    wanted = [(getattr(args, suffix[1:]), suffix) for suffix in files]
+    wanted = [(getattr(args, suffix[1:]), suffix) for suffix in files] + [(args.forces, ".npz")]
     for path, suffix in wanted:
         # A mesh of every frame goes into a folder.
         if path and (suffix not in MESHES or path.suffix.lower() == suffix):
@@ -234,7 +162,8 @@ def _check_wishes(recording: Recording, args: argparse.Namespace) -> None:
 def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
     from nuno.export import camera, cloth, dyed_object, pictures
 
-    if args.png or any(getattr(args, suffix[1:]) for suffix in MESHES):
+    arrays = args.forces or (args.npz and args.frame is not None)
+    if args.png or arrays or any(getattr(args, suffix[1:]) for suffix in MESHES):
         cloth.read_frame(recording, args.frame)
     if args.png:
         pictures.check_sides(_size(args.size))

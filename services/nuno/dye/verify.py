@@ -24,12 +24,16 @@ class DyeAgain(Again):
     part = "dye"
     status, published, checkpoint = DYE_STATUS.name, CONCENTRATION.name, DYE_CHECKPOINT.name
 
-    def __init__(self, recording: Recording, loaded: Loaded, threads: int) -> None:
-        """Raises BadInput."""
+    def __init__(self, recording: Recording, loaded: Loaded, threads: int, start: Recorded | None = None) -> None:
+        """From a checkpoint's message on, or else from the start. Raises BadInput."""
         self.additions = additions(recording)
         """Still to be made."""
         self.dyeing = DyeRun(loaded, threads)
         self._recording = recording
+        if start is not None:
+            point = read_checkpoint(recording, start)
+            self.dyeing.resume(point, [one for one in self.additions if one[0] <= point.frame])
+            self.additions = [one for one in self.additions if one[0] > point.frame]
 
     @property
     def frame(self) -> int:

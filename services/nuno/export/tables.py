@@ -1,4 +1,4 @@
-"""The last checkpoint as NumPy arrays, and the report's series as a table."""
+"""Checkpoints, frames and what acts in them as NumPy arrays, and the report's series as a table."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nuno.export.pressure import read_pressure
 from nuno.export.target import opened, writing
+from nuno.moments import Moment, states
 from nuno.recording.reader import Recording
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
@@ -18,28 +19,83 @@ from nuno_schemas.messages import DYE_CHECKPOINT
 UNITS = {"balance": "1", "t": "s", "time": "s", "step_seconds": "s", "depth": "m", "mean": "m", "stretch": "1"}
 
 
-def export_npz(source: Recording | Path | str, path: Path, t: float | None = None) -> Path:
+def export_npz(source: Recording | Path | str, path: Path, t: float | None = None, frame: int | None = None) -> Path:
     """Write the last checkpoint (not after t [s]): x, v (n, 3) and t, of a knit `pressure` (n,) [Pa], all float64.
 
-    Of a cloth that is dyed: phi, fixed and t; the amounts are (2, ny, nx), or (dyes, 2, ny, nx) for
-    several dyes, as in the file of the cloth `cells`. Of a garment that is dyed all of these.
+    Or that of a frame by its number, which is simulated again where it is none of a checkpoint's. Of a cloth that is
+    dyed: phi, fixed and t; the amounts are (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, as in the file of the
+    cloth `cells`. Of a garment that is dyed all of these.
 
     Solver memory stays in the recording, from which a run is resumed. Raises BadInput where
-    there is no checkpoint or the file cannot be written.
+    there is no checkpoint or no such frame, or the file cannot be written.
     """
     with opened(source) as recording:
-        arrays = {} if recording.dyed_alone else _cloth(recording, t)
-        arrays |= _dye(recording, t) if DYE_CHECKPOINT.name in recording.counts else {}
-        with writing(path, ".npz") as new, new.open("wb") as stream:
-            np.savez(stream, allow_pickle=False, **arrays)
+        if frame is None:
+            arrays = {} if recording.dyed_alone else _cloth(recording, t)
+            arrays |= _dye(recording, t) if DYE_CHECKPOINT.name in recording.counts else {}
+        else:
+            arrays = _state(recording, find_moment(recording, frame))
+        _write(path, arrays)
     return path
+
+
+def find_moment(recording: Recording, frame: int | None, forces: bool = False) -> Moment:
+    """A frame (default: the last) as it was. Raises BadInput."""
+    numbers = [number for number, digest in recording.marks().values() if digest]
+    return next(states(recording, numbers[-1:] if frame is None else [frame], forces))
+
+
+def export_forces(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
+    """Write what acts on cloth in a frame (default: the last), and the state it acts in, as float64 arrays.
+
+    x, v, acceleration and force_KIND (n, 3), mass and pinned (n,), spring_pairs (s, 2), spring_k, spring_rest,
+    spring_c and spring_tension (s,), frame and t: SI units; see nuno_schemas.plugin.Forces. Raises BadInput for a
+    recording of dye alone, a frame that is not in it, and where the file cannot be written.
+    """
+    with opened(source) as recording:
+        moment = find_moment(recording, frame, forces=True)
+        fabric, acting = moment.fabric, moment.forces
+        if fabric is None or acting is None:
+            problem, remedy = "a cloth that is dyed alone feels no forces", "--npz gives its amounts"
+            raise BadInput(problem, str(recording.path), field="--forces", remedy=remedy)
+        arrays = {"frame": np.array(moment.frame), **_state(recording, moment)}
+        arrays |= {"mass": fabric.mass, "pinned": fabric.pinned, "acceleration": acting.acceleration}
+        arrays |= {f"force_{kind}": force for kind, force in acting.parts.items()}
+        if (springs := fabric.springs) is not None:
+            each: dict[str, NDArray[Any]] = {
+                name: springs.per_spring(getattr(springs, name)) for name in ("k", "rest", "c")
+            }
+            each |= {"pairs": springs.pairs(), "tension": acting.tension}
+            arrays |= {f"spring_{name}": values for name, values in each.items()}
+        _write(path, arrays)
+    return path
+
+
+def _write(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    with writing(path, ".npz") as new, new.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)
+
+
+def _state(recording: Recording, moment: Moment) -> dict[str, NDArray[Any]]:
+    """Of cloth x, v and a knit's pressure, of dye phi and fixed."""
+    from nuno.dye.checkpoint import per_dye
+
+    arrays: dict[str, NDArray[Any]] = {"t": np.array(moment.t)}
+    if moment.fabric is not None:
+        arrays |= _with_pressure(recording, {"x": moment.x, "v": moment.v})
+    if moment.phi is not None and moment.fixed is not None:
+        arrays |= {"phi": per_dye(moment.phi), "fixed": per_dye(moment.fixed)}
+    return arrays
 
 
 def _cloth(recording: Recording, t: float | None) -> dict[str, NDArray[Any]]:
     point = recording.last_checkpoint(before=t)
-    arrays = {"x": point.x, "v": point.v, "t": np.array(point.t)}
+    return _with_pressure(recording, {"x": point.x, "v": point.v, "t": np.array(point.t)})
+
+
+def _with_pressure(recording: Recording, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     measured = read_pressure(recording)
-    return arrays if measured is None else arrays | {"pressure": measured(point.x)}
+    return arrays if measured is None else arrays | {"pressure": measured(arrays["x"])}
 
 
 def _dye(recording: Recording, t: float | None) -> dict[str, NDArray[Any]]:

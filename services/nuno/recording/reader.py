@@ -57,7 +57,7 @@ class Recording(RecordedFile):
         return self.json(self.metadata.get("scene", {}).get("json", "{}"))
 
     def frames(self, start: float | None = None, end: float | None = None) -> Iterator[Frame]:
-        """Published positions with start <= t < end [s]."""
+        """Published positions with start <= t < end [s]: of float32 precision. `nuno.states` gives the float64 ones."""
         for message in self.messages([STATE.name], start, end):
             number, digest = self.marks().get(message.log_time, (message.seq, ""))
             with self._damage_reported(message):
@@ -95,6 +95,7 @@ class Recording(RecordedFile):
         return self.arrays(self.last(BODIES.name, t))
 
     def checkpoints(self) -> Iterator[Checkpoint]:
+        """The float64 states of cloth that a run can be resumed from, in order. Raises BadInput for a damaged one."""
         for message in self.messages([CHECKPOINT.name]):
             yield self.checkpoint(message)
 

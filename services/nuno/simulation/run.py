@@ -22,7 +22,7 @@ from nuno.simulation.relax import BALANCED, Relaxation, unsettled
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, Memory, State
-from nuno_schemas.plugin import StepLimit, StepReport, System
+from nuno_schemas.plugin import Forces, StepLimit, StepReport, System
 
 REST_SPEED, REST_TIME = 1e-3, 0.1
 """Cloth rests when no vertex has been faster than this share of the cloth's size a second for this long [s]:
@@ -208,6 +208,13 @@ class Simulation(Changing):
             self.system, self.state, self.memory, (poses, poses) if poses else None, 0, self.dt
         )
         return report
+
+    def forces(self, poses: tuple[Poses, Poses] | None) -> Forces:
+        """What acts in the present state, with bodies as at the start of the frame of these poses."""
+        if self.relaxation is not None:
+            self.system = replace(self.system, damping=self.relaxation.damping)
+        found: Forces = self.loaded.integrator.plugin.forces(self.system, self.state, self.memory, poses)
+        return found
 
     def digest(self) -> str:
         """Hash of the float64 state: equal digests mean equal bits."""

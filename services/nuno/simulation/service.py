@@ -15,7 +15,7 @@ from nuno_schemas.errors import BadInput
 def resume(context: Context, simulation: Simulation, path: Path, poses: Poses | None) -> Poses | None:
     """Go on from a recording's last checkpoint, with what was set before it; the poses there."""
     from nuno.recording.reader import open_recording
-    from nuno.recording.restore import control_events
+    from nuno.simulation.resume import take_up
 
     with open_recording(path) as recording:
         point = recording.last_checkpoint(recording.common_checkpoint().t)
@@ -28,11 +28,7 @@ def resume(context: Context, simulation: Simulation, path: Path, poses: Poses | 
                 limit=f"{frames} frames",
                 remedy="lengthen the scene, for example --set duration=10s",
             )
-        for event in control_events(recording):
-            if event.text == "set" and event.frame <= point.frame:
-                simulation.set(str(event.args["item"]))
-        simulation.adopt(point.fabric, point.text)
-        simulation.resume(point.frame, point.x, point.v, point.memory)
+        take_up(simulation, recording, point)
     return ask_poses(context, point.frame)() if poses is not None else None
 
 

@@ -9,10 +9,13 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import control_events
 from nuno.scene.scene_file import Loaded
+from nuno.simulation.resume import take_up
 from nuno.simulation.run import Simulation
 from nuno.verify import Again, remembered
 from nuno.wire.arrays import decode_points, encode_points
+from nuno_schemas.bodies import Poses
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS
+from nuno_schemas.plugin import Forces
 
 
 class ClothAgain(Again):
@@ -21,16 +24,21 @@ class ClothAgain(Again):
     part = "cloth"
     status, published, checkpoint = STATUS.name, STATE.name, CHECKPOINT.name
 
-    def __init__(self, recording: Recording, loaded: Loaded, threads: int) -> None:
-        """Raises BadInput."""
+    def __init__(self, recording: Recording, loaded: Loaded, threads: int, start: Recorded | None = None) -> None:
+        """From a checkpoint's message on, or else from the start. Raises BadInput."""
         self.changes = [event for event in control_events(recording) if event.text in ("set", "add")]
         """Still to be made."""
         self.bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
         self.rate = loaded.scene.frame_rate
         self.poses = self.bodies.poses(0.0) if self.bodies else None
         self.simulation = Simulation(loaded, self.bodies.geometry if self.bodies else None, self.poses, threads)
-        self.simulation.measure(self.poses)
         self._recording = recording
+        if start is not None:
+            point = recording.checkpoint(start)
+            take_up(self.simulation, recording, point)
+            self.changes = [event for event in self.changes if event.frame > point.frame]
+            self.poses = self._poses(point.frame)
+        self.simulation.measure(self.poses)
 
     @property
     def frame(self) -> int:
@@ -46,9 +54,17 @@ class ClothAgain(Again):
         """See `Again`."""
         while self.frame < frame:
             self.change()
-            end = self.bodies.poses((self.frame + 1) / self.rate) if self.bodies else None
+            end = self._poses(self.frame + 1)
             self.simulation.advance(self.poses, end)
             self.poses = end
+
+    def _poses(self, frame: int) -> Poses | None:
+        return self.bodies.poses(frame / self.rate) if self.bodies else None
+
+    def forces(self) -> Forces:
+        """What acts in the present state."""
+        after = self._poses(self.frame + 1)
+        return self.simulation.forces(None if after is None or self.poses is None else (self.poses, after))
 
     def change(self) -> None:
         """See `Again`; each change once, in their order. Those of dye are not the cloth's."""
