@@ -10,12 +10,15 @@ from typing import Any
 import garment_scene
 import numpy as np
 import pytest
+from live_run import Run, wait_until
+from scenes import BALL, write_scene
 
 import nuno
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.simulation.run import Simulation
-from nuno_schemas.errors import BadInput
+from nuno.supervision import runs
+from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS
 
 
@@ -67,6 +70,36 @@ def test_only_what_lies_after_the_nearest_checkpoint_is_simulated(
             steps.clear()
             assert [moment.frame for moment in nuno.states(recording, frames)] == sorted(set(frames))
             assert steps == Counter({name: expected for name in ("Simulation", "DyeRun") if expected}), frames
+
+
+def test_what_was_changed_while_the_run_went_on_is_changed_again(tmp_path: Path) -> None:
+    """Before the first frame, between two checkpoints and at one, each asked for by itself and all together."""
+    run = Run(write_scene(tmp_path, bodies=BALL), tmp_path / "run.mcap", paused=True)
+    wait_until(lambda: run.run in runs.running() and answers(run))
+    for item, frames in (("damping=0.5", 7), ("gravity=[0, -5, 0]", 3), ("damping=3", 4)):
+        assert run.control("set", item=item)["ok"]
+        run.control("step", frames=frames)
+        run.wait_until_paused()
+    run.control("resume")
+    assert run.join().state == "done"
+    with nuno.open(run.record) as recording:
+        assert 10 in {point.frame for point in recording.checkpoints()}
+        whole = {moment.frame: moment for moment in nuno.states(recording, forces=True)}
+        assert list(whole) == list(range(26))
+        for number in (0, 6, 7, 8, 10, 11, 14, 25):
+            (moment,) = nuno.states(recording, [number], forces=True)
+            assert moment.x.tobytes() == whole[number].x.tobytes()
+            assert moment.forces is not None and whole[number].forces is not None
+            for kind, force in whole[number].forces.parts.items():
+                assert np.array_equal(moment.forces.parts[kind], force), (number, kind)
+
+
+def answers(run: Run) -> bool:
+    """Whether the simulation is there to be asked."""
+    try:
+        return bool(run.control("status")["ok"])
+    except RunFailed:
+        return False
 
 
 def test_frames_that_are_not_there_and_other_bits_are_refused(garment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
