@@ -98,3 +98,25 @@ def test_a_picture_shows_the_same_cloth(tmp_path: Path) -> None:
             pictures.append(np.asarray(image, np.float64))
     assert np.ptp(pictures[0]) > 100.0
     assert np.abs(pictures[0] - pictures[1]).max() <= 2.0
+
+
+def test_the_viewer_colours_and_shades_the_same_cloth() -> None:
+    """Its positions are float32, 6 cm apart there; what the cloth looks like is not."""
+    pytest.importorskip("rerun", reason="needs nuno[view]")
+    from nuno.viewer.cloth import Cloth
+
+    class Silent:
+        def log(self, *_: object, **__: object) -> None:
+            """What would be shown."""
+
+    near = Sheet()
+    spec = {"name": "cloth", "start": 0, "stop": near.number}
+    arrays = {"faces": near.faces, "edges": near.edges, "edge_rest": near.edge_rest}
+    looks = []
+    for x in (near.x(0.1), near.x(0.1) + FAR):
+        cloth = Cloth(Silent(), "cloth", spec, arrays, lambda path: None)
+        cloth.log(x)
+        looks.append((cloth.stretch.copy(), cloth.normals.copy()))
+    assert looks[0][0].max() > 0.01
+    for here, there in zip(*looks, strict=True):
+        assert np.abs(here - there).max() < 2e-6

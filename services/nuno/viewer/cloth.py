@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nuno.cloth.tension import SPAN, Tensions
 from nuno.export.paint import paint_yarns
 from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
-from nuno.wire.arrays import BadMessage
+from nuno.wire.arrays import BadMessage, origin_of
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 
 STRETCH = (0.001, 1.0)
@@ -143,12 +143,16 @@ class Cloth:
         self._log("", texture_of(image))
 
     def log(self, positions: NDArray[np.float64]) -> None:
-        """One frame: (n, 3) positions [m] of all objects."""
-        x = np.ascontiguousarray(positions[self.start : self.stop], np.float32)
+        """One frame: (n, 3) positions [m] of all objects.
+
+        rerun's are float32 about the world's origin; what follows from how the cloth is shaped is found nearer to it.
+        """
+        own = positions[self.start : self.stop]
+        x, near = np.ascontiguousarray(own, np.float32), np.ascontiguousarray(own - origin_of(own), np.float32)
         if self.coloured:
-            edge_stretch(x, self.edges, self.rest, self.stretch)
+            edge_stretch(near, self.edges, self.rest, self.stretch)
         if len(self.faces):
-            vertex_normals(x, self.faces, self.normals)
+            vertex_normals(near, self.faces, self.normals)
             mesh = rr.Mesh3D.from_fields(
                 vertex_positions=x, vertex_normals=self.normals, vertex_colors=self._vertex_colours()
             )
