@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import BinaryIO, cast
 
 import psutil
 from mcap.opcode import Opcode
 
 from nuno.recording.mcap_file import CHUNK_HEAD, MESSAGE_HEAD
 
-COMPRESSIONS = {"lz4": "lz4.frame", "zstd": "zstandard"}
-"""Modules whose `open` reads what the format's compressions write: https://mcap.dev/spec/registry."""
 PIECE = 1 << 20
 """Bytes that are unpacked at once."""
 _RECORD = struct.Struct("<BQ")
@@ -87,18 +85,29 @@ def chunk_records(body: bytes) -> memoryview:
 
 def _unpack(compression: str, data: memoryview, size: int) -> memoryview:
     """At most `size` bytes and a piece, whatever the data would unpack to. Raises Damaged."""
-    if compression not in COMPRESSIONS:
-        raise Damaged(f"a chunk is compressed by {compression!r}, which is none of {', '.join(COMPRESSIONS)}")
     if size > psutil.virtual_memory().available:
         raise Damaged(f"a chunk would unpack to {size} bytes, more than the memory that is free")
-    library, unpacked = importlib.import_module(COMPRESSIONS[compression]), bytearray()
+    unpacked = bytearray()
     try:
-        with library.open(io.BytesIO(data)) as stream:
+        with _opened(compression, io.BytesIO(data)) as stream:
             while len(unpacked) <= size and (piece := stream.read(PIECE)):
                 unpacked += piece
     except Exception as error:  # each of the libraries has errors of its own, and lz4 none but RuntimeError
         raise Damaged(f"a chunk cannot be unpacked: {error}") from None
     return memoryview(unpacked)
+
+
+def _opened(compression: str, packed: io.BytesIO) -> BinaryIO:
+    """What unpacks a stream as the format names it: https://mcap.dev/spec/registry. Raises Damaged."""
+    if compression == "lz4":
+        import lz4.frame
+
+        return cast(BinaryIO, lz4.frame.open(packed))
+    if compression == "zstd":
+        import zstandard
+
+        return cast(BinaryIO, zstandard.open(packed))
+    raise Damaged(f"{compression!r} is none of lz4 and zstd")
 
 
 def chunk_messages(body: bytes, channels: frozenset[int]) -> Iterator[RawMessage]:

@@ -147,8 +147,8 @@ RECORDINGS = (
     ),
     Kind(
         "MCAP", lambda folder: list(recorded()), _recording, mutate_mcap,
-        ("nuno.recording.reader", "nuno.recording.layout", "nuno.recording.series", "nuno.recording.recover",
-         "nuno.recording.restore", "nuno.wire.arrays"),
+        ("nuno.recording.reader", "nuno.recording.file", "nuno.recording.layout", "nuno.recording.chunks",
+         "nuno.recording.series", "nuno.recording.recover", "nuno.recording.restore", "nuno.wire.arrays"),
         follows=("mcap", "nuno.export.cloth", "nuno.collision.messages"), longest=80_000,
     ),
 )  # fmt: skip
