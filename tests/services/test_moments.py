@@ -177,3 +177,23 @@ def test_a_frame_and_its_forces_are_exported(garment: Path, tmp_path: Path, caps
     assert main(["export", str(garment), "--frame", "70", "--forces", str(tmp_path / "no.npz")]) == 2
     assert "--frame: no such frame" in capsys.readouterr().err
     assert not (tmp_path / "no.npz").exists()
+
+
+def test_links_of_a_knit_pull_by_their_tensions() -> None:
+    """Along yarns, too: what springs and yarns do to a point is the sum of its links' tensions, but for damping."""
+    with nuno.run("knit/stitch-10x10", "duration=0.3").recording as recording:
+        last = max(number for number, _ in recording.marks().values())
+        (moment,) = nuno.states(recording, [last], forces=True)
+    fabric, acting = moment.fabric, moment.forces
+    assert fabric is not None and fabric.springs is not None and acting is not None
+    pairs = fabric.springs.pairs()
+    d = moment.x[pairs[:, 1]] - moment.x[pairs[:, 0]]
+    speed = ((moment.v[pairs[:, 1]] - moment.v[pairs[:, 0]]) * d).sum(axis=1) / np.linalg.norm(d, axis=1)
+    along = acting.tension + fabric.springs.per_spring(fabric.springs.c) * speed
+    pull = (along / np.linalg.norm(d, axis=1))[:, None] * d
+    expected = np.zeros_like(moment.x)
+    np.add.at(expected, pairs[:, 0], pull)
+    np.add.at(expected, pairs[:, 1], -pull)
+    found = acting.parts["springs"] + acting.parts["yarns"]
+    assert np.abs(acting.parts["yarns"]).max() > 1e-3 * np.abs(found).max() > 0.0
+    assert np.allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
