@@ -5,6 +5,11 @@ shortest way to it over the edges from the section at the start, and the middles
 that follows any bend. Then across: planes across that line cut loops, whose centroids are the next line, a few times,
 so that what the ways over edges lack in accuracy is gone. In between the line is smoothed and its
 points set at equal distances. Not chosen: marching from plane to plane, which leaves the limb at a heel.
+
+Planes that stand askew, as those near an end off the middle or beside a flat cap do, meet the limb farther on than
+their neighbours, and the line folds back on itself. Then it is the middles of levels of a harmonic field between
+sections at both ends (nuno_kernels.harmonic), which never cross; the sections stand across what the line does over a
+width of the limb.
 """
 
 from __future__ import annotations
@@ -14,17 +19,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_kernels.closest_point import closest_points
+from nuno_kernels.harmonic import solve_harmonic
 from nuno_kernels.mesh_check import place_of
-from nuno_kernels.mesh_sections import cut_mesh, section_about
+from nuno_kernels.mesh_sections import Loop, cut_mesh, section_about
 from nuno_kernels.surface_normals import edge_numbers
 from nuno_kernels.surface_tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Bool, Float, Int
 
 ROUNDS = 4
 """Times that planes across the line are cut."""
 SMOOTHED = 2
 """Times that the line is smoothed by (1, 2, 1) / 4 in each round."""
+TURNS = 3
+"""Times that sections at both ends and the levels between them are found, each from the others."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +105,8 @@ def check_inside(x: Float, faces: Int, points: Float, tree: Tree | None = None) 
 def find_axis(x: Float, faces: Int, start: Float, end: Float, count: int = 64) -> Centreline:
     """The axis of a closed mesh between two places inside of it, of `count` points.
 
-    It begins at the section that the plane through `start` across the way to the nearest level line cuts, and ends
-    likewise; between those its points are centroids of sections. Raises BadInput for ends outside of the mesh,
-    and for ends that no single tube joins.
+    It begins and ends with the sections across it through the two places; its points are centroids of sections, or of
+    levels between them. Raises BadInput for ends outside of the mesh, and for ends that no single tube joins.
     """
     tree = build_tree(x, faces)
     ends = np.array([start, end], np.float64)
@@ -108,23 +115,64 @@ def find_axis(x: Float, faces: Int, start: Float, end: Float, count: int = 64) -
         raise BadInput("both ends of the axis are in the same place", field="axis", value=place_of(ends[0]))
     if count < 4:
         raise BadInput("an axis needs two ends and points between them", field="axis", value=count, limit=">= 4 points")
+    line = axis_by_planes(x, faces, ends, tree, count)
+    return follow_axis(x, faces, axis_by_levels(x, faces, ends, count) if line is None else line, tree)
+
+
+def axis_by_planes(x: Float, faces: Int, ends: Float, tree: Tree, count: int = 64) -> Float | None:
+    """(count, 3) points of the axis between two places (2, 3) in the mesh, by planes; None if it folds back on itself
+    or leaves the mesh. Raises BadInput for ends that the surface does not join.
+    """
     value = way_from(x, faces, ends[0])
     last = float(value[faces[closest_points(tree, ends[1:]).face[0]]].mean())
     if not 0.0 < last < np.inf:
         raise BadInput("the ends of the axis are not joined by the surface", field="axis", value=last, limit="> 0 m")
-    levels = last * (np.arange(count) + 0.5) / count
-    middles = []
-    for level in levels:
-        loops = cut_mesh(x, faces, np.where(np.isfinite(value), value, 2.0 * last) - level)
-        if loops:
-            longest = max(loops, key=lambda loop: loop.girth)
-            middles.append(longest.centroid())
+    value = np.where(np.isfinite(value), value, 2.0 * last)
+    middles = np.array([loop.centroid() for loop in _level_loops(x, faces, value, last, count)])
     # Ways reach round the ends of the limb as well: what is kept lies between the two places.
-    first, final = (int(np.argmin(np.linalg.norm(np.array(middles) - end, axis=1))) for end in ends)
+    first, final = (int(np.argmin(np.linalg.norm(middles - end, axis=1))) for end in ends)
     line = _between(np.array([ends[0], *middles[first + 1 : final], ends[1]]), count)
     for _ in range(ROUNDS):
         line = _between(_recentre(x, faces, _smooth(line)), count)
-    return follow_axis(x, faces, line, tree)
+    step = np.diff(line, axis=0)
+    folded = ((step[1:] * step[:-1]).sum(axis=1) <= 0.0).any()
+    return None if folded or (closest_points(tree, line).distance >= 0.0).any() else line
+
+
+def axis_by_levels(x: Float, faces: Int, ends: Float, count: int = 64) -> Float:
+    """(count, 3) points of the axis between two places (2, 3) in the mesh, by levels of a harmonic field.
+
+    Levels near a place that is off the middle go round it rather than round the limb: of the first field, between the
+    vertices about the two places, those within a radius of a place are left out.
+    """
+    start, end = (_about(x, faces, place) for place in ends)
+    field = solve_harmonic(x, faces, start | end, end.astype(np.float64))
+    loops = _level_loops(x, faces, field, 1.0, count)
+    middles = np.array([loop.centroid() for loop in loops])
+    radius = np.array([loop.girth for loop in loops]) / (2.0 * np.pi)
+    middles = middles[np.linalg.norm(middles[:, None] - ends, axis=2).min(axis=1) > radius]
+    width = 2.0 * float(radius.mean())
+    for _ in range(TURNS):
+        line = np.array([ends[0], *middles, ends[1]])
+        length = float(lengths(line)[-1])
+        near = place_at(line, np.array([min(width, 0.5 * length), max(length - width, 0.5 * length)]))
+        given, value = np.zeros(len(x), np.bool_), np.zeros(len(x))
+        for i, way in enumerate((near[0] - ends[0], ends[1] - near[1])):
+            section = section_about(x, faces, ends[i], way)
+            assert section is not None  # the place is inside of the mesh
+            beside = np.unique(section.edges)
+            given[beside] = True
+            value[beside] = i * length + (x[beside] - ends[i]) @ way / np.linalg.norm(way)
+            ends = np.where(np.arange(2)[:, None] == i, section.centroid(), ends)
+        loops = _level_loops(x, faces, solve_harmonic(x, faces, given, value), length, count)
+        middles = np.array([loop.centroid() for loop in loops])
+    return _between(np.array([ends[0], *middles, ends[1]]), count)
+
+
+def _level_loops(x: Float, faces: Int, value: Float, last: float, count: int) -> list[Loop]:
+    """The longest loop at each of `count` levels from 0 to `last` of values (n,); none where a level has no loop."""
+    found = (cut_mesh(x, faces, value - last * (k + 0.5) / count) for k in range(count))
+    return [max(loops, key=lambda loop: loop.girth) for loops in found if loops]
 
 
 def way_from(x: Float, faces: Int, start: Float) -> Float:
@@ -135,14 +183,21 @@ def way_from(x: Float, faces: Int, start: Float) -> Float:
     """
     pairs = edge_numbers(faces)[1]
     length = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    away = np.linalg.norm(x - start, axis=1)
-    value = np.where(away <= float(away.min()) + 1.5 * float(np.median(length)), away, np.inf)
+    value = np.where(_about(x, faces, start), np.linalg.norm(x - start, axis=1), np.inf)
     while True:
         before = value.copy()
         for a, b in ((pairs[:, 0], pairs[:, 1]), (pairs[:, 1], pairs[:, 0])):
             np.minimum.at(value, b, before[a] + length)
         if np.array_equal(before, value):
             return np.asarray(value)
+
+
+def _about(x: Float, faces: Int, place: Float) -> Bool:
+    """(n,) which vertices are the nearest to a place (3,), to one and a half of the mesh's usual edges."""
+    pairs = edge_numbers(faces)[1]
+    length = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    away = np.linalg.norm(x - place, axis=1)
+    return np.asarray(away <= float(away.min()) + 1.5 * float(np.median(length)))
 
 
 def _between(line: Float, count: int) -> Float:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_kernels.centreline import Centreline, find_axis, way_from
+from nuno_kernels.centreline import Centreline, axis_by_levels, axis_by_planes, follow_axis, way_from
 from nuno_kernels.closest_point import closest_points
 from nuno_kernels.harmonic import solve_harmonic
 from nuno_kernels.mesh_sections import Loop, cut_mesh, section_about
@@ -28,6 +28,8 @@ ENDS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)
 """Shares of the limb's length over the surface at which the automatic axis may begin and end."""
 DEEP = 0.4
 """It does so where the limb is round: its middle so many radii, girth / (2 pi), below the surface at least."""
+FINER = 3
+"""Times that edges are halved, at most, where the mesh has none between the two ends."""
 TIP, DRAWN = 0.02, 0.2
 """The first ring towards a tip is that of a level so near to it, as a share of the way to the first section, drawn
 together to this share and moved beyond the tip, by as much as the tip lies beyond the level."""
@@ -50,18 +52,27 @@ class Rows:
 def find_limb(x: Float, faces: Int) -> Centreline:
     """The axis of a mesh that is one limb, from its thinner end to the other, found from the mesh alone.
 
-    Its ends are the two vertices farthest apart over the surface, about.
+    Its ends are about the two vertices farthest apart over the surface. Where the limb ends in a flat cap, such a
+    vertex is on its rim, and levels of the way from there stand askew; those of the way from the other end do not.
     """
     tree = build_tree(x, faces)
     far = _farthest(x, faces, 0)
-    ends = [_round_place(x, faces, end, tree) for end in (far, _farthest(x, faces, far))]
-    ends.sort(key=lambda loop: loop.girth)
-    return find_axis(x, faces, ends[0].centroid(), ends[1].centroid())
+    near = [way_from(x, faces, x[vertex]) for vertex in (far, _farthest(x, faces, far))]
+    line = axis_by_planes(x, faces, _round_places(x, faces, near, tree), tree)
+    if line is None:
+        opposite = [np.max(way, initial=0.0, where=np.isfinite(way)) - way for way in near[::-1]]
+        line = axis_by_levels(x, faces, _round_places(x, faces, opposite, tree))
+    return follow_axis(x, faces, line, tree)
 
 
-def _round_place(x: Float, faces: Int, end: int, tree: Tree) -> Loop:
-    """The first level of the way from vertex `end` round a middle that lies deep enough."""
-    way = way_from(x, faces, x[end])
+def _round_places(x: Float, faces: Int, ways: list[Float], tree: Tree) -> Float:
+    """(2, 3) where the axis begins, the thinner end, and where it ends, by the way (n,) from each end [m]."""
+    loops = sorted((_round_place(x, faces, way, tree) for way in ways), key=lambda loop: loop.girth)
+    return np.array([loop.centroid() for loop in loops])
+
+
+def _round_place(x: Float, faces: Int, way: Float, tree: Tree) -> Loop:
+    """The first level of the way (n,) from an end round a middle that lies deep enough."""
     length = float(way[np.isfinite(way)].max())
     for share in ENDS:
         level = np.where(np.isfinite(way), way, 2.0 * length) - share * length
@@ -84,7 +95,7 @@ def lay_rows(x: Float, faces: Int, line: Float, rows: int, columns: int, to_tip:
 
     Raises BadInput where the surface between the two ends is not one tube.
     """
-    field, lowest = _find_field(x, faces, line, to_tip)
+    x, faces, field, lowest = _find_field(x, faces, line, to_tip)
     levels = np.linspace(lowest, line_length(line), SAMPLES)
     points, _, _ = _lay_rings(x, faces, field, levels, AROUND, lowest if to_tip else -np.inf)
     height = np.linalg.norm(np.diff(points, axis=0), axis=-1).mean(axis=1)
@@ -120,9 +131,10 @@ def line_length(line: Float) -> float:
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
-def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> tuple[Float, float]:
-    """The field (n,), and its value at the first ring: 0 at the plane through the line's first point, and the line's
-    length at that through its last; beyond the first plane the distance from it, towards the tip.
+def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> tuple[Float, Int, Float, float]:
+    """The mesh, finer where the ends are so close that it must be, the field (n,) on it, and its value at the first
+    ring: 0 at the plane through the line's first point, and the line's length at that through its last; beyond the
+    first plane the distance from it, towards the tip.
 
     Vertices beyond the ends get values beyond those.
     """
@@ -130,18 +142,52 @@ def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> tuple[Float,
     few = max(1, len(line) // 16)
     ways = [line[few] - line[0], line[-1] - line[-1 - few]]
     across = [(point, way / np.linalg.norm(way)) for point, way in zip(line[[0, -1]], ways, strict=True)]
+    x, faces, loops, (start, end) = _part(x, faces, across)
     planes = [(x - point) @ way for point, way in across]
-    loops = [section_about(x, faces, point, way) for point, way in across]
-    if loops[0] is None or loops[1] is None:
-        raise BadInput("the axis does not lie in the limb", field="between", remedy="give places inside of the mesh")
-    start, end = _split(x, faces, [loops[0], loops[1]], planes)
     given, value = start | end, np.where(end, 2.0 * length, np.where(start, -length, 0.0))
     _give(given, value, loops[1], length + planes[1])
     _give(given, value, loops[0], planes[0])
     field = solve_harmonic(x, faces, given, value)
     if not to_tip:
-        return field, 0.0
-    return np.where(start, planes[0], field), (1.0 - TIP) * float(planes[0][start].min())
+        return x, faces, field, 0.0
+    return x, faces, np.where(start, planes[0], field), (1.0 - TIP) * float(planes[0][start].min())
+
+
+def _part(x: Float, faces: Int, across: list[tuple[Float, Float]]) -> tuple[Float, Int, list[Loop], tuple[Bool, Bool]]:
+    """The mesh, as fine as it must be, the sections by planes `across` it at both ends, and which vertices lie beyond
+    each. Raises BadInput where they do not part the mesh so.
+    """
+    for _ in range(FINER + 1):
+        found = [section_about(x, faces, point, way) for point, way in across]
+        loops = [loop for loop in found if loop is not None]
+        if len(loops) < 2:
+            remedy = "give places inside of the mesh"
+            raise BadInput("the axis does not lie in the limb", field="between", remedy=remedy)
+        parts = _split(x, faces, loops, [(x - point) @ way for point, way in across])
+        if parts is not None:
+            return x, faces, loops, parts
+        if not _in_one_ring(loops[0], loops[1], across):
+            break
+        x, faces = _halve(x, faces)
+    raise BadInput(
+        "the two ends of the axis do not take one tube out of the mesh", field="between",
+        remedy="give places on one limb, before it joins the rest or meets itself",
+    )  # fmt: skip
+
+
+def _in_one_ring(first: Loop, last: Loop, across: list[tuple[Float, Float]]) -> bool:
+    """Whether two sections that do not cross have no row of edges between them, for the mesh is too coarse there."""
+    sides = [(loop.points - point) @ way for loop, (point, way) in zip((last, first), across, strict=True)]
+    apart = any((side > 0.0).all() or (side < 0.0).all() for side in sides)
+    return apart and bool(np.isin(first.edges, last.edges).any())
+
+
+def _halve(x: Float, faces: Int) -> tuple[Float, Int]:
+    """The same surface of edges half as long."""
+    from trimesh.remesh import subdivide
+
+    x, faces = subdivide(x, faces)
+    return np.ascontiguousarray(x, np.float64), np.ascontiguousarray(faces, np.int32)
 
 
 def _give(given: Bool, value: Float, loop: Loop, own: Float) -> None:
@@ -150,10 +196,9 @@ def _give(given: Bool, value: Float, loop: Loop, own: Float) -> None:
     given[ends], value[ends] = True, own[ends]
 
 
-def _split(x: Float, faces: Int, loops: list[Loop], planes: list[Float]) -> tuple[Bool, Bool]:
-    """Which vertices (n,) lie beyond the first section, and which beyond the second.
-
-    Raises BadInput where the sections do not part the mesh so.
+def _split(x: Float, faces: Int, loops: list[Loop], planes: list[Float]) -> tuple[Bool, Bool] | None:
+    """Which vertices (n,) lie beyond the first section, and which beyond the second; None where the sections do not
+    part the mesh so.
     """
     _, pairs = edge_numbers(faces)
     key = pairs[:, 0].astype(np.int64) * len(x) + pairs[:, 1]
@@ -165,10 +210,7 @@ def _split(x: Float, faces: Int, loops: list[Loop], planes: list[Float]) -> tupl
         sides.append((np.unique(part[ends[plane[ends] >= 0.0]]), np.unique(part[ends[plane[ends] < 0.0]])))
     (inner, before), (beyond, same) = sides
     if not (len(inner) == len(same) == 1 and inner[0] == same[0]) or inner[0] in before or inner[0] in beyond:
-        raise BadInput(
-            "the two ends of the axis do not take one tube out of the mesh", field="between",
-            remedy="give places on one limb, before it joins the rest or meets itself",
-        )  # fmt: skip
+        return None
     return np.isin(part, before), np.isin(part, beyond)
 
 

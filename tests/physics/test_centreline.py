@@ -53,6 +53,15 @@ def polygon(radius: float, around: int) -> float:
     return 2 * around * radius * math.sin(math.pi / around)
 
 
+@pytest.mark.parametrize("ends", [((0.02, 0.2, 0.01), (-0.01, 0.7, 0.02)), ((0.0, 0.3, 0.03), (0.0, 0.45, -0.03))])
+def test_places_off_the_middle_of_a_slim_tube_have_its_middle_as_axis(ends: tuple[tuple[float, ...], ...]) -> None:
+    """Points of the axis are nearer to each other than the places are to the middle."""
+    axis = find_axis(*tube(41, 24, straight, lambda s: 0.05), np.array(ends[0]), np.array(ends[1]))
+    assert np.abs(axis.points[:, [0, 2]]).max() < 1e-5
+    assert (np.diff(axis.points[:, 1]) > 0.0).all()
+    assert axis.points[[0, -1], 1] == pytest.approx([ends[0][1], ends[1][1]], abs=0.015)
+
+
 def test_axis_and_girth_of_a_cylinder_off_its_middle() -> None:
     x, faces = tube(60, 40, straight, lambda s: 0.12)
     axis = find_axis(x, faces, np.array([0.05, 0.1, 0.02]), np.array([-0.04, 0.9, 0.05]), 32)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import closed_meshes as meshes
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from nuno_kernels.closest_point import closest_points
 from nuno_kernels.harmonic import solve_harmonic
 from nuno_kernels.leg import leg_mesh
 from nuno_kernels.limb import Rows, find_limb, lay_rows
+from nuno_kernels.mesh_file import read_closed
 from nuno_kernels.surface_tree import build_tree
 from nuno_knit.over import ROOM, Over, _clear
 from nuno_schemas.errors import BadInput
@@ -87,6 +90,35 @@ def test_rows_of_a_leg_cover_it_and_never_cross(to_tip: bool) -> None:
     assert (rows.girth[0] < 0.1 * rows.girth.mean()) == to_tip
     round_it, _ = link_lengths(rows.points)
     assert (round_it.max(axis=1) < 1.2 * rows.girth / 30).all()
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.15])
+def test_the_axis_of_a_limb_with_flat_ends_is_its_middle_and_any_part_of_it_has_rows(radius: float) -> None:
+    """The two vertices farthest apart are on the caps' rims, on opposite sides."""
+    x, faces = tube(41, 24, straight, lambda s: radius)
+    axis = find_limb(x, faces)
+    assert np.abs(axis.points[:, [0, 2]]).max() < 1e-6 * radius
+    assert axis.along[-1] > 0.83
+    for first, last in ((0.0, 1.0), (0.2, 0.8), (0.3, 0.9), (0.5, 0.51)):
+        ends = axis.at(np.array([first, last]))
+        rows = lay_rows(x, faces, axis.at(np.linspace(first, last, 65)), 5, 12, False)
+        assert rows.points[[0, -1], :, 1] == pytest.approx(np.repeat(ends[:, 1:2], 12, 1), abs=1e-3)
+        assert rows.girth == pytest.approx(np.full(5, 2 * 24 * radius * np.sin(np.pi / 24)), rel=1e-6)
+
+
+def test_any_part_of_a_scanned_legs_axis_has_rows_across_it(shared_data: Path) -> None:
+    """It ends in a flat cap. Between the closest two of these ends there is no edge all round it."""
+    x, faces = read_closed(shared_data / "leg.obj")
+    axis = find_limb(x, faces)
+    assert axis.points[0][1] < 0.02 and axis.points[-1][1] > 0.69
+    step = np.diff(axis.points, axis=0)
+    assert ((step[1:] * step[:-1]).sum(axis=1) > 0.0).all()
+    for first, last in ((0.15, 0.85), (0.2, 0.8), (0.23, 0.9), (0.3, 0.8), (0.8, 0.85)):
+        line = axis.at(np.linspace(first, last, 65))
+        rows = lay_rows(x, faces, line, 9, 12, False)
+        for row, end, way in ((0, line[0], line[4] - line[0]), (-1, line[-1], line[-1] - line[-5])):
+            assert np.abs((rows.points[row] - end) @ way).max() < 2e-3 * np.linalg.norm(way)
+        assert rows.height == pytest.approx((last - first) * axis.along[-1], rel=0.06)
 
 
 def test_ends_that_take_no_tube_out_of_the_mesh_are_refused() -> None:
