@@ -115,7 +115,15 @@ class Mesh:
             hinges=hinges,
             uv=uv,
             texture=find_texture(config.texture, files),
+            origin=_unseen(material, edges),
         )
+
+
+def _unseen(material: Material | HandSet, edges: Edges) -> dict[str, float]:
+    """The bending stiffness that a mesh without inner edges has no spring to show."""
+    if isinstance(material, Material) or len(edges.inner):
+        return {}
+    return {"k_bend": material.bending[0]}
 
 
 def build_elements(

@@ -19,7 +19,8 @@ def bend_springs(
 ) -> Springs:  # fmt: skip
     """The same with bending springs across new edges, and without those across edges that are gone.
 
-    One that would double a structural spring is left out, as are those of edges that could not be flipped.
+    Across an old edge, one that could not be flipped, a spring that would double a structural one is left out. Across
+    a new edge it is not: of a triangle without neighbours the division makes three, along its sides.
     """
     if not model["k_bend"]:
         return springs
@@ -44,7 +45,7 @@ def bend_springs(
     turned = kept & (springs.kind == BENDING) & any_of(moved, springs.first)
     one, other = springs.first[turned].T
     rest[turned] *= _length(raised.x, one, other) / _length(raised.flat, one, other)
-    doubled = edges.rows(keys_of(after[:, 2:]))[1]
+    doubled = edges.rows(keys_of(after[:, 2:]))[1] & (after[:, :2] < fabric.number).all(axis=1)
     pairs = np.ascontiguousarray(after[~doubled, 2:])
     length = _length(raised.x, *pairs.T) / share[edges.rows(keys_of(after[~doubled, :2]))[0]]
     k = stiffness_of(length, model["k_bend"], model["r_bend"], rule)

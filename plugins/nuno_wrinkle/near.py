@@ -20,6 +20,9 @@ Rule = Literal["paper", "physical"]
 def describe(fabric: Fabric) -> dict[str, float]:
     """What later lines need of a model as it was built: r_avg [m], k_std [N/m], density [kg/m^2], the damping ratio
     of springs, and r_bend, k_bend of bending springs. Raises BadInput for one that has no structural springs.
+
+    A mesh without inner edges has no bending springs; its model notes what they would have had, and two equilateral
+    triangles of sides r_avg have their far corners sqrt(3) r_avg apart.
     """
     springs = fabric.springs
     kinds = None if springs is None else np.repeat(springs.kind, springs.count)
@@ -31,13 +34,14 @@ def describe(fabric: Fabric) -> dict[str, float]:
     critical = 2.0 * np.sqrt(k * one * other / (one + other))
     own = kinds == STRUCTURAL
     bent = kinds == BENDING
+    r_avg = float(rest[own].mean())
     return {
-        "r_avg": float(rest[own].mean()),
+        "r_avg": r_avg,
         "k_std": float(k[own].mean()),
         "density": float(fabric.mass.sum()) / area_of(fabric.position, fabric.faces),
         "damping_ratio": float((c[own] / critical[own]).mean()),
-        "r_bend": float(rest[bent].mean()) if bent.any() else 0.0,
-        "k_bend": float(k[bent].mean()) if bent.any() else 0.0,
+        "r_bend": float(rest[bent].mean()) if bent.any() else float(np.sqrt(3.0)) * r_avg,
+        "k_bend": float(k[bent].mean()) if bent.any() else fabric.origin.get("k_bend", 0.0),
     }
 
 

@@ -74,7 +74,7 @@ class Wrinkle:
     def apply(self, config: WrinkleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
         """The fabric with its lines raised where `state` has it. Raises BadInput, having changed nothing."""
         _require_triangles(fabric)
-        model = dict(fabric.origin) or describe(fabric)
+        model = dict(fabric.origin) if "r_avg" in fabric.origin else describe(fabric)
         used = model | ({} if config.k_std == "auto" else {"k_std": config.k_std})
         if config.keep and fabric.hinges is None:
             remedy = "give the fabric a bending stiffness: a preset, or hinge by hand"

@@ -199,8 +199,9 @@ class Fabric:
                              areas and normals of where it has no faces
     bindings                 pinned vertices that follow a body
     texture                  path of an image, or None
-    origin                   numbers of the fabric as it was built, noted by an operation that changed it since; empty
-                             for one that is as it was
+    origin                   numbers of the fabric as it was built, noted by an operation that changed it since; of one
+                             that is as it was, at most what its elements do not show: k_bend [N/m], the stiffness of
+                             bending springs of a mesh that has no inner edge
     """
 
     name: str

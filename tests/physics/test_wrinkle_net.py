@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from wrinkled import draw, ridge, sheet
+from wrinkled import BY_HAND, draw, ridge, sheet
 
 from nuno import registry
+from nuno.scene.files import SceneFiles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Changed, Outcome
@@ -87,6 +89,38 @@ def test_far_from_the_line_nothing_changes_a_bit() -> None:
         values = (springs.per_spring(a)[own] for a in (springs.k, springs.rest, springs.c))
         rows.append(np.column_stack([pairs[own], *values]))
     assert np.array_equal(*rows)
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_triangle_without_neighbours_gets_bending_springs_across_all_edges_that_divide_it(
+    others: int, tmp_path: Path
+) -> None:
+    """As the model makes them of these triangles, and with the model's stiffness, which no spring shows before."""
+    corners = [[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [3, 0, 0], [4, 0, 0], [3.5, 1, 0], [3.5, -1, 0]][: 3 + 4 * others]
+    faces = [[0, 1, 2], [3, 4, 5], [4, 3, 6]][: 1 + 2 * others]
+    fabric = triangles(tmp_path, corners, faces)
+    first = changed(draw(fabric, ridge((0.4, 0.3), (0.6, 0.4), height=0.05)))
+    model = triangles(tmp_path, first.state.x.tolist(), first.fabric.faces.tolist()).springs
+    assert model is not None and first.fabric.springs is not None and fabric.springs is not None
+    bent, expected = (np.sort(net.of_kind(2).pairs(), axis=1) for net in (first.fabric.springs, model))
+    assert sorted(map(tuple, bent)) == sorted(map(tuple, expected)) and len(expected) == 3 + others
+    side = first.fabric.springs.of_kind(2)
+    mean = fabric.springs.of_kind(2).rest.mean() if others else np.sqrt(3.0) * fabric.springs.rest.mean()
+    own = (side.pairs() < 3).all(axis=1)
+    assert own.sum() == 3 and np.allclose(side.k[own], 5.0 * side.rest[own] / mean, rtol=1e-13)
+    second = changed(draw(first.fabric, ridge((0.3, 0.2), (0.7, 0.25), height=0.03), x=first.state.x)).fabric
+    assert second.springs is not None
+    assert (second.springs.of_kind(2).pairs() >= first.fabric.number).any()
+
+
+def triangles(folder: Path, corners: list[list[float]], faces: list[list[int]]) -> Fabric:
+    """A mesh from a file, of constants set by hand."""
+    text = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (folder / "triangles.obj").write_text("\n".join(text))
+    model = registry.load("nuno.models", "mesh")
+    config = model.Config.model_validate({"file": "triangles.obj", "fabric": BY_HAND})
+    built: Fabric = model.build(config, SceneFiles(folder), 0)
+    return built
 
 
 def test_new_hinges_keep_the_rigidity_of_the_cloth() -> None:
