@@ -156,7 +156,7 @@ def knit_yarns(net: Structure, used: list[Yarn], spacing: Float) -> tuple[Spring
     rest = spacing * np.array([yarn.length for yarn in used])[which]
     k, c = np.empty(net.links), np.array([yarn.c for yarn in used])[which]
     lock, k_lock = np.empty((2, net.links)) if any(yarn.lock is not None for yarn in used) else (None, None)
-    for index, yarn in enumerate(used):
+    for index, yarn in enumerate(used[: net.courses]):  # more yarns than courses: the others are not knitted
         mine = which == index
         lengths, of = np.unique(rest[mine], return_inverse=True)
         k[mine] = np.array([yarn.stiffness(float(length)) for length in lengths])[of]

@@ -169,6 +169,18 @@ def test_a_yarn_that_locks_gives_its_links_both_stiffnesses(files: Folder) -> No
     assert knit(files, "panel", 3, 4).springs.lock is None  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize("form", ["panel", "tube"])
+def test_yarns_that_no_course_is_left_for_change_nothing(form: str, files: Folder) -> None:
+    """Also one that locks: the default's second yarn in a single course."""
+    for courses, yarns in ((1, ["nylon", "support"]), (2, ["support", "nylon-6", "support", "elastane"])):
+        fabric, without = (knit(files, form, 3, courses, yarns=part) for part in (yarns, yarns[:courses]))
+        assert fabric.springs is not None and without.springs is not None
+        for name in ("k", "rest", "c"):
+            assert np.array_equal(getattr(fabric.springs, name), getattr(without.springs, name))
+        assert np.array_equal(fabric.springs.stiffest().k, without.springs.stiffest().k)
+        assert np.array_equal(fabric.mass, without.mass)
+
+
 @pytest.mark.parametrize(
     "change",
     [
