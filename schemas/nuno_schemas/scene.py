@@ -8,66 +8,27 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from nuno_schemas.applied import Applied, require_objects
-from nuno_schemas.diffusivity import WeiszZollinger
+from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import nearest
-from nuno_schemas.look import DyeColour, DyePicture
 from nuno_schemas.parts import Choice, Colour, Name, Part, require_distinct
+from nuno_schemas.solver import AUTO, Accuracy, Interval, Solver
 from nuno_schemas.units import Plausible, quantity
 from nuno_schemas.view import View
 
 if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
-    Interval = float
     Duration = float
     Rate = float
     Stiffness = float
     Acceleration = float
     Damping = float
-    Diffusion = float
-    Speed = float
     Roughness = float
 else:
-    Interval = quantity("s", gt=0)
     Duration = quantity("s", gt=0, le=1e9)
     Rate = quantity("Hz", gt=0, le=100_000)
     Stiffness = quantity("N/m", gt=0)
     Acceleration = quantity("m/s^2")
     Damping = quantity("1/s", ge=0)
-    Diffusion = quantity("m^2/s", ge=0)
-    Speed = quantity("", gt=0, le=1e9)
     Roughness = quantity("m", Plausible(0.0, 0.01, ("mm", "um")), ge=0)
-
-AUTO = "auto"
-"""The solver that is chosen for the scene, with its step."""
-
-Accuracy = Literal["preview", "normal", "reference"]
-
-
-def _require_auto_alone(solver: Choice) -> None:
-    """Refuse fields beside `plugin: auto`."""
-    given = [*solver.config, *(name for name in solver.model_fields_set if name != "plugin")]
-    beside = next((name for name in given if getattr(solver, name) != "auto"), None)
-    if solver.plugin == AUTO and beside is not None:
-        raise PydanticCustomError(
-            "beside_auto", "auto chooses this as well; leave it out, or name a solver", {"inside": (beside,)}
-        )
-
-
-class Solver(Choice):
-    """The integrator and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
-
-    dt: Interval | Literal["auto"] = Field(
-        default="auto", description="step [s]; whole steps make a frame; auto: the largest that is safely stable"
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _by_name(cls, value: Any) -> Any:
-        return {"plugin": value} if isinstance(value, str) else value
-
-    @model_validator(mode="after")
-    def _auto_alone(self) -> Solver:
-        _require_auto_alone(self)
-        return self
 
 
 class Object(Part):
@@ -106,73 +67,6 @@ class Record(Part):
         description="interval of the amounts of dye that are recorded and shown [s], of all frames unless given; "
         "beside the first, the last and those of checkpoints",
     )
-
-
-class DyeSolver(Solver):
-    """What spreads the dye, and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
-
-    substeps: Literal["refused", "allowed"] = Field(
-        default="refused", description="allowed: a step above the stability limit is taken as several shorter ones"
-    )
-
-
-class Dyestuff(Part):
-    """One of the dyes in a cloth; they do not act on each other."""
-
-    name: Name = Field(description="of the dye; no other has it")
-    D0: Diffusion = Field(description="its diffusion coefficient in water, 3.6 sqrt(76 / M) mm^2/h [m^2/s]")
-    adsorption: float = Field(
-        default=0.0, ge=0, le=1e6, description="D_ab / D0, how fast fibre fixes dye; 0: it fixes none"
-    )
-    isotherm: Choice | None = Field(default=None, description="how much fibre fixes at most: a plugin and its fields")
-    weisz_zollinger: WeiszZollinger | None = Field(default=None, description="how D falls with dye; else D = D0 P T")
-    colour: DyeColour = Field(default=DyeColour(), description="on cloth, in pictures")
-
-    @model_validator(mode="after")
-    def _fixed_by_a_law(self) -> Dyestuff:
-        if self.adsorption and self.isotherm is None:
-            problem = (
-                "fibre that fixes dye needs an isotherm; add isotherm: {plugin: partition, k: 1}, or adsorption: 0"
-            )
-            raise PydanticCustomError("no_isotherm", problem, {"inside": ("adsorption",)})
-        return self
-
-
-class Dyeing(Part):
-    """A cloth that is dyed: a piece of cloth by itself, or one of the scene's objects."""
-
-    object: Name | None = Field(
-        default=None,
-        description="the object that is dyed, whose texture the cloth's cells cover; left out: a cloth that does not "
-        "move, and no objects",
-    )
-    cloth: Choice = Field(description="what builds it: a plugin and its fields")
-    solver: DyeSolver = Field(
-        default=DyeSolver(plugin=AUTO),
-        description="a plugin with its fields, and its step; auto: chosen for the scene and `accuracy`",
-    )
-    dyes: list[Dyestuff] = Field(min_length=1, max_length=16, description="what the cloth is dyed with")
-    speed: Speed = Field(
-        default=1.0, description='seconds of dyeing in a second of the scene, 1800 or "30 min/s"; supplies count these'
-    )
-    picture: DyePicture = Field(
-        default=DyePicture(), description="how it is drawn: a plugin with its fields, and what is shown"
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _object_not_on(cls, data: Any) -> Any:
-        # The obvious word for it, and what other readers of YAML make of that word.
-        for name in ("on", "true"):
-            if isinstance(data, dict) and name in data:
-                problem = "no such field; the object that is dyed is `object`: write object: {value}"
-                raise PydanticCustomError("object_not_on", problem, {"value": str(data[name]), "inside": (name,)})
-        return data
-
-    @field_validator("dyes")
-    @classmethod
-    def _names_differ(cls, dyes: list[Dyestuff]) -> list[Dyestuff]:
-        return require_distinct(dyes)
 
 
 MOVING = ("objects", "bodies", "forces", "operations", "solver", "until")

@@ -21,7 +21,7 @@ from nuno_bench.problem.observe import make_problem, simulate
 from nuno_bench.problem.reference import make_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.scene import Accuracy
+from nuno_schemas.solver import Accuracy
 
 SHEET = {
     "nuno": 1,

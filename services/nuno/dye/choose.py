@@ -25,7 +25,7 @@ from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST_DYE, Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.scene import AUTO, Accuracy
+from nuno_schemas.solver import AUTO, Accuracy
 
 PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
 """Distance of any cell's amount to the exact evolution of the cells, at the end of any frame, as a share of the largest

@@ -20,9 +20,9 @@ from nuno.dye.supply import AT_THE_START, Supplies
 from nuno.export.dyed import check_picture
 from nuno.scene.scene_file import ChosenDye, Loaded
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
+from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Memory
-from nuno_schemas.scene import Dyeing
 
 BYTES_PER_CELL, BYTES_PER_AMOUNT = 150, 150
 """What a run takes at most per cell: the cloth and its faces, and for each dye amounts, bands and messages; and a

@@ -6,8 +6,8 @@ import math
 
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import require_few, whole_steps
+from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput
-from nuno_schemas.scene import Dyeing
 
 FIELD = "dye.solver.dt"
 SAFE = 0.9

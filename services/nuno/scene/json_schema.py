@@ -6,7 +6,8 @@ from typing import Any
 
 from nuno import registry
 from nuno_schemas.look import YARNS
-from nuno_schemas.scene import AUTO, Scene
+from nuno_schemas.scene import Scene
+from nuno_schemas.solver import AUTO
 
 _PLACES = {
     ("Object", "model"): "nuno.models",

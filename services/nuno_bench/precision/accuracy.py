@@ -32,7 +32,7 @@ from nuno_bench.problem.reference import Reference, make_reference
 from nuno_bench.report import markdown, page
 from nuno_bench.report.result import text_table
 from nuno_schemas.errors import BadInput
-from nuno_schemas.scene import Accuracy
+from nuno_schemas.solver import Accuracy
 
 SCENES = (
     "hanging-sheet", "net", "drape-over-sphere", "skirt-hula", "skirt-paper", "skirt-walk", "stiff-sheet",

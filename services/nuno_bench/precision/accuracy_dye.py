@@ -24,7 +24,7 @@ from nuno_bench.problem.dye import DyeProblem, make_dye_problem
 from nuno_bench.problem.dye_reference import make_dye_reference
 from nuno_bench.problem.observe import Run
 from nuno_schemas.fabric import Float
-from nuno_schemas.scene import Accuracy
+from nuno_schemas.solver import Accuracy
 
 LENGTHS, FRAMES = (9.0, 90.0, 900.0), 10
 """Frames [s], and how many. Cells by themselves exchange dye within some seconds."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nuno_schemas.scene import Accuracy
+from nuno_schemas.solver import Accuracy
 
 WITHIN = 3.0
 """How many times the promised error may be delivered, where the error of a whole scene is judged by its beginning."""

@@ -1,0 +1,49 @@
+"""The solver of a scene, and the step that it takes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from nuno_schemas.parts import Choice
+from nuno_schemas.units import quantity
+
+if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
+    Interval = float
+else:
+    Interval = quantity("s", gt=0)
+
+AUTO = "auto"
+"""The solver that is chosen for the scene, with its step."""
+
+Accuracy = Literal["preview", "normal", "reference"]
+
+
+def _require_auto_alone(solver: Choice) -> None:
+    """Refuse fields beside `plugin: auto`."""
+    given = [*solver.config, *(name for name in solver.model_fields_set if name != "plugin")]
+    beside = next((name for name in given if getattr(solver, name) != "auto"), None)
+    if solver.plugin == AUTO and beside is not None:
+        raise PydanticCustomError(
+            "beside_auto", "auto chooses this as well; leave it out, or name a solver", {"inside": (beside,)}
+        )
+
+
+class Solver(Choice):
+    """The integrator and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
+
+    dt: Interval | Literal["auto"] = Field(
+        default="auto", description="step [s]; whole steps make a frame; auto: the largest that is safely stable"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"plugin": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _auto_alone(self) -> Solver:
+        _require_auto_alone(self)
+        return self
