@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
-from nuno.cloth import build
+from nuno.collision.bodies import Bodies, build_bodies
 from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.run import Simulation
@@ -35,7 +35,7 @@ def run_seconds(loaded: Loaded) -> float:
     """Wall time of a scene's steps [s], by a frame of it. Raises BadInput for a scene that would not start."""
     loaded, frame = decide(loaded), 0.0
     if loaded.scene.moves:
-        bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+        bodies = build_bodies(loaded) if loaded.scene.bodies else None
         geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
         frame = time_frame(Simulation(loaded, geometry, poses, 0), bodies)
     if loaded.dye is not None:
@@ -46,7 +46,7 @@ def run_seconds(loaded: Loaded) -> float:
     return frame * loaded.scene.frames
 
 
-def time_frame(simulation: Simulation, bodies: build.Bodies | None) -> float:
+def time_frame(simulation: Simulation, bodies: Bodies | None) -> float:
     """Wall time of the second frame of cloth [s]; the first one may compile."""
     seconds, rate = 0.0, simulation.loaded.scene.frame_rate
     for frame in range(2):

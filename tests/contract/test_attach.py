@@ -11,6 +11,7 @@ import yaml
 
 from nuno.cloth import build
 from nuno.cloth.worn import check_worn
+from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
@@ -84,7 +85,7 @@ def system(folder: Path, **model: Any) -> None:
     path = folder / "scene.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     loaded = scene_file.read(path)
-    bodies = build.build_bodies(loaded)
+    bodies = build_bodies(loaded)
     build.build_system(loaded, *build.build_fabric(loaded), bodies.geometry, bodies.poses(0.0), 1)
 
 

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 import yaml
 
-from nuno.cloth.build import build_bodies
+from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.scene.scene_file import read

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.simulation.run import Frame, Simulation
 from nuno_schemas.errors import BadInput
@@ -31,7 +31,7 @@ class Played:
 
     def __init__(self, name: str, solver: str, *overrides: str) -> None:
         loaded = scene_file.read(FOLDER / f"{name}.yaml", [f"solver.plugin={solver}", *overrides])
-        bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+        bodies = build_bodies(loaded) if loaded.scene.bodies else None
         rate = loaded.scene.frame_rate
         poses = [bodies.poses(i / rate) if bodies else None for i in range(loaded.scene.frames + 1)]
         self.simulation = Simulation(loaded, bodies.geometry if bodies else None, poses[0], 1)

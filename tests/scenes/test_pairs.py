@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
@@ -109,7 +110,7 @@ def motion(folder: Path, names: tuple[str, ...], solver: dict[str, Any]) -> list
     floor = {"name": "floor", "collider": {"plugin": "plane", "point": [0, -0.01, 0]}, "friction": 0.3}
     wind = [{"plugin": "wind", "velocity": [3, 0, 1]}]
     loaded = load(folder, names, solver=solver, bodies=[floor], forces=wind)
-    bodies = build.build_bodies(loaded)
+    bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
     simulation = Simulation(loaded, bodies.geometry, poses, 1)
     assert simulation.advance(poses, poses).report.status == "ok"

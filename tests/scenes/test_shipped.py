@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import penetration
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
@@ -25,7 +26,7 @@ DEPTH = 5e-3
 def simulate(name: str) -> tuple[Simulation, list[float], list[float]]:
     """A few frames: the simulation, and the largest stretch and depth of each frame."""
     loaded = scene_file.read(scene_file.shipped()[name])
-    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+    bodies = build_bodies(loaded) if loaded.scene.bodies else None
     start = bodies.poses(0.0) if bodies else None
     simulation = Simulation(loaded, bodies.geometry if bodies else None, start, 1)
     stretches, depths = [], []
@@ -52,7 +53,7 @@ def test_scene_holds_together_and_runs_the_same_twice(name: str) -> None:
 @pytest.mark.parametrize("name", ["skirt-hula", "skirt-walk", "skirt-paper"])
 def test_waist_follows_its_frame(name: str) -> None:
     simulation, _, _ = simulate(name)
-    bodies = build.build_bodies(simulation.loaded)
+    bodies = build_bodies(simulation.loaded)
     binding = simulation.fabric.bindings[0]
     index = bodies.geometry.frames.index(f"{binding.body}/{binding.frame}")
     rate = simulation.loaded.scene.frame_rate

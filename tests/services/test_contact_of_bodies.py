@@ -13,7 +13,7 @@ from refusals import Refused
 
 import nuno
 from nuno.cli import main
-from nuno.cloth.build import build_bodies
+from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.scene import scene_file
 from nuno.service import Options

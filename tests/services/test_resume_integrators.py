@@ -10,7 +10,7 @@ import pytest
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
@@ -48,7 +48,7 @@ def test_a_frame_is_had_again_and_its_forces_are_the_scenes_whatever_the_solver(
         kept = list(nuno.states(recording, [point.frame for point in points], forces=True))
     assert between.x.dtype == np.float64 and len(points) == 4
     loaded = scene_file.read(write_scene(tmp_path, solver={"plugin": "symplectic_euler", "dt": "1 ms"}, **fields))
-    bodies = build.build_bodies(loaded)
+    bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
     other = Simulation(loaded, bodies.geometry, poses, 1)
     touching = 0
@@ -84,7 +84,7 @@ def test_forces_at_the_start_of_a_step_follow_from_the_checkpoint(tmp_path: Path
     solver = {"plugin": "tr_bdf2", "dt": "4 ms"}
     scene = write_scene(tmp_path, bodies=BALL, solver=solver, allow_unstable=True, duration=0.3)
     loaded = scene_file.read(scene)
-    bodies = build.build_bodies(loaded)
+    bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
     whole = Simulation(loaded, bodies.geometry, poses, 1)
     whole.measure(poses)

@@ -10,6 +10,7 @@ from nuno.ahead import time_frame
 from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
 from nuno.cloth.worn import start_warnings
+from nuno.collision.bodies import build_bodies
 from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
@@ -51,7 +52,7 @@ def _show(rows: list[tuple[str, str]]) -> None:
 
 
 def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
-    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+    bodies = build_bodies(loaded) if loaded.scene.bodies else None
     poses = bodies.poses(0.0) if bodies else None
     simulation = Simulation(loaded, bodies.geometry if bodies else None, poses, 0)
     rows = _size(simulation)

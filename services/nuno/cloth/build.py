@@ -13,11 +13,12 @@ import psutil
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.roughness import roughen
 from nuno.cloth.worn import check_worn
+from nuno.collision.bodies import build_bodies
 from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.plugin import BodyShape, Mover, System, Term
+from nuno_schemas.plugin import System, Term
 from nuno_schemas.scene import Scene
 
 BYTES_PER_VERTEX = 400
@@ -156,72 +157,6 @@ def check_texture(fabric: Fabric, name: str) -> None:
         problem = "texture coordinates leave the cloth that is dyed"
         remedy = "lay the mesh's texture out without repeating it"
         raise BadInput(problem, value=f"{low:g} to {high:g}", limit="0 to 1", remedy=remedy)
-
-
-@dataclass(frozen=True)
-class Bodies:
-    """All bodies of a scene: their geometry and where they are at any time."""
-
-    geometry: Geometry
-    movers: tuple[Mover | None, ...]
-    notes: tuple[str, ...] = ()
-    """What the user should know of them, in words."""
-
-    def poses(self, t: float) -> Poses:
-        """Poses of all frames at time t [s]."""
-        parts = [m.pose(t) if m else (np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3))) for m in self.movers]
-        return Poses(t, np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts]))
-
-
-def build_bodies(loaded: Loaded) -> Bodies:
-    """Join a scene's bodies. Raises BadInput."""
-    shapes: list[BodyShape] = []
-    movers: list[Mover | None] = []
-    for i, (collider, motion) in enumerate(zip(loaded.colliders, loaded.motions, strict=True)):
-        field = f"bodies[{i}].motion"
-        try:
-            mover = motion.plugin.prepare(motion.config, loaded.files) if motion else None
-            field = f"bodies[{i}].collider"
-            shapes.append(collider.plugin.build(collider.config, mover, loaded.files))
-        except BadInput as error:
-            raise loaded.at(field, error) from None
-        movers.append(mover)
-    notes = (f"{body.name}: {n}" for body, shape in zip(loaded.scene.bodies, shapes, strict=True) for n in shape.notes)
-    return Bodies(_geometry(loaded, shapes), tuple(movers), tuple(notes))
-
-
-def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
-    bodies = loaded.scene.bodies
-    names = [f"{body.name}/{frame}" for body, shape in zip(bodies, shapes, strict=True) for frame in shape.frames]
-    starts = np.cumsum([0, *(len(s.frames) for s in shapes)])
-    of_triangles = [getattr(contact.plugin, "of_triangles", False) for contact in loaded.contacts]
-    fields = [None if of else field for s, of in zip(shapes, of_triangles, strict=True) for field in s.fields]
-    return Geometry(
-        tuple(body.name for body in bodies),
-        tuple(names),
-        np.concatenate([s.kind for s in shapes]).astype(np.int8),
-        np.concatenate([s.frame + at for s, at in zip(shapes, starts, strict=False)]).astype(np.int32),
-        np.repeat(np.arange(len(shapes), dtype=np.int32), [len(s.kind) for s in shapes]),
-        np.concatenate([s.a for s in shapes]),
-        np.concatenate([s.b for s in shapes]),
-        np.concatenate([s.radius for s in shapes]),
-        np.array([np.nan if b.stiffness == "auto" else b.stiffness for b in bodies]),
-        np.array([b.damping for b in bodies]),
-        np.array([b.friction for b in bodies]),
-        *_join_meshes(shapes),
-        tuple(fields),
-    )
-
-
-def _join_meshes(shapes: list[BodyShape]) -> tuple[Float, Int, Int]:
-    """Vertices, faces and owners of all bodies' meshes, in Geometry's layout."""
-    vertices = np.cumsum([0, *(len(s.vertices) for s in shapes)])
-    primitives = np.cumsum([0, *(len(s.kind) for s in shapes)])
-    return (
-        np.concatenate([s.vertices for s in shapes]),
-        np.concatenate([s.faces + at for s, at in zip(shapes, vertices, strict=False)]).astype(np.int32),
-        np.concatenate([s.owner + at for s, at in zip(shapes, primitives, strict=False)]).astype(np.int32),
-    )
 
 
 def bind(

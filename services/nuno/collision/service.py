@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from nuno.cloth.build import Bodies, build_bodies
+from nuno.collision.bodies import Bodies, build_bodies
 from nuno.collision.distance import penetration
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, encode_geometry, encode_poses
 from nuno.service import Context, ack_topic, each_message

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.draw.sight import NO_FACES, NO_POINTS, Piece, Sight
 from nuno.scene.scene_file import Loaded
 from nuno.wire.arrays import BadMessage
@@ -48,7 +49,7 @@ def size_of(x: Float) -> float:
 def see_scene(loaded: Loaded) -> Sight:
     """The cloth of a scene as it is at the start. Raises BadInput for one without triangles."""
     require_cloth(loaded)
-    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+    bodies = build_bodies(loaded) if loaded.scene.bodies else None
     geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
     fabric, pieces = build.build_fabric(loaded, geometry, poses)
     if not len(fabric.faces):

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from nuno import registry
-from nuno.cloth.build import build_bodies, build_fabric
+from nuno.cloth.build import build_fabric
+from nuno.collision.bodies import build_bodies
 from nuno.export.camera import z_up
 from nuno.export.cloth import shape_bodies
 from nuno.export.yarns import GROUP, STYLE, captioned, find_camera, put_on

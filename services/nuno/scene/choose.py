@@ -14,6 +14,7 @@ import numpy as np
 
 from nuno import registry
 from nuno.cloth import build
+from nuno.collision.bodies import Bodies, build_bodies
 from nuno.scene import scene_file
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST, Loaded
@@ -83,14 +84,14 @@ def decide(loaded: Loaded) -> Loaded:
     return _written(loaded, best.method.name, dt, _reason(trials, best, found, accuracy))
 
 
-def _build(loaded: Loaded) -> tuple[System, build.Bodies | None]:
+def _build(loaded: Loaded) -> tuple[System, Bodies | None]:
     fabric, pieces = build.build_fabric(loaded)
-    bodies = build.build_bodies(loaded) if loaded.colliders else None
+    bodies = build_bodies(loaded) if loaded.colliders else None
     geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
     return build.build_system(loaded, fabric, pieces, geometry, poses, os.cpu_count() or 1), bodies
 
 
-def _trials(loaded: Loaded, system: System, bodies: build.Bodies | None, start: Method | None) -> Trials:
+def _trials(loaded: Loaded, system: System, bodies: Bodies | None, start: Method | None) -> Trials:
     rate, total, fabric = float(loaded.scene.frame_rate), loaded.scene.frames, system.fabric
     a_frame = fabric.number * (start.fewest if start else 1)
     frames = min(total, max(FEWEST_FRAMES, int(PILOT_WORK / a_frame)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import control_events
@@ -28,7 +28,7 @@ class ClothAgain(Again):
         """From a checkpoint's message on, or else from the start. Raises BadInput."""
         self.changes = [event for event in control_events(recording) if event.text in ("set", "add")]
         """Still to be made."""
-        self.bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+        self.bodies = build_bodies(loaded) if loaded.scene.bodies else None
         self.rate = loaded.scene.frame_rate
         self.poses = self.bodies.poses(0.0) if self.bodies else None
         self.simulation = Simulation(loaded, self.bodies.geometry if self.bodies else None, self.poses, threads)

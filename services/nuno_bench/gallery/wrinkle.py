@@ -11,6 +11,7 @@ import numpy as np
 
 from nuno import api
 from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.export.cloth import Pieces, read_frame
 from nuno.export.pictures import export_picture
 from nuno.recording.reader import Recording, open_recording
@@ -105,7 +106,7 @@ def _draw(recording: Recording, frames: dict[str, Frame], target: Path) -> list[
 
 def _raise(loaded: Loaded, before: Frame) -> Float:
     """(n, 3) [m] where the scene's lines raise the cloth, before any step: a frame later it has sunk already."""
-    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+    bodies = build_bodies(loaded) if loaded.scene.bodies else None
     poses = bodies.poses(0.0) if bodies else None
     fabric, _ = build.build_fabric(loaded, bodies.geometry if bodies else None, poses)
     state = State(before.x.astype(np.float64), np.zeros(before.x.shape), before.t)

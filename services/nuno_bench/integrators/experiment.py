@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.cloth import build
-from nuno.cloth.build import Bodies
+from nuno.collision.bodies import Bodies, build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
@@ -149,7 +148,7 @@ def run_experiment(
 
 def run_variant(loaded: Loaded, name: str, split: bool, measured: bool = True) -> Trace:
     """One run to its end, or to the frame in which it diverges; unmeasured runs are only timed."""
-    bodies = build.build_bodies(loaded)
+    bodies = build_bodies(loaded)
     poses = [bodies.poses(frame / loaded.scene.frame_rate) for frame in range(loaded.scene.frames + 1)]
     simulation = Simulation(loaded, bodies.geometry, poses[0], cores())
     first = _timed(lambda: simulation.measure(poses[0]))

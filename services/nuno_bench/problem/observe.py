@@ -18,6 +18,7 @@ import psutil
 from pydantic import BaseModel
 
 from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
 from nuno_bench.machine import cores
@@ -119,7 +120,7 @@ def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
     if fabric.number == 0 or bool(fabric.pinned.all()):
         raise BadInput("nothing in the scene can move, so there is no error to measure", loaded.file)
     check_memory(loaded, 3 * fabric.number)
-    bodies = build.build_bodies(loaded) if loaded.colliders else None
+    bodies = build_bodies(loaded) if loaded.colliders else None
     times = [i / float(loaded.scene.frame_rate) for i in range(loaded.scene.frames + 1)]
     poses = tuple(bodies.poses(t) if bodies else None for t in times)
     geometry = bodies.geometry if bodies else None

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
@@ -85,7 +85,7 @@ def _apart(work: Callable[[], float]) -> float:
 
 def bare_seconds(loaded: Loaded, frames: int | None = None) -> float:
     """Wall time of a scene's integrator calls, bodies posed beforehand, everything compiled and prepared."""
-    bodies = build.build_bodies(loaded)
+    bodies = build_bodies(loaded)
     frames = loaded.scene.frames if frames is None else frames
     poses = [bodies.poses(i / loaded.scene.frame_rate) for i in range(frames + 1)]
     simulation = Simulation(loaded, bodies.geometry, poses[0], cores())

@@ -12,6 +12,7 @@ import numpy as np
 
 from nuno import registry
 from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.scene.scene_file import Loaded
 from nuno_bench.sweep.packed import Packed, unpacked
 from nuno_schemas.bodies import Poses
@@ -116,7 +117,7 @@ def _build(loaded: Loaded, setting: Setting) -> Posed:
         raise BadInput("nothing in the scene can move", loaded.file, field="objects", remedy="add cloth that is free")
     if setting.axis == "stiffness":
         fabric = stiffen(fabric, setting.value)
-    bodies = build.build_bodies(loaded) if loaded.scene.bodies else None
+    bodies = build_bodies(loaded) if loaded.scene.bodies else None
     rate = float(loaded.scene.frame_rate)
     frames = max(1, min(loaded.scene.frames, round(LONGEST * rate)))
     poses = [bodies.poses(i / rate) if bodies else None for i in range(frames + 1)]

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.collision.service import Collision
 from nuno.draw.desk import Desk
 from nuno.draw.shown import see_scene
@@ -209,7 +209,7 @@ def _finish(context: Context) -> Callable[[Question], None]:
 
 
 def _poses(context: Context) -> Callable[[Question], None]:
-    collision = Collision(context, build.build_bodies(context.loaded), Inbox(context.bus, []))
+    collision = Collision(context, build_bodies(context.loaded), Inbox(context.bus, []))
     return collision.answer
 
 

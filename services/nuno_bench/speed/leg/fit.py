@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import NamedTuple
 
-from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.report.result import Result
@@ -33,7 +33,7 @@ def fit(name: str, *overrides: str, frames: int | None = None) -> Fit:
     """From reading the scene to rest, or for so many frames. Raises RuntimeError for one that does not come to rest."""
     began = time.perf_counter()
     loaded = scene_file.read(scene_file.find(f"knit/{name}"), overrides)
-    bodies = build.build_bodies(loaded)
+    bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
     simulation = Simulation(loaded, bodies.geometry, poses, 0)
     start = time.perf_counter()
