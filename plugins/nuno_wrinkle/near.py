@@ -34,12 +34,13 @@ def describe(fabric: Fabric) -> dict[str, float]:
     critical = 2.0 * np.sqrt(k * one * other / (one + other))
     own = kinds == STRUCTURAL
     bent = kinds == BENDING
+    damped = own & (critical > 0.0)  # on elongated triangles a measured fabric has springs of no stiffness
     r_avg = float(rest[own].mean())
     return {
         "r_avg": r_avg,
         "k_std": float(k[own].mean()),
         "density": float(fabric.mass.sum()) / area_of(fabric.position, fabric.faces),
-        "damping_ratio": float((c[own] / critical[own]).mean()),
+        "damping_ratio": float((c[damped] / critical[damped]).mean()),
         "r_bend": float(rest[bent].mean()) if bent.any() else float(np.sqrt(3.0)) * r_avg,
         "k_bend": float(k[bent].mean()) if bent.any() else fabric.origin.get("k_bend", 0.0),
     }

@@ -123,6 +123,18 @@ def triangles(folder: Path, corners: list[list[float]], faces: list[list[int]]) 
     return built
 
 
+def test_new_springs_are_damped_as_the_others_where_some_have_no_stiffness() -> None:
+    fabric = sheet(2, 5, fabric="denim", size=[1.0, 0.4])
+    assert fabric.springs is not None and not fabric.springs.per_spring(fabric.springs.k).all()
+    made = changed(draw(fabric, ridge((-0.2, -0.05), (0.1, 0.05)))).fabric
+    assert made.springs is not None
+    first, second = made.springs.pairs().T
+    reduced = made.mass[first] * made.mass[second] / (made.mass[first] + made.mass[second])
+    new = (first >= fabric.number) | (second >= fabric.number)
+    ratio = made.springs.c[new] / (2.0 * np.sqrt(made.springs.k[new] * reduced[new]))
+    assert new.sum() > 5 and ratio == pytest.approx(np.full(new.sum(), 0.05), rel=1e-12)
+
+
 def test_new_hinges_keep_the_rigidity_of_the_cloth() -> None:
     fabric = sheet(fabric={"preset": "denim", "bend_warp": 1e-4, "bend_weft": 1e-4})
     made = changed(draw(fabric, ridge((-0.3, -0.2), (0.3, 0.2), height=1e-9), smoothing={"passes": 0})).fabric
