@@ -10,7 +10,6 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from nuno import contain, process
-from nuno.foreign import Foreign
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import GROUPS
 
@@ -66,7 +65,11 @@ def load(group: str, name: str, beside: Iterable[str] = ()) -> Any:
             remedy=f"uninstall one of them: pip uninstall {distribution(foreign)}",
         )
     plugin = contain.call(partial(_not_imported, name, point), lambda: point.load()())
-    return plugin if is_own(point) else Foreign(plugin, group, name, package(point))
+    if is_own(point):
+        return plugin
+    from nuno.foreign import Foreign
+
+    return Foreign(plugin, group, name, package(point))
 
 
 def _not_imported(name: str, point: EntryPoint, error: BaseException) -> BadInput:

@@ -61,7 +61,8 @@ def test_one_mass_loads_no_module_of_what_it_lacks(tmp_path: Path) -> None:
     code, modules = json.loads(done.stdout.splitlines()[-1])
     assert code == 0
     assert "nuno_integrators.rk4" in modules and "nuno_cloth.net" in modules, "the run did not happen here"
-    assert [name for name in modules if any(word in name for word in UNNEEDED)] == []
+    loaded = set(modules) - {"nuno_schemas.dyeing"}  # what a scene may say of dye
+    assert [name for name in loaded if any(word in name for word in UNNEEDED)] == []
 
 
 def test_one_mass_has_no_array_of_what_it_lacks(tmp_path: Path) -> None:

@@ -91,7 +91,8 @@ def test_the_same_scene_is_the_same_however_it_was_given(tmp_path: Path, monkeyp
     outcome, said, refused = supervise(
         decided, {"collision": units, "recorder": again, "simulation": again}, tmp_path / "run.mcap"
     )
-    assert (refused, said) == ("", []) and outcome is not None and outcome.state == "done"
+    assert refused == "" and [text for text in said if "its bus at" not in text] == []
+    assert outcome is not None and outcome.state == "done"
 
 
 def test_a_file_of_the_same_name_must_hold_the_same(tmp_path: Path) -> None:
