@@ -66,7 +66,7 @@ class ParticleWindForce:
     Config: ClassVar[type[BaseModel]] = ParticleWindConfig
 
     def prepare(self, config: ParticleWindConfig, fabric: Fabric, seed: int) -> Term:
-        return Term("particle_wind", ParticleWind(direction(config.beta, config.gamma) * config.strength))
+        return Term("particle_wind", (ParticleWind(direction(config.beta, config.gamma) * config.strength),))
 
 
 def direction(beta: float, gamma: float) -> Float:

@@ -107,8 +107,8 @@ class Penalty:
         shares = np.array([slip_speed(ratio) for ratio in geometry.damping.tolist()]) * geometry.friction
         faster = shares[:, None] * weight / np.sqrt(stiffness * fabric.mass)
         return Term(
-            kind="contact",
-            data=make_contact(geometry, stiffness, damping),
+            name="contact",
+            data=(make_contact(geometry, stiffness, damping),),
             omega_squared=float(omega_squared.max(initial=0.0)),
             damping_rate=float(rate.max(initial=0.0)),
             facts={

@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.quantities import Size
 from nuno_kernels.mesh_check import check_closed, check_crossings
-from nuno_kernels.slides import Slid
+from nuno_kernels.slides import Slid, make_slides
 from nuno_kernels.surface_tree import build_tree
 from nuno_schemas.bodies import FIELD, OF_TRIANGLES, Geometry
 from nuno_schemas.errors import BadInput
@@ -46,7 +46,8 @@ class Sliding:
                 raise BadInput("friction must not be negative", field=body, value=float(friction), limit=">= 0")
         parts = zip(geometry.frame.tolist(), geometry.friction[geometry.body].tolist(), strict=True)
         bodies = [Slid(build_tree(*geometry.mesh(i)), *part, gap) for i, part in enumerate(parts)]
-        return Term(kind="slides", data=(bodies, len(geometry.frames)))
+        slides = make_slides(bodies, len(geometry.frames), np.where(fabric.pinned, 0.0, fabric.mass))
+        return Term(name="slides", data=(slides,))
 
 
 def check_meshes(geometry: Geometry) -> None:

@@ -98,7 +98,7 @@ class Adaptive(Compiled):
         buffers = Buffers(x, v, y, u, k, k.reshape(3 * stages, n), np.empty(blocks), np.empty((blocks, 1, WIDTH)))
         pair = Pair(table.a, table.aa, table.c, table.errors, table.position_errors)
         control = np.array([0.0, 0.0, np.inf, 1e-4])
-        known_ahead = all(term.kind not in ("contact", "slides", "bindings", "python") for term in system.terms)
+        known_ahead = not packed.bodies and not any(term.in_python for term in system.terms)
         free = max(1, int((~fabric.pinned).sum()))
         allowed = config.tolerance * size * np.sqrt(free)
         # From the fabric, not from the state of a run that goes on: it must choose the same steps again.

@@ -14,21 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from nuno_integrators.forces import find_forces, own_contact
+from nuno_integrators.forces import find_forces, own_bodies
 from nuno_integrators.pace import Pace
 from nuno_integrators.profile import profile_steps
 from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed, evaluate
 from nuno_kernels.energy import measure_energy
-from nuno_kernels.packing import pack, python_terms, silence_bodies, thread_count, to_rows
+from nuno_kernels.packing import call_each, pack, python_terms, silence_bodies, thread_count, to_rows
 from nuno_kernels.rest import unbalance
 from nuno_kernels.stability import measure_rates, stable_step
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.plugin import Forces, StepLimit, StepReport, System
-
-CHECKPOINTED = ("anchor", "anchor_frame")
-"""Arrays of the contact tuple that are part of the state."""
 
 
 @dataclass
@@ -114,10 +112,7 @@ class Compiled(ABC):
         packed = _set_poses(work.packed, poses)
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t + steps * dt)
-        if packed.slides is not None:
-            from nuno_kernels.slides import find_room
-
-            find_room(work.x, packed.slides)
+        call_each(packed, "begin", work.x)
         if steps == 0:
             self.compile(work, packed, extra)
         started = time.perf_counter()
@@ -148,16 +143,13 @@ class Compiled(ABC):
         force = np.empty_like(work.x)
         evaluate(work.x, np.zeros_like(work.v), 1.0, force, packed, extra)
         force *= np.where(system.fabric.pinned, 0.0, system.fabric.mass)
-        if packed.slides is not None:
-            from nuno_kernels.balance import hold_forces
-
-            hold_forces(work.x, force, packed.slides)
+        call_each(packed, "unbalance", work.x, force)
         return unbalance(system.fabric, state.x, state.v, force.T)
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
-        packed = _set_poses(own_contact(work.packed), poses)
+        packed = _set_poses(own_bodies(work.packed), poses)
         extra = _enter(system, state, work, state.t)
         return find_forces(system, state, packed, work.x, work.v, extra, poses)
 
@@ -205,25 +197,17 @@ def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
     """Write the interval into contact and bindings; without poses there is nothing to meet or to follow."""
     if poses is None:
         return silence_bodies(packed)
-    if packed.contact is not None:
-        from nuno_kernels.contact import set_poses
-
-        set_poses(packed.contact, *poses)
-    if packed.slides is not None:
-        from nuno_kernels.slides import set_slide_poses
-
-        set_slide_poses(packed.slides, *poses)
-    if packed.bindings is not None:
-        from nuno_kernels.bindings import set_binding_poses
-
-        set_binding_poses(packed.bindings, *poses)
+    call_each(packed, "interval", *poses)
     return packed
 
 
 def _own_arrays(packed: Packed, work: Work) -> dict[str, NDArray[Any]]:
     """The method's own arrays that are part of the state."""
-    anchors = {} if packed.contact is None else {name: getattr(packed.contact, name) for name in CHECKPOINTED}
-    return anchors | work.kept()
+    arrays: dict[str, NDArray[Any]] = {}
+    for term in (*packed.forces, *packed.bodies):
+        for name in kernels_of(term).memory:
+            arrays[name if name not in arrays else f"{name}-{len(arrays)}"] = getattr(term, name)
+    return arrays | work.kept()
 
 
 def _restore(packed: Packed, work: Work, memory: Memory) -> None:
@@ -257,18 +241,9 @@ def _report(system: System, work: Work, packed: Packed, told: Told, lost: str, s
         work.x, work.v, system.fabric.mass, packed._replace(gravity=np.asarray(system.gravity, np.float64))
     )
     counts = {"zero_length_springs": int(energy.zero_length)}
-    if packed.contact is not None:
-        from nuno_kernels.contact import count_contacts
-
-        counts |= count_contacts(packed.contact)
-    if packed.slides is not None:
-        from nuno_kernels.slides import count_slides
-
-        slid = count_slides(packed.slides)
-        counts |= slid | {"touching": counts.get("touching", 0) + slid["touching"]}
+    for found in call_each(packed, "counts"):
+        counts |= {name: counts.get(name, 0) + number for name, number in found.items()}
     status: Literal["ok", "diverged", "unconverged"] = "diverged" if lost else "unconverged" if told.problem else "ok"
     message = lost or told.problem
-    names = ("kinetic", "gravitational", "springs", "hinges", *(("yarns",) if packed.yarns is not None else ()))
-    kinds = {name: getattr(energy, name) for name in names}
     times = {"steps": seconds}
-    return StepReport(status, told.steps, message, times, counts, kinds, energy.stretch, told.totals)
+    return StepReport(status, told.steps, message, times, counts, energy.kinds, energy.stretch, told.totals)

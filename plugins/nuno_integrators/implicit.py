@@ -77,7 +77,7 @@ class Implicit(Compiled):
 
     def make_work(self, config: ImplicitConfig, system: System, packed: Packed) -> ImplicitWork:
         n = system.fabric.number
-        python = any(term.kind == "python" for term in system.terms)
+        python = any(term.in_python for term in system.terms)
         stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric), python)
         x, v = np.empty((2, 3, n))
         return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, (config.residual, config.most_iterations))
@@ -101,7 +101,7 @@ class Implicit(Compiled):
     def compile(self, work: ImplicitWork, packed: Packed, extra: Any) -> None:
         compile_stage(work.stage, packed, extra, work.x, work.v)
         # By its signature: called, it would let friction forget where it holds.
-        held = (work.x, work.v, 1.0, packed.bindings, packed.contact, packed.slides, packed.threads)
+        held = (work.x, work.v, 1.0, packed)
         kernel: Any = commit
         kernel.compile(tuple(numba.typeof(value) for value in held))
 
@@ -116,7 +116,7 @@ class Implicit(Compiled):
             ok, residual = self.attempt(work, packed, extra, start, h, span, (tolerance, PATIENCE * most))
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
-            commit(work.x, work.v, (start + h) / span, packed.bindings, packed.contact, packed.slides, packed.threads)
+            commit(work.x, work.v, (start + h) / span, packed)
             return 1, None
         if depth == MOST_HALVINGS:
             return 0, residual

@@ -12,7 +12,7 @@ import numpy as np
 
 from nuno_integrators.explicit import Explicit
 from nuno_kernels import kernel
-from nuno_kernels.acceleration import commit, evaluate, hold, slow
+from nuno_kernels.acceleration import evaluate, hold, settle, slow
 from nuno_kernels.updates import add, add_twice
 from nuno_schemas.fabric import Float
 
@@ -32,14 +32,14 @@ def advance_leapfrog(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any,
         if step == 0 or p.velocity_matters:
             evaluate(x, v, step / steps, a, p, extra)
         add_twice(v, v, 0.5 * dt, a, x, x, dt, v, p.threads)
-        hold(x, v, (step + 1) / steps, p.slides, p.threads)
+        hold(x, v, (step + 1) / steps, p)
         if p.velocity_matters:
             add(u, v, 0.5 * dt, a, p.threads)
-            slow(x, u, p.slides, p.threads)
+            slow(x, u, p)
         evaluate(x, u if p.velocity_matters else v, (step + 1) / steps, b, p, extra)
         add(v, v, 0.5 * dt, b, p.threads)
-        slow(x, v, p.slides, p.threads)
-        commit(x, v, (step + 1) / steps, p.bindings, p.contact, None, p.threads)
+        slow(x, v, p)
+        settle(x, v, (step + 1) / steps, p)
         a, b = b, a
 
 

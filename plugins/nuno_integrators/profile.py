@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels.acceleration import Packed
-from nuno_kernels.packing import PARTS, own_copy, silence
+from nuno_kernels.packing import own_copy, parts, silence
 from nuno_schemas.fabric import Float
 
 REPEATS = 5
@@ -27,15 +27,14 @@ MOST = 64
 
 
 def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, extra: Any) -> Mapping[str, float]:
-    """Seconds per step by part: those of PARTS that the system has, "python" where a force is written
+    """Seconds per step by part: the names of its terms, "python" where a force is written
     in Python, and "other": attachments, gravity, the update. Together they are a whole step.
 
     Steps of hardly any duration leave x and v (3, n) where they are, and the loop is the one that the run
     compiled, over tuples of the same types, so nothing is compiled for it. A part's cost is what a
     step saves without it. Anchors are those of a copy.
     """
-    own = packed if packed.contact is None else packed._replace(contact=own_copy(packed.contact))
-    own = own if own.slides is None else own._replace(slides=own_copy(own.slides))
+    own = packed._replace(bodies=tuple(own_copy(term) for term in packed.bodies))
     place, speed = x.copy(), v.copy()
 
     def run(variant: Packed, force: Any, steps: int) -> float:
@@ -45,9 +44,8 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
 
     steps = max(1, min(MOST, int(LONG / max(run(own, extra, 1), 1e-9))))
     variants: dict[str, tuple[Packed, Callable[..., None] | None]] = {"": (own, extra)}
-    for part, fields in PARTS.items():
-        if any(getattr(own, name) is not None for name in fields):
-            variants[part] = (silence(own, part), extra)
+    for part in parts(packed):
+        variants[part] = (silence(own, part), extra)
     if extra is not None:
         variants["python"] = (own, lambda x, v, s, a: None)
     # Round after round, so that a disturbance falls on all variants alike.

@@ -134,10 +134,10 @@ def advance_adaptive(
             control[PENDING] = 0.0
             b.x[:] = b.y
             b.v[:] = b.u
-            commit(b.x, b.v, control[AT] / span, p.bindings, p.contact, p.slides, p.threads)
-            # The last slope is the next step's first, unless contact has moved vertices or anchors.
+            commit(b.x, b.v, control[AT] / span, p)
+            # The last slope is the next step's first, unless bodies have moved vertices or anchors.
             first = 0
-            if p.contact is None and p.slides is None:
+            if not p.moved:
                 b.k[0][:] = b.k[stages - 1]
                 first = 1
             if over > -LANDED * h:

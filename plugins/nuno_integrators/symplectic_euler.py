@@ -20,7 +20,7 @@ def advance_symplectic_euler(x: Any, v: Any, stages: Any, steps: int, dt: float,
     for step in range(steps):
         evaluate(x, v, step / steps, a, p, extra)
         add_twice(v, v, dt, a, x, x, dt, v, p.threads)
-        commit(x, v, (step + 1) / steps, p.bindings, p.contact, p.slides, p.threads)
+        commit(x, v, (step + 1) / steps, p)
 
 
 @kernel
@@ -30,13 +30,9 @@ def advance_at_once(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, 
     """
     here_x, here_v, to_x, to_v = x, v, stages[0], stages[1]
     for step in range(steps):
-        add_forces(
-            here_x, here_v, step / steps, to_x, p.inverse_mass, p.gravity, p.damping, p.runs, p.lists, p.hinge_runs,
-            p.hinge_lists, p.bindings, None, p.air, p.wind_runs, p.wind_lists, p.particle_wind, p.yarns, p.threads,
-            None, to_x, to_v, dt,
-        )  # fmt: skip
+        add_forces(here_x, here_v, step / steps, to_x, to_v, dt, p)
         here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
-        commit(here_x, here_v, (step + 1) / steps, p.bindings, None, p.slides, p.threads)
+        commit(here_x, here_v, (step + 1) / steps, p)
     if steps % 2 == 1:
         x[...] = here_x
         v[...] = here_v

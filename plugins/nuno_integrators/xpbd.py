@@ -25,13 +25,17 @@ from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.constraint_packing import Constraints, pack_constraints
 from nuno_kernels.constraint_step import advance_xpbd
+from nuno_kernels.packing import call_each, of_type, silence, silence_bodies
+from nuno_kernels.springs import SpringLists, SpringRuns
 from nuno_kernels.stability import measure_rates, stable_step
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.plugin import Config, StepLimit, System
+from nuno_schemas.plugin import Config, StepLimit, System, Term
 
-EXPLICIT = ("wind", "particle_wind", "python")
-"""Kinds of terms that act as at the step's start."""
+SPRINGS: tuple[type[SpringRuns] | type[SpringLists], ...] = (SpringRuns, SpringLists)
+CONSTRAINTS = ("springs", "hinges")
+"""Forces that are solved for; what else acts by blocks acts as at the step's start."""
 AT_REST = 1e-9
 """Step [s] in place of none where a step's cost is measured: a displacement over no time is no velocity."""
 
@@ -69,28 +73,25 @@ class XPBD(Compiled):
 
     def make_work(self, config: XPBDConfig, system: System, packed: Packed) -> XPBDWork:
         n, repeated = system.fabric.number, config.iterations > 1
-        if packed.yarns is not None:
-            raise BadInput(
-                "xpbd has no constraint for tension that passes along yarns",
-                field="solver.plugin",
-                value=self.name,
-                remedy="use an explicit or implicit solver, or set mu to 0",
-            )
-        if any(part is not None and part.locks is not None for part in (packed.runs, packed.lists)):
+        for term in packed.forces:
+            if not kernels_of(term).lags:
+                raise BadInput(
+                    "xpbd has no constraint for tension that passes along yarns",
+                    field="solver.plugin",
+                    value=self.name,
+                    remedy="use an explicit or implicit solver, or set mu to 0",
+                )
+        if any(springs.locks is not None for kind in SPRINGS for springs in of_type(packed, kind)):
             raise BadInput(
                 "xpbd has no constraint for springs that lock",
                 field="solver.plugin",
                 value=self.name,
                 remedy="use an explicit or implicit solver, or yarns without lock",
             )
-        if packed.contact is not None:
-            from nuno_kernels import contact_projection  # noqa: F401  (makes its kernels known)
         others = None
-        if any(term.kind in EXPLICIT for term in system.terms):
-            late = True if any(term.kind == "python" for term in system.terms) else None
-            springless = packed._replace(runs=None, lists=None, hinge_runs=None, hinge_lists=None)
-            others = springless._replace(contact=None, bindings=None, damping=0.0, late=late)
-        held = np.zeros((3, n)) if repeated and packed.contact is not None else None
+        if any(_lags(term) for term in system.terms):
+            others = silence_bodies(silence(packed, *CONSTRAINTS))._replace(damping=0.0)
+        held = np.zeros((3, n)) if repeated and any(kernels_of(term).project for term in packed.bodies) else None
         x, v = np.empty((2, 3, n))
         constraints = pack_constraints(packed, repeated)
         return XPBDWork(
@@ -100,7 +101,7 @@ class XPBD(Compiled):
     def limit(self, config: XPBDConfig, system: System, state: State) -> StepLimit:
         """Only forces without a constraint limit the step; `resolved` follows from config.residual."""
         omega, damping = measure_rates(system, state)
-        kept = tuple(term for term in system.terms if term.kind in EXPLICIT and term.kind != "particle_wind")
+        kept = tuple(term for term in system.terms if _lags(term))
         dt = np.inf
         if kept:
             bare = replace(system.fabric, springs=None, hinges=None)
@@ -111,8 +112,7 @@ class XPBD(Compiled):
         return StepLimit(float(dt), omega, damping, float(reach / omega) if omega > 0.0 else np.inf)
 
     def go(self, work: XPBDWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
-        if packed.contact is not None:
-            packed.contact.rate[0] = 1.0 / dt
+        call_each(packed, "approach", 1.0 / dt)
         source_of(advance_xpbd, extra)(
             work.x, work.v, work.stages, steps, dt, packed, extra, work.others, work.constraints, work.mobility,
             work.held, work.iterations,
@@ -126,11 +126,12 @@ class XPBD(Compiled):
         def at_rest(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
             c, others = work.constraints, work.others
             if others is not None:
-                others = others._replace(wind_runs=p.wind_runs, wind_lists=p.wind_lists)
+                others = others._replace(forces_on=others.forces_on & p.forces_on)
+            acting = {kernels_of(term).name for term, on in zip(p.forces, p.forces_on, strict=True) if on}
             c = c._replace(
-                runs=_unless_silent(c.runs, p.runs, p.lists),
-                lists=_unless_silent(c.lists, p.runs, p.lists),
-                hinges=_unless_silent(c.hinges, p.hinge_runs, p.hinge_lists),
+                runs=_if(c.runs, "springs" in acting),
+                lists=_if(c.lists, "springs" in acting),
+                hinges=_if(c.hinges, "hinges" in acting),
             )
             source_of(advance_xpbd, force)(
                 x, v, stages, steps, AT_REST, p, force, others, c, work.mobility, work.held, work.iterations
@@ -148,8 +149,11 @@ class XPBD(Compiled):
         return np.asarray(np.linalg.inv(np.array([[1.0, -dt], [omega * omega * dt, 1.0 + damping * dt]])))
 
 
-def _unless_silent(batches: Any, *sources: Any) -> Any:
-    """Batches of the same type without elements, where what they come from was silenced."""
-    if batches is None or any(source is not None and source.start[-1] > 0 for source in sources):
-        return batches
-    return batches._replace(start=np.zeros_like(batches.start))
+def _lags(term: Term) -> bool:
+    """Whether a force acts as at the step's start: one in Python, or one that acts by blocks."""
+    return callable(term.data) or any(kernels_of(part).block is not None for part in term.data)
+
+
+def _if(batches: Any, acting: bool) -> Any:
+    """Batches, or of the same type ones without elements."""
+    return batches if batches is None or acting else batches._replace(start=np.zeros_like(batches.start))

@@ -75,7 +75,7 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
 
 
 @parallel_kernel
-def hold_forces(x: Any, force: Any, s: Any) -> None:
+def hold_forces(s: Any, x: Any, force: Any) -> None:
     """Hold the forces (3, n) on vertices x (3, n) off the bodies as they are at the end of the interval, in place."""
     pose_slides(1.0, s)
     for block in prange(s.tally.shape[0]):

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.acceleration import provide
 from nuno_kernels.blocks import Long
 from nuno_kernels.contact_poses import pose_frame, write_interval
+from nuno_kernels.terms import register
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
 
@@ -38,7 +38,7 @@ class Bindings(NamedTuple):
 
 
 @kernel
-def place_bound(x: Any, v: Any, s: float, bindings: Any) -> None:
+def place_bound(bindings: Any, x: Any, v: Any, s: float) -> None:
     """Put the bound vertices of x, v (3, n) where they are at fraction s of the interval."""
     for f in range(bindings.frames.shape[0]):
         pose_frame(s, f, bindings.rotation0, bindings.origin0, bindings.spin, bindings.shift, bindings.frames)
@@ -53,7 +53,14 @@ def place_bound(x: Any, v: Any, s: float, bindings: Any) -> None:
         v[2, p] = m[14] + (m[15] * ry - m[16] * rx)
 
 
-provide(place_bound=place_bound)
+@kernel
+def carry_bound(bindings: Any, x: Any, u: Any, y: Any, w: Any, s: float) -> None:
+    """Displacements u (3, n) of bound vertices from x to where they are at fraction s; y, w (3, n) are scratch."""
+    place_bound(bindings, y, w, s)
+    for b in range(bindings.vertices.shape[0]):
+        i = bindings.vertices[b]
+        for row in range(3):
+            u[row, i] = y[row, i] - x[row, i]
 
 
 def make_bindings(vertices: Int, local: Float, frame: Int) -> Bindings:
@@ -76,3 +83,6 @@ def set_binding_poses(bindings: Bindings, start: Poses, end: Poses) -> None:
     used = bindings.frames.shape[0]
     first, last = (Poses(p.t, p.rotation[:used], p.translation[:used]) for p in (start, end))
     write_interval(bindings, first, last)
+
+
+register(Bindings, name="bindings", place=place_bound, carry=carry_bound, interval=set_binding_poses)

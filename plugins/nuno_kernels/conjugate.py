@@ -13,36 +13,22 @@ from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.blocks import BLOCK, PADDING
-from nuno_kernels.linear import (
-    multiply_hinge_lists,
-    multiply_hinge_runs,
-    multiply_spring_lists,
-    multiply_spring_runs,
-)
-from nuno_kernels.linear_yarns import multiply_yarns
 from nuno_kernels.matrix import Linear
+from nuno_kernels.terms import each, each_block
 from nuno_schemas.fabric import Float
+
+multiply_forces = each("multiply", "block, origin, u, out", linear=True)
 
 
 @kernel
 def multiply_block(
-    block: int, inverse_mass: Any, own: Any, u: Any, out: Any,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any,
-) -> float:  # fmt: skip
-    """out = A u on a block's vertices, 0 where pinned; returns its part of u.A u."""
+    block: int, forces: Any, on: Any, rows: Any, inverse_mass: Any, own: Any, u: Any, out: Any, sums: Any
+) -> None:
+    """out = A u on a block's vertices, 0 where pinned; its part of u.A u into sums."""
     origin = block * BLOCK
     width = min(BLOCK, u.shape[1] - origin)
     local = np.zeros((3, width + PADDING))
-    if runs is not None:
-        multiply_spring_runs(block, origin, u, local, runs)
-    if lists is not None:
-        multiply_spring_lists(block, u, local, lists)
-    if hinge_runs is not None:
-        multiply_hinge_runs(block, origin, u, local, hinge_runs)
-    if hinge_lists is not None:
-        multiply_hinge_lists(block, u, local, hinge_lists)
-    if yarns is not None:
-        multiply_yarns(block, u, local, yarns)
+    multiply_forces(forces, on, rows, block, origin, u, local)
     total = 0.0
     for c in range(width):
         v = origin + c
@@ -55,7 +41,10 @@ def multiply_block(
             total += x * fx + y * fy + z * fz
         else:
             out[0, v], out[1, v], out[2, v] = 0.0, 0.0, 0.0
-    return total
+    sums[block] = total
+
+
+multiply_parallel = each_block(multiply_block, "inverse_mass, own, u, out, sums", linear=True)
 
 
 @kernel
@@ -85,15 +74,10 @@ def turn_block(block: int, z: Any, p: Any, turn: float) -> None:
 
 
 @parallel_kernel
-def multiply_parallel(
-    sums: Any, turn: float, z: Any, p: Any, q: Any, inverse_mass: Any, own: Any,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any,
-) -> None:  # fmt: skip
-    """p = z + turn p, then q = A p, on several threads: a product reads its neighbours' p."""
+def turn_parallel(sums: Any, z: Any, p: Any, turn: float) -> None:
+    """All blocks on several threads: before a product, which reads its neighbours' p."""
     for block in prange(sums.shape[0]):
         turn_block(block, z, p, turn)
-    for block in prange(sums.shape[0]):
-        sums[block] = multiply_block(block, inverse_mass, own, p, q, runs, lists, hinge_runs, hinge_lists, yarns)
 
 
 @parallel_kernel
@@ -104,19 +88,18 @@ def descend_parallel(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q:
 
 
 @kernel
-def turn_and_multiply(
-    sums: Any, turn: float, z: Any, p: Any, q: Any, inverse_mass: Any, own: Any,
-    runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any, threads: Any,
-) -> float:  # fmt: skip
+def turn_and_multiply(turn: float, a: Any, threads: Any) -> float:
     """p = z + turn p and q = A p; p.q."""
+    blocks = a.sums.shape[0]
     if threads is None:
-        for block in range(sums.shape[0]):
-            turn_block(block, z, p, turn)
-        for block in range(sums.shape[0]):
-            sums[block] = multiply_block(block, inverse_mass, own, p, q, runs, lists, hinge_runs, hinge_lists, yarns)
+        for block in range(blocks):
+            turn_block(block, a.z, a.p, turn)
+        for block in range(blocks):
+            multiply_block(block, a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums)
     else:
-        multiply_parallel(sums, turn, z, p, q, inverse_mass, own, runs, lists, hinge_runs, hinge_lists, yarns)
-    return float(sums.sum())
+        turn_parallel(a.sums, a.z, a.p, turn)
+        multiply_parallel(a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums, blocks)
+    return float(a.sums.sum())
 
 
 @kernel
@@ -131,27 +114,22 @@ def descend(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, ste
 
 
 @kernel
-def iterate(
-    tolerance: float, most: int, sums: Any, x: Any, r: Any, z: Any, p: Any, q: Any, inverse_mass: Any, own: Any,
-    inverse: Any, runs: Any, lists: Any, hinge_runs: Any, hinge_lists: Any, yarns: Any, threads: Any,
-) -> int:  # fmt: skip
+def iterate(tolerance: float, most: int, a: Any, threads: Any) -> int:
     """Conjugate gradients from x = 0; see `solve`."""
-    x[:] = 0.0
-    p[:] = 0.0
-    q[:] = 0.0
-    rz = descend(sums, inverse, x, r, z, p, q, 0.0, threads)
+    a.x[:] = 0.0
+    a.p[:] = 0.0
+    a.q[:] = 0.0
+    rz = descend(a.sums, a.inverse, a.x, a.r, a.z, a.p, a.q, 0.0, threads)
     target = tolerance * tolerance * rz
     turn = 0.0
     for iteration in range(most):
         if not rz > target:
             return iteration
-        curvature = turn_and_multiply(
-            sums, turn, z, p, q, inverse_mass, own, runs, lists, hinge_runs, hinge_lists, yarns, threads
-        )
+        curvature = turn_and_multiply(turn, a, threads)
         if not curvature > 0.0:
             return -1 - iteration
         before = rz
-        rz = descend(sums, inverse, x, r, z, p, q, rz / curvature, threads)
+        rz = descend(a.sums, a.inverse, a.x, a.r, a.z, a.p, a.q, rz / curvature, threads)
         turn = rz / before
     return most
 
@@ -162,29 +140,11 @@ def solve(a: Linear, tolerance: float, most: int, threads: int | None) -> int:
     Stops early, and says so by -1 - iterations, at a direction without positive curvature: the matrix is
     not positive, or rounding has eaten it. a.r holds what is left.
     """
-    count = iterate(
-        tolerance, most, a.sums, a.x, a.r, a.z, a.p, a.q, a.inverse_mass, a.own, a.inverse,
-        a.runs, a.lists, a.hinge_runs, a.hinge_lists, a.yarns, threads,
-    )  # fmt: skip
-    return int(count)
+    return int(iterate(tolerance, most, a, threads))
 
 
 def multiply(a: Linear, u: Float, threads: int | None) -> Float:
     """A u (3, n), 0 where pinned."""
     a.p[...], a.z[...] = u, 0.0
-    turn_and_multiply(
-        a.sums,
-        1.0,
-        a.z,
-        a.p,
-        a.q,
-        a.inverse_mass,
-        a.own,
-        a.runs,
-        a.lists,
-        a.hinge_runs,
-        a.hinge_lists,
-        a.yarns,
-        threads,
-    )
+    turn_and_multiply(1.0, a, threads)
     return a.q.copy()

@@ -16,7 +16,10 @@ from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK, Long
 from nuno_kernels.constraints import ListBatches, RunBatches
+from nuno_kernels.hinges import HingeLists, HingeRuns
+from nuno_kernels.packing import of_type
 from nuno_kernels.simd import WIDTH
+from nuno_kernels.springs import SpringLists, SpringRuns
 from nuno_schemas.fabric import Float
 
 MOST_BATCHES = 4096
@@ -44,14 +47,14 @@ def pack_constraints(packed: Packed, remember: bool) -> Constraints:
     batches = int(colour[-1])
     runs = None
     if task.shape[0]:
-        assert packed.runs is not None
+        (from_runs,) = of_type(packed, SpringRuns)
         order = np.argsort(of_task, kind="stable")
         padded = -(-task[order, 2] // WIDTH) * WIDTH
         column = np.cumsum(padded) - padded
         start = np.searchsorted(of_task[order], np.arange(batches + 1))
         table = np.column_stack([task[order], column]).astype(np.int64)
         kept = np.zeros((3, int(padded.sum()))) if remember else None
-        runs = RunBatches(start.astype(np.int64), table, packed.runs.constants, packed.runs.each, kept)
+        runs = RunBatches(start.astype(np.int64), table, from_runs.constants, from_runs.each, kept)
     vertices = packed.inverse_mass.shape[0]
     lists = _pack_lists(pairs, constants, of_pair, batches, vertices, remember)
     hinges = _pack_lists(quads, bends, of_quad, batches, vertices, remember)
@@ -66,8 +69,7 @@ def _places(count: Long) -> Long:
 def _spring_elements(packed: Packed) -> tuple[Long, Long, Float]:
     """Every spring once: tasks (m, 4) of long runs, and pairs (s, 2) with constants (3, s) of all others."""
     task, pairs, constants = np.zeros((0, 4), np.int64), [np.zeros((0, 2), np.int64)], [np.zeros((3, 0))]
-    if packed.runs is not None:
-        runs = packed.runs
+    for runs in of_type(packed, SpringRuns):
         own = runs.task[(runs.task[:, 4] & 1) == 1]
         far = own[:, 1] - own[:, 0] >= WIDTH
         task, near = own[far, :4], own[~far]
@@ -75,23 +77,22 @@ def _spring_elements(packed: Packed) -> tuple[Long, Long, Float]:
         pairs.append(np.repeat(near[:, :2], near[:, 2], axis=0) + place[:, None])
         column = np.repeat(near[:, 3], near[:, 2]) + (place if runs.each else 0)
         constants.append(runs.constants[:, column])
-    if packed.lists is not None:
-        at = _at_home(packed.lists.start, packed.lists.ends[2], packed.inverse_mass.shape[0])
-        pairs.append(packed.lists.ends[:2, at].T.astype(np.int64))
-        constants.append(packed.lists.constants[:, at])
+    for lists in of_type(packed, SpringLists):
+        at = _at_home(lists.start, lists.ends[2], packed.inverse_mass.shape[0])
+        pairs.append(lists.ends[:2, at].T.astype(np.int64))
+        constants.append(lists.constants[:, at])
     return task, np.concatenate(pairs), np.concatenate(constants, axis=1)
 
 
 def _hinge_elements(packed: Packed) -> tuple[Long, Float]:
     """Every hinge once: corners (h, 4) and k cos(rest), k sin(rest), k (3, h)."""
     quads, constants = [np.zeros((0, 4), np.int64)], [np.zeros((2, 0))]
-    if packed.hinge_runs is not None:
-        own = packed.hinge_runs.task[(packed.hinge_runs.task[:, 6] & 1) == 1]
+    for runs in of_type(packed, HingeRuns):
+        own = runs.task[(runs.task[:, 6] & 1) == 1]
         place = _places(own[:, 4])
         quads.append(np.repeat(own[:, :4], own[:, 4], axis=0) + place[:, None])
-        constants.append(packed.hinge_runs.constants[:, np.repeat(own[:, 5], own[:, 4])])
-    if packed.hinge_lists is not None:
-        lists = packed.hinge_lists
+        constants.append(runs.constants[:, np.repeat(own[:, 5], own[:, 4])])
+    for lists in of_type(packed, HingeLists):
         at = _at_home(lists.start, lists.corners[4], packed.inverse_mass.shape[0])
         quads.append(lists.corners[:4, at].T.astype(np.int64))
         constants.append(lists.constants[:, at])

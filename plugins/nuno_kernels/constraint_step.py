@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from nuno_kernels import acceleration, kernel, parallel_kernel
+from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.acceleration import commit, evaluate
 from nuno_kernels.blocks import BLOCK
 from nuno_kernels.constraints import sweep
+from nuno_kernels.terms import each
 
-# Kernels that not every scene has; see nuno_kernels.acceleration.
-push_out: Any = None
-push_out_parallel: Any = None
+carry = each("carry", "x, u, y, w, s")
+project = each("project", "x, u, y, w, s, inverse_step, mobility, held, threads")
 
 
 @kernel
@@ -86,17 +86,6 @@ def arrive(x: Any, v: Any, u: Any, inverse_step: float, threads: Any) -> None:
 
 
 @kernel
-def carry_bound(x: Any, u: Any, y: Any, w: Any, s: float, bindings: Any) -> None:
-    """Displacements of bound vertices to where they are at fraction s; y, w (3, n) are scratch."""
-    if bindings is not None:
-        acceleration.place_bound(y, w, s, bindings)
-        for b in range(bindings.vertices.shape[0]):
-            i = bindings.vertices[b]
-            for row in range(3):
-                u[row, i] = y[row, i] - x[row, i]
-
-
-@kernel
 def clear(array: Any) -> None:
     """Zeros, where there is an array."""
     if array is not None:
@@ -113,20 +102,6 @@ def forget(runs: Any, lists: Any, hinges: Any, held: Any) -> None:
     if hinges is not None:
         clear(hinges.kept)
     clear(held)
-
-
-@kernel
-def solve_all(
-    x: Any, u: Any, y: Any, w: Any, s: float, inverse_step: float, mobility: Any, colour: Any,
-    runs: Any, lists: Any, hinges: Any, contact: Any, held: Any, threads: Any,
-) -> None:  # fmt: skip
-    """A sweep over the constraints, then contact at fraction s of the frame."""
-    sweep(x, u, mobility, inverse_step, colour, runs, lists, hinges, threads)
-    if contact is not None:
-        if threads is None:
-            push_out(x, u, y, w, s, inverse_step, mobility, held, contact)
-        else:
-            push_out_parallel(x, u, y, w, s, inverse_step, mobility, held, contact)
 
 
 @kernel
@@ -147,11 +122,10 @@ def advance_xpbd(
             evaluate(x, v, step / steps, stages[3], others, extra)
         predict(v, u, a, dt, p.inverse_mass, p.gravity, p.damping, mobility, p.threads)
         end = (step + 1) / steps
-        carry_bound(x, u, y, w, end, p.bindings)
+        carry(p.bodies, p.bodies_on, x, u, y, w, end)
         forget(c.runs, c.lists, c.hinges, held)
         for _ in range(iterations):
-            solve_all(
-                x, u, y, w, end, inverse_step, mobility, c.colour, c.runs, c.lists, c.hinges, p.contact, held, p.threads
-            )
+            sweep(x, u, mobility, inverse_step, c.colour, c.runs, c.lists, c.hinges, p.threads)
+            project(p.bodies, p.bodies_on, x, u, y, w, end, inverse_step, mobility, held, p.threads)
         arrive(x, v, u, inverse_step, p.threads)
-        commit(x, v, end, p.bindings, p.contact, p.slides, p.threads)
+        commit(x, v, end, p)

@@ -43,10 +43,10 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.acceleration import provide
 from nuno_kernels.contact_distance import FIELD, find_bounds
 from nuno_kernels.contact_poses import pose_bodies, set_poses
 from nuno_kernels.contact_response import add_body, commit_body, drop_anchors, find_deepest
+from nuno_kernels.terms import register
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
@@ -203,11 +203,39 @@ def commit_contact_parallel(x: Float, v: Float, s: float, contact: Contact) -> N
         commit_block(block, x, v, contact)
 
 
-provide(
-    add_contact=add_contact,
-    add_contact_parallel=add_contact_parallel,
-    commit_contact=commit_contact,
-    commit_contact_parallel=commit_contact_parallel,
+@kernel
+def add_after(contact: Contact, x: Float, v: Float, s: float, force: Float, threads: Any) -> None:
+    """Add the contact force [N] to force (3, n), on one thread or several."""
+    if threads is None:
+        add_contact(x, v, s, contact, force)
+    else:
+        add_contact_parallel(x, v, s, contact, force)
+
+
+@kernel
+def settle_contact(contact: Contact, x: Float, v: Float, s: float, threads: Any) -> None:
+    """Update the friction anchors after a step, on one thread or several."""
+    if threads is None:
+        commit_contact(x, v, s, contact)
+    else:
+        commit_contact_parallel(x, v, s, contact)
+
+
+def limit_approach(contact: Contact, rate: float) -> None:
+    """Let dashpots see no more of a depth than can be gone through at `rate` [1/s]; see Contact.rate."""
+    contact.rate[0] = min(rate, AT_ONCE)
+
+
+register(
+    Contact,
+    name="contact",
+    after=add_after,
+    settle=settle_contact,
+    interval=set_poses,
+    approach=limit_approach,
+    project="nuno_kernels.contact_projection:project",
+    counts=count_contacts,
+    memory=("anchor", "anchor_frame"),
 )
 
 

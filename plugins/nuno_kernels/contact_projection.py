@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from nuno_kernels import constraint_step, kernel, parallel_kernel
+from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.contact import BLOCK
 from nuno_kernels.contact_distance import find_bounds
 from nuno_kernels.contact_poses import pose_bodies
@@ -122,4 +122,12 @@ def push_out_parallel(
         push_block(block, x, u, y, w, inverse_step, mobility, held, contact)
 
 
-constraint_step.push_out, constraint_step.push_out_parallel = push_out, push_out_parallel
+@kernel
+def project(
+    contact: Any, x: Any, u: Any, y: Any, w: Any, s: float, inverse_step: float, mobility: Any, held: Any, threads: Any
+) -> None:
+    """push_out on one thread or several."""
+    if threads is None:
+        push_out(x, u, y, w, s, inverse_step, mobility, held, contact)
+    else:
+        push_out_parallel(x, u, y, w, s, inverse_step, mobility, held, contact)

@@ -20,7 +20,7 @@ def add_outer(out: Any, at: int, across: float, x: float, y: float, z: float) ->
 
 
 @kernel
-def sum_spring_runs(block: int, origin: int, linear: Any, out: Any) -> None:
+def sum_spring_runs(runs: Any, linear: Any, block: int, origin: int, out: Any) -> None:
     """Add the diagonal blocks of a block's runs to (6, w)."""
     task, rows = linear.task, linear.rows
     for t in range(linear.start[block], linear.start[block + 1]):
@@ -43,7 +43,7 @@ def add_hinge(out: Any, corner: int, at: int, g: Any, c: int) -> None:
 
 
 @kernel
-def sum_hinge_runs(block: int, origin: int, linear: Any, out: Any) -> None:
+def sum_hinge_runs(runs: Any, linear: Any, block: int, origin: int, out: Any) -> None:
     """Add the diagonal blocks of a block's hinge runs to (6, w)."""
     task = linear.task
     for t in range(linear.start[block], linear.start[block + 1]):
@@ -54,7 +54,7 @@ def sum_hinge_runs(block: int, origin: int, linear: Any, out: Any) -> None:
 
 
 @kernel
-def sum_spring_lists(block: int, linear: Any, out: Any) -> None:
+def sum_spring_lists(lists: Any, linear: Any, block: int, origin: int, out: Any) -> None:
     """Add the diagonal blocks of a block's listed springs to (6, w)."""
     rows = linear.rows
     for c in range(linear.start[block], linear.start[block + 1]):
@@ -63,7 +63,7 @@ def sum_spring_lists(block: int, linear: Any, out: Any) -> None:
 
 
 @kernel
-def sum_hinge_lists(block: int, linear: Any, out: Any) -> None:
+def sum_hinge_lists(lists: Any, linear: Any, block: int, origin: int, out: Any) -> None:
     """Add the diagonal blocks of a block's listed hinges to (6, w)."""
     for c in range(linear.start[block], linear.start[block + 1]):
         for corner in range(4):

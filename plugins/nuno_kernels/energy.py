@@ -9,29 +9,27 @@ from nuno_kernels import inlined, kernel
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK
 from nuno_kernels.hinges import FLAT, cross, dot
+from nuno_kernels.springs import SpringLists, SpringRuns
+from nuno_kernels.terms import Measured, kernels_of, role_of
 from nuno_schemas.fabric import Float
 
 
 class Energy(NamedTuple):
-    """Energies [J] and the shape of the springs.
+    """Energies by kind [J] and the shape of the springs.
 
     stretch is the largest |d| / L - 1 (0 without springs; springs of rest length 0 do not count),
     shortest the smallest |d| > 0 [m] (inf without), zero_length the springs with |d| = 0, which
     exert no force.
     """
 
-    kinetic: float
-    gravitational: float
-    springs: float
-    hinges: float
-    yarns: float
+    kinds: dict[str, float]
     stretch: float
     shortest: float
     zero_length: int
 
     @property
     def total(self) -> float:
-        return self.kinetic + self.gravitational + self.springs + self.hinges + self.yarns
+        return sum(self.kinds.values())
 
 
 @inlined
@@ -50,37 +48,40 @@ def measure_spring(x: Any, i: int, j: int, constants: Any, c: int, locks: Any, s
 
 
 @kernel
-def measure_springs(x: Any, runs: Any, lists: Any) -> Any:
-    """Spring energy, stretch, shortest length and number of zero-length springs.
+def measure_spring_runs(runs: Any, x: Any) -> Any:
+    """Energy, stretch, shortest length and number of zero-length springs.
 
     A spring that two blocks compute counts where its i end is at home.
     """
     energy, stretch, shortest, zeros = 0.0, -1.0, math.inf, 0
-    if runs is not None:
-        task, constants = runs.task, runs.constants
-        for t in range(task.shape[0]):
-            i, j, at = task[t, 0], task[t, 1], task[t, 3]
-            if task[t, 4] & 1 == 0:
-                continue
-            for q in range(task[t, 2]):
-                c = at if runs.each is None else at + q
+    task, constants = runs.task, runs.constants
+    for t in range(task.shape[0]):
+        i, j, at = task[t, 0], task[t, 1], task[t, 3]
+        if task[t, 4] & 1 == 0:
+            continue
+        for q in range(task[t, 2]):
+            c = at if runs.each is None else at + q
+            e, stretch, shortest, zero = measure_spring(x, i + q, j + q, constants, c, runs.locks, stretch, shortest)
+            energy += e
+            zeros += zero
+    return energy, stretch, shortest, zeros
+
+
+@kernel
+def measure_spring_lists(lists: Any, x: Any) -> Any:
+    """The same of listed springs."""
+    energy, stretch, shortest, zeros = 0.0, -1.0, math.inf, 0
+    start, ends, constants = lists.start, lists.ends, lists.constants
+    for block in range(start.shape[0] - 1):
+        width = min(BLOCK, x.shape[1] - block * BLOCK)
+        for c in range(start[block], start[block + 1]):
+            if ends[2, c] < width:
                 e, stretch, shortest, zero = measure_spring(
-                    x, i + q, j + q, constants, c, runs.locks, stretch, shortest
+                    x, ends[0, c], ends[1, c], constants, c, lists.locks, stretch, shortest
                 )
                 energy += e
                 zeros += zero
-    if lists is not None:
-        start, ends, constants = lists.start, lists.ends, lists.constants
-        for block in range(start.shape[0] - 1):
-            width = min(BLOCK, x.shape[1] - block * BLOCK)
-            for c in range(start[block], start[block + 1]):
-                if ends[2, c] < width:
-                    e, stretch, shortest, zero = measure_spring(
-                        x, ends[0, c], ends[1, c], constants, c, lists.locks, stretch, shortest
-                    )
-                    energy += e
-                    zeros += zero
-    return energy, stretch if stretch > -1.0 else 0.0, shortest, zeros
+    return energy, stretch, shortest, zeros
 
 
 @inlined
@@ -108,26 +109,39 @@ def measure_hinge(x: Any, i0: int, i1: int, i2: int, i3: int, k_cos: float, k_si
 
 
 @kernel
-def measure_hinges(x: Any, runs: Any, lists: Any) -> float:
-    """Energy of all hinges, each counted where its first vertex is at home."""
-    energy = 0.0
-    if runs is not None:
-        task, constants = runs.task, runs.constants
-        for t in range(task.shape[0]):
-            if task[t, 6] & 1:
-                i0, i1, i2, i3, at = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 5]
-                for q in range(task[t, 4]):
-                    energy += measure_hinge(x, i0 + q, i1 + q, i2 + q, i3 + q, constants[0, at], constants[1, at])
-    if lists is not None:
-        start, corners, constants = lists.start, lists.corners, lists.constants
-        for block in range(start.shape[0] - 1):
-            width = min(BLOCK, x.shape[1] - block * BLOCK)
-            for c in range(start[block], start[block + 1]):
-                if corners[4, c] < width:
-                    energy += measure_hinge(
-                        x, corners[0, c], corners[1, c], corners[2, c], corners[3, c], constants[0, c], constants[1, c]
-                    )
+def measure_hinge_runs(runs: Any, x: Any) -> float:
+    """Energy of all hinges in runs, each counted where its first vertex is at home."""
+    energy, task, constants = 0.0, runs.task, runs.constants
+    for t in range(task.shape[0]):
+        if task[t, 6] & 1:
+            i0, i1, i2, i3, at = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 5]
+            for q in range(task[t, 4]):
+                energy += measure_hinge(x, i0 + q, i1 + q, i2 + q, i3 + q, constants[0, at], constants[1, at])
     return energy
+
+
+@kernel
+def measure_hinge_lists(lists: Any, x: Any) -> float:
+    """The same of listed hinges."""
+    energy, start, corners, constants = 0.0, lists.start, lists.corners, lists.constants
+    for block in range(start.shape[0] - 1):
+        width = min(BLOCK, x.shape[1] - block * BLOCK)
+        for c in range(start[block], start[block + 1]):
+            if corners[4, c] < width:
+                energy += measure_hinge(
+                    x, corners[0, c], corners[1, c], corners[2, c], corners[3, c], constants[0, c], constants[1, c]
+                )
+    return energy
+
+
+def energy_of_spring_runs(runs: SpringRuns, x: Float) -> Measured:
+    """What is measured of springs in runs."""
+    return Measured(*measure_spring_runs(runs, x))
+
+
+def energy_of_spring_lists(lists: SpringLists, x: Float) -> Measured:
+    """What is measured of listed springs."""
+    return Measured(*measure_spring_lists(lists, x))
 
 
 @kernel
@@ -142,13 +156,16 @@ def measure_vertices(x: Any, v: Any, mass: Any, gravity: Any) -> Any:
 
 def measure_energy(x: Float, v: Float, mass: Float, packed: Packed) -> Energy:
     """Energy and stretch of a packed system at x, v (3, n) with masses (n,) [kg]."""
-    p = packed
-    kinetic, gravitational = measure_vertices(x, v, mass, p.gravity)
-    springs, stretch, shortest, zeros = measure_springs(x, p.runs, p.lists)
-    hinges = measure_hinges(x, p.hinge_runs, p.hinge_lists)
-    yarns = 0.0
-    if p.yarns is not None:
-        from nuno_kernels.yarns import measure_yarns
-
-        yarns = measure_yarns(x, p.yarns)
-    return Energy(kinetic, gravitational, springs, hinges, yarns, stretch, shortest, zeros)
+    kinetic, gravitational = measure_vertices(x, v, mass, packed.gravity)
+    kinds = {"kinetic": kinetic, "gravitational": gravitational, "springs": 0.0, "hinges": 0.0}
+    stretch, shortest, zeros = -1.0, math.inf, 0
+    for term in packed.forces:
+        measure, name = role_of(type(term), "energy"), kernels_of(term).name
+        if measure is not None:
+            found = measure(term, x)
+            if isinstance(found, Measured):
+                stretch, shortest = max(stretch, found.stretch), min(shortest, found.shortest)
+                zeros += found.zero_length
+                found = found.energy
+            kinds[name] = kinds.get(name, 0.0) + float(found)
+    return Energy(kinds, stretch if stretch > -1.0 else 0.0, shortest, zeros)

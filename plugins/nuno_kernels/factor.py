@@ -13,10 +13,10 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.fronts import TILE, Fronts
-from nuno_kernels.linear_yarns import add_yarns
 from nuno_kernels.matrix import Linear
 from nuno_kernels.plan import Elements, Plan
 from nuno_kernels.simd import WIDTH, fused, load, splat, store
+from nuno_kernels.terms import role_of
 from nuno_schemas.fabric import Float
 
 PANEL = 24
@@ -49,14 +49,14 @@ def make_factor(plan: Plan, n: int) -> Factor:
 def compile_factor(a: Linear) -> None:
     """Compile what a factor of this matrix needs, with one that has no vertices."""
     none = np.zeros(0, np.int64)
-    elements = [Elements(none, *np.zeros((3, 1, 0), np.int64)) for _ in range(5)]
-    factor = make_factor(Plan(Fronts(*(none for _ in Fronts._fields)), 0, 0, *elements), a.own.shape[1])
+    elements = tuple(Elements(none, *np.zeros((3, 1, 0), np.int64)) for _ in a.rows)
+    factor = make_factor(Plan(Fronts(*(none for _ in Fronts._fields)), 0, 0, elements), a.own.shape[1])
     factorise(factor, a)
     solve_factored(factor, a.r, a.x)
 
 
 @kernel
-def add_springs(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
+def assemble_springs(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
     """Add springs, alpha I + w w^T each."""
     rows, vertices = linear.rows, places.vertices
     block = np.empty(6)
@@ -82,7 +82,7 @@ def add_springs(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
 
 
 @kernel
-def add_hinges(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
+def assemble_hinges(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
     """Add hinges, g g^T each; the rows hold g at corner 1, -g at 2 and at 3, and corner 0 balances them."""
     rows, vertices = linear.rows, places.vertices
     g = np.empty((4, 3))
@@ -277,14 +277,9 @@ def factorise(factor: Factor, a: Linear) -> bool:
     plan = factor.plan
     factor.values[...] = 0.0
     factor.diagonal[...] = a.own
-    for rows, places in ((a.runs, plan.runs), (a.lists, plan.lists)):
-        if rows is not None and places is not None:
-            add_springs(rows, places, factor.diagonal, factor.values)
-    for rows, places in ((a.hinge_runs, plan.hinge_runs), (a.hinge_lists, plan.hinge_lists)):
-        if rows is not None and places is not None:
-            add_hinges(rows, places, factor.diagonal, factor.values)
-    if a.yarns is not None and plan.yarns is not None:
-        add_yarns(a.yarns, plan.yarns, factor.diagonal, factor.values)
+    for term, rows, places in zip(a.forces, a.rows, plan.elements, strict=True):
+        if rows is not None:
+            role_of(type(term), "assemble")(rows, places, factor.diagonal, factor.values)
     add_diagonal(plan.fronts, factor.diagonal, factor.values)
     return bool(factorise_fronts(plan.fronts, factor.values, factor.scratch))
 

@@ -40,6 +40,7 @@ from nuno_kernels.blocks import (
 )
 from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.simd_choose import where_greater
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bool, Float, Hinges, Int
 
 FLAT = 1e-20
@@ -133,13 +134,14 @@ def listed_corner(x: Any, corners: Any, which: int, p: int) -> Any:
 
 
 @kernel
-def add_hinge_lists(block: int, x: Any, force: Any, start: Any, corners: Any, constants: Any, curved: Any) -> None:
+def add_hinge_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
     """Add a block's listed hinges to its forces (3, w)."""
+    start, corners, constants = lists.start, lists.corners, lists.constants
     for p in range(start[block], start[block + 1], WIDTH):
         f1, f2, f3 = hinge_forces(
             listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p),
             listed_corner(x, corners, 2, p), listed_corner(x, corners, 3, p),
-            load(constants, 0, p), load(constants, 1, p), curved,
+            load(constants, 0, p), load(constants, 1, p), lists.curved,
         )  # fmt: skip
         for row in range(3):
             add_at(force, row, corners, 4, p, f2[row] + f3[row] - f1[row])
@@ -155,14 +157,13 @@ def run_corner(x: Any, i: int, m: int) -> Any:
 
 
 @kernel
-def add_hinge_runs(
-    block: int, origin: int, x: Any, force: Any, start: Any, task: Any, constants: Any, curved: Any
-) -> None:
+def add_hinge_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
     """Add a block's runs to its forces (3, w); `origin` is the block's first vertex.
 
     Forces wait until a run is through: added corner by corner at once, a read would overlap the
     write just before it and wait for it.
     """
+    start, task, constants = runs.start, runs.task, runs.constants
     wait = np.empty((12, LONGEST + WIDTH))
     for t in range(start[block], start[block + 1]):
         i0, i1, i2, i3, count, at = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4], task[t, 5]
@@ -171,7 +172,7 @@ def add_hinge_runs(
             m = min(WIDTH, count - q)
             f1, f2, f3 = hinge_forces(
                 run_corner(x, i0 + q, m), run_corner(x, i1 + q, m), run_corner(x, i2 + q, m),
-                run_corner(x, i3 + q, m), k_cos, k_sin, curved,
+                run_corner(x, i3 + q, m), k_cos, k_sin, runs.curved,
             )  # fmt: skip
             for row in range(3):
                 store(wait, row, q, f2[row] + f3[row] - f1[row])
@@ -186,15 +187,41 @@ def add_hinge_runs(
                         write(force, row, p, m, read(force, row, p, m) + load(wait, 3 * c + row, q))
 
 
-def pack_hinges(hinges: Hinges | None, vertices: int) -> tuple[HingeRuns | None, HingeLists | None]:
-    """Kernel layout of a fabric's hinges; either part is None where it would be empty."""
+register(
+    HingeRuns,
+    name="hinges",
+    block=add_hinge_runs,
+    energy="nuno_kernels.energy:measure_hinge_runs",
+    rows="nuno_kernels.linear:rows_of_hinge_runs",
+    elements="nuno_kernels.linear:elements_of_hinge_runs",
+    fill="nuno_kernels.linear:fill_hinge_runs",
+    diagonal="nuno_kernels.diagonal:sum_hinge_runs",
+    multiply="nuno_kernels.linear:multiply_hinge_runs",
+    assemble="nuno_kernels.factor:assemble_hinges",
+)
+register(
+    HingeLists,
+    name="hinges",
+    block=add_hinge_lists,
+    energy="nuno_kernels.energy:measure_hinge_lists",
+    rows="nuno_kernels.linear:rows_of_hinge_lists",
+    elements="nuno_kernels.linear:elements_of_hinge_lists",
+    fill="nuno_kernels.linear:fill_hinge_lists",
+    diagonal="nuno_kernels.diagonal:sum_hinge_lists",
+    multiply="nuno_kernels.linear:multiply_hinge_lists",
+    assemble="nuno_kernels.factor:assemble_hinges",
+)
+
+
+def pack_hinges(hinges: Hinges | None, vertices: int) -> tuple[HingeRuns | HingeLists, ...]:
+    """Kernel layout of a fabric's hinges, runs before lists; what would be empty is left out."""
     if hinges is None or hinges.number == 0:
-        return None, None
+        return ()
     per_run = hinges.k.shape == hinges.rest.shape == hinges.count.shape
     direct = per_run & choose_runs(hinges.count, hinges.stride)
     listed = ~np.repeat(direct, hinges.count)
-    runs = _pack_hinge_runs(hinges, direct, vertices) if direct.any() else None
-    return runs, _pack_hinge_lists(hinges, listed, vertices) if listed.any() else None
+    runs = (_pack_hinge_runs(hinges, direct, vertices),) if direct.any() else ()
+    return runs + ((_pack_hinge_lists(hinges, listed, vertices),) if listed.any() else ())
 
 
 def _constants(k: Float, rest: Float) -> Float:

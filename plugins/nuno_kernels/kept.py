@@ -21,7 +21,7 @@ from typing import Any
 from numba.core import dispatcher as numba_dispatcher
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-from nuno_kernels.reached import digest_of
+from nuno_kernels.reached import digest_of, is_known
 
 LOGGER = logging.getLogger("nuno.kernels")
 CHECKSUM = 16
@@ -56,7 +56,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """See numba, which compiles what is not found, and saves it: of what was reached before."""
-        self._reached = digest_of(self._py_func)
+        self._reached = digest_of((self._py_func, *_called_by_type(sig)))
         return super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
@@ -75,6 +75,15 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
 # What third parties compile with numba's own `cache=True` is kept in the same folder, and calls kernels, too.
 numba_dispatcher.FunctionCache = _Cache  # type: ignore[attr-defined]
+
+
+def _called_by_type(types: Any) -> Iterator[Any]:
+    """What a kernel calls by the types of its arguments: the kernels of other packages' terms (nuno_kernels.terms)."""
+    for kind in types:
+        own: Any = getattr(kind, "instance_class", None)
+        if hasattr(own, "kernels") and not is_known(own.__module__):
+            yield from own.kernels.all()
+        yield from _called_by_type(getattr(kind, "types", ()))
 
 
 def keep(dispatcher: Any, folder: Path) -> Any:

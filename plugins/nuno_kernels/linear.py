@@ -21,6 +21,7 @@ from nuno_kernels import kernel
 from nuno_kernels.hinges import (
     FLAT,
     LONGEST,
+    HingeLists,
     cross,
     dot,
     listed_corner,
@@ -28,10 +29,18 @@ from nuno_kernels.hinges import (
     run_corner,
     times,
 )
-from nuno_kernels.linear_layout import HINGE_ROWS, SPRING_ROWS
+from nuno_kernels.linear_layout import (
+    HINGE_ROWS,
+    SPRING_ROWS,
+    LinearLists,
+    linear_lists,
+    linear_runs,
+    listed_elements,
+    run_elements,
+)
 from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.simd_choose import higher, where_greater, where_not_zero
-from nuno_kernels.springs import FAR, listed_lock, run_constant, run_lock, tensions
+from nuno_kernels.springs import FAR, SpringLists, listed_lock, run_constant, run_lock, tensions
 from nuno_kernels.springs import LONGEST as LONGEST_SPRINGS
 
 
@@ -79,7 +88,7 @@ def listed_difference(x: Any, ends: Any, p: int) -> Any:
 
 @kernel
 def fill_spring_runs(
-    block: int, x: Any, before: Any, runs: Any, linear: Any, rate: float, floor: float, follow: float
+    runs: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
 ) -> None:
     """Write the rows of a block's runs at x (3, n), after a step from `before`."""
     task, constants, rows = runs.task, runs.constants, linear.rows
@@ -99,7 +108,7 @@ def fill_spring_runs(
 
 @kernel
 def fill_spring_lists(
-    block: int, x: Any, before: Any, lists: Any, linear: Any, rate: float, floor: float, follow: float
+    lists: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
 ) -> None:
     """Write the rows of a block's listed springs at x (3, n), after a step from `before`."""
     ends, constants = lists.ends, lists.constants
@@ -120,7 +129,7 @@ def spring_product(a: Any, wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any)
 
 
 @kernel
-def multiply_spring_runs(block: int, origin: int, u: Any, out: Any, linear: Any) -> None:
+def multiply_spring_runs(runs: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
     """Add the products of a block's runs with u (3, n) to `out` (3, w)."""
     task, rows = linear.task, linear.rows
     wait = np.empty((3, LONGEST_SPRINGS + WIDTH))
@@ -149,7 +158,7 @@ def multiply_spring_runs(block: int, origin: int, u: Any, out: Any, linear: Any)
 
 
 @kernel
-def multiply_spring_lists(block: int, u: Any, out: Any, linear: Any) -> None:
+def multiply_spring_lists(lists: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
     """Add the products of a block's listed springs with u (3, n) to `out` (3, w)."""
     ends, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):
@@ -186,7 +195,9 @@ def hinge_rows(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any) -> An
 
 
 @kernel
-def fill_hinge_runs(block: int, x: Any, runs: Any, linear: Any) -> None:
+def fill_hinge_runs(
+    runs: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+) -> None:
     """Write the rows of a block's hinge runs at x (3, n)."""
     task, constants = runs.task, runs.constants
     for t in range(runs.start[block], runs.start[block + 1]):
@@ -203,7 +214,9 @@ def fill_hinge_runs(block: int, x: Any, runs: Any, linear: Any) -> None:
 
 
 @kernel
-def fill_hinge_lists(block: int, x: Any, lists: Any, linear: Any) -> None:
+def fill_hinge_lists(
+    lists: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+) -> None:
     """Write the rows of a block's listed hinges at x (3, n)."""
     corners, constants = lists.corners, lists.constants
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
@@ -226,7 +239,7 @@ def hinge_product(g: Any, u0: Any, u1: Any, u2: Any, u3: Any) -> Any:
 
 
 @kernel
-def multiply_hinge_runs(block: int, origin: int, u: Any, out: Any, linear: Any) -> None:
+def multiply_hinge_runs(runs: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
     """Add the products of a block's hinge runs with u (3, n) to `out` (3, w); they wait as forces do."""
     task, rows = linear.task, linear.rows
     wait = np.empty((12, LONGEST + WIDTH))
@@ -256,7 +269,7 @@ def multiply_hinge_runs(block: int, origin: int, u: Any, out: Any, linear: Any) 
 
 
 @kernel
-def multiply_hinge_lists(block: int, u: Any, out: Any, linear: Any) -> None:
+def multiply_hinge_lists(lists: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
     """Add the products of a block's listed hinges with u (3, n) to `out` (3, w)."""
     corners, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):
@@ -273,3 +286,18 @@ def multiply_hinge_lists(block: int, u: Any, out: Any, linear: Any) -> None:
             add_at(out, row, corners, 5, p, s * g[row])
             add_at(out, row, corners, 6, p, 0.0 - s * g[3 + row])
             add_at(out, row, corners, 7, p, 0.0 - s * g[6 + row])
+
+
+rows_of_spring_runs, elements_of_spring_runs = linear_runs(SPRING_ROWS, 2), run_elements(2)
+rows_of_hinge_runs, elements_of_hinge_runs = linear_runs(HINGE_ROWS, 4), run_elements(4)
+elements_of_spring_lists, elements_of_hinge_lists = listed_elements(2), listed_elements(4)
+
+
+def rows_of_spring_lists(lists: SpringLists) -> LinearLists:
+    """Room for the rows of listed springs."""
+    return linear_lists(lists.start, lists.ends, SPRING_ROWS)
+
+
+def rows_of_hinge_lists(lists: HingeLists) -> LinearLists:
+    """Room for the rows of listed hinges."""
+    return linear_lists(lists.start, lists.corners, HINGE_ROWS)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from nuno_kernels.blocks import Long
-from nuno_kernels.hinges import HingeLists, HingeRuns
+from nuno_kernels.blocks import BLOCK, Long
 from nuno_kernels.simd import WIDTH
-from nuno_kernels.springs import SpringLists, SpringRuns
 from nuno_schemas.fabric import Float, Int
+
+if TYPE_CHECKING:
+    from nuno_kernels.hinges import HingeRuns
+    from nuno_kernels.springs import SpringRuns
 
 SPRING_ROWS, HINGE_ROWS = 4, 9
 
@@ -32,12 +35,14 @@ class LinearLists(NamedTuple):
     rows: Float
 
 
-def linear_runs(runs: SpringRuns | HingeRuns | None, rows: int, counts: int) -> LinearRuns | None:
-    """Room for the rows of runs, whose tasks hold their length in column `counts`."""
-    if runs is None:
-        return None
-    ends = np.cumsum(runs.task[:, counts])
-    return LinearRuns(runs.start, runs.task, ends - runs.task[:, counts], np.zeros((rows, int(ends[-1]) + WIDTH)))
+def linear_runs(rows: int, counts: int) -> Callable[[SpringRuns | HingeRuns], LinearRuns]:
+    """Makes room for the rows of runs, whose tasks hold their length in column `counts`."""
+
+    def make(runs: SpringRuns | HingeRuns) -> LinearRuns:
+        ends = np.cumsum(runs.task[:, counts])
+        return LinearRuns(runs.start, runs.task, ends - runs.task[:, counts], np.zeros((rows, int(ends[-1]) + WIDTH)))
+
+    return make
 
 
 def linear_lists(start: Long, indices: Int, rows: int) -> LinearLists:
@@ -45,13 +50,27 @@ def linear_lists(start: Long, indices: Int, rows: int) -> LinearLists:
     return LinearLists(start, indices, np.zeros((rows, indices.shape[1])))
 
 
-def linear_springs(runs: SpringRuns | None, lists: SpringLists | None) -> tuple[LinearRuns | None, LinearLists | None]:
-    """Room for the springs' rows."""
-    found = None if lists is None else linear_lists(lists.start, lists.ends, SPRING_ROWS)
-    return linear_runs(runs, SPRING_ROWS, 2), found
+def run_elements(corners: int) -> Callable[[LinearRuns], tuple[Long, Long]]:
+    """Finds (p,) columns and (corners, p) vertices of the elements in runs, each once: by its first vertex's block."""
+
+    def find(runs: LinearRuns) -> tuple[Long, Long]:
+        block = np.repeat(np.arange(runs.start.shape[0] - 1), np.diff(runs.start))
+        once = runs.task[:, 0] // BLOCK == block
+        task, column = runs.task[once], runs.column[once]
+        count = task[:, corners]
+        step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+        return np.repeat(column, count) + step, np.repeat(task[:, :corners], count, axis=0).T + step
+
+    return find
 
 
-def linear_hinges(runs: HingeRuns | None, lists: HingeLists | None) -> tuple[LinearRuns | None, LinearLists | None]:
-    """Room for the hinges' rows."""
-    found = None if lists is None else linear_lists(lists.start, lists.corners, HINGE_ROWS)
-    return linear_runs(runs, HINGE_ROWS, 4), found
+def listed_elements(corners: int) -> Callable[[LinearLists], tuple[Long, Long]]:
+    """Finds the same of lists; what pads them is at one vertex only."""
+
+    def find(lists: LinearLists) -> tuple[Long, Long]:
+        block = np.repeat(np.arange(lists.start.shape[0] - 1), np.diff(lists.start))
+        vertices = lists.indices[:corners]
+        once = (vertices[0] // BLOCK == block) & (vertices != vertices[0]).any(axis=0)
+        return np.flatnonzero(once), vertices[:, once].astype(np.int64)
+
+    return find

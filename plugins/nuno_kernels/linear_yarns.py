@@ -41,9 +41,9 @@ YARN_ROWS = 9
 """a^, b^, m, alpha_a and alpha_b of a pair."""
 
 
-def linear_yarns(yarns: Any) -> LinearLists | None:
+def linear_yarns(yarns: Any) -> LinearLists:
     """Room for the rows of pairs (nuno_kernels.yarns.YarnLists)."""
-    return None if yarns is None else linear_lists(yarns.start, yarns.corners, YARN_ROWS)
+    return linear_lists(yarns.start, yarns.corners, YARN_ROWS)
 
 
 @kernel
@@ -56,7 +56,7 @@ def link_rows(d: Any, d0: Any, follow: float) -> Any:
 
 @kernel
 def fill_yarns(
-    block: int, x: Any, before: Any, yarns: Any, linear: Any, rate: float, floor: float, follow: float
+    yarns: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
 ) -> None:
     """Write the rows of a block's pairs at x (3, n), after a step from `before`; `floor` is the least alpha."""
     corners, constants, rows = yarns.corners, yarns.constants, linear.rows
@@ -84,7 +84,7 @@ def fill_yarns(
 
 
 @kernel
-def multiply_yarns(block: int, u: Any, out: Any, linear: Any) -> None:
+def multiply_yarns(yarns: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
     """Add the products of a block's pairs with u (3, n) to `out` (3, w)."""
     corners, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):
@@ -130,7 +130,7 @@ def add_block(out: Any, at: int, block: Any) -> None:
 
 
 @kernel
-def sum_yarns(block: int, linear: Any, out: Any) -> None:
+def sum_yarns(yarns: Any, linear: Any, block: int, origin: int, out: Any) -> None:
     """Add the diagonal blocks of a block's pairs to (6, w).
 
     What they take from a middle is at most mu of what both links' springs have there.
@@ -143,8 +143,8 @@ def sum_yarns(block: int, linear: Any, out: Any) -> None:
 
 
 @kernel
-def add_yarns(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
-    """Add pairs to a matrix that is to be factorised: see nuno_kernels.factor.add_springs."""
+def assemble_yarns(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
+    """Add pairs to a matrix that is to be factorised: see nuno_kernels.factor.assemble_springs."""
     part, rows = np.empty((3, 3)), linear.rows
     for p in range(places.column.shape[0]):
         c, pair = places.column[p], 0
@@ -164,7 +164,7 @@ def add_yarns(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
 
 
 @kernel
-def turning_of_yarns(x0: Any, x: Any, d: Any, yarns: Any) -> float:
+def turning_of_yarns(yarns: Any, x0: Any, x: Any, d: Any) -> float:
     """Work along d (3, n) of the tension that links pass on for having turned on their way from x0 to x [J]."""
     total, corners, constants = 0.0, yarns.corners, yarns.constants
     for block in range(yarns.start.shape[0] - 1):

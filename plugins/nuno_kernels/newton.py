@@ -17,9 +17,10 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed, evaluate
 from nuno_kernels.lumped import add_stiffness
-from nuno_kernels.packing import silence
+from nuno_kernels.packing import call_each, parts, silence
 from nuno_kernels.solver import Counts, Solver, compile_solver, make_solver, solve_linear
 from nuno_kernels.tension import largest_tension, turning_work
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Float
 
 SLOW = 0.3
@@ -83,20 +84,12 @@ def make_stage(packed: Packed, position: Float, size: float, python: bool) -> St
     """`position` (n, 3) and `size` are the cloth's at rest [m]; `python` says whether a force is written in Python."""
     w = packed.inverse_mass
     mass = np.divide(1.0, w, out=np.zeros_like(w), where=w > 0.0)
-    lumped = python or any(part is not None for part in (packed.contact, packed.air, packed.particle_wind))
-    others = silence(silence(silence(packed, "springs"), "hinges"), "yarns") if lumped else None
-    stiffest = max(
-        (_stiffest(part.constants) for part in (packed.runs, packed.lists) if part is not None),
-        default=0.0,
-    )
+    matrices = {kernels_of(term).name for term in packed.forces if kernels_of(term).rows is not None}
+    lumped = python or packed.late is not None or len(matrices) < len(parts(packed))
+    others = silence(packed, *matrices) if lumped else None
+    stiffest = max(call_each(packed, "stiffest"), default=0.0)
     x, v, a, residual = np.zeros((4, 3, w.shape[0]))
     return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, others)
-
-
-def _stiffest(constants: Float) -> float:
-    """The greatest stiffness that any spring has [N/m], of rows as in nuno_kernels.springs.SpringRuns."""
-    k = constants[0] if constants.shape[0] == 3 else constants[0] + np.maximum(constants[3], 0.0)
-    return float(k.max(initial=0.0))
 
 
 def solve_stage(
@@ -132,8 +125,7 @@ def solve_stage(
 
 def limit_approach(packed: Packed, g: float) -> None:
     """Let contact's dashpots see what can be gone within g [s] at most; see Contact.rate."""
-    if packed.contact is not None:
-        packed.contact.rate[0] = 1.0 / g
+    call_each(packed, "approach", 1.0 / g)
 
 
 def _solve_newton(st: Stage, packed: Packed, extra: Any, g: float, s: float, exact: bool) -> bool:
@@ -200,7 +192,7 @@ def _fill_own(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None
     own[3:] = 0.0
     if st.others is not None:
         own[:3] = st.mass / (g * g)
-        _add_others(st, st.others._replace(contact=packed.contact, damping=packed.damping), extra, g, s)
+        _add_others(st, st.others._replace(bodies_on=packed.bodies_on, damping=packed.damping), extra, g, s)
 
 
 def _add_others(st: Stage, others: Packed, extra: Any, g: float, s: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -11,23 +11,14 @@ from nuno_kernels import threads_available
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.hinges import pack_hinges
 from nuno_kernels.spring_packing import pack_springs
-from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float
+from nuno_kernels.terms import kernels_of, role_of
+from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.plugin import System
-
-if TYPE_CHECKING:
-    from nuno_kernels.bindings import Bindings
-    from nuno_kernels.slides import Slides
-    from nuno_kernels.yarns import YarnLists
 
 PARALLEL_FROM = 4096
 """Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""
 
-FUSED = ("contact", "wind", "particle_wind")
-
-JOINED = ("bindings", "slides", "python")
-"""Kinds of terms of which a system may have several."""
-
+T = TypeVar("T")
 Extra = Callable[[Float, Float, float, Float], None]
 
 
@@ -50,133 +41,97 @@ def thread_count(system: System) -> int:
 
 
 def pack(system: System) -> Packed:
-    """Kernel layout of a system. Terms of kind "python" are left to `python_terms`."""
+    """Kernel layout of a system. Raises BadInput for a force of a type without kernels; those in Python are left to
+    `python_terms`.
+    """
     fabric = system.fabric
-    runs, lists = pack_springs(fabric.springs, fabric.number)
-    hinge_runs, hinge_lists = pack_hinges(fabric.hinges, fabric.number)
-    free = ~fabric.pinned
+    given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
+    forces = (*pack_springs(fabric.springs, fabric.number), *pack_hinges(fabric.hinges, fabric.number))
+    forces += (*_pack_yarns(fabric), *(part for part in given if kernels_of(part).block is not None))
+    bodies = (*_pack_carried(system), *(part for part in given if kernels_of(part).block is None))
     threads = thread_count(system)
+    python = any(term.in_python for term in system.terms)
+    adds = any(kernels_of(part).after is not None for part in bodies)
+    moved = any(kernels_of(part).settle is not None or kernels_of(part).hold is not None for part in bodies)
     packed = Packed(
-        inverse_mass=np.divide(1.0, fabric.mass, out=np.zeros(fabric.number), where=free),
+        inverse_mass=np.divide(1.0, fabric.mass, out=np.zeros(fabric.number), where=~fabric.pinned),
         gravity=np.array(system.gravity, np.float64),
         damping=float(system.damping),
-        runs=runs,
-        lists=lists,
-        hinge_runs=hinge_runs,
-        hinge_lists=hinge_lists,
-        bindings=_find_bindings(system),
-        slides=_find_slides(system),
-        yarns=_find_yarns(fabric),
+        forces=forces,
+        forces_on=np.ones(len(forces), np.bool_),
+        bodies=bodies,
+        bodies_on=np.ones(len(bodies), np.bool_),
         threads=threads if threads > 1 else None,
-        **_find_fused(system),
+        late=True if python or adds else None,
+        moved=moved,
     )
-    python = any(term.kind == "python" for term in system.terms)
-    late = True if python or packed.contact is not None else None
-    return packed._replace(velocity_matters=python or reads_velocity(packed), late=late)
+    return packed._replace(velocity_matters=python or reads_velocity(packed))
 
 
-PARTS = {
-    "springs": ("runs", "lists"),
-    "hinges": ("hinge_runs", "hinge_lists"),
-    "wind": ("wind_runs", "wind_lists"),
-    "yarns": ("yarns",),
-    "contact": ("contact",),
-}
-"""What a step's forces can be told apart into, and the fields of Packed that hold each."""
+def parts(packed: Packed) -> tuple[str, ...]:
+    """Names of what a step's forces can be told apart into."""
+    felt = [term for term in packed.bodies if kernels_of(term).after is not None]
+    return tuple(dict.fromkeys(kernels_of(term).name for term in (*packed.forces, *felt)))
 
 
-def silence(packed: Packed, part: str) -> Packed:
-    """The same system, of the same types, one of whose PARTS does nothing.
+def silence(packed: Packed, *names: str) -> Packed:
+    """The same system, of the same types, in which the terms of these names do nothing.
 
     Being of the same types, it runs the kernels that are compiled already.
     """
-    held = {name: getattr(packed, name) for name in PARTS[part]}
-    return packed._replace(**{name: _silent(part, data) for name, data in held.items() if data is not None})
 
+    def acting(terms: tuple[Any, ...], on: Bool) -> Bool:
+        return on & np.array([kernels_of(term).name not in names for term in terms], np.bool_)
 
-def _silent(part: str, data: Any) -> Any:
-    if part == "contact":
-        return data._replace(
-            bounds=data.bounds[:0], frames=data.frames[:0], posed=data.posed[:0], posed_at=np.full(1, np.nan)
-        )
-    return data._replace(start=np.zeros_like(data.start))
+    return packed._replace(
+        forces_on=acting(packed.forces, packed.forces_on), bodies_on=acting(packed.bodies, packed.bodies_on)
+    )
 
 
 def silence_bodies(packed: Packed) -> Packed:
-    """The same system, of the same types, whose contact and bindings do nothing."""
-    bindings = packed.bindings
-    if bindings is not None:
-        bindings = bindings._replace(vertices=bindings.vertices[:0], frames=bindings.frames[:0])
-    slides = packed.slides
-    if slides is not None:
-        slides = slides._replace(tally=slides.tally[:0], frames=slides.frames[:0])
-    return silence(packed, "contact")._replace(bindings=bindings, slides=slides)
+    """The same system, of the same types, in which no body carries, meets or holds vertices."""
+    return packed._replace(bodies_on=np.zeros_like(packed.bodies_on))
 
 
 def reads_velocity(packed: Packed) -> bool:
-    """Whether any of the compiled forces depends on the velocity, or contact moves vertices after a step: an
+    """Whether any of the compiled forces depends on the velocity, or bodies move vertices after a step: an
     acceleration found before is then not that of the next step's start.
     """
-    springs = (packed.runs, packed.lists)
-    damped = any(part is not None and part.damped is not None and part.constants[2].any() for part in springs)
-    yarns = packed.yarns
-    damped |= yarns is not None and yarns.damped is not None and bool(yarns.constants[[2, 5]].any())
-    moved = packed.contact is not None or packed.slides is not None
-    return damped or moved or packed.damping != 0.0 or packed.air is not None
+    return packed.damping != 0.0 or packed.moved or any(kernels_of(term).reads_velocity(term) for term in packed.forces)
 
 
-def _find_bindings(system: System) -> Bindings | None:
-    """All bound vertices: data of a "bindings" term is (vertices, local, frame)."""
-    parts = [term.data for term in system.terms if term.kind == "bindings"]
-    if not parts:
-        return None
+def of_type(packed: Packed, kind: type[T]) -> list[T]:
+    """The forces of a type."""
+    return [term for term in packed.forces if isinstance(term, kind)]
+
+
+def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
+    """What the terms of a system give that have this role (nuno_kernels.terms.Kernels), in their order; those that
+    are silent do nothing.
+    """
+    terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
+    calls = [(role_of(type(term), role), term) for term, on in terms if on]
+    return [call(term, *args) for call, term in calls if call is not None]
+
+
+def _pack_carried(system: System) -> tuple[Any, ...]:
+    """The vertices that frames carry."""
+    if not system.carried:
+        return ()
     from nuno_kernels.bindings import make_bindings
 
-    vertices, local, frame = (np.concatenate([np.asarray(part[c]) for part in parts]) for c in range(3))  # type: ignore[index]
-    return make_bindings(vertices, local, frame) if vertices.size else None
+    each = [(np.asarray(one.vertices), np.asarray(one.local), np.asarray(one.frame)) for one in system.carried]
+    return (make_bindings(*(np.concatenate(arrays) for arrays in zip(*each, strict=True))),)
 
 
-def _find_slides(system: System) -> Slides | None:
-    """All bodies that vertices slide on: data of a "slides" term is (bodies, number of frames)."""
-    parts: list[Any] = [term.data for term in system.terms if term.kind == "slides"]
-    if not parts:
-        return None
-    from nuno_kernels.slides import make_slides
-
-    fabric, bodies = system.fabric, [body for part in parts for body in part[0]]
-    return make_slides(bodies, parts[0][1], np.where(fabric.pinned, 0.0, fabric.mass))
-
-
-def _find_yarns(fabric: Fabric) -> YarnLists | None:
-    """Pairs of links between which tension passes, None where none does: their kernel is then not loaded."""
+def _pack_yarns(fabric: Fabric) -> tuple[Any, ...]:
+    """Pairs of links between which tension passes, none where none does: their kernel is then not loaded."""
     if fabric.yarns is None or fabric.springs is None:
-        return None
+        return ()
     from nuno_kernels.yarns import pack_yarns
 
-    return pack_yarns(fabric.yarns, fabric.springs, fabric.number)
-
-
-def _find_fused(system: System) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for term in system.terms:
-        if term.kind in FUSED:
-            if term.kind in found:
-                raise BadInput(
-                    f"two forces of kind {term.kind!r}",
-                    field="contact" if term.kind == "contact" else "forces",
-                    limit="one of each kind",
-                    remedy="leave one out",
-                )
-            found[term.kind] = own_copy(term.data)
-        elif term.kind not in JOINED:
-            raise BadInput(
-                f"no kernel for a force of kind {term.kind!r}",
-                field="forces",
-                limit=f"one of {', '.join((*FUSED, *JOINED))}",
-                remedy='use kind "python" with a function f(x, v, t, out)',
-            )
-    wind = found.pop("wind", None)
-    return found if wind is None else found | {"air": wind.air, "wind_runs": wind.runs, "wind_lists": wind.lists}
+    found = pack_yarns(fabric.yarns, fabric.springs, fabric.number)
+    return () if found is None else (found,)
 
 
 def own_copy(data: Any) -> Any:
@@ -192,7 +147,7 @@ def python_terms(system: System, start: float, end: float) -> Extra | None:
 
     They are called with x, v (n, 3), the time [s] and `out` (n, 3), to which they add newtons.
     """
-    calls: list[Any] = [term.data for term in system.terms if term.kind == "python"]
+    calls: list[Any] = [term.data for term in system.terms if callable(term.data)]
     if not calls:
         return None
 

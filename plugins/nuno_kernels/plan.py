@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_kernels.blocks import BLOCK, Long
+from nuno_kernels.blocks import Long
 from nuno_kernels.dissection import dissect
 from nuno_kernels.fronts import Fronts, fill_fronts, lay_out
-from nuno_kernels.linear_layout import LinearLists, LinearRuns
 from nuno_kernels.matrix import Linear
+from nuno_kernels.terms import role_of
 from nuno_schemas.fabric import Float
 
 
@@ -31,18 +31,14 @@ class Elements(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """A factorisation: its fronts, the numbers that it keeps and those that it needs meanwhile, and where each
-    kind of element goes.
+    """A factorisation: its fronts, the numbers that it keeps and those that it needs meanwhile, and where the
+    elements of each term go, None for one without a matrix.
     """
 
     fronts: Fronts
     entries: int
     scratch: int
-    runs: Elements | None
-    lists: Elements | None
-    hinge_runs: Elements | None
-    hinge_lists: Elements | None
-    yarns: Elements | None
+    elements: tuple[Elements | None, ...]
 
 
 def make_plan(position: Float, linear: Linear) -> Plan:
@@ -51,11 +47,8 @@ def make_plan(position: Float, linear: Linear) -> Plan:
     number = np.full(position.shape[0], -1, np.int64)
     number[free] = np.arange(free.shape[0])
     found = [
-        None if linear.runs is None else _run_elements(linear.runs, 2),
-        None if linear.lists is None else _list_elements(linear.lists, 2),
-        None if linear.hinge_runs is None else _run_elements(linear.hinge_runs, 4),
-        None if linear.hinge_lists is None else _list_elements(linear.hinge_lists, 4),
-        None if linear.yarns is None else _list_elements(linear.yarns, 3),
+        None if rows is None else role_of(type(term), "elements")(rows)
+        for term, rows in zip(linear.forces, linear.rows, strict=True)
     ]
     pairs = [np.empty((0, 2), np.int64), *(_edges(number[item[1]]) for item in found if item is not None)]
     edges = np.unique(np.concatenate(pairs), axis=0)
@@ -65,26 +58,8 @@ def make_plan(position: Float, linear: Linear) -> Plan:
     rank[free[order]] = np.arange(order.shape[0])
     ranks = fill_fronts(tree, rank[free[edges]])
     fronts, entries, scratch = lay_out(tree, ranks, free[order])
-    elements = [None if item is None else _place(fronts, ranks, rank, *item) for item in found]
-    return Plan(fronts, entries, scratch, *elements)
-
-
-def _run_elements(runs: LinearRuns, corners: int) -> tuple[Long, Long]:
-    """(p,) columns and (corners, p) vertices of the elements in runs, each once: by its first vertex's block."""
-    block = np.repeat(np.arange(runs.start.shape[0] - 1), np.diff(runs.start))
-    once = runs.task[:, 0] // BLOCK == block
-    task, column = runs.task[once], runs.column[once]
-    count = task[:, corners]
-    step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-    return np.repeat(column, count) + step, np.repeat(task[:, :corners], count, axis=0).T + step
-
-
-def _list_elements(lists: LinearLists, corners: int) -> tuple[Long, Long]:
-    """The same of lists; what pads them is at one vertex only."""
-    block = np.repeat(np.arange(lists.start.shape[0] - 1), np.diff(lists.start))
-    vertices = lists.indices[:corners]
-    once = (vertices[0] // BLOCK == block) & (vertices != vertices[0]).any(axis=0)
-    return np.flatnonzero(once), vertices[:, once].astype(np.int64)
+    elements = tuple(None if item is None else _place(fronts, ranks, rank, *item) for item in found)
+    return Plan(fronts, entries, scratch, elements)
 
 
 def _pairs(corners: int) -> list[tuple[int, int]]:

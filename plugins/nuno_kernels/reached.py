@@ -37,7 +37,7 @@ def digest_of(function: Any) -> str:
     while waiting:
         value, names = waiting.pop()
         if isinstance(value, ModuleType):
-            if not _is_known(value.__name__):
+            if not is_known(value.__name__):
                 waiting += [(vars(value)[name], names) for name in names if name in vars(value)]
         elif isinstance(value, PLAIN):
             digest.update(repr(value).encode() + b"\0")
@@ -57,7 +57,7 @@ def _parts(value: Any) -> tuple[bytes, list[tuple[object, tuple[str, ...]]]]:
         return repr((type(value).__qualname__, len(value))).encode(), [(item, ()) for item in value]
     python = _python_of(value)
     module = getattr(python, "__module__", None) or type(python).__module__
-    if _is_known(module):
+    if is_known(module):
         name = getattr(python, "__qualname__", None) or repr(python)
         return f"{module}.{name}".encode(), []
     text = _sources(getattr(sys.modules.get(module), "__file__", None))
@@ -102,7 +102,7 @@ def _constant(value: object) -> str:
     return repr(sorted(map(repr, value))) if isinstance(value, set | frozenset) else repr(value)
 
 
-def _is_known(module: str) -> bool:
+def is_known(module: str) -> bool:
     return module.partition(".")[0] in KNOWN
 
 

@@ -26,12 +26,12 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.acceleration import provide
 from nuno_kernels.closest_point import DEPTH, closest
 from nuno_kernels.contact_distance import to_frame, turn_out
 from nuno_kernels.contact_poses import pose_frame, write_interval
 from nuno_kernels.slide_vertex import slide, slow_down
 from nuno_kernels.surface_tree import Tree
+from nuno_kernels.terms import register
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
 
@@ -212,7 +212,7 @@ def find_block_room(block: int, x: Any, s: Any) -> None:
 
 
 @parallel_kernel
-def find_room(x: Any, s: Any) -> None:
+def find_room(s: Any, x: Any) -> None:
     """Take vertices x (3, n) as they are at the start of the interval for the start of their next movement.
 
     One that has not gone on from where it was, as after a jump, is looked up anew.
@@ -222,10 +222,22 @@ def find_room(x: Any, s: Any) -> None:
         find_block_room(block, x, s)
 
 
-provide(
-    commit_slides=commit_slides, commit_slides_parallel=commit_slides_parallel,
-    slow_slides=slow_slides, slow_slides_parallel=slow_slides_parallel,
-)  # fmt: skip
+@kernel
+def hold_slides(slides: Any, x: Any, v: Any, s: float, threads: Any) -> None:
+    """Hold all vertices off the bodies, on one thread or several."""
+    if threads is None:
+        commit_slides(x, v, s, slides)
+    else:
+        commit_slides_parallel(x, v, s, slides)
+
+
+@kernel
+def slow_held(slides: Any, x: Any, v: Any, threads: Any) -> None:
+    """Hold velocities off the planes that hold the vertices, on one thread or several."""
+    if threads is None:
+        slow_slides(x, v, slides)
+    else:
+        slow_slides_parallel(x, v, slides)
 
 
 def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:
@@ -237,6 +249,18 @@ def count_slides(slides: Slides) -> dict[str, int]:
     """Counts for a step report: vertices that touch after the last step, vertices put back so far."""
     touching, back = (int(total) for total in slides.tally.sum(axis=0))
     return {"touching": touching, "put_back": back}
+
+
+register(
+    Slides,
+    name="slides",
+    hold=hold_slides,
+    slow=slow_held,
+    begin=find_room,
+    unbalance="nuno_kernels.balance:hold_forces",
+    interval=set_slide_poses,
+    counts=count_slides,
+)
 
 
 class Slid(NamedTuple):

@@ -21,14 +21,14 @@ from nuno_kernels.springs import LONGEST, SpringLists, SpringRuns
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
 
-def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | None, SpringLists | None]:
-    """Kernel layout of a fabric's springs; either part is None where it would be empty.
+def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | SpringLists, ...]:
+    """Kernel layout of a fabric's springs, runs before lists; what would be empty is left out.
 
     Long runs with constants per run are taken as they are. All other springs are written out and
     sorted by the distance of their ends, then by vertex, which finds the runs of any net.
     """
     if springs is None or springs.number == 0:
-        return None, None
+        return ()
     blocks = block_count(vertices)
     per_run = springs.per_run
     direct = per_run & choose_runs(springs.count, springs.stride)
@@ -37,7 +37,7 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | N
     named = spring_constants(springs)
     constants = np.stack([values[direct] for values in named]) if per_run else np.empty((len(named), 0))
     if direct.all():
-        return _pack_runs(runs, constants, False, blocks), None
+        return (_pack_runs(runs, constants, False, blocks),)
     # Constants per spring are most of a net's memory: from here on they are copied once.
     pairs, order = _sort_pairs(springs, direct)
     each = np.empty((len(named), order.shape[0]))
@@ -45,7 +45,7 @@ def pack_springs(springs: Springs | None, vertices: int) -> tuple[SpringRuns | N
         np.take(springs.per_spring(values), order, out=row)
     del order
     if is_small(springs.number):
-        return None, _pack_lists(pairs.astype(np.int64), each, vertices, general=True)
+        return (_pack_lists(pairs.astype(np.int64), each, vertices, general=True),)
     return _pack_pairs(pairs, each, runs, constants, vertices)
 
 
@@ -74,7 +74,7 @@ def _sort_pairs(springs: Springs, direct: Bool) -> tuple[Int, Long]:
 
 def _pack_pairs(
     pairs: Int, each: Float, runs: Long, constants: Float, vertices: int
-) -> tuple[SpringRuns | None, SpringLists | None]:
+) -> tuple[SpringRuns | SpringLists, ...]:
     """Find the runs in sorted pairs (s, 2) with constants (3 or 5, s); join them to the `runs` there are.
 
     Constants per spring are kept only where runs of equal constants would cover much less.
@@ -89,12 +89,12 @@ def _pack_pairs(
     long = count >= SHORTEST
     found = np.column_stack([pairs[first], count, first + constants.shape[1]])[long]
     listed = np.flatnonzero(np.repeat(~long, count))
-    lists = _pack_lists(pairs[listed].astype(np.int64), each[:, listed], vertices) if listed.size else None
+    lists = (_pack_lists(pairs[listed].astype(np.int64), each[:, listed], vertices),) if listed.size else ()
     runs = np.concatenate([runs, found])
     if runs.shape[0] == 0:
-        return None, lists
+        return lists
     joined = np.concatenate([constants, each], axis=1) if constants.shape[1] else each
-    return _pack_runs(runs, joined, varied, block_count(vertices)), lists
+    return _pack_runs(runs, joined, varied, block_count(vertices)), *lists
 
 
 def _long_share(follows: Bool) -> float:

@@ -18,6 +18,7 @@ from nuno_kernels.blocks import (
 )
 from nuno_kernels.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.simd_choose import higher, where_not_zero
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int
 
 LONGEST = 256
@@ -147,11 +148,9 @@ def run_forces(
 
 
 @kernel
-def add_runs(
-    block: int, origin: int, x: Any, v: Any, force: Any,
-    start: Any, task: Any, constants: Any, each: Any, damped: Any, locks: Any,
-) -> None:  # fmt: skip
+def add_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
     """Add a block's runs to its forces (3, w); `origin` is the block's first vertex."""
+    start, task, constants, each = runs.start, runs.task, runs.constants, runs.each
     wait = np.empty((3, LONGEST + WIDTH))
     for t in range(start[block], start[block + 1]):
         i, j, count, at, side = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4]
@@ -159,7 +158,7 @@ def add_runs(
         for q in range(0, count, WIDTH):
             m = min(WIDTH, count - q)
             where = at if each is None else at + q
-            f = run_forces(x, v, i + q, j + q, m, where, constants, each, damped, locks)
+            f = run_forces(x, v, i + q, j + q, m, where, constants, each, runs.damped, runs.locks)
             for row in range(3):
                 g = f[row]
                 if side & 1:
@@ -177,30 +176,74 @@ def add_runs(
 
 
 @kernel
-def add_lists(
-    block: int, x: Any, v: Any, force: Any, start: Any, ends: Any, constants: Any, damped: Any, locks: Any
-) -> None:
+def listed_forces(x: Any, v: Any, ends: Any, p: int, constants: Any, damped: Any, locks: Any) -> Any:
+    """Forces on the i ends of eight listed springs."""
+    dx = gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p)
+    dy = gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p)
+    dz = gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p)
+    k = load(constants, 0, p)
+    rest = load(constants, 1, p)
+    lock = listed_lock(p, constants, 3, locks)
+    if damped is None:
+        w = pull(dx, dy, dz, k, rest, lock, locks)
+    else:
+        approach = (
+            (gather(v, 0, ends, 1, p) - gather(v, 0, ends, 0, p)) * dx
+            + (gather(v, 1, ends, 1, p) - gather(v, 1, ends, 0, p)) * dy
+            + (gather(v, 2, ends, 1, p) - gather(v, 2, ends, 0, p)) * dz
+        )
+        w = damped_pull(dx, dy, dz, approach, k, rest, load(constants, 2, p), lock, locks)
+    return w * dx, w * dy, w * dz
+
+
+@kernel
+def add_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
     """Add a block's listed springs to its forces (3, w)."""
+    start, ends, constants = lists.start, lists.ends, lists.constants
     for p in range(start[block], start[block + 1], WIDTH):
-        dx = gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p)
-        dy = gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p)
-        dz = gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p)
-        k = load(constants, 0, p)
-        rest = load(constants, 1, p)
-        lock = listed_lock(p, constants, 3, locks)
-        if damped is None:
-            w = pull(dx, dy, dz, k, rest, lock, locks)
-        else:
-            approach = (
-                (gather(v, 0, ends, 1, p) - gather(v, 0, ends, 0, p)) * dx
-                + (gather(v, 1, ends, 1, p) - gather(v, 1, ends, 0, p)) * dy
-                + (gather(v, 2, ends, 1, p) - gather(v, 2, ends, 0, p)) * dz
-            )
-            w = damped_pull(dx, dy, dz, approach, k, rest, load(constants, 2, p), lock, locks)
-        fx, fy, fz = w * dx, w * dy, w * dz
+        fx, fy, fz = listed_forces(x, v, ends, p, constants, lists.damped, lists.locks)
         add_at(force, 0, ends, 2, p, fx)
         add_at(force, 1, ends, 2, p, fy)
         add_at(force, 2, ends, 2, p, fz)
         add_at(force, 0, ends, 3, p, 0.0 - fx)
         add_at(force, 1, ends, 3, p, 0.0 - fy)
         add_at(force, 2, ends, 3, p, 0.0 - fz)
+
+
+def damps(springs: SpringRuns | SpringLists) -> bool:
+    """Whether any spring has a damper."""
+    return springs.damped is not None and bool(springs.constants[2].any())
+
+
+register(
+    SpringRuns,
+    name="springs",
+    block=add_runs,
+    reads_velocity=damps,
+    energy="nuno_kernels.energy:energy_of_spring_runs",
+    tension="nuno_kernels.tension:tension_of_runs",
+    turning="nuno_kernels.tension:turning_of_runs",
+    stiffest="nuno_kernels.tension:stiffest",
+    rows="nuno_kernels.linear:rows_of_spring_runs",
+    elements="nuno_kernels.linear:elements_of_spring_runs",
+    fill="nuno_kernels.linear:fill_spring_runs",
+    diagonal="nuno_kernels.diagonal:sum_spring_runs",
+    multiply="nuno_kernels.linear:multiply_spring_runs",
+    assemble="nuno_kernels.factor:assemble_springs",
+)
+register(
+    SpringLists,
+    name="springs",
+    block=add_lists,
+    reads_velocity=damps,
+    energy="nuno_kernels.energy:energy_of_spring_lists",
+    tension="nuno_kernels.tension:tension_of_lists",
+    turning="nuno_kernels.tension:turning_of_lists",
+    stiffest="nuno_kernels.tension:stiffest",
+    rows="nuno_kernels.linear:rows_of_spring_lists",
+    elements="nuno_kernels.linear:elements_of_spring_lists",
+    fill="nuno_kernels.linear:fill_spring_lists",
+    diagonal="nuno_kernels.diagonal:sum_spring_lists",
+    multiply="nuno_kernels.linear:multiply_spring_lists",
+    assemble="nuno_kernels.factor:assemble_springs",
+)

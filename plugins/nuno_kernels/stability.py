@@ -21,6 +21,7 @@ from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed, evaluate
 from nuno_kernels.energy import measure_energy
 from nuno_kernels.packing import Extra, pack, python_terms, reads_velocity, silence_bodies, to_rows
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.plugin import System
 
@@ -110,7 +111,9 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
         return difference(u, v, 1e-3)
 
     squared = largest_eigenvalue(stiffness, mass) + sum(term.omega_squared for term in system.terms)
-    uniform = extra is None and not reads_velocity(packed._replace(damping=0.0, contact=None))
+    uniform = extra is None and not reads_velocity(
+        packed._replace(damping=0.0, moved=any(kernels_of(t).hold for t in packed.bodies))
+    )
     rate = packed.damping if uniform else largest_eigenvalue(friction, mass)
     return float(np.sqrt(squared)), rate + sum(term.damping_rate for term in system.terms)
 

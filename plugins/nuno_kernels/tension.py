@@ -9,16 +9,14 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK
-from nuno_kernels.linear_yarns import turning_of_yarns
-from nuno_kernels.springs import tension_at
+from nuno_kernels.packing import call_each
+from nuno_kernels.springs import SpringLists, SpringRuns, tension_at
 from nuno_schemas.fabric import Float
 
 
 def largest_tension(x: Float, packed: Packed) -> float:
     """The largest force of a spring [N], whichever way."""
-    runs = 0.0 if packed.runs is None else tension_of_runs(x, packed.runs)
-    lists = 0.0 if packed.lists is None else tension_of_lists(x, packed.lists)
-    return float(max(runs, lists))
+    return float(max(call_each(packed, "tension", x), default=0.0))
 
 
 @kernel
@@ -29,7 +27,7 @@ def size_of_tension(x: Any, i: int, j: int, constants: Any, c: int, locks: Any) 
 
 
 @kernel
-def tension_of_runs(x: Any, runs: Any) -> float:
+def tension_of_runs(runs: Any, x: Any) -> float:
     """The largest over runs."""
     largest, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
@@ -40,7 +38,7 @@ def tension_of_runs(x: Any, runs: Any) -> float:
 
 
 @kernel
-def tension_of_lists(x: Any, lists: Any) -> float:
+def tension_of_lists(lists: Any, x: Any) -> float:
     """The largest over lists."""
     largest, ends, constants = 0.0, lists.ends, lists.constants
     for c in range(ends.shape[1]):
@@ -54,10 +52,7 @@ def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
     A spring that turns from a to b is longer than b's share along a, by the square of the angle. A linear step
     cannot know of that, and the next one takes it back.
     """
-    runs = 0.0 if packed.runs is None else turning_of_runs(before, x, d, packed.runs)
-    lists = 0.0 if packed.lists is None else turning_of_lists(before, x, d, packed.lists)
-    yarns = 0.0 if packed.yarns is None else turning_of_yarns(before, x, d, packed.yarns)
-    return float(runs + lists + yarns)
+    return float(sum(call_each(packed, "turning", before, x, d)))
 
 
 @kernel
@@ -76,7 +71,7 @@ def turning(x0: Any, x: Any, d: Any, i: int, j: int, constants: Any, c: int, loc
 
 
 @kernel
-def turning_of_runs(x0: Any, x: Any, d: Any, runs: Any) -> float:
+def turning_of_runs(runs: Any, x0: Any, x: Any, d: Any) -> float:
     """The sum over runs, each spring once: by the task that adds to its first end."""
     total, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
@@ -88,7 +83,7 @@ def turning_of_runs(x0: Any, x: Any, d: Any, runs: Any) -> float:
 
 
 @kernel
-def turning_of_lists(x0: Any, x: Any, d: Any, lists: Any) -> float:
+def turning_of_lists(lists: Any, x0: Any, x: Any, d: Any) -> float:
     """The sum over lists, each spring once: by its first end's block."""
     total, ends, constants = 0.0, lists.ends, lists.constants
     for block in range(lists.start.shape[0] - 1):
@@ -96,3 +91,10 @@ def turning_of_lists(x0: Any, x: Any, d: Any, lists: Any) -> float:
             if ends[0, c] // BLOCK == block:
                 total += turning(x0, x, d, ends[0, c], ends[1, c], constants, c, lists.locks)
     return total
+
+
+def stiffest(springs: SpringRuns | SpringLists) -> float:
+    """The greatest stiffness that any spring has [N/m]."""
+    constants = springs.constants
+    k = constants[0] if constants.shape[0] == 3 else constants[0] + np.maximum(constants[3], 0.0)
+    return float(k.max(initial=0.0))

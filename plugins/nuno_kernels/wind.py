@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.acceleration import provide
 from nuno_kernels.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
 from nuno_kernels.hinges import cross, dot, listed_corner, minus, run_corner
 from nuno_kernels.simd import WIDTH, add_at, load, magnitude, read, root, splat, store, write
 from nuno_kernels.simd_choose import alternate, where_not_zero
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bool, Float, Int
 
 SHORTEST = 6
@@ -36,20 +36,26 @@ LONGEST = 256
 
 
 class WindRuns(NamedTuple):
-    """Runs of triangles whose vertices follow each other.
+    """Runs of triangles whose vertices follow each other, and the air that they meet.
 
     start  (blocks + 1,) int64  tasks of each block
     task   (m, 7) int64         first vertices: the edge's two, the third corner where the first
                                 vertex is even, and where it is odd; triangles; a column that is not
                                 used; and the corners to add to (bit c for corner c)
+    velocity    (3,)            of the air [m/s]
+    normal      rho Cn / 12 [kg/m^3]: halves of the law and of m, a third per corner
+    tangential  rho Ct / 12 [kg/m^3]
     """
 
     start: Long
     task: Long
+    velocity: Float
+    normal: float
+    tangential: float
 
 
 class WindLists(NamedTuple):
-    """Triangles by index, padded to whole vectors by triangles without area.
+    """Triangles by index, padded to whole vectors by triangles without area, and the air as in WindRuns.
 
     start    (blocks + 1,) int64  places of each block's triangles
     corners  (6, p) int32         vertices, then their columns in the block's forces
@@ -57,28 +63,9 @@ class WindLists(NamedTuple):
 
     start: Long
     corners: Int
-
-
-class Air(NamedTuple):
-    """velocity    (3,) of the air [m/s]
-    normal      rho Cn / 12 [kg/m^3]: halves of the law and of m, a third per corner
-    tangential  rho Ct / 12 [kg/m^3]
-    """
-
     velocity: Float
     normal: float
     tangential: float
-
-
-class Wind(NamedTuple):
-    """Wind prepared for one fabric.
-
-    runs, lists   its triangles; None where there are none
-    """
-
-    air: Air
-    runs: WindRuns | None
-    lists: WindLists | None
 
 
 class ParticleWind(NamedTuple):
@@ -128,9 +115,9 @@ def third_corner(x: Any, even: int, odd: int, m: int, i: int) -> Any:
 
 
 @kernel
-def add_wind_runs(block: int, origin: int, x: Any, v: Any, force: Any, start: Any, task: Any, air: Any) -> None:
+def add_wind_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
     """Add the wind on a block's runs to its forces (3, w); see add_hinge_runs."""
-    flow, wait = read_air(air), np.empty((3, LONGEST + WIDTH))
+    flow, wait, start, task = read_air(runs), np.empty((3, LONGEST + WIDTH)), runs.start, runs.task
     for t in range(start[block], start[block + 1]):
         i, j, even, odd, count, mark = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4], task[t, 6]
         for q in range(0, count, WIDTH):
@@ -156,9 +143,9 @@ def add_wind_runs(block: int, origin: int, x: Any, v: Any, force: Any, start: An
 
 
 @kernel
-def add_wind_lists(block: int, x: Any, v: Any, force: Any, start: Any, corners: Any, air: Any) -> None:
+def add_wind_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
     """Add the wind on a block's listed triangles to its forces (3, w)."""
-    flow = read_air(air)
+    flow, start, corners = read_air(lists), lists.start, lists.corners
     for p in range(start[block], start[block + 1], WIDTH):
         f = wind_forces(
             listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p), listed_corner(x, corners, 2, p),
@@ -171,25 +158,30 @@ def add_wind_lists(block: int, x: Any, v: Any, force: Any, start: Any, corners: 
 
 
 @kernel
-def add_particle_wind(particle_wind: Any, force: Any) -> None:
-    """Add the same force [N] to every column of force (3, n)."""
+def add_particle_wind(wind: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+    """Add the same force [N] to every column of force (3, w)."""
     for axis in range(3):
         for vertex in range(force.shape[1]):
-            force[axis, vertex] += particle_wind.force[axis]
+            force[axis, vertex] += wind.force[axis]
 
 
-provide(add_particle_wind=add_particle_wind, add_wind_lists=add_wind_lists, add_wind_runs=add_wind_runs)
+register(WindRuns, name="wind", block=add_wind_runs, reads_velocity=lambda wind: True)
+register(WindLists, name="wind", block=add_wind_lists, reads_velocity=lambda wind: True)
+register(ParticleWind, name="particle_wind", block=add_particle_wind)
 
 
-def prepare_wind(faces: Int, vertices: int, velocity: Float, density: float, normal: float, tangential: float) -> Wind:
-    """Wind from faces (f, 3), the number of vertices, the air's velocity (3,) [m/s] and density
-    [kg/m^3], and the two coefficients.
+def prepare_wind(
+    faces: Int, vertices: int, velocity: Float, density: float, normal: float, tangential: float
+) -> tuple[WindRuns | WindLists, ...]:
+    """Wind on faces (f, 3) of so many vertices: the air's velocity (3,) [m/s] and density [kg/m^3], and the two
+    coefficients.
     """
     on_edge, found = _find_runs(np.asarray(faces, np.int64), vertices)
-    runs = _pack_runs(found, vertices) if found.size else None
-    lists = _pack_lists(faces[~on_edge].astype(np.int64), vertices) if not on_edge.all() else None
-    air = np.array(velocity, np.float64)
-    return Wind(Air(air, density * normal / 12, density * tangential / 12), runs, lists)
+    air: Any = np.array(velocity, np.float64), density * normal / 12, density * tangential / 12
+    runs = (WindRuns(*_pack_runs(found, vertices), *air),) if found.size else ()
+    if on_edge.all():
+        return runs
+    return *runs, WindLists(*_pack_lists(faces[~on_edge].astype(np.int64), vertices), *air)
 
 
 def _find_runs(faces: Long, vertices: int) -> tuple[Bool, Long]:
@@ -227,19 +219,19 @@ def _find_runs(faces: Long, vertices: int) -> tuple[Bool, Long]:
     return covered, np.column_stack([start, start + d, even, odd, count])[chosen]
 
 
-def _pack_runs(runs: Long, vertices: int) -> WindRuns:
-    """Cut (r, 5) runs at the blocks' borders; one task per block that owns a corner."""
+def _pack_runs(runs: Long, vertices: int) -> tuple[Long, Long]:
+    """(r, 5) runs cut at the blocks' borders, one task per block that owns a corner: bounds and tasks."""
     cut = cut_runs(np.column_stack([runs, np.zeros(runs.shape[0], np.int64)]), LONGEST)
     task, start = assign_runs(cut[:, :6], block_count(vertices))
-    return WindRuns(start, task)
+    return start, task
 
 
-def _pack_lists(faces: Long, vertices: int) -> WindLists:
-    """Lists per block of (f, 3) faces in the order of their vertices."""
+def _pack_lists(faces: Long, vertices: int) -> tuple[Long, Int]:
+    """Bounds and lists per block of (f, 3) faces in the order of their vertices."""
     corners = np.ascontiguousarray(faces[np.lexsort((faces.max(axis=1), faces.min(axis=1)))].T)
     element, bounds = owned_copies(corners, block_count(vertices))
     element, start = pad_lists(element, bounds, WIDTH)
     filled = element >= 0
     target = local_targets(np.where(filled, corners[:, element], -1), start, vertices)
     table = np.concatenate([np.where(filled, corners[:, element], 0), target]).astype(np.int32)
-    return WindLists(start, table)
+    return start, table

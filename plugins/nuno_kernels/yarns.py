@@ -22,12 +22,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.acceleration import provide
 from nuno_kernels.blocks import BLOCK, Long, block_count, is_small, local_targets, owned_copies, pad_lists
+from nuno_kernels.linear_layout import listed_elements
 from nuno_kernels.simd import WIDTH, add_at, gather, load, root
 from nuno_kernels.simd_choose import where_not_zero
 from nuno_kernels.spring_packing import spring_constants
 from nuno_kernels.springs import listed_lock, tensions
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int, Springs
 from nuno_schemas.yarns import Yarns
 
@@ -61,7 +62,7 @@ def listed_link(x: Any, corners: Any, which: int, p: int) -> Any:
 
 
 @kernel
-def add_yarns(block: int, x: Any, v: Any, force: Any, yarns: Any) -> None:
+def add_yarns(yarns: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
     """Add to a block's forces (3, w) what passes along its yarns."""
     corners, constants = yarns.corners, yarns.constants
     for p in range(yarns.start[block], yarns.start[block + 1], WIDTH):
@@ -85,11 +86,8 @@ def add_yarns(block: int, x: Any, v: Any, force: Any, yarns: Any) -> None:
             add_at(force, row, corners, 5, p, 0.0 - on_b)
 
 
-provide(add_yarns=add_yarns)
-
-
 @kernel
-def measure_yarns(x: Any, yarns: Any) -> float:
+def measure_yarns(yarns: Any, x: Any) -> float:
     """Sum of mu k e_a e_b over all pairs [J], each counted where its first vertex is at home.
 
     Where k changes along a yarn, or one of two links has locked, there is no energy, and this takes the mean of
@@ -116,6 +114,27 @@ def elongation(x: Any, i: int, j: int, rest: float) -> float:
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     return length - rest if length > 0.0 else 0.0
+
+
+def _pull_by_velocity(yarns: YarnLists) -> bool:
+    return yarns.damped is not None and bool(yarns.constants[[2, 5]].any())
+
+
+register(
+    YarnLists,
+    name="yarns",
+    lags=False,
+    block=add_yarns,
+    reads_velocity=_pull_by_velocity,
+    energy=measure_yarns,
+    turning="nuno_kernels.linear_yarns:turning_of_yarns",
+    rows="nuno_kernels.linear_yarns:linear_yarns",
+    elements=listed_elements(3),
+    fill="nuno_kernels.linear_yarns:fill_yarns",
+    diagonal="nuno_kernels.linear_yarns:sum_yarns",
+    multiply="nuno_kernels.linear_yarns:multiply_yarns",
+    assemble="nuno_kernels.linear_yarns:assemble_yarns",
+)
 
 
 def pair_corners(pairs: Int, neighbours: Int) -> Int:

@@ -57,15 +57,13 @@ class Files(Protocol):
 class Term:
     """One force, prepared for one fabric.
 
-    A `kind` that the kernels know ("springs", "hinges", "wind", "particle_wind", "contact", "slides") is
-    fused into the compiled step, and `data` is that kernel's tuple of arrays ("slides": what
-    nuno_kernels.slides.make_slides joins it from). Any other force
-    has kind "python" and `data` is a function f(x, v, t, out): it adds newtons to `out` (n, 3)
-    and is called at every evaluation, with x and v (n, 3) that are its own.
+    `data` is a tuple of typed terms, each a NamedTuple of arrays whose type has compiled kernels
+    (nuno_kernels.terms): they are fused into the compiled step. Or it is a function f(x, v, t, out) in plain
+    Python, which adds newtons to `out` (n, 3) and is called at every evaluation, with x and v (n, 3) that are its own.
     """
 
-    kind: str
-    data: object
+    name: str
+    data: tuple[Any, ...] | Callable[[Float, Float, float, Float], None]
     omega_squared: float = 0.0
     """Most this term can add to the squared angular frequency [1/s^2] where it is not active
     at the start (contact); terms active at the start leave 0 and are measured."""
@@ -74,6 +72,22 @@ class Term:
     facts: Mapping[str, float] = field(default_factory=dict)
     """Numbers for the report: of contact the depth m g / k at which it rests ("rest_depth", [m]), and by how much more
     than Coulomb's law says its friction lets go what starts to slide ("slip_speed", [m/s])."""
+
+    @property
+    def in_python(self) -> bool:
+        """Whether it is called from Python at every evaluation."""
+        return callable(self.data)
+
+
+@dataclass(frozen=True)
+class Carried:
+    """Pinned vertices (b,) that move rigidly with frames of bodies: where each is in its frame, local (b, 3) [m], and
+    the frame's number, frame (b,).
+    """
+
+    vertices: NDArray[Any]
+    local: Float
+    frame: NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -88,6 +102,7 @@ class System:
     terms: tuple[Term, ...] = ()
     threads: int = 1
     """Most threads a kernel may use; the result is the same to the last bit."""
+    carried: tuple[Carried, ...] = ()
 
 
 @dataclass(frozen=True)

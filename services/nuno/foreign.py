@@ -74,8 +74,8 @@ class Foreign:
             check(self._group, name, found, args)
         for doubt in doubts(found):
             LOGGER.warning("%s: %s gives %s: %s", self._who, name, type(found).__name__, doubt)
-        if isinstance(found, Term) and found.kind == "python":
-            return replace(found, data=self._force(found.data))  # type: ignore[arg-type]
+        if isinstance(found, Term) and callable(found.data):
+            return replace(found, data=self._force(found.data))
         if isinstance(found, Mover):
             return replace(found, pose=lambda t: self._pose(found, t))
         if isinstance(found, Isotherm) and found.function is not None:

@@ -170,23 +170,20 @@ def check_turn(rotation: NDArray[Any]) -> None:
         raise Wrong(f"rotation has length {length[bad[0]]:g} at row {bad[0]}, not 1")
 
 
-def check_term(term: Term, n: int | None) -> None:
-    """A force on n vertices, None where that is not known; arrays of a fused kind are laid out by `nuno_kernels`."""
+def check_term(term: Term) -> None:
+    """A force; arrays of a typed term are its own kernels'."""
     for name in ("omega_squared", "damping_rate"):
         check_number(name, getattr(term, name), 0.0)
     for name, value in term.facts.items():
         check_number(f"facts[{name!r}]", value, finite=False)
-    if term.kind == "python":
-        if not callable(term.data):
-            raise Wrong("data is no function f(x, v, t, out)")
-        return
-    if not isinstance(term.data, tuple):
-        raise Wrong(f"data of kind {term.kind!r} is {type(term.data).__name__}, no tuple of arrays")
-    if term.kind == "bindings":
-        vertices, local, frame = term.data
-        check_array("data[0]", vertices, np.int32, (None,), 0, np.inf if n is None else n - 1)
-        check_array("data[1]", local, np.float64, (len(vertices), 3))
-        check_array("data[2]", frame, np.int32, (len(vertices),), 0)
+    if not callable(term.data) and not (isinstance(term.data, tuple) and all(map(_is_typed, term.data))):
+        raise Wrong(
+            f"data is {type(term.data).__name__}, neither a tuple of named tuples nor a function f(x, v, t, out)"
+        )
+
+
+def _is_typed(part: object) -> bool:
+    return isinstance(part, tuple) and hasattr(part, "_fields")
 
 
 def check_memory(memory: Memory) -> None:
@@ -233,17 +230,12 @@ def _of(kind: type, args: Sequence[Any]) -> Any:
     return next((arg for arg in args if isinstance(arg, kind)), None)
 
 
-def _vertices(args: Sequence[Any]) -> int | None:
-    fabric = _of(Fabric, args)
-    return fabric.number if fabric is not None else None
-
-
 CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None]]] = {
     ("nuno.models", "build"): (Fabric, lambda found, args: check_fabric(found)),
     ("nuno.models", "build_over"): (Fabric, lambda found, args: check_fabric(found)),
     ("nuno.models", "count"): (int, lambda found, args: check_number("it", found, 0)),
-    ("nuno.forces", "prepare"): (Term, lambda found, args: check_term(found, _vertices(args))),
-    ("nuno.contacts", "prepare"): (Term, lambda found, args: check_term(found, _vertices(args))),
+    ("nuno.forces", "prepare"): (Term, lambda found, args: check_term(found)),
+    ("nuno.contacts", "prepare"): (Term, lambda found, args: check_term(found)),
     ("nuno.motions", "prepare"): (Mover, lambda found, args: check_mover(found)),
     ("nuno.colliders", "build"): (BodyShape, lambda found, args: check_body(found, _of(Mover, args))),
     ("nuno.integrators", "prepare"): (Memory, lambda found, args: check_memory(found)),

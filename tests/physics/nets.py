@@ -9,9 +9,9 @@ import numpy as np
 from nuno_kernels.acceleration import evaluate
 from nuno_kernels.blocks import BLOCK, PADDING, block_count
 from nuno_kernels.packing import pack, python_terms, to_rows
-from nuno_kernels.wind import add_wind_lists, add_wind_runs
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs, State
-from nuno_schemas.plugin import System, Term
+from nuno_schemas.plugin import Carried, System, Term
 
 NO_GRAVITY = np.zeros(3)
 
@@ -44,8 +44,9 @@ def make_system(
     damping: float = 0.0,
     terms: tuple[Term, ...] = (),
     threads: int = 1,
+    carried: tuple[Carried, ...] = (),
 ) -> System:
-    return System(fabric, np.asarray(gravity, float), damping, terms, threads)
+    return System(fabric, np.asarray(gravity, float), damping, terms, threads, carried)
 
 
 def start(system: System) -> State:
@@ -53,15 +54,13 @@ def start(system: System) -> State:
 
 
 def wind_force(wind: Any, x: Float, v: Float) -> Float:
-    """(n, 3) force [N] of a prepared Wind at x, v (n, 3), block by block."""
+    """(n, 3) force [N] of prepared wind at x, v (n, 3), block by block."""
     rows, moving, out = to_rows(x), to_rows(v), np.zeros((3, x.shape[0]))
     for block in range(block_count(x.shape[0])):
         own = slice(block * BLOCK, min((block + 1) * BLOCK, x.shape[0]))
         force = np.zeros((3, own.stop - own.start + PADDING))
-        if wind.runs is not None:
-            add_wind_runs(block, own.start, rows, moving, force, wind.runs.start, wind.runs.task, wind.air)
-        if wind.lists is not None:
-            add_wind_lists(block, rows, moving, force, wind.lists.start, wind.lists.corners, wind.air)
+        for part in wind:
+            kernels_of(part).block(part, block, own.start, rows, moving, force)
         out[:, own] = force[:, :-PADDING]
     return np.ascontiguousarray(out.T)
 

@@ -14,7 +14,7 @@ from nuno_integrators.rk4 import RK4
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.bodies import Poses, rotation_matrices
 from nuno_schemas.fabric import Float, Springs
-from nuno_schemas.plugin import Term
+from nuno_schemas.plugin import Carried
 
 METHODS = [Euler(), SymplecticEuler(), Leapfrog(), RK4()]
 
@@ -38,8 +38,8 @@ def test_bound_vertices_follow_their_frame(plugin: Any) -> None:
     position[vertices] = local
     pinned = np.zeros(6, bool)
     pinned[vertices] = True
-    term = Term("bindings", (vertices, local, np.ones(3, np.int32)))
-    system = make_system(make_fabric(position, springs, mass=1.0, pinned=pinned), damping=0.5, terms=(term,))
+    carried = Carried(vertices, local, np.ones(3, np.int32))
+    system = make_system(make_fabric(position, springs, mass=1.0, pinned=pinned), damping=0.5, carried=(carried,))
     state = start(system)
     memory = plugin.prepare(plugin.Config(), system, state)
     for frame in range(3):
@@ -56,9 +56,9 @@ def test_stages_see_the_frame_where_it_is() -> None:
     omega, speed, duration, errors, counts = 3.0, 0.7, 1.0, [], (10, 20, 40, 80)
     springs = Springs.from_pairs(np.array([[0, 1]], np.int32), np.array([omega**2]), np.zeros(1), np.zeros(1))
     for count in counts:
-        term = Term("bindings", (np.array([0], np.int32), np.zeros((1, 3)), np.array([1], np.int32)))
+        carried = Carried(np.array([0], np.int32), np.zeros((1, 3)), np.array([1], np.int32))
         fabric = make_fabric(np.zeros((2, 3)), springs, mass=1.0, pinned=np.array([True, False]))
-        system = make_system(fabric, terms=(term,))
+        system = make_system(fabric, carried=(carried,))
         state, plugin = start(system), RK4()
         memory = plugin.prepare(plugin.Config(), system, state)
         still, move = np.array([0.0, 0.0, 1.0]), np.array([speed, 0.0, 0.0])

@@ -183,7 +183,7 @@ def on_plane(alpha, mu, k=1e5, mass=1e-2):
     move(contact, 1.0)
     gravity = G * np.array([np.sin(alpha), -np.cos(alpha), 0.0])
     fabric = make_fabric(np.array([[0.0, -mass * G * np.cos(alpha) / k, 0.0]]), mass=mass)
-    return make_system(fabric, gravity, terms=(Term("contact", contact),))
+    return make_system(fabric, gravity, terms=(Term("contact", (contact,)),))
 
 
 STILL = Poses(0.0, np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)))

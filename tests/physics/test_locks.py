@@ -102,7 +102,7 @@ def test_force_is_minus_the_gradient_of_energy(build: Any, monkeypatch: pytest.M
     monkeypatch.setattr("nuno_kernels.blocks.SMALL", 0)
     fabric = build()
     packed, x0 = pack(make_system(fabric)), fabric.position
-    part = packed.runs or packed.lists
+    part = packed.forces[0]
     assert part is not None and part.locks
     force = accelerations(make_system(fabric), x0, 0 * x0)
 

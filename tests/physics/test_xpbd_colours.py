@@ -26,7 +26,7 @@ def test_any_number_of_threads_gives_equal_bytes(monkeypatch):
     ends = []
     for threads in (1, 2):
         contact = contact_for(geometry(plane((0, -0.002, 0)), friction=0.3), fabric.mass, 500.0)
-        system = make_system(fabric, DOWN, 0.1, (Term("contact", contact),), threads=threads)
+        system = make_system(fabric, DOWN, 0.1, (Term("contact", (contact,)),), threads=threads)
         state, plugin = start(system), XPBD()
         memory = plugin.prepare(plugin.Config(iterations=2), system, state)
         assert (memory.work.packed.threads is None) == (threads == 1)

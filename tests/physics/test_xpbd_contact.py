@@ -12,9 +12,8 @@ from xpbd_nets import DOWN, POSES, STILL, advance, chain, sheet
 
 from nuno_integrators.implicit import ImplicitEuler
 from nuno_integrators.xpbd import XPBD
-from nuno_kernels.bindings import make_bindings
 from nuno_schemas.bodies import Poses
-from nuno_schemas.plugin import Term
+from nuno_schemas.plugin import Carried, Term
 
 
 @pytest.mark.parametrize("iterations", [1, 8])
@@ -23,7 +22,7 @@ def test_a_vertex_at_rest_sinks_m_g_over_k_at_any_step(dt, iterations):
     contact = contact_for(geometry(plane()), np.array([1e-2]), 1e4)
     move(contact, 1.0)
     fabric = make_fabric(np.array([[0.0, 1e-3, 0.0]]), mass=1e-2)
-    system = make_system(fabric, DOWN, 20.0, (Term("contact", contact),))
+    system = make_system(fabric, DOWN, 20.0, (Term("contact", (contact,)),))
     state = advance(system, int(1.0 / dt), dt, POSES, iterations=iterations)
     assert -state.x[0, 1] == pytest.approx(1e-2 * G / 1e4, rel=1e-9)
 
@@ -36,7 +35,7 @@ def test_an_incline_holds_or_lets_go_as_coulomb_says(share):
     move(contact, 1.0)
     gravity = G * np.array([np.sin(alpha), -np.cos(alpha), 0.0])
     fabric = make_fabric(np.array([[0.0, -mass * G * np.cos(alpha) / k, 0.0]]), mass=mass)
-    system = make_system(fabric, gravity, terms=(Term("contact", contact),))
+    system = make_system(fabric, gravity, terms=(Term("contact", (contact,)),))
     half, end = (advance(system, steps, 1.0 / 400, POSES).x[0] for steps in (200, 400))
     if share < 1.0:
         assert abs(end[0] - half[0]) < 1e-12
@@ -53,7 +52,7 @@ def draped(n):
     shape = geometry(plane(normal=(0.1, 0.995, 0.0)), friction=0.4)
     contact = contact_for(shape, fabric.mass, 500.0)
     move(contact, 1.0)
-    return make_system(fabric, DOWN, 0.7, (Term("contact", contact),))
+    return make_system(fabric, DOWN, 0.7, (Term("contact", (contact,)),))
 
 
 def test_contact_and_friction_are_solved_together_with_the_cloth():
@@ -68,9 +67,8 @@ def test_contact_and_friction_are_solved_together_with_the_cloth():
 def test_bound_vertices_end_where_their_body_is_and_pull_the_rest():
     fabric = chain(5, 1e3, 1e-2)
     local = fabric.position[:1].copy()
-    term = Term("bindings", (np.array([0], np.int32), local, np.array([0], np.int32)))
-    assert make_bindings(*term.data).vertices.size == 1
-    system = make_system(fabric, terms=(term,))
+    carried = Carried(np.array([0], np.int32), local, np.array([0], np.int32))
+    system = make_system(fabric, carried=(carried,))
     moved = Poses(0.5, np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]]))
     state = advance(system, 500, 1e-3, (STILL, moved))
     np.testing.assert_allclose(state.x[0], [0.0, 1.0, 0.0], atol=1e-15)

@@ -72,7 +72,10 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
     parts = {"springs": fabric.springs, "hinges": fabric.hinges, "yarns": fabric.yarns}
     counts = [f"{part.number:,} {name}" for name, part in parts.items() if part is not None]
     terms = [name for name, part in parts.items() if part is not None]
-    terms += sorted({term.kind for term in simulation.system.terms})
+    terms += [
+        *(["attachments"] if simulation.system.carried else []),
+        *sorted({t.name for t in simulation.system.terms}),
+    ]
     return [
         ("fabric", ", ".join([f"{fabric.number:,} vertices", *counts])),
         ("terms", ", ".join(terms) or "gravity and inertia only"),

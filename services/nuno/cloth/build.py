@@ -18,7 +18,7 @@ from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.plugin import System, Term
+from nuno_schemas.plugin import Carried, System, Term
 from nuno_schemas.scene import Scene
 
 BYTES_PER_VERTEX = 400
@@ -161,13 +161,13 @@ def check_texture(fabric: Fabric, name: str) -> None:
 
 def bind(
     loaded: Loaded, fabric: Fabric, pieces: list[Piece], geometry: Geometry | None, poses: Poses | None
-) -> list[Term]:
-    """Terms that carry bound vertices along with their frames.
+) -> list[Carried]:
+    """Bound vertices, and where they are in the frames that carry them along.
 
     Local coordinates are those of the start, so cloth is put on where the scene places it.
     Raises BadInput for a body or frame that does not exist, or that the cloth is far from.
     """
-    terms = []
+    carried = []
     frames = geometry.frames if geometry else ()
     for binding in fabric.bindings:
         name = f"{binding.body}/{binding.frame}"
@@ -183,8 +183,8 @@ def bind(
             raise loaded.at(f"objects[{piece}].model.attach", error) from None
         turn = rotation_matrices(poses.rotation[index])
         local = (fabric.position[binding.vertices] - poses.translation[index]) @ turn
-        terms.append(Term("bindings", (binding.vertices, local, np.full(len(local), index, np.int32))))
-    return terms
+        carried.append(Carried(binding.vertices, local, np.full(len(local), index, np.int32)))
+    return carried
 
 
 def build_system(
@@ -192,14 +192,15 @@ def build_system(
 ) -> System:
     """The fabric and everything that acts on it; poses are those of t = 0. Raises BadInput."""
     gravity = np.array(loaded.scene.gravity)
-    terms = bind(loaded, fabric, pieces, geometry, poses)
+    carried = tuple(bind(loaded, fabric, pieces, geometry, poses))
+    terms = []
     for i, force in enumerate(loaded.forces):
         terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
     fields = {body.name: of.field for body, of in zip(loaded.scene.bodies, loaded.contacts, strict=True)}
     for contact, bodies in group_contacts(loaded):
         if geometry is not None and len((own := geometry.of_bodies(bodies)).kind):
             terms.append(_prepared(loaded, contact.field, contact, fabric, own, gravity, fields=fields))
-    return System(fabric, gravity, _start_damping(loaded.scene), tuple(terms), threads)
+    return System(fabric, gravity, _start_damping(loaded.scene), tuple(terms), threads, carried)
 
 
 def group_contacts(loaded: Loaded) -> list[tuple[Chosen, list[int]]]:

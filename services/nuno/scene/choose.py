@@ -119,7 +119,7 @@ def _reads_velocity(system: System) -> bool:
     """Whether forces may depend on velocities: leapfrog then takes two evaluations a step."""
     springs = system.fabric.springs
     damped = springs is not None and bool((springs.c != 0.0).any())
-    return damped or system.damping != 0.0 or any(term.kind != "bindings" for term in system.terms)
+    return damped or system.damping != 0.0 or bool(system.terms)
 
 
 def _try_all(loaded: Loaded, trials: Trials, start: Method | None, accuracy: Accuracy) -> list[Found]:
@@ -146,7 +146,7 @@ def implicit_evaluations(vertices: int) -> int:
 
 def _others(system: System, start: Method | None) -> list[str]:
     """What may be cheaper than the first method. Forces jump where cloth lands or slips: no order helps there."""
-    contact = any(term.kind == "contact" for term in system.terms)
+    contact = any(term.name == "contact" for term in system.terms)
     stiff = start is None or start.fewest > implicit_evaluations(system.fabric.number)
     return [*(() if contact else HIGHER), *((IMPLICIT,) if stiff else ())]
 

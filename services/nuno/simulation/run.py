@@ -149,7 +149,7 @@ class Simulation(Changing):
                 self.system = replace(self.system, damping=self.relaxation.damping)
             report = plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
             # A frame that changes nothing is followed by frames that change nothing.
-            timeless = all(term.kind != "python" for term in self.system.terms)
+            timeless = not any(term.in_python for term in self.system.terms)
             self._still = bool(before) and timeless and report.status == "ok" and before == self._content()
             self._report = report
         self.frame += 1

@@ -1,0 +1,194 @@
+"""What acts on cloth, as typed terms: a NamedTuple of arrays, and the compiled functions that go with its type.
+
+A system holds tuples of terms. numba compiles a step for just the types in them: `each` makes a function over such a
+tuple that calls, term by term, the kernel that the term's type has for a role, and nothing for types without it. A
+type's kernels are told once, where they stand, by `register`; nothing lists the types there are.
+
+A term in the tuple can be switched off without another type, so that nothing is compiled anew: a mask goes with the
+tuple, and each call asks it once. Not chosen: `literal_unroll`, which compiles a loop's body once for every type with
+all that surrounds it; recursion over the tuple, whose every level is optimised once more with all that it calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pkgutil import resolve_name
+from typing import Any, NamedTuple
+
+import numba
+from numba import prange
+from numba.extending import overload
+
+from nuno_kernels import FLAGS
+from nuno_schemas.errors import BadInput
+
+
+class Measured(NamedTuple):
+    """What a term's energy comes with: energy [J]; of springs also the largest |d| / L - 1, the smallest |d| > 0 [m]
+    and how many have none.
+    """
+
+    energy: float
+    stretch: float = 0.0
+    shortest: float = float("inf")
+    zero_length: int = 0
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """The compiled functions of one type of term; what a type has no use for is None.
+
+    Compiled: x, v (3, n) positions and velocities, s the fraction of the frame, `threads` None or how many.
+
+    block(term, block, origin, x, v, force)        adds newtons to the block's force (3, w), column 0 vertex `origin`
+    after(term, x, v, s, a, threads)               adds newtons to a (3, n) once all blocks are done
+    place(term, x, v, s)                           puts vertices where they are carried to, before forces are found
+    settle(term, x, v, s, threads)                 remembers what a whole step has led to
+    hold(term, x, v, s, threads)                   moves vertices after a step
+    slow(term, x, v, threads)                      holds velocities off what `hold` found
+    fill(term, rows, block, x, before, rate, floor, follow)   writes the rows of the term's matrix; see
+                                                   nuno_kernels.matrix
+    diagonal(term, rows, block, origin, out)       adds the matrix' diagonal blocks to (6, w)
+    multiply(term, rows, block, origin, u, out)    adds the matrix' product with u (3, n) to out (3, w)
+    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.factor
+
+    carry(term, x, u, y, w, s)                     of xpbd: displacements u of carried vertices; y, w (3, n) are scratch
+    project(term, x, u, y, w, s, inverse_step, mobility, held, threads)   of xpbd: solves for a body; see
+                                                   nuno_kernels.contact_projection
+
+    Called from Python:
+
+    energy(term, x) -> float or Measured           energy [J]
+    tension(term, x) -> float                      the largest single force [N]
+    stiffest(term) -> float                        the largest stiffness [N/m]
+    turning(term, before, x, d) -> float           see nuno_kernels.tension.turning_work
+    rows(term) -> tuple                            room for the matrix: see nuno_kernels.linear_layout
+    elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
+    interval(term, start, end)                     writes the bodies' poses over a frame into the term
+    begin(term, x)                                 before an interval's first step
+    approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
+    unbalance(term, x, force)                      holds forces (3, n) off bodies, in place
+    counts(term) -> mapping                        counts for a step's report
+    """
+
+    name: str
+    """What a report calls it; several types of one force share a name."""
+    lags: bool = True
+    """Whether a method that has no constraint for it may take it as at the step's start."""
+    memory: tuple[str, ...] = ()
+    """Fields that are part of the state."""
+    reads_velocity: Callable[[Any], bool] = lambda term: False
+    block: Any = None
+    after: Any = None
+    place: Any = None
+    settle: Any = None
+    hold: Any = None
+    slow: Any = None
+    carry: Any = None
+    project: Any = None
+    fill: Any = None
+    diagonal: Any = None
+    multiply: Any = None
+    assemble: Any = None
+    energy: Any = None
+    tension: Any = None
+    stiffest: Any = None
+    turning: Any = None
+    rows: Any = None
+    elements: Any = None
+    begin: Any = None
+    interval: Any = None
+    approach: Any = None
+    unbalance: Any = None
+    counts: Any = None
+
+    def find(self, role: str) -> Any:
+        """What is done in a role, None for nothing."""
+        found = getattr(self, role)
+        return resolve_name(found) if isinstance(found, str) else found
+
+    def all(self) -> list[Any]:
+        """What is done in all roles."""
+        roles = [one.name for one in fields(self) if one.name not in ("name", "lags", "memory")]
+        return [found for role in roles if (found := self.find(role)) is not None]
+
+
+def register(kind: type, **roles: Any) -> None:
+    """Tell kernels of a type of term, a NamedTuple of arrays and numbers (not of tuples: threads take none).
+
+    Fields of Kernels by name, `name` at first. A role may be given as "module:function": it is then loaded where a
+    solver first asks for it. More roles may be told later.
+    """
+    known = getattr(kind, "kernels", None)
+    kind.kernels = Kernels(**roles) if known is None else replace(known, **roles)  # type: ignore[attr-defined]
+
+
+def kernels_of(term: Any) -> Kernels:
+    """The kernels of a term. Raises BadInput for one of a type that has none."""
+    found = getattr(type(term), "kernels", None)
+    if not isinstance(found, Kernels):
+        raise BadInput(
+            f"no kernels for a force of type {type(term).__name__!r}",
+            field="forces",
+            limit="a type that nuno_kernels.terms.register knows, or a function f(x, v, t, out)",
+        )
+    return found
+
+
+def role_of(kind: type, role: str) -> Any:
+    """What terms of a type do in a role, None for nothing."""
+    kernels: Kernels = kind.kernels  # type: ignore[attr-defined]
+    return kernels.find(role)
+
+
+def _define(name: str, parameters: str, body: str, **scope: Any) -> Any:
+    """A function made from source: numba has no other way to call by a tuple's types."""
+    exec(f"def {name}({parameters}):\n{body or '    pass'}\n", scope)
+    return scope[name]
+
+
+def each(role: str, parameters: str, linear: bool = False) -> Any:
+    """A function f(terms, on, <parameters>) for kernels: calls all terms' kernels of this role, in their order.
+
+    `linear` ones take (terms, on, rows, <parameters>), and each kernel its term's rows after the term.
+    """
+    head = f"terms, on, rows, {parameters}" if linear else f"terms, on, {parameters}"
+    own = "terms[{0}], rows[{0}]" if linear else "terms[{0}]"
+    call = "    if on[{0}]:\n        kernel{0}(" + own + ", " + parameters + ")\n"
+
+    def build(kinds: Any) -> Any:
+        kernels = {f"kernel{k}": role_of(kind.instance_class, role) for k, kind in enumerate(kinds)}
+        lines = [call.format(k) for k in range(len(kinds)) if kernels[f"kernel{k}"] is not None]
+        return _define("each", head, "".join(lines), **kernels)
+
+    return _overloaded(head, build)
+
+
+def each_block(one: Any, parameters: str, linear: bool = False) -> Any:
+    """A function f(terms, on, <parameters>, blocks) for kernels, with `rows` after `on` where it is `linear`: calls
+    one(block, terms, on, <parameters>) for every block, on several threads.
+
+    Threads take no tuple of tuples, so that each term is an argument of its own on the way there.
+    """
+    tuples = ("terms", "rows") if linear else ("terms",)
+    head = f"{', on, '.join(tuples) if linear else 'terms, on'}, {parameters}, blocks"
+
+    def build(kinds: Any) -> Any:
+        apart = {name: "".join(f"{name}{k}, " for k in range(len(kinds))) for name in tuples}
+        joined = ", on, ".join(f"({apart[name]})" for name in tuples) + ("" if linear else ", on")
+        body = f"    for block in prange(blocks):\n        one(block, {joined}, {parameters})"
+        loop = _define("loop", f"{''.join(apart.values())}on, {parameters}, blocks", body, one=one, prange=prange)
+        given = "".join(f"{name}[{k}], " for name in tuples for k in range(len(kinds)))
+        body = f"    loop({given}on, {parameters}, blocks)"
+        return _define("each", head, body, loop=numba.njit(parallel=True, **FLAGS)(loop))
+
+    return _overloaded(head, build)
+
+
+def _overloaded(parameters: str, build: Callable[[Any], Any]) -> Any:
+    """A function that compiled code calls as the one that `build` makes for the types in its first parameter."""
+    called = _define("called", parameters, "")
+    typed = _define("typed", parameters, "    return build(terms.types)", build=build)
+    overload(called, jit_options=FLAGS)(typed)
+    return called
