@@ -12,7 +12,8 @@ from nuno_cloth.quantities import AirDensity, Angle, Newtons, Ratio
 from nuno_kernels.wind import ParticleWind, prepare_wind
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.plugin import Config, Term
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import Term
 
 
 class WindConfig(Config):

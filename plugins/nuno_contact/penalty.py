@@ -12,7 +12,8 @@ from nuno_kernels.contact import make_contact
 from nuno_schemas.bodies import MESH, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.plugin import Config, Term
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import Term
 
 REST_DEPTH = 5e-4
 """A vertex at rest under its own weight sinks no deeper than this [m] ..."""

@@ -14,7 +14,8 @@ from nuno_kernels.surface_tree import build_tree
 from nuno_schemas.bodies import FIELD, OF_TRIANGLES, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.plugin import Config, Term
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import Term
 
 
 class SlidingConfig(Config):

@@ -35,7 +35,8 @@ from nuno_kernels.simd import WIDTH
 from nuno_kernels.stability import measure_rates, stable_step
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import Config, StepLimit, System
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import StepLimit, System
 
 OF_LIMIT = 0.95
 """Largest step as a share of the stable one, which is measured at the start. The estimate alone lets steps

@@ -26,7 +26,7 @@ from nuno_kernels.stability import measure_rates, stable_step
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Memory, State
-from nuno_schemas.plugin import Forces, StepLimit, StepReport, System
+from nuno_schemas.system import Forces, StepLimit, StepReport, System
 
 
 @dataclass

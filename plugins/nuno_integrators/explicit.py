@@ -9,7 +9,8 @@ from pydantic import BaseModel
 
 from nuno_integrators.compiled import Compiled, Told, Work, source_of
 from nuno_kernels.acceleration import Packed
-from nuno_schemas.plugin import Config, System
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import System
 
 
 class NoConfig(Config):

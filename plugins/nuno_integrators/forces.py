@@ -12,7 +12,7 @@ from nuno_kernels.terms import kernels_of, role_of
 from nuno_kernels.yarn_tension import link_tensions
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.plugin import Forces, System
+from nuno_schemas.system import Forces, System
 
 
 def own_bodies(packed: Packed) -> Packed:

@@ -26,7 +26,8 @@ from nuno_kernels.acceleration import Packed, commit, evaluate
 from nuno_kernels.newton import Stage, compile_stage, limit_approach, make_stage, solve_stage
 from nuno_kernels.solver import Counts, prefer_factors
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.plugin import Config, StepLimit, System
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import StepLimit, System
 
 Limits = tuple[float, int]
 

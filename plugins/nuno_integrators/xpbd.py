@@ -31,7 +31,8 @@ from nuno_kernels.stability import measure_rates, stable_step
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.plugin import Config, StepLimit, System, Term
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import StepLimit, System, Term
 
 SPRINGS: tuple[type[SpringRuns] | type[SpringLists], ...] = (SpringRuns, SpringLists)
 CONSTRAINTS = ("springs", "hinges")

@@ -13,7 +13,7 @@ from nuno_kernels.hinges import pack_hinges
 from nuno_kernels.spring_packing import pack_springs
 from nuno_kernels.terms import kernels_of, role_of
 from nuno_schemas.fabric import Bool, Fabric, Float
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 PARALLEL_FROM = 4096
 """Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""

@@ -23,7 +23,7 @@ from nuno_kernels.energy import measure_energy
 from nuno_kernels.packing import Extra, pack, python_terms, reads_velocity, silence_bodies, to_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Fabric, Float, Springs, State
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 FEWEST, MOST, CHECK = 24, 160, 8
 """Lanczos steps: at least, at most, and between looks at the residual."""

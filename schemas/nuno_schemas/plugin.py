@@ -7,12 +7,11 @@ failure is a returned status, not hidden state.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from nuno_schemas.bodies import Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.field import DistanceField
+from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term
 
 GROUPS: Mapping[str, str] = {
     "nuno.models": "build a fabric: sheet, skirt, mesh, net",
@@ -51,111 +51,6 @@ class Files(Protocol):
     def resolve(self, name: str) -> Path:
         """The path of an existing file. Raises BadInput for one outside the roots or missing."""
         ...
-
-
-@dataclass(frozen=True)
-class Term:
-    """One force, prepared for one fabric.
-
-    `data` is a tuple of typed terms, each a NamedTuple of arrays whose type has compiled kernels
-    (nuno_kernels.terms): they are fused into the compiled step. Or it is a function f(x, v, t, out) in plain
-    Python, which adds newtons to `out` (n, 3) and is called at every evaluation, with x and v (n, 3) that are its own.
-    """
-
-    name: str
-    data: tuple[Any, ...] | Callable[[Float, Float, float, Float], None]
-    omega_squared: float = 0.0
-    """Most this term can add to the squared angular frequency [1/s^2] where it is not active
-    at the start (contact); terms active at the start leave 0 and are measured."""
-    damping_rate: float = 0.0
-    """Likewise for the damping rate c/m [1/s]."""
-    facts: Mapping[str, float] = field(default_factory=dict)
-    """Numbers for the report: of contact the depth m g / k at which it rests ("rest_depth", [m]), and by how much more
-    than Coulomb's law says its friction lets go what starts to slide ("slip_speed", [m/s])."""
-
-    @property
-    def in_python(self) -> bool:
-        """Whether it is called from Python at every evaluation."""
-        return callable(self.data)
-
-
-@dataclass(frozen=True)
-class Carried:
-    """Pinned vertices (b,) that move rigidly with frames of bodies: where each is in its frame, local (b, 3) [m], and
-    the frame's number, frame (b,).
-    """
-
-    vertices: NDArray[Any]
-    local: Float
-    frame: NDArray[Any]
-
-
-@dataclass(frozen=True)
-class System:
-    """A fabric and everything that acts on it."""
-
-    fabric: Fabric
-    gravity: Float
-    """(3,) [m/s^2]"""
-    damping: float = 0.0
-    """Viscous damping per unit mass [1/s]: a -= damping v."""
-    terms: tuple[Term, ...] = ()
-    threads: int = 1
-    """Most threads a kernel may use; the result is the same to the last bit."""
-    carried: tuple[Carried, ...] = ()
-
-
-@dataclass(frozen=True)
-class StepLimit:
-    """How far a step may go.
-
-    dt [s], inf where nothing limits it; omega [1/s] largest angular frequency;
-    damping [1/s] largest rate of velocity damping; resolved [s] up to which a method that solves
-    its steps only in part reaches the accuracy that it is configured for, inf for any other.
-    """
-
-    dt: float
-    omega: float
-    damping: float
-    resolved: float = math.inf
-
-
-@dataclass(frozen=True)
-class StepReport:
-    """What an integrator did in a frame."""
-
-    status: Literal["ok", "diverged", "unconverged"]
-    steps: int
-    message: str = ""
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    """Wall time per part [s], e.g. {"forces": .., "contact": ..}, where it can be told apart."""
-    counts: Mapping[str, int] = field(default_factory=dict)
-    """The state at the end: skipped zero-length springs, contacts."""
-    energy: Mapping[str, float] = field(default_factory=dict)
-    """Energy at the end by kind [J]: kinetic, gravitational, springs, hinges."""
-    stretch: float = 0.0
-    """Largest |d| / rest - 1 over the springs at the end."""
-    totals: Mapping[str, int] = field(default_factory=dict)
-    """What adds up over a run: rejected steps, evaluations, iterations of a solver."""
-    unbalance: float = math.inf
-    """Of a scene until balance: how far the vertex farthest from rest is from it; see Integrator.unbalance."""
-    unsettled: int = 0
-    """Of a scene until balance: vertices farther from rest than it allows."""
-
-
-@dataclass(frozen=True)
-class Forces:
-    """What acts on a fabric in one state, by the laws of its scene, whatever the solver makes of them in a step."""
-
-    parts: Mapping[str, Float]
-    """(n, 3) [N] by kind, as far as there is any: gravity, damping (of the scene), springs (with their own damping),
-    hinges, yarns (tension that passes along them), wind, particle_wind, python, contact. All act on vertices that are
-    held or carried, too, which do not follow them. Sliding contact is no law of force: what it says is what surfaces
-    and friction hold against the other forces, as on a vertex at rest."""
-    acceleration: Float
-    """(n, 3) [m/s^2] the sum of all over the mass; 0 for vertices that are held or carried"""
-    tension: Float
-    """(s,) [N] along each spring, with what it takes over along its yarn, without damping; > 0 pulls"""
 
 
 class Model(Protocol):

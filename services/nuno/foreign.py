@@ -19,7 +19,8 @@ from nuno.wrong import Wrong, check_array
 from nuno_schemas.dye import DyeState, Isotherm
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.plugin import Mover, Term
+from nuno_schemas.plugin import Mover
+from nuno_schemas.system import Term
 
 LOGGER = logging.getLogger("nuno.plugins")
 ARRAYS: dict[type, tuple[str, ...]] = {State: ("x", "v"), DyeState: ("phi", "fixed")}

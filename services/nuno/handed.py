@@ -20,7 +20,8 @@ from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Binding, Fabric, Hinges, Memory, Springs, State
 from nuno_schemas.field import DistanceField
 from nuno_schemas.operation import Outcome
-from nuno_schemas.plugin import BodyShape, Mover, StepLimit, StepReport, Term
+from nuno_schemas.plugin import BodyShape, Mover
+from nuno_schemas.system import StepLimit, StepReport, Term
 from nuno_schemas.yarns import Yarns
 
 UNIT = 1e-6

@@ -15,7 +15,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.verify import Again
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.plugin import Forces
+from nuno_schemas.system import Forces
 
 if TYPE_CHECKING:
     from nuno.dye.verify import DyeAgain

@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from nuno_schemas.fabric import Fabric, Float, Springs, State
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 PLUGINS = [point.load()() for point in sorted(entry_points(group="nuno.integrators"), key=lambda p: p.name)]
 OMEGA, DAMPING = 3.0, 0.6

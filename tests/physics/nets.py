@@ -11,7 +11,7 @@ from nuno_kernels.blocks import BLOCK, PADDING, block_count
 from nuno_kernels.packing import pack, python_terms, to_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs, State
-from nuno_schemas.plugin import Carried, System, Term
+from nuno_schemas.system import Carried, System, Term
 
 NO_GRAVITY = np.zeros(3)
 

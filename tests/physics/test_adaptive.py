@@ -10,7 +10,7 @@ import pytest
 from nuno_integrators.adaptive import Dop853, Dopri5
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Springs, State
-from nuno_schemas.plugin import System, Term
+from nuno_schemas.system import System, Term
 
 FRAME = 0.1
 PLUGINS = pytest.mark.parametrize("plugin", [Dopri5(), Dop853()], ids=lambda p: p.name)

@@ -14,7 +14,7 @@ from nuno_integrators.rk4 import RK4
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.bodies import Poses, rotation_matrices
 from nuno_schemas.fabric import Float, Springs
-from nuno_schemas.plugin import Carried
+from nuno_schemas.system import Carried
 
 METHODS = [Euler(), SymplecticEuler(), Leapfrog(), RK4()]
 

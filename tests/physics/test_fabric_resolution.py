@@ -15,7 +15,7 @@ from nuno_cloth.sheet import Sheet, SheetConfig
 from nuno_cloth.skirt import Skirt, SkirtConfig
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 GRAVITY = 9.81
 NUMBERS = (24, 32, 128)

@@ -14,7 +14,7 @@ from nuno import registry
 from nuno_cloth.wind import ParticleWindForce
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.plugin import Forces, Term
+from nuno_schemas.system import Forces, Term
 
 
 def push(x: Float, v: Float, t: float, out: Float) -> None:

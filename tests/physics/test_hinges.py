@@ -11,7 +11,7 @@ from nuno_kernels.energy import measure_energy
 from nuno_kernels.hinges import HingeLists, HingeRuns, hinge_angles
 from nuno_kernels.packing import pack, to_rows
 from nuno_schemas.fabric import Float, Hinges
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 
 def sheet(rows: int, columns: int, spacing: float = 0.1) -> Float:

@@ -18,7 +18,7 @@ from nuno_kernels.matrix import fill, make_linear
 from nuno_kernels.packing import pack, to_rows
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Hinges, Springs
-from nuno_schemas.plugin import Term
+from nuno_schemas.system import Term
 
 PLUGINS = pytest.mark.parametrize("plugin", [ImplicitEuler(), TRBDF2()], ids=lambda p: p.name)
 DOWN = np.array([0.0, -G, 0.0])

@@ -24,7 +24,7 @@ from nuno_kernels.yarns import YarnLists
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Term
+from nuno_schemas.system import Term
 
 
 @pytest.mark.parametrize("plugin", ALL, ids=name)

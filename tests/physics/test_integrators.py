@@ -16,7 +16,7 @@ from nuno_integrators.leapfrog import Leapfrog
 from nuno_integrators.rk4 import RK4, RK4Printed
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.fabric import Float, Springs
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 
 def oscillator(omega: float, damping: float, x: Float, v: Float) -> System:

@@ -23,7 +23,7 @@ from nuno_kernels.packing import pack, to_rows
 from nuno_kernels.stability import measure_rates
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Springs
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 K, K_LOCK, LOCK, REST, MASS, G = 5.0, 80.0, 0.3, 0.4, 0.2, 10.0
 

@@ -12,7 +12,7 @@ from nuno.cloth import build
 from nuno.scene import scene_file
 from nuno_integrators.pace import BETTER, TRY_AGAIN, Pace
 from nuno_integrators.symplectic_euler import SymplecticEuler
-from nuno_schemas.plugin import System, Term
+from nuno_schemas.system import System, Term
 
 
 def frames(pace: Pace, number: int, seconds: dict[int, float]) -> list[int]:

@@ -18,7 +18,7 @@ from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_integrators.xpbd import XPBD
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Memory, State
-from nuno_schemas.plugin import System, Term
+from nuno_schemas.system import System, Term
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 SKIRT: dict[str, Any] = {"columns": 32, "rows": 9, "fullness": 1.3, "pleats": 4, "fabric": "jacket"}

@@ -16,7 +16,7 @@ from nuno_kernels.balance import hold_forces
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, Springs, State
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 STILL = np.array([[1.0, 0.0, 0.0, 0.0]])
 GAP = 5e-5

@@ -22,7 +22,7 @@ from nuno_integrators.rk4 import RK4
 from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_kernels.stability import critical_step, measure_rates, spectral_radius
 from nuno_schemas.fabric import Float, Springs
-from nuno_schemas.plugin import System, Term
+from nuno_schemas.system import System, Term
 
 PLUGINS = [Euler(), SymplecticEuler(), Leapfrog(), RK4()]
 

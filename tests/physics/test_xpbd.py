@@ -13,7 +13,7 @@ from xpbd_nets import DOWN, advance, chain, sheet
 from nuno_integrators.adaptive import Dop853
 from nuno_integrators.implicit import ImplicitEuler
 from nuno_integrators.xpbd import XPBD
-from nuno_schemas.plugin import Term
+from nuno_schemas.system import Term
 
 
 @pytest.mark.parametrize("shuffle", [False, True])

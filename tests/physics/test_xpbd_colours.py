@@ -14,7 +14,7 @@ from nuno_integrators.xpbd import XPBD
 from nuno_kernels.constraint_packing import find_batches, pack_constraints
 from nuno_kernels.packing import pack
 from nuno_schemas.fabric import Springs
-from nuno_schemas.plugin import Term
+from nuno_schemas.system import Term
 
 
 def test_any_number_of_threads_gives_equal_bytes(monkeypatch):

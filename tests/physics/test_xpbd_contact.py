@@ -13,7 +13,7 @@ from xpbd_nets import DOWN, POSES, STILL, advance, chain, sheet
 from nuno_integrators.implicit import ImplicitEuler
 from nuno_integrators.xpbd import XPBD
 from nuno_schemas.bodies import Poses
-from nuno_schemas.plugin import Carried, Term
+from nuno_schemas.system import Carried, Term
 
 
 @pytest.mark.parametrize("iterations", [1, 8])

@@ -24,7 +24,7 @@ from nuno_kernels.stability import measure_rates
 from nuno_kernels.yarns import YarnLists, pack_yarns
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Springs
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 from nuno_schemas.yarns import Yarns
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from nets import make_fabric, make_system
 
 from nuno_schemas.fabric import Fabric, Float, Springs
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 from nuno_schemas.yarns import Yarns
 
 

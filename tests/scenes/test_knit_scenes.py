@@ -14,7 +14,7 @@ from nuno_kernels import solver
 from nuno_kernels.acceleration import evaluate
 from nuno_kernels.packing import pack, to_rows
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 LEGS = 90
 """Of 9 courses and 10 columns; arcs follow."""

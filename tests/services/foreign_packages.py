@@ -9,7 +9,8 @@ import pytest
 
 HEAD = """\
 import numpy as np
-from nuno_schemas.plugin import Config, Mover, Term
+from nuno_schemas.plugin import Config, Mover
+from nuno_schemas.system import Term
 """
 
 

@@ -22,7 +22,8 @@ from nuno_bench.precision.sweep import MORE, Runner
 from nuno_bench.problem.observe import Problem, simulate
 from nuno_bench.problem.reference import GROUP, Reference
 from nuno_integrators.symplectic_euler import SymplecticEuler
-from nuno_schemas.plugin import Config, StepReport
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import StepReport
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from nuno.scene.scene_file import Chosen, Loaded
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
-from nuno_schemas.plugin import Carried, System, Term
 from nuno_schemas.scene import Scene
+from nuno_schemas.system import Carried, System, Term
 
 BYTES_PER_VERTEX = 400
 """What a run of cloth takes at most per vertex whose springs and hinges are runs along rows, as on

@@ -49,7 +49,7 @@ def export_forces(source: Recording | Path | str, path: Path, frame: int | None 
     """Write what acts on cloth in a frame (default: the last), and the state it acts in, as float64 arrays.
 
     x, v, acceleration and force_KIND (n, 3), mass and pinned (n,), spring_pairs (s, 2), spring_k, spring_rest,
-    spring_c and spring_tension (s,), frame and t: SI units; see nuno_schemas.plugin.Forces. Raises BadInput for a
+    spring_c and spring_tension (s,), frame and t: SI units; see nuno_schemas.system.Forces. Raises BadInput for a
     recording of dye alone, a frame that is not in it, and where the file cannot be written.
     """
     with opened(source) as recording:

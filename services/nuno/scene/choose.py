@@ -20,8 +20,8 @@ from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST, Loaded
 from nuno.scene.trials import Method, Trials
 from nuno_schemas.errors import BadInput
-from nuno_schemas.plugin import System
 from nuno_schemas.solver import AUTO, Accuracy
+from nuno_schemas.system import System
 
 PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
 """Distance to the exact motion, root mean square over vertices and frames, as a share of the cloth's size (the

@@ -15,7 +15,7 @@ import numpy as np
 from nuno.cloth import build
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 DISTURBANCE, GROWTH = 1e-9, 1e3
 """A run disturbed by that share of the size is compared with as long as the disturbance has not grown more than

@@ -16,7 +16,7 @@ from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, Memory, State
 from nuno_schemas.operation import Outcome
-from nuno_schemas.plugin import StepReport
+from nuno_schemas.system import StepReport
 
 
 class Changing(ABC):

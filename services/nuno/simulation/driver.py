@@ -26,7 +26,7 @@ from nuno.wire.lockstep import CONTROL, WINDOW, Lockstep
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import CHECKPOINT, FABRIC, STATE, STATUS, Status
-from nuno_schemas.plugin import StepReport
+from nuno_schemas.system import StepReport
 
 NOW = "sim/ask/now"
 """What to ask for the cloth as it is: who comes late has missed `sim/fabric`, and a paused run sends no state."""

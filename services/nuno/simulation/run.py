@@ -22,7 +22,7 @@ from nuno.simulation.relax import BALANCED, Relaxation, unsettled
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, Memory, State
-from nuno_schemas.plugin import Forces, StepLimit, StepReport, System
+from nuno_schemas.system import Forces, StepLimit, StepReport, System
 
 REST_SPEED, REST_TIME = 1e-3, 0.1
 """Cloth rests when no vertex has been faster than this share of the cloth's size a second for this long [s]:

@@ -15,7 +15,7 @@ from nuno.verify import Again, remembered
 from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.bodies import Poses
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS
-from nuno_schemas.plugin import Forces
+from nuno_schemas.system import Forces
 
 
 class ClothAgain(Again):

@@ -25,7 +25,7 @@ from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import StepReport
+from nuno_schemas.system import StepReport
 
 INTEGRATORS = ("euler", "symplectic_euler", "rk4", "rk4_printed")
 SPLIT = "bodies.0.collider.split"

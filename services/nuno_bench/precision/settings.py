@@ -14,7 +14,7 @@ from nuno_bench.options import require_known
 from nuno_bench.problem.posing import AnyProblem
 from nuno_bench.report.result import number
 from nuno_schemas.errors import BadInput
-from nuno_schemas.plugin import StepLimit
+from nuno_schemas.system import StepLimit
 
 SHARES = (0.9, 0.5, 0.25, 0.1, 0.05, 0.025)
 """Of the stability limit."""

@@ -15,7 +15,7 @@ import numpy as np
 from nuno.cloth import build
 from nuno_bench.problem.observe import Problem, Run, Watch
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import StepReport, System
+from nuno_schemas.system import StepReport, System
 
 MOST_VERTICES = 200
 """Larger matrices would lose more to rounding than two numerical references do."""

@@ -21,7 +21,7 @@ from nuno_bench.problem.observe import Run, Series, check_memory
 from nuno_schemas.dye import DyeState
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import StepLimit
+from nuno_schemas.system import StepLimit
 
 AMOUNTS = "amounts"
 SCHEME = "explicit"

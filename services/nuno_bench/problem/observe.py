@@ -25,7 +25,7 @@ from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import StepLimit, StepReport, System
+from nuno_schemas.system import StepLimit, StepReport, System
 
 KEPT_TRAJECTORIES = 4
 """Reference, its check, its twin and the run being judged lie in memory together."""

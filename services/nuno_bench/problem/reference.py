@@ -16,7 +16,7 @@ from nuno_bench.problem.closed_form import closed_form
 from nuno_bench.problem.observe import Problem, Run, simulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
-from nuno_schemas.plugin import StepReport
+from nuno_schemas.system import StepReport
 
 GROUP = "nuno.integrators"
 PRIMARY, CHECK = "dop853", "dopri5"

@@ -18,7 +18,7 @@ from nuno_bench.sweep.packed import Packed, unpacked
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 CLASSES = ("exact", "accurate", "damped away", "drifting", "diverged", "refused", "left out")
 EXACT, ACCURATE = 1e-3, 5e-2

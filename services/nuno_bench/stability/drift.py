@@ -17,7 +17,7 @@ from nuno_bench.validation.laws.base import NONE, Broken, Run, make_fabric
 from nuno_bench.validation.laws.nets import random_net
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Springs
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 STEPS, CHUNK = 100_000, 1000
 OUT_OF_TIME = "the budget of time"

@@ -12,7 +12,7 @@ from nuno import registry
 from nuno.scene.files import SceneFiles
 from nuno_bench.machine import cores
 from nuno_schemas.fabric import Fabric, Int, State
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 DENSITY, STRUCTURAL, SHEAR, BENDING, DAMPING = 0.3, 8.0, 2.5, 0.4, 1e-5

@@ -11,7 +11,7 @@ import numpy as np
 
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Springs, State
-from nuno_schemas.plugin import StepReport, System
+from nuno_schemas.system import StepReport, System
 
 G = 9.81
 """Gravity of all cases [m/s^2]."""

@@ -12,7 +12,7 @@ from nuno import registry
 from nuno_bench.validation.laws.base import ACCURATE, NONE, Case, Found, G, Run, chain, choose_step, make_fabric
 from nuno_schemas.bodies import CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.plugin import System, Term
+from nuno_schemas.system import System, Term
 
 
 def body(kind: int, a: Float, b: Float, radius: float, stiffness: float, friction: float) -> Geometry:

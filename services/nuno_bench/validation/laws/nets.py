@@ -15,7 +15,7 @@ from nuno_bench.validation.laws.base import DOWN, NONE, Case, Found, G, Run, fit
 from nuno_bench.validation.laws.methods import KEEPS_ANGULAR_MOMENTUM
 from nuno_bench.validation.laws.oscillator import order_found
 from nuno_schemas.fabric import Fabric, Float, Springs
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 ROUNDING = 1e-10
 """Share of a quantity that rounding over some hundred steps may change."""

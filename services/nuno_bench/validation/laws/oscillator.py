@@ -20,7 +20,7 @@ from nuno_bench.validation.laws.base import (
 )
 from nuno_bench.validation.laws.methods import amplification, critical_step, radius
 from nuno_schemas.fabric import Float, Springs
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 OMEGA, DAMPING = 3.0, 0.6
 """[1/s]"""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 Long = NDArray[np.floating[Any]]
 COLUMNS = 6

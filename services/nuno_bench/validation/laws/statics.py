@@ -25,7 +25,7 @@ from nuno_bench.validation.laws.base import (
     make_fabric,
 )
 from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import System
+from nuno_schemas.system import System
 
 DROP = {1: 0.123471, 10: 0.700200, 100: 0.937524}
 """Drop / length of a heavy cantilever at w L^3 / B, from theta'' = -Gamma (1 - s) cos theta,
