@@ -1,0 +1,124 @@
+"""A force of another package, written as one compiled function over arrays: fused into the step as nuno's own are."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_packages import HEAD, Packages, packages
+from scenes import write_scene
+
+import nuno
+from nuno_schemas.fabric import Float
+
+__all__ = ["packages"]
+
+MAGNET = """\
+from typing import Any, NamedTuple
+
+from pydantic import Field
+
+from nuno_kernels import kernel
+from nuno_kernels.blocks import BLOCK
+from nuno_kernels.terms import register
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import Term
+
+
+class Pull(NamedTuple):
+    centre: Float
+    stiffness: float
+
+
+@kernel
+def add_pull(pull, block, origin, x, v, force):
+    for c in range(min(BLOCK, x.shape[1] - origin)):
+        for row in range(3):
+            force[row, c] += {factor} * pull.stiffness * (pull.centre[row] - x[row, origin + c])
+
+
+@kernel
+def energy_of(pull, x):
+    total = 0.0
+    for i in range(x.shape[1]):
+        for row in range(3):
+            total += 0.5 * {factor} * pull.stiffness * (pull.centre[row] - x[row, i]) ** 2
+    return total
+
+
+register(Pull, name="magnet", block=add_pull, energy=energy_of)
+
+
+class MagnetConfig(Config):
+    stiffness: float = Field(description="of the pull on each vertex [N/m]")
+
+
+class Magnet:
+    name = "magnet"
+    Config = MagnetConfig
+
+    def prepare(self, config, fabric, seed):
+        return Term("magnet", (Pull(np.array([0.1, 0.2, 0.3]), config.stiffness),))
+
+
+class Plain(Magnet):
+    name = "plain"
+
+    def prepare(self, config, fabric, seed):
+        centre = np.array([0.1, 0.2, 0.3])
+
+        def pull(x, v, t, out):
+            out += {factor} * config.stiffness * (centre - x)
+
+        return Term("plain", pull)
+"""
+
+
+def install(packages: Packages, factor: float = 1.0) -> None:
+    packages.add("magnets", MAGNET.format(factor=factor), "magnet = magnets:Magnet", "plain = magnets:Plain")
+
+
+def run(folder: Path, force: str, solver: str, **changed: object) -> nuno.Result:
+    forces = [{"plugin": force, "stiffness": 0.02}, {"plugin": "particle_wind", "strength": 1e-3}]
+    fields = {"forces": forces, "duration": 0.1, "solver": {"plugin": solver, "dt": 2e-4}} | changed
+    return nuno.run(write_scene(folder, **fields))
+
+
+@pytest.mark.parametrize("solver", ["symplectic_euler", "implicit_euler"])
+def test_it_does_what_the_same_force_does_in_python(packages: Packages, tmp_path: Path, solver: str) -> None:
+    install(packages)
+    fused, plain = (run(tmp_path, force, solver) for force in ("magnet", "plain"))
+    still = run(tmp_path, "magnet", solver, forces=[])
+    moved: Float = fused.x - still.x
+    assert np.abs(moved).max() > 1e-4
+    assert np.abs(fused.x - plain.x).max() < (1e-12 if solver == "symplectic_euler" else 1e-6)
+
+
+def test_its_energy_is_in_the_balance(packages: Packages, tmp_path: Path) -> None:
+    """Undamped, without wind: the sum of all kinds changes by what a step of first order loses, not by the pull's."""
+    install(packages)
+    forces = [{"plugin": "magnet", "stiffness": 0.02}]
+    first, last = run(tmp_path, "magnet", "symplectic_euler", forces=forces).report["energy"]
+    change = abs(last["magnet"] - first["magnet"])
+    assert change > 0.0
+    assert abs(sum(last.values()) - sum(first.values())) < 0.05 * change
+
+
+def test_what_changes_in_it_is_compiled_anew(packages: Packages, tmp_path: Path) -> None:
+    """By the next process: the kernel that is kept calls it by its type alone, and no name leads there."""
+    install(packages)
+    record, source = tmp_path / "run.mcap", packages.folder / "magnets" / "magnets.py"
+    scene = write_scene(tmp_path, duration=0.1, forces=[{"plugin": "magnet", "stiffness": 0.02}])
+    command = [sys.executable, "-m", "nuno", "run", str(scene), "--no-view", "--record", str(record)]
+    ends = []
+    for factor in ("1.0", "-1.0"):
+        source.write_text(HEAD + MAGNET.format(factor=factor))
+        subprocess.run(command, env=os.environ | {"PYTHONPATH": str(source.parent)}, check=True, timeout=120)
+        with nuno.open(record) as recording:
+            ends.append(recording.last_checkpoint().x)
+    assert np.abs(ends[0] - ends[1]).max() > 1e-4
