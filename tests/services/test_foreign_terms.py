@@ -1,15 +1,16 @@
-"""A force of another package, written as one compiled function over arrays: fused into the step as nuno's own are."""
+"""The compiled force of another package that the contributors' page shows: fused into the step as nuno's own are."""
 
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_packages import HEAD, Packages, packages
+from foreign_packages import Packages, packages
 from scenes import write_scene
 
 import nuno
@@ -17,54 +18,9 @@ from nuno_schemas.fabric import Float
 
 __all__ = ["packages"]
 
-MAGNET = """\
-from typing import Any, NamedTuple
-
-from pydantic import Field
-
-from nuno_kernels import kernel
-from nuno_kernels.blocks import BLOCK
-from nuno_kernels.terms import register
-from nuno_schemas.fabric import Float
-from nuno_schemas.plugin import Config
-from nuno_schemas.system import Term
-
-
-class Pull(NamedTuple):
-    centre: Float
-    stiffness: float
-
-
-@kernel
-def add_pull(pull, block, origin, x, v, force):
-    for c in range(min(BLOCK, x.shape[1] - origin)):
-        for row in range(3):
-            force[row, c] += {factor} * pull.stiffness * (pull.centre[row] - x[row, origin + c])
-
-
-@kernel
-def energy_of(pull, x):
-    total = 0.0
-    for i in range(x.shape[1]):
-        for row in range(3):
-            total += 0.5 * {factor} * pull.stiffness * (pull.centre[row] - x[row, i]) ** 2
-    return total
-
-
-register(Pull, name="magnet", block=add_pull, energy=energy_of)
-
-
-class MagnetConfig(Config):
-    stiffness: float = Field(description="of the pull on each vertex [N/m]")
-
-
-class Magnet:
-    name = "magnet"
-    Config = MagnetConfig
-
-    def prepare(self, config, fabric, seed):
-        return Term("magnet", (Pull(np.array([0.1, 0.2, 0.3]), config.stiffness),))
-
+PAGE = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
+SHOWN = next(code for code in re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.M | re.S) if "Magnet" in code)
+PLAIN = """
 
 class Plain(Magnet):
     name = "plain"
@@ -73,14 +29,14 @@ class Plain(Magnet):
         centre = np.array([0.1, 0.2, 0.3])
 
         def pull(x, v, t, out):
-            out += {factor} * config.stiffness * (centre - x)
+            out += config.stiffness * (centre - x)
 
         return Term("plain", pull)
 """
 
 
-def install(packages: Packages, factor: float = 1.0) -> None:
-    packages.add("magnets", MAGNET.format(factor=factor), "magnet = magnets:Magnet", "plain = magnets:Plain")
+def install(packages: Packages) -> None:
+    packages.add("magnets", SHOWN + PLAIN, "magnet = magnets:Magnet", "plain = magnets:Plain")
 
 
 def run(folder: Path, force: str, solver: str, **changed: object) -> nuno.Result:
@@ -116,8 +72,8 @@ def test_what_changes_in_it_is_compiled_anew(packages: Packages, tmp_path: Path)
     scene = write_scene(tmp_path, duration=0.1, forces=[{"plugin": "magnet", "stiffness": 0.02}])
     command = [sys.executable, "-m", "nuno", "run", str(scene), "--no-view", "--record", str(record)]
     ends = []
-    for factor in ("1.0", "-1.0"):
-        source.write_text(HEAD + MAGNET.format(factor=factor))
+    for sign in ("+=", "-="):
+        source.write_text(SHOWN.replace("+= pull.stiffness", f"{sign} pull.stiffness"))
         subprocess.run(command, env=os.environ | {"PYTHONPATH": str(source.parent)}, check=True, timeout=120)
         with nuno.open(record) as recording:
             ends.append(recording.last_checkpoint().x)
