@@ -20,7 +20,7 @@ def advance_euler(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, ex
     for step in range(steps):
         evaluate(x, v, step / steps, a, p, extra)
         add_twice(x, x, dt, v, v, v, dt, a, p.threads)
-        commit(x, v, (step + 1) / steps, p)
+        commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
 
 
 class Euler(Explicit):

@@ -102,7 +102,7 @@ class Implicit(Compiled):
     def compile(self, work: ImplicitWork, packed: Packed, extra: Any) -> None:
         compile_stage(work.stage, packed, extra, work.x, work.v)
         # By its signature: called, it would let friction forget where it holds.
-        held = (work.x, work.v, 1.0, packed)
+        held = (work.x, work.v, 1.0, packed.bodies, packed.bodies_on, packed.threads)
         kernel: Any = commit
         kernel.compile(tuple(numba.typeof(value) for value in held))
 
@@ -117,7 +117,7 @@ class Implicit(Compiled):
             ok, residual = self.attempt(work, packed, extra, start, h, span, (tolerance, PATIENCE * most))
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
-            commit(work.x, work.v, (start + h) / span, packed)
+            commit(work.x, work.v, (start + h) / span, packed.bodies, packed.bodies_on, packed.threads)
             return 1, None
         if depth == MOST_HALVINGS:
             return 0, residual

@@ -32,14 +32,14 @@ def advance_leapfrog(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any,
         if step == 0 or p.velocity_matters:
             evaluate(x, v, step / steps, a, p, extra)
         add_twice(v, v, 0.5 * dt, a, x, x, dt, v, p.threads)
-        hold(x, v, (step + 1) / steps, p)
+        hold(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
         if p.velocity_matters:
             add(u, v, 0.5 * dt, a, p.threads)
-            slow(x, u, p)
+            slow(x, u, p.bodies, p.bodies_on, p.threads)
         evaluate(x, u if p.velocity_matters else v, (step + 1) / steps, b, p, extra)
         add(v, v, 0.5 * dt, b, p.threads)
-        slow(x, v, p)
-        settle(x, v, (step + 1) / steps, p)
+        slow(x, v, p.bodies, p.bodies_on, p.threads)
+        settle(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
         a, b = b, a
 
 

@@ -42,7 +42,7 @@ def advance_rk4(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extr
                 add_twice(y, x, onward, u, u, v, onward, a, p.threads)
             else:
                 add_twice(x, nx, dt / 6.0, u, v, nv, dt / 6.0, a, p.threads)
-        commit(x, v, (step + 1) / steps, p)
+        commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
 
 
 class RK4(Explicit):

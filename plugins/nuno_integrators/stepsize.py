@@ -134,7 +134,7 @@ def advance_adaptive(
             control[PENDING] = 0.0
             b.x[:] = b.y
             b.v[:] = b.u
-            commit(b.x, b.v, control[AT] / span, p)
+            commit(b.x, b.v, control[AT] / span, p.bodies, p.bodies_on, p.threads)
             # The last slope is the next step's first, unless bodies have moved vertices or anchors.
             first = 0
             if not p.moved:

@@ -20,7 +20,7 @@ def advance_symplectic_euler(x: Any, v: Any, stages: Any, steps: int, dt: float,
     for step in range(steps):
         evaluate(x, v, step / steps, a, p, extra)
         add_twice(v, v, dt, a, x, x, dt, v, p.threads)
-        commit(x, v, (step + 1) / steps, p)
+        commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
 
 
 @kernel
@@ -32,7 +32,7 @@ def advance_at_once(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, 
     for step in range(steps):
         add_forces(here_x, here_v, step / steps, to_x, to_v, dt, p)
         here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
-        commit(here_x, here_v, (step + 1) / steps, p)
+        commit(here_x, here_v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
     if steps % 2 == 1:
         x[...] = here_x
         v[...] = here_v

@@ -173,29 +173,29 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
 
 @kernel
-def settle(x: Any, v: Any, s: float, p: Any) -> None:
+def settle(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
     """After a whole step that ends at fraction s: place carried vertices, update friction anchors."""
-    place(p.bodies, p.bodies_on, x, v, s)
-    settle_bodies(p.bodies, p.bodies_on, x, v, s, p.threads)
+    place(bodies, on, x, v, s)
+    settle_bodies(bodies, on, x, v, s, threads)
 
 
 @kernel
-def hold(x: Any, v: Any, s: float, p: Any) -> None:
+def hold(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
     """Hold vertices that have moved up to fraction s of the frame off the bodies that they slide on."""
-    hold_bodies(p.bodies, p.bodies_on, x, v, s, p.threads)
+    hold_bodies(bodies, on, x, v, s, threads)
 
 
 @kernel
-def slow(x: Any, v: Any, p: Any) -> None:
+def slow(x: Any, v: Any, bodies: Any, on: Any, threads: Any) -> None:
     """Hold velocities off the planes that hold the vertices since they were last held off."""
-    slow_bodies(p.bodies, p.bodies_on, x, v, p.threads)
+    slow_bodies(bodies, on, x, v, threads)
 
 
 @kernel
-def commit(x: Any, v: Any, s: float, p: Any) -> None:
+def commit(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
     """After a whole step that ends at fraction s: place carried vertices, hold vertices off the bodies that they slide
     on, and update friction anchors on the others by where that leaves them.
     """
-    place(p.bodies, p.bodies_on, x, v, s)
-    hold(x, v, s, p)
-    settle_bodies(p.bodies, p.bodies_on, x, v, s, p.threads)
+    place(bodies, on, x, v, s)
+    hold_bodies(bodies, on, x, v, s, threads)
+    settle_bodies(bodies, on, x, v, s, threads)

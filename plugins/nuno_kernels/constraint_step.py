@@ -128,4 +128,4 @@ def advance_xpbd(
             sweep(x, u, mobility, inverse_step, c.colour, c.runs, c.lists, c.hinges, p.threads)
             project(p.bodies, p.bodies_on, x, u, y, w, end, inverse_step, mobility, held, p.threads)
         arrive(x, v, u, inverse_step, p.threads)
-        commit(x, v, end, p)
+        commit(x, v, end, p.bodies, p.bodies_on, p.threads)

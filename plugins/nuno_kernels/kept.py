@@ -60,7 +60,9 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         return super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return (*super()._index_key(sig, codegen), self._reached)
+        """Text: to read an index of types would import, for any of its kernels, what brought them all."""
+        names = tuple(f"{kind.__module__}.{kind.__qualname__}" for kind in _classes(sig))
+        return (str(sig), names, *super()._index_key(sig, codegen)[1:], self._reached)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """See numba; a kernel that cannot be kept is compiled again by the next run."""
@@ -79,11 +81,17 @@ numba_dispatcher.FunctionCache = _Cache  # type: ignore[attr-defined]
 
 def _called_by_type(types: Any) -> Iterator[Any]:
     """What a kernel calls by the types of its arguments: the kernels of other packages' terms (nuno_kernels.terms)."""
-    for kind in types:
-        own: Any = getattr(kind, "instance_class", None)
+    for own in _classes(types):
         if hasattr(own, "kernels") and not is_known(own.__module__):
             yield from own.kernels.all()
-        yield from _called_by_type(getattr(kind, "types", ()))
+
+
+def _classes(types: Any) -> Iterator[Any]:
+    """The classes of named tuples among types, also inside of others."""
+    for kind in types:
+        if hasattr(kind, "instance_class"):
+            yield kind.instance_class
+        yield from _classes(getattr(kind, "types", ()))
 
 
 def keep(dispatcher: Any, folder: Path) -> Any:

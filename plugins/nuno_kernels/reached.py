@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 SOLVERS = ("nuno_kernels", "nuno_integrators", "nuno_dye", "nuno_wrinkle")
-"""Packages whose kernels call each other throughout, and are provided to each other while a process goes on: the folder
-of kept kernels carries a hash of all their sources."""
+"""Packages whose kernels call each other throughout: the folder of kept kernels carries a hash of all their sources."""
 KNOWN = frozenset(sys.stdlib_module_names) | {"numpy", "numba", "llvmlite"} | frozenset(SOLVERS)
 """Packages that this folder stands for; of libraries it carries the versions."""
 PLAIN = (int, float, complex, str, bytes, type(None), type(...))

@@ -12,7 +12,7 @@ all that surrounds it; recursion over the tuple, whose every level is optimised 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -117,11 +117,10 @@ class Kernels:
 def register(kind: type, **roles: Any) -> None:
     """Tell kernels of a type of term, a NamedTuple of arrays and numbers (not of tuples: threads take none).
 
-    Fields of Kernels by name, `name` at first. A role may be given as "module:function": it is then loaded where a
-    solver first asks for it. More roles may be told later.
+    Fields of Kernels by name. A role may be given as "module:function": it is then loaded where a solver first asks
+    for it.
     """
-    known = getattr(kind, "kernels", None)
-    kind.kernels = Kernels(**roles) if known is None else replace(known, **roles)  # type: ignore[attr-defined]
+    kind.kernels = Kernels(**roles)  # type: ignore[attr-defined]
 
 
 def kernels_of(term: Any) -> Kernels:

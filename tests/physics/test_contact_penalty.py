@@ -205,7 +205,7 @@ def fabric(mass, springs=None, pinned=None):
 def test_auto_stiffness_stops_an_arrival_and_rests_shallow(gravity):
     mass = np.array([1e-5, 4e-5])
     term = Penalty().prepare(PenaltyConfig(), fabric(mass), geometry(plane()), gravity)
-    k = term.data.stiffness[0]
+    k = term.data[0].stiffness[0]
     assert (mass * G / k).max() <= 5e-4
     assert (1.0 * np.sqrt(mass / k)).max() <= 1e-3  # largest depth of an undamped stop from 1 m/s
     assert term.omega_squared == pytest.approx((k / mass).max(), rel=1e-15)

@@ -63,7 +63,7 @@ class World:
 
     @property
     def slides(self):
-        return self.memory.work.packed.slides
+        return self.memory.work.packed.bodies[0]
 
 
 METHODS = ["symplectic_euler", "leapfrog", "rk4", "dopri5", "implicit_euler", "tr_bdf2", "xpbd"]
@@ -114,7 +114,7 @@ def test_friction_holds_a_force_by_what_presses_wherever_the_vertex_rests(share:
     world.go(0, 1e-3)
     for pull, left in ((0.3, 0.0), (0.5, 0.1)):
         force = np.array([[0.6 * pull], [-1.0], [0.8 * pull]])
-        hold_forces(world.memory.work.x, force, world.slides)
+        hold_forces(world.slides, world.memory.work.x, force)
         assert force[:, 0] == pytest.approx([0.6 * left, 0.0, 0.8 * left], abs=1e-5)
 
 
