@@ -89,23 +89,23 @@ def step_block(
 
 
 class Own(NamedTuple):
-    """What acts on each vertex by itself: the fields of Packed of these names. Threads take no Packed, which holds
-    tuples of terms.
+    """What acts on each vertex by itself, the fields of Packed of these names, and the step [s]. Threads take no
+    Packed, which holds tuples of terms.
     """
 
     inverse_mass: Float
     gravity: Float
     damping: float
-    late: bool | None
+    dt: float
 
 
 @kernel
-def force_block(block: int, forces: Any, on: Any, own: Any, x: Any, v: Any, to_x: Any, to_v: Any, dt: float) -> None:
+def force_block(block: int, forces: Any, on: Any, own: Any, late: Any, x: Any, v: Any, to_x: Any, to_v: Any) -> None:
     """Forces on a block's vertices, summed in the core's cache: a step of symplectic Euler into to_x, to_v (3, n),
     or, where dt is 0, accelerations into to_x, newtons if `late`. One function for both: each kind would compile all
     forces anew.
     """
-    inverse_mass, gravity, damping = own.inverse_mass, own.gravity, own.damping
+    inverse_mass, gravity, damping, dt = own.inverse_mass, own.gravity, own.damping, own.dt
     origin = block * BLOCK
     width = min(BLOCK, x.shape[1] - origin)
     force = np.zeros((3, width + PADDING))
@@ -117,11 +117,11 @@ def force_block(block: int, forces: Any, on: Any, own: Any, x: Any, v: Any, to_x
             m = min(WIDTH, width - q)
             for row in range(3):
                 write(to_x, row, origin + q, m, load(force, row, q))
-        if own.late is None:
+        if late is None:
             finish_block(block, v, to_x, inverse_mass, gravity, damping)
 
 
-force_parallel = each_block(force_block, "own, x, v, to_x, to_v, dt")
+force_parallel = each_block(force_block, "own, late, x, v, to_x, to_v")
 
 
 @parallel_kernel
@@ -132,21 +132,22 @@ def finish_parallel(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: fl
 
 
 @kernel
-def add_forces(x: Any, v: Any, s: float, to_x: Any, to_v: Any, dt: float, p: Any) -> None:
+def add_forces(x: Any, v: Any, s: float, to_x: Any, to_v: Any, dt: float, p: Any, late: Any, threads: Any) -> None:
     """Forces [N] at fraction s of the frame into to_x (3, n), or accelerations unless `late`, or, where dt is not 0,
     a whole step into to_x and to_v.
 
-    Puts carried vertices in their place first. The loop over blocks stands here, not in a function of
-    its own: every level of calls is optimised once more with all that it calls.
+    `late` and `threads` are p's: numba prunes by what is an argument. Puts carried vertices in their place first.
+    The loop over blocks stands here, not in a function of its own: every level of calls is optimised once more with
+    all that it calls.
     """
     place(p.bodies, p.bodies_on, x, v, s)
-    own, blocks = Own(p.inverse_mass, p.gravity, p.damping, p.late), (x.shape[1] + BLOCK - 1) // BLOCK
-    if p.threads is None:
+    own, blocks = Own(p.inverse_mass, p.gravity, p.damping, dt), (x.shape[1] + BLOCK - 1) // BLOCK
+    if threads is None:
         for block in range(blocks):
-            force_block(block, p.forces, p.forces_on, own, x, v, to_x, to_v, dt)
+            force_block(block, p.forces, p.forces_on, own, late, x, v, to_x, to_v)
     else:
-        force_parallel(p.forces, p.forces_on, own, x, v, to_x, to_v, dt, blocks)
-    add_after(p.bodies, p.bodies_on, x, v, s, to_x, p.threads)
+        force_parallel(p.forces, p.forces_on, own, late, x, v, to_x, to_v, blocks)
+    add_after(p.bodies, p.bodies_on, x, v, s, to_x, threads)
 
 
 @kernel
@@ -166,7 +167,7 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
     `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
     """
-    add_forces(x, v, s, a, a, 0.0, p)
+    add_forces(x, v, s, a, a, 0.0, p, p.late, p.threads)
     if extra is not None:
         extra(x, v, s, a)
     finish(v, a, p.inverse_mass, p.gravity, p.damping, p.late, p.threads)

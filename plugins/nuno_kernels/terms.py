@@ -189,5 +189,5 @@ def _overloaded(parameters: str, build: Callable[[Any], Any]) -> Any:
     """A function that compiled code calls as the one that `build` makes for the types in its first parameter."""
     called = _define("called", parameters, "")
     typed = _define("typed", parameters, "    return build(terms.types)", build=build)
-    overload(called, jit_options=FLAGS)(typed)
+    overload(called, jit_options=FLAGS, inline="always")(typed)
     return called
