@@ -50,10 +50,12 @@ def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.Monk
         spoke(endpoint, own=identity(run, "recorder")) as trusted,
         spoke(endpoint) as foreign,
     ):
-        inbox = Inbox(Bus(trusted, run, "recorder"), [STATE])
+        recorder, simulation = Bus(trusted, run, "recorder"), Bus(session, run, "simulation")
+        inbox = Inbox(recorder, [STATE])
         deaf = Deaf(foreign, f"nuno/{run}/**")
-        sender = Bus(session, run, "simulation").publisher(STATE)
-        wait_until(lambda: bool(sender.handle.matching_status.matching) and len(session.info.transports()) == 2)
+        sender = simulation.publisher(STATE)
+        token = recorder.alive()  # declared after the subscriber, and so known after it
+        wait_until(lambda: "recorder" in simulation.present() and len(session.info.transports()) == 2)
         begin = time.monotonic()
         for number in range(COUNT):
             sender.put(bytes(SIZE), number)
@@ -69,6 +71,7 @@ def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.Monk
         watch = laggards.Laggards(session, {identity(run, "recorder"): "recorder"})
         wait_until(lambda: watch.look(said.append) or bool(said))  # type: ignore[func-returns-value]
         deaf.wake.set()
+        token.undeclare()
     assert len(said) == 1
     assert "reads nothing and misses messages" in said[0]
     assert f"process {os.getpid()}," in said[0]

@@ -81,6 +81,7 @@ def test_one_that_cannot_be_imported_is_named_with_its_package_and_line(
     assert registry.load("nuno.forces", "wind").name == "wind"
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_the_users_own_interrupt_of_an_import_is_no_fault_of_the_plugin(packages: Packages) -> None:
     packages.add("slow", "import signal\nsignal.raise_signal(signal.SIGINT)\n" + force(), "push = slow:Push")
     before = signal.getsignal(signal.SIGINT)

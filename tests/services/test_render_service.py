@@ -74,6 +74,7 @@ def test_pictures_are_of_the_frames_that_were_asked_for(pictures: str, times: li
             assert np.array_equal(np.asarray(Image.open(again)), images[0])
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_who_would_not_wait_for_pictures_has_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C while the last ones are drawn: the one that is begun is the last, and the report is kept."""
     draw, pressed = Artist.draw, threading.Event()
