@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.quantities import Size
 from nuno_kernels.mesh_check import check_closed, check_crossings
-from nuno_kernels.slides import Slid, make_slides
+from nuno_kernels.slide_bodies import Slid, make_slides
 from nuno_kernels.surface_tree import build_tree
 from nuno_schemas.bodies import FIELD, OF_TRIANGLES, Geometry
 from nuno_schemas.errors import BadInput
