@@ -143,7 +143,8 @@ def test_a_slow_collision_service_is_waited_for(
     watched = Watched(tmp_path, bodies=BALL)
     outcome = watched.supervise()
     # Whichever comes first: its answer is missing, or, for it is asked ahead, its word that it has seen a frame.
-    assert any(text.startswith("waiting for the collision service: ") for text in watched.said), watched.said
+    waiting = [text for text in watched.said if text.startswith("waiting for the collision service: ")]
+    assert waiting and ("no bodies of frame" in waiting[0] or "is not acknowledged yet" in waiting[0]), watched.said
     assert outcome.state == ends
     if ends == "failed":
         assert outcome.error == "the run gave up: no answer from collision/ask/poses within 1 s"

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from foreign_packages import Packages, packages
@@ -63,6 +64,17 @@ def test_its_energy_is_in_the_balance(packages: Packages, tmp_path: Path) -> Non
     change = abs(last["magnet"] - first["magnet"])
     assert change > 0.0
     assert abs(sum(last.values()) - sum(first.values())) < 0.05 * change
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+def test_it_gives_equal_bytes_for_one_and_two_threads(packages: Packages, tmp_path: Path) -> None:
+    install(packages)
+    sheet = {"plugin": "sheet", "size": [0.5, 0.5], "resolution": [66, 66], "fabric": "denim"}
+    fields = {"objects": [{"name": "sheet", "model": sheet}], "forces": [{"plugin": "magnet", "stiffness": 0.02}]}
+    scene = write_scene(tmp_path, duration=0.02, solver={"plugin": "symplectic_euler", "dt": 5e-5}, **fields)
+    one, two = (nuno.run(scene, threads=threads) for threads in (1, 2))
+    assert one.report["threads"].startswith("1 thread") and two.report["threads"].startswith("2 threads")
+    assert one.digest == two.digest
 
 
 def test_what_changes_in_it_is_compiled_anew(packages: Packages, tmp_path: Path) -> None:
