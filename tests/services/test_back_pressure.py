@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import os
+import subprocess
+import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-import zenoh
 from live_run import wait_until
 from scenes import BALL, write_scene
 
@@ -29,16 +31,35 @@ COUNT, SIZE = 400, 100_000
 """Four times what lies between a hub and a session that reads nothing, in its queue and in the system's."""
 
 
-class Deaf:
-    """A subscriber whose first message never comes to an end."""
+DEAF = """
+import sys, time
+from nuno.wire.sessions import spoke
 
-    def __init__(self, session: zenoh.Session, key: str) -> None:
-        self.called, self.wake = threading.Event(), threading.Event()
-        self._handle = session.declare_subscriber(key, self._never)
+def never(sample):
+    print("called", flush=True)
+    time.sleep(120)
 
-    def _never(self, sample: zenoh.Sample) -> None:
-        self.called.set()
-        self.wake.wait(60.0)
+with spoke(sys.argv[1]) as session:
+    session.declare_subscriber(sys.argv[2], never)
+    print("listens", flush=True)
+    time.sleep(120)
+"""
+"""A subscriber whose first message never comes to an end.
+
+It is a process of its own, as it is in earnest: sessions of one process share zenoh's few threads, and the one that
+never returns may keep another's work with it.
+"""
+
+
+@contextmanager
+def deaf(endpoint: str, key: str) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen([sys.executable, "-c", DEAF, endpoint, key], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "listens\n"
+            yield process
+        finally:
+            process.kill()
 
 
 def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,18 +69,18 @@ def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.Monk
     with (
         hub_at(None, None, [identity(run, "recorder")]) as (session, endpoint),
         spoke(endpoint, own=identity(run, "recorder")) as trusted,
-        spoke(endpoint) as foreign,
+        deaf(endpoint, f"nuno/{run}/**") as foreign,
     ):
+        assert foreign.stdout is not None
         recorder, simulation = Bus(trusted, run, "recorder"), Bus(session, run, "simulation")
         inbox = Inbox(recorder, [STATE])
-        deaf = Deaf(foreign, f"nuno/{run}/**")
         sender = simulation.publisher(STATE)
         token = recorder.alive()  # declared after the subscriber, and so known after it
         wait_until(lambda: "recorder" in simulation.present() and len(session.info.transports()) == 2)
         begin = time.monotonic()
         for number in range(COUNT):
             sender.put(bytes(SIZE), number)
-        assert deaf.called.wait(10.0)
+        assert foreign.stdout.readline() == "called\n"
         for number in range(COUNT):
             message = inbox.get(20.0)
             assert isinstance(message, Message)
@@ -70,11 +91,10 @@ def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.Monk
         said: list[str] = []
         watch = laggards.Laggards(session, {identity(run, "recorder"): "recorder"})
         wait_until(lambda: watch.look(said.append) or bool(said))  # type: ignore[func-returns-value]
-        deaf.wake.set()
         token.undeclare()
     assert len(said) == 1
     assert "reads nothing and misses messages" in said[0]
-    assert f"process {os.getpid()}," in said[0]
+    assert f"process {foreign.pid}," in said[0]
 
 
 class Watched:
