@@ -39,7 +39,7 @@ def _cache_folder() -> Path:
         ).encode()
     )
     for package in SOLVERS:
-        for source in sorted((here.parent / package).glob("*.py")):
+        for source in sorted((here.parent / package).rglob("*.py")):
             digest.update(source.name.encode() + b"\0" + source.read_bytes())
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return root / "nuno" / "kernels" / digest.hexdigest()[:16]
@@ -62,6 +62,13 @@ def inlined(function: F) -> F:
     the branches of a None before it inlines.
     """
     return cast(F, keep(numba.njit(inline="always", **FLAGS)(function), CACHE))
+
+
+def forced_inline(function: F) -> F:
+    """As `kernel`, for functions called per vertex: LLVM inlines them, since a call would pass every array's shape and
+    strides.
+    """
+    return cast(F, keep(numba.njit(forceinline=True, **FLAGS)(function), CACHE))
 
 
 def parallel_kernel(function: F) -> F:

@@ -15,7 +15,7 @@ from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.closest_point import DEPTH, closest
-from nuno_kernels.contact_distance import to_frame, turn_in, turn_out
+from nuno_kernels.contact_poses import to_frame, turn_in, turn_out
 from nuno_kernels.slide_planes import PARALLEL
 from nuno_kernels.slide_vertex import slide
 from nuno_kernels.slides import BLOCK, pose_slides

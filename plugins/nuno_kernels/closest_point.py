@@ -24,8 +24,7 @@ import numba
 import numpy as np
 from numba import prange
 
-from nuno_kernels import kernel, parallel_kernel, threads_available
-from nuno_kernels.contact_distance import inlined
+from nuno_kernels import forced_inline, kernel, parallel_kernel, threads_available
 from nuno_kernels.simd import WIDTH, load, splat
 from nuno_kernels.simd_choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.surface_tree import Tree, in_eights
@@ -40,7 +39,7 @@ FARTHEST = 1e154
 """Coordinates beyond this have no square."""
 
 
-@inlined
+@forced_inline
 def leaf_distances(px: float, py: float, pz: float, corners: Any, leaf: int) -> Any:
     """Squared distances [m^2] of a point to a leaf's eight triangles, as a vector."""
     row = 9 * leaf
@@ -70,7 +69,7 @@ def leaf_distances(px: float, py: float, pz: float, corners: Any, leaf: int) -> 
     return where_not_negative(lower(lower(u, v), det - u - v), lower(x * x + y * y + z * z, least), least)
 
 
-@inlined
+@forced_inline
 def take_nearest(values: Any, leaf: int, face: Any, best: float, which: int) -> tuple[float, int]:
     """(squared distance, place) of the best so far and a leaf's eight triangles."""
     bits = lanes_up_to(values, best)
@@ -128,7 +127,7 @@ def find_place(
     return which
 
 
-@inlined
+@forced_inline
 def clamp(value: float) -> float:
     """`value` in [0, 1]; 0 for NaN."""
     return min(value, 1.0) if value > 0.0 else 0.0

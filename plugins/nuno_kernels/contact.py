@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.contact_distance import FIELD, find_bounds
-from nuno_kernels.contact_poses import pose_bodies, set_poses
+from nuno_kernels.contact_place import pose_bodies, set_poses
 from nuno_kernels.contact_response import add_body, commit_body, drop_anchors, find_deepest
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Geometry

@@ -23,30 +23,18 @@ indices, which would keep LLVM from vectorising (0.8 instead of 4 ns a distance)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels import CACHE, FLAGS, kernel
-from nuno_kernels.kept import keep
+from nuno_kernels import forced_inline, kernel
+from nuno_kernels.contact_poses import Index, turn_in, turn_out
 from nuno_kernels.simd import WIDTH, load, read, splat
 from nuno_kernels.simd_choose import any_below, higher, lane, lower
 from nuno_schemas.fabric import Float
 
 Reading = tuple[float, float, float, float, int]
 """Distance [m], normal x, y, z, and 1 for a point on a capsule's axis, else 0."""
-
-Index = int | np.uint64
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def inlined(function: F) -> F:
-    """As `kernel`, for functions called per vertex: a call would pass every array's shape and strides."""
-    return cast(F, keep(numba.njit(forceinline=True, **FLAGS)(function), CACHE))
 
 
 CAPSULE, PLANE, BOX, FIELD = 0, 1, 2, 4
@@ -81,7 +69,7 @@ def across(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
     return nx / length, ny / length, nz / length
 
 
-@inlined
+@forced_inline
 def capsule_distance(px: float, py: float, pz: float, posed: Float, p: Index) -> Reading:
     """(distance, normal x, y, z, 1 if the point lies on the axis else 0)."""
     dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
@@ -96,33 +84,7 @@ def capsule_distance(px: float, py: float, pz: float, posed: Float, p: Index) ->
     return away - posed[p, 7], ex * unit, ey * unit, ez * unit, 0
 
 
-@inlined
-def turn_in(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
-    """A vector of the world in the axes of frame f."""
-    return (
-        frames[f, 0] * v[0] + frames[f, 3] * v[1] + frames[f, 6] * v[2],
-        frames[f, 1] * v[0] + frames[f, 4] * v[1] + frames[f, 7] * v[2],
-        frames[f, 2] * v[0] + frames[f, 5] * v[1] + frames[f, 8] * v[2],
-    )
-
-
-@inlined
-def turn_out(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
-    """A vector in the axes of frame f in those of the world."""
-    return (
-        frames[f, 0] * v[0] + frames[f, 1] * v[1] + frames[f, 2] * v[2],
-        frames[f, 3] * v[0] + frames[f, 4] * v[1] + frames[f, 5] * v[2],
-        frames[f, 6] * v[0] + frames[f, 7] * v[1] + frames[f, 8] * v[2],
-    )
-
-
-@inlined
-def to_frame(px: float, py: float, pz: float, frames: Any, f: Index) -> tuple[float, float, float]:
-    """A place in the world in the axes of frame f, from its origin."""
-    return turn_in((px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]), frames, f)
-
-
-@inlined
+@forced_inline
 def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
     """(distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
     lx, ly, lz = turn_in((px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]), frames, f)

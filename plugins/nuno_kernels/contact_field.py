@@ -13,25 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels import kernel
-from nuno_kernels.contact_distance import (
-    BOX,
-    CAPSULE,
-    FIELD,
-    Index,
-    Reading,
-    across,
-    box_distance,
-    capsule_distance,
-    inlined,
-    to_frame,
-    turn_out,
-)
+from nuno_kernels import forced_inline, kernel
+from nuno_kernels.contact_distance import BOX, CAPSULE, FIELD, Reading, across, box_distance, capsule_distance
+from nuno_kernels.contact_poses import Index, to_frame, turn_out
 from nuno_kernels.field_sample import sample, sample_distance
 from nuno_schemas.fabric import Float
 
 
-@inlined
+@forced_inline
 def field_reading(
     px: float, py: float, pz: float, number: int, frames: Any, f: Index, head: Any, cells: Any, corners: Any
 ) -> Reading:
@@ -46,7 +35,7 @@ def field_reading(
     return distance, nx, ny, nz, 0
 
 
-@inlined
+@forced_inline
 def primitive_distance(
     px: float, py: float, pz: float, kind: int, posed: Float, p: Index, frames: Float, f: Index, head: Any, cells: Any,
     corners: Any,

@@ -9,22 +9,34 @@ the velocity shift/T + (spin/T) x (p - o(s)).
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
-from nuno_kernels import kernel
-from nuno_kernels.contact_distance import BOX, CAPSULE, FIELD
+from nuno_kernels import forced_inline, kernel
 from nuno_schemas.bodies import Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 
-SHORTEST = 1e-300
-"""A capsule whose squared length [m^2] is no more is a sphere: the reciprocal would overflow."""
+Index = int | np.uint64
 
-if TYPE_CHECKING:
-    from nuno_kernels.bindings import Bindings
-    from nuno_kernels.contact import Contact
-    from nuno_kernels.slides import Slides
+
+class Frames(Protocol):
+    """What holds f frames and their motion over an interval.
+
+    rotation0 (f, 9) and origin0 (f, 3) [m] at the start, spin (f, 3) [rad], shift (f, 3) [m] over all of it; frames
+    (f, 18): rotation, origin, velocity [m/s] and angular velocity [rad/s] as they are at the moment.
+    """
+
+    @property
+    def rotation0(self) -> Float: ...
+    @property
+    def origin0(self) -> Float: ...
+    @property
+    def spin(self) -> Float: ...
+    @property
+    def shift(self) -> Float: ...
+    @property
+    def frames(self) -> Float: ...
 
 
 def rotation_between(q0: Float, q1: Float) -> Float:
@@ -40,7 +52,7 @@ def rotation_between(q0: Float, q1: Float) -> Float:
     return turn
 
 
-def write_interval(moved: Contact | Slides | Bindings, poses0: Poses, poses1: Poses) -> None:
+def write_interval(moved: Frames, poses0: Poses, poses1: Poses) -> None:
     """Write the interval from poses0.t to poses1.t in place; one without duration stands still at its start."""
     duration = poses1.t - poses0.t
     moving = duration > 0.0
@@ -50,12 +62,6 @@ def write_interval(moved: Contact | Slides | Bindings, poses0: Poses, poses1: Po
     moved.shift[:] = poses1.translation - poses0.translation if moving else 0.0
     moved.frames[:, 12:15] = moved.shift / duration if moving else 0.0
     moved.frames[:, 15:18] = moved.spin / duration if moving else 0.0
-
-
-def set_poses(contact: Contact, poses0: Poses, poses1: Poses) -> None:
-    """Write the interval into `contact`, in place; see `write_interval`."""
-    write_interval(contact, poses0, poses1)
-    contact.posed_at[0] = np.nan
 
 
 @kernel
@@ -74,40 +80,27 @@ def pose_frame(s: float, f: int, rotation0: Float, origin0: Float, spin: Float, 
         frames[f, 9 + c] = origin0[f, c] + s * shift[f, c]
 
 
-@kernel
-def pose_primitive(p: int, kind: int, f: int, a: Float, b: Float, radius: Float, frames: Float, posed: Float) -> None:
-    """Fill row p of `posed` (see contact_distance) from the primitive in its frame."""
-    square = 0.0
-    for c in range(3):
-        m0, m1, m2 = frames[f, 3 * c], frames[f, 3 * c + 1], frames[f, 3 * c + 2]
-        start = frames[f, 9 + c] + m0 * a[p, 0] + m1 * a[p, 1] + m2 * a[p, 2]
-        if kind == CAPSULE:
-            along = m0 * (b[p, 0] - a[p, 0]) + m1 * (b[p, 1] - a[p, 1]) + m2 * (b[p, 2] - a[p, 2])
-            square += along * along
-            low, high = min(start, start + along) - radius[p], max(start, start + along) + radius[p]
-        elif kind in (BOX, FIELD):
-            along = b[p, c]
-            size = abs(m0) * b[p, 0] + abs(m1) * b[p, 1] + abs(m2) * b[p, 2]
-            low, high = start - size, start + size
-        else:
-            along = m0 * b[p, 0] + m1 * b[p, 1] + m2 * b[p, 2]
-            low, high = -math.inf, math.inf
-        posed[p, c], posed[p, 3 + c], posed[p, 8 + c], posed[p, 11 + c] = start, along, low, high
-    posed[p, 6] = 1.0 / square if square > SHORTEST else 0.0
-    posed[p, 7] = radius[p]
+@forced_inline
+def turn_in(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
+    """A vector of the world in the axes of frame f."""
+    return (
+        frames[f, 0] * v[0] + frames[f, 3] * v[1] + frames[f, 6] * v[2],
+        frames[f, 1] * v[0] + frames[f, 4] * v[1] + frames[f, 7] * v[2],
+        frames[f, 2] * v[0] + frames[f, 5] * v[1] + frames[f, 8] * v[2],
+    )
 
 
-@kernel
-def pose_bodies(s: float, contact: Contact) -> None:
-    """Pose all frames and primitives at fraction s in [0, 1] of the interval.
+@forced_inline
+def turn_out(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
+    """A vector in the axes of frame f in those of the world."""
+    return (
+        frames[f, 0] * v[0] + frames[f, 1] * v[1] + frames[f, 2] * v[2],
+        frames[f, 3] * v[0] + frames[f, 4] * v[1] + frames[f, 5] * v[2],
+        frames[f, 6] * v[0] + frames[f, 7] * v[1] + frames[f, 8] * v[2],
+    )
 
-    A step's end is the next one's start: where s is what it was, they stand there already.
-    """
-    if contact.posed_at[0] == s:
-        return
-    contact.posed_at[0] = s
-    for f in range(contact.frames.shape[0]):
-        pose_frame(s, f, contact.rotation0, contact.origin0, contact.spin, contact.shift, contact.frames)
-    for p in range(contact.posed.shape[0]):
-        f = contact.frame[p]
-        pose_primitive(p, contact.kind[p], f, contact.a, contact.b, contact.radius, contact.frames, contact.posed)
+
+@forced_inline
+def to_frame(px: float, py: float, pz: float, frames: Any, f: Index) -> tuple[float, float, float]:
+    """A place in the world in the axes of frame f, from its origin."""
+    return turn_in((px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]), frames, f)

@@ -28,7 +28,7 @@ from numba import prange
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.contact import BLOCK
 from nuno_kernels.contact_distance import find_bounds
-from nuno_kernels.contact_poses import pose_bodies
+from nuno_kernels.contact_place import pose_bodies
 from nuno_kernels.contact_response import find_deepest, respond
 
 

@@ -13,19 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels import kernel
-from nuno_kernels.contact_distance import (
-    BOX,
-    CAPSULE,
-    FIELD,
-    Index,
-    are_apart,
-    inlined,
-    lower_box,
-    lower_capsule,
-    lower_plane,
-)
+from nuno_kernels import forced_inline, kernel
+from nuno_kernels.contact_distance import BOX, CAPSULE, FIELD, are_apart, lower_box, lower_capsule, lower_plane
 from nuno_kernels.contact_field import lower_field, primitive_distance
+from nuno_kernels.contact_poses import Index
 from nuno_schemas.fabric import Float, Int
 
 Response = tuple[float, float, float, float, float, float, float, float, float, float, float, int]
@@ -80,7 +71,7 @@ def find_deepest(
     return bool(near[body, block])
 
 
-@inlined
+@forced_inline
 def respond(
     x: Float,
     v: Float,
@@ -127,7 +118,7 @@ def respond(
     return distance, normal, ex, ey, ez, nx, ny, nz, ux - un * nx, uy - un * ny, uz - un * nz, on_axis
 
 
-@inlined
+@forced_inline
 def place_anchor(
     x: Float,
     i: Index,

@@ -68,15 +68,3 @@ def sum_hinge_lists(lists: Any, linear: Any, block: int, origin: int, out: Any) 
     for c in range(linear.start[block], linear.start[block + 1]):
         for corner in range(4):
             add_hinge(out, corner, linear.indices[4 + corner, c], linear.rows, c)
-
-
-@kernel
-def invert(own: Any, inverse: Any, v: int, diagonal: Any, at: int) -> None:
-    """Inverse of vertex v's diagonal block, by cofactors."""
-    xx, yy, zz = own[0, v] + diagonal[0, at], own[1, v] + diagonal[1, at], own[2, v] + diagonal[2, at]
-    xy, xz, yz = own[3, v] + diagonal[3, at], own[4, v] + diagonal[4, at], own[5, v] + diagonal[5, at]
-    c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    scale = 1.0 / (xx * c0 + xy * c1 + xz * c2)
-    inverse[0, v], inverse[3, v], inverse[4, v] = scale * c0, scale * c1, scale * c2
-    inverse[1, v], inverse[5, v] = scale * (xx * zz - xz * xz), scale * (xy * xz - xx * yz)
-    inverse[2, v] = scale * (xx * yy - xy * xy)

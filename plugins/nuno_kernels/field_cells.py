@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import forced_inline, kernel, parallel_kernel
 from nuno_kernels.closest_point import DEPTH, closest
-from nuno_kernels.contact_distance import inlined
 from nuno_kernels.field_winding import winding
 
 BLOCK = 256
@@ -67,7 +66,7 @@ def measure_points(
             out[i, 0], out[i, 1], out[i, 2], out[i, 3] = d, gx, gy, gz
 
 
-@inlined
+@forced_inline
 def blend_lattice(lattice: Any, cell: int, p: int, part: int) -> float:
     """Quantity `part` at point p of a cell's lattice, interpolated from the cell's corners."""
     i, j, k = p // 9, p // 3 % 3, p % 3

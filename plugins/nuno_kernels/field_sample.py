@@ -18,8 +18,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from nuno_kernels import parallel_kernel, threads_available
-from nuno_kernels.contact_distance import inlined
+from nuno_kernels import forced_inline, parallel_kernel, threads_available
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
 
@@ -55,13 +54,13 @@ def join_fields(fields: Sequence[DistanceField]) -> Fields:
     )
 
 
-@inlined
+@forced_inline
 def clamp_to(value: float, most: float) -> float:
     """`value` in [0, most]; 0 for NaN."""
     return min(value, most) if value > 0.0 else 0.0
 
 
-@inlined
+@forced_inline
 def find_leaf(px: float, py: float, pz: float, q: int, head: Any, child: Any) -> Any:
     """(leaf, the point's place in it from 0 to 1 along x, y, z, and how far the point is outside of the box [m])."""
     scale = head[q, 3]
@@ -82,7 +81,7 @@ def find_leaf(px: float, py: float, pz: float, q: int, head: Any, child: Any) ->
     return np.uint64(-1 - at), x, y, z, away
 
 
-@inlined
+@forced_inline
 def blend(corners: Any, leaf: Any, part: Any, x: float, y: float, z: float) -> Any:
     """Quantity `part` of a leaf, 0 the distance and 1 to 3 the gradient, trilinear between its corners."""
     row = corners[leaf]
@@ -94,14 +93,14 @@ def blend(corners: Any, leaf: Any, part: Any, x: float, y: float, z: float) -> A
     return a + x * (c - a)
 
 
-@inlined
+@forced_inline
 def sample_distance(px: float, py: float, pz: float, q: int, head: Any, child: Any, corners: Any) -> Any:
     """Distance [m] of a point from field q."""
     leaf, x, y, z, away = find_leaf(px, py, pz, q, head, child)
     return blend(corners, leaf, np.uint64(0), x, y, z) + away
 
 
-@inlined
+@forced_inline
 def sample(px: float, py: float, pz: float, q: int, head: Any, child: Any, corners: Any) -> Any:
     """Distance [m] of a point from field q and the gradient there, interpolated: about of length 1."""
     leaf, x, y, z, away = find_leaf(px, py, pz, q, head, child)

@@ -197,7 +197,7 @@ register(
     fill="nuno_kernels.linear:fill_hinge_runs",
     diagonal="nuno_kernels.diagonal:sum_hinge_runs",
     multiply="nuno_kernels.linear:multiply_hinge_runs",
-    assemble="nuno_kernels.factor:assemble_hinges",
+    assemble="nuno_kernels.assembly:assemble_hinges",
 )
 register(
     HingeLists,
@@ -209,7 +209,7 @@ register(
     fill="nuno_kernels.linear:fill_hinge_lists",
     diagonal="nuno_kernels.diagonal:sum_hinge_lists",
     multiply="nuno_kernels.linear:multiply_hinge_lists",
-    assemble="nuno_kernels.factor:assemble_hinges",
+    assemble="nuno_kernels.assembly:assemble_hinges",
 )
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK, PADDING, block_count
-from nuno_kernels.diagonal import invert
 from nuno_kernels.terms import each, each_block, role_of
 from nuno_schemas.fabric import Bool, Float
 
@@ -61,6 +60,18 @@ def make_linear(packed: Packed) -> Linear:
     sums = np.zeros(block_count(n))
     vectors = (np.zeros((3, n)) for _ in "xrzpq")
     return Linear(own, inverse, packed.inverse_mass, packed.forces, on, rows, sums, *vectors)
+
+
+@kernel
+def invert(own: Any, inverse: Any, v: int, diagonal: Any, at: int) -> None:
+    """Inverse of vertex v's diagonal block, by cofactors."""
+    xx, yy, zz = own[0, v] + diagonal[0, at], own[1, v] + diagonal[1, at], own[2, v] + diagonal[2, at]
+    xy, xz, yz = own[3, v] + diagonal[3, at], own[4, v] + diagonal[4, at], own[5, v] + diagonal[5, at]
+    c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    scale = 1.0 / (xx * c0 + xy * c1 + xz * c2)
+    inverse[0, v], inverse[3, v], inverse[4, v] = scale * c0, scale * c1, scale * c2
+    inverse[1, v], inverse[5, v] = scale * (xx * zz - xz * xz), scale * (xy * xz - xx * yz)
+    inverse[2, v] = scale * (xx * yy - xy * xy)
 
 
 class Tangent(NamedTuple):

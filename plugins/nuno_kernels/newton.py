@@ -19,7 +19,6 @@ from nuno_kernels.acceleration import Packed, evaluate
 from nuno_kernels.lumped import add_stiffness
 from nuno_kernels.packing import call_each, parts, silence
 from nuno_kernels.solver import Counts, Solver, compile_solver, make_solver, solve_linear
-from nuno_kernels.tension import largest_tension, turning_work
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Float
 
@@ -214,3 +213,17 @@ def largest_force(st: Stage, packed: Packed) -> float:
     weight = float(np.linalg.norm(packed.gravity)) * float(st.mass.max(initial=0.0))
     inertia = float(np.sqrt(((st.a * st.mass) ** 2).sum(axis=0)).max(initial=0.0))
     return max(weight, inertia, largest_tension(st.x, packed))
+
+
+def largest_tension(x: Float, packed: Packed) -> float:
+    """The largest force of a spring [N], whichever way."""
+    return float(max(call_each(packed, "tension", x), default=0.0))
+
+
+def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
+    """Work along d (3, n) of the tension that springs have for having turned on their way from `before` to x [J].
+
+    A spring that turns from a to b is longer than b's share along a, by the square of the angle. A linear step
+    cannot know of that, and the next one takes it back.
+    """
+    return float(sum(call_each(packed, "turning", before, x, d)))

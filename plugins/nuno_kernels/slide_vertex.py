@@ -10,7 +10,7 @@ from typing import Any
 
 from nuno_kernels import kernel
 from nuno_kernels.closest_point import closest
-from nuno_kernels.contact_distance import turn_out
+from nuno_kernels.contact_poses import turn_out
 from nuno_kernels.slide_planes import hold_off
 from nuno_kernels.surface_crossing import first_crossing
 

@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.closest_point import DEPTH, closest
-from nuno_kernels.contact_distance import to_frame, turn_out
-from nuno_kernels.contact_poses import pose_frame, write_interval
+from nuno_kernels.contact_poses import pose_frame, to_frame, turn_out, write_interval
 from nuno_kernels.slide_vertex import slide, slow_down
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Poses

@@ -229,7 +229,7 @@ register(
     fill="nuno_kernels.linear:fill_spring_runs",
     diagonal="nuno_kernels.diagonal:sum_spring_runs",
     multiply="nuno_kernels.linear:multiply_spring_runs",
-    assemble="nuno_kernels.factor:assemble_springs",
+    assemble="nuno_kernels.assembly:assemble_springs",
 )
 register(
     SpringLists,
@@ -245,5 +245,5 @@ register(
     fill="nuno_kernels.linear:fill_spring_lists",
     diagonal="nuno_kernels.diagonal:sum_spring_lists",
     multiply="nuno_kernels.linear:multiply_spring_lists",
-    assemble="nuno_kernels.factor:assemble_springs",
+    assemble="nuno_kernels.assembly:assemble_springs",
 )

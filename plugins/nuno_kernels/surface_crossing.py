@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from nuno_kernels import kernel
+from nuno_kernels import forced_inline, kernel
 from nuno_kernels.closest_point import take_nearest
-from nuno_kernels.contact_distance import inlined
 from nuno_kernels.simd import load, splat
 from nuno_kernels.simd_choose import first_lane, higher, lanes_up_to, lower, where_not_negative
 
@@ -16,7 +15,7 @@ BEYOND = 1.0 + 2.0**-40
 """A share of the movement that is no longer part of it."""
 
 
-@inlined
+@forced_inline
 def leaf_crossings(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, corners: Any, leaf: int
 ) -> Any:  # fmt: skip

@@ -7,16 +7,8 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.acceleration import Packed
 from nuno_kernels.blocks import BLOCK
-from nuno_kernels.packing import call_each
 from nuno_kernels.springs import SpringLists, SpringRuns, tension_at
-from nuno_schemas.fabric import Float
-
-
-def largest_tension(x: Float, packed: Packed) -> float:
-    """The largest force of a spring [N], whichever way."""
-    return float(max(call_each(packed, "tension", x), default=0.0))
 
 
 @kernel
@@ -44,15 +36,6 @@ def tension_of_lists(lists: Any, x: Any) -> float:
     for c in range(ends.shape[1]):
         largest = max(largest, size_of_tension(x, ends[0, c], ends[1, c], constants, c, lists.locks))
     return largest
-
-
-def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
-    """Work along d (3, n) of the tension that springs have for having turned on their way from `before` to x [J].
-
-    A spring that turns from a to b is longer than b's share along a, by the square of the angle. A linear step
-    cannot know of that, and the next one takes it back.
-    """
-    return float(sum(call_each(packed, "turning", before, x, d)))
 
 
 @kernel

@@ -14,9 +14,9 @@ from nuno_kernels.dissection import dissect
 from nuno_kernels.factor import factorise, make_factor, solve_factored
 from nuno_kernels.lumped import positive_part
 from nuno_kernels.matrix import fill, make_linear
+from nuno_kernels.newton import turning_work
 from nuno_kernels.packing import pack, to_rows
 from nuno_kernels.plan import make_plan
-from nuno_kernels.tension import turning_work
 from nuno_schemas.fabric import Hinges, Springs
 
 
