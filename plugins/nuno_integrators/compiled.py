@@ -17,12 +17,12 @@ from pydantic import BaseModel
 from nuno_integrators.forces import find_forces, own_bodies
 from nuno_integrators.pace import Pace
 from nuno_integrators.profile import profile_steps
+from nuno_integrators.rest import unbalance
+from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import threads_available
-from nuno_kernels.acceleration import Packed, evaluate
-from nuno_kernels.energy import measure_energy
-from nuno_kernels.packing import call_each, pack, python_terms, silence_bodies, thread_count, to_rows
-from nuno_kernels.rest import unbalance
-from nuno_kernels.stability import measure_rates, stable_step
+from nuno_kernels.forces.energy import measure_energy
+from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.step.packing import call_each, pack, python_terms, silence_bodies, thread_count, to_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Memory, State

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from nuno_kernels.acceleration import Packed, evaluate
-from nuno_kernels.packing import call_each, own_copy, parts, silence
+from nuno_kernels.forces.yarn_tension import link_tensions
+from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.step.packing import call_each, own_copy, parts, silence
 from nuno_kernels.terms import kernels_of, role_of
-from nuno_kernels.yarn_tension import link_tensions
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.system import Forces, System
@@ -29,7 +29,7 @@ def find_forces(
 
     Each kind is what the kernels of a step give where the others do nothing, so nothing is compiled for it; with
     masses of 1 kg their accelerations are newtons. What surfaces that are slid on hold against is found as for
-    balance (nuno_kernels.balance).
+    balance (nuno_contact.sliding.balance).
     """
     mass, names = system.fabric.mass[:, None], parts(packed)
     bare = packed._replace(inverse_mass=np.ones(x.shape[1]), gravity=np.zeros(3), damping=0.0)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno_kernels.acceleration import Packed
-from nuno_kernels.packing import own_copy, parts, silence
+from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.step.packing import own_copy, parts, silence
 from nuno_schemas.fabric import Float
 
 REPEATS = 5

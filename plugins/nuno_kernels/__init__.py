@@ -3,7 +3,7 @@
 Kernels see one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when
 only a callee in another module changes, so its folder carries a hash of the sources of the solvers'
 packages, the compile flags and the versions; it is set here, before any function is decorated. Kernels of
-other packages are known by all that they reach beside, see `nuno_kernels.reached`.
+other packages are known by all that they reach beside, see `nuno_kernels.compile.reached`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ import numba
 import numpy as np
 from numba.extending import register_jitable
 
-from nuno_kernels.kept import keep
-from nuno_kernels.reached import SOLVERS
+from nuno_kernels.compile.kept import keep
+from nuno_kernels.compile.reached import SOLVERS
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -48,22 +48,22 @@ class Kernels:
     hold(term, x, v, s, threads)                   moves vertices after a step
     slow(term, x, v, threads)                      holds velocities off what `hold` found
     fill(term, rows, block, x, before, rate, floor, follow)   writes the rows of the term's matrix; see
-                                                   nuno_kernels.matrix
+                                                   nuno_integrators.implicit.matrix
     diagonal(term, rows, block, origin, out)       adds the matrix' diagonal blocks to (6, w)
     multiply(term, rows, block, origin, u, out)    adds the matrix' product with u (3, n) to out (3, w)
-    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.factor
+    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_integrators.implicit.factor
 
     carry(term, x, u, y, w, s)                     of xpbd: displacements u of carried vertices; y, w (3, n) are scratch
     project(term, x, u, y, w, s, inverse_step, mobility, held, threads)   of xpbd: solves for a body; see
-                                                   nuno_kernels.contact_projection
+                                                   nuno_contact.penalty.projection
 
     Called from Python:
 
     energy(term, x) -> float or Measured           energy [J]
     tension(term, x) -> float                      the largest single force [N]
     stiffest(term) -> float                        the largest stiffness [N/m]
-    turning(term, before, x, d) -> float           see nuno_kernels.tension.turning_work
-    rows(term) -> tuple                            room for the matrix: see nuno_kernels.linear_layout
+    turning(term, before, x, d) -> float           see nuno_kernels.forces.tension.turning_work
+    rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear_layout
     elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
     begin(term, x)                                 before an interval's first step

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from nuno_kernels.centreline import find_axis
-from nuno_kernels.closest_point import closest_points
-from nuno_kernels.limb import Rows, find_limb, lay_rows
-from nuno_kernels.surface_tree import build_tree
+from nuno_kernels.meshes.centreline import find_axis
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.limb import Rows, find_limb, lay_rows
+from nuno_kernels.meshes.tree import build_tree
 from nuno_knit.quantities import Length, Point, Ratio, Share
 from nuno_knit.structure import Knit as Structure
 from nuno_schemas.body_size import check_size

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_kernels.yarn_tension import point_forces
+from nuno_kernels.forces.yarn_tension import point_forces
 from nuno_knit.quantities import Length, Metres
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State

@@ -2,7 +2,7 @@
 
 Links between points on different faces can enter the body. Such a link gains points on the edges of the skin, at which
 it bends, so that it lies on the skin where it would be inside and goes straight on where it is outside; over a
-hollow it stays straight. No point moves. How the points are found: nuno_kernels.surface_strings.
+hollow it stays straight. No point moves. How the points are found: nuno_knit.strings.
 
 Where no plane leads from one end to the other (both ends of a link on opposite sides of an edge, or below an
 overhang) the middle of the link goes to the closest place on the skin, and the halves are repaired by themselves.
@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from nuno_kernels.surface_strings import LIES, LOST, lay_over
 from nuno_knit.paths import Paths, find_paths, mean_length
 from nuno_knit.quantities import Length, Reach
 from nuno_knit.skin import Skin
+from nuno_knit.strings import LIES, LOST, lay_over
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.surface_section import crossed_edge, edge_share, make_chord
+from nuno_kernels.meshes.section import crossed_edge, edge_share, make_chord
 from nuno_schemas.fabric import Bool, Float, Int
 
 BORDER, CROWDED = -1, -2
@@ -85,7 +85,7 @@ def walk_line(
     path (q,)         out: triangles in their order
 
     Between two points a line goes where the plane through both, along the mean of their normals, cuts the surface
-    (nuno_kernels.surface_section).
+    (nuno_kernels.meshes.section).
     """
     passed = 0
     entry, leave = np.empty(3), np.empty(3)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno_cloth.sheet import Sheet
+from nuno_cloth.models.sheet import Sheet
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 

@@ -7,12 +7,21 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nuno_contact.bvh import BVH, BvhConfig
-from nuno_contact.hula import Hula, HulaConfig
-from nuno_contact.penalty import PenaltyConfig
-from nuno_contact.radii import PELVIS_HALF_WIDTH, default_radius
-from nuno_contact.shapes import Box, BoxConfig, Capsule, CapsuleConfig, Plane, PlaneConfig, Sphere, SphereConfig
-from nuno_contact.skeleton import Skeleton, SkeletonConfig, find_height
+from nuno_contact.colliders.radii import PELVIS_HALF_WIDTH, default_radius
+from nuno_contact.colliders.shapes import (
+    Box,
+    BoxConfig,
+    Capsule,
+    CapsuleConfig,
+    Plane,
+    PlaneConfig,
+    Sphere,
+    SphereConfig,
+)
+from nuno_contact.colliders.skeleton import Skeleton, SkeletonConfig, find_height
+from nuno_contact.motions.bvh import BVH, BvhConfig
+from nuno_contact.motions.hula import Hula, HulaConfig
+from nuno_contact.penalty.plugin import PenaltyConfig
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import Mover

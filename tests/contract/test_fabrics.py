@@ -8,7 +8,7 @@ import pytest
 
 from nuno.cli import main
 from nuno.cli.fabrics import find_presets, table
-from nuno_cloth.presets import PRESETS
+from nuno_cloth.fabrics.presets import PRESETS
 from nuno_schemas.preset import Preset
 from nuno_schemas.units import to_si
 

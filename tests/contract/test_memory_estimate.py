@@ -14,9 +14,9 @@ from model_files import Folder, files, net_arrays
 from nuno.cloth import build
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno_cloth.mesh import BYTES_PER_VERTEX as MESH
-from nuno_cloth.net import BYTES_PER_SPRING as SPRING
-from nuno_cloth.net import BYTES_PER_VERTEX as POINT
+from nuno_cloth.models.mesh import BYTES_PER_VERTEX as MESH
+from nuno_cloth.models.net import BYTES_PER_SPRING as SPRING
+from nuno_cloth.models.net import BYTES_PER_VERTEX as POINT
 from nuno_schemas.errors import BadInput
 
 __all__ = ["files"]

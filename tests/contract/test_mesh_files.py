@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from nuno_contact.mesh import MeshCollider, MeshConfig
-from nuno_kernels.leg import leg_mesh
-from nuno_kernels.mesh_check import check_closed, check_crossings, volume
-from nuno_kernels.mesh_file import read_closed
-from nuno_kernels.mesh_sections import cut_mesh
+from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
+from nuno_contact.figures.leg import leg_mesh
+from nuno_kernels.meshes.check import check_closed, check_crossings, volume
+from nuno_kernels.meshes.file import read_closed
+from nuno_kernels.meshes.loops import cut_mesh
 from nuno_schemas.bodies import MESH
 from nuno_schemas.errors import BadInput
 

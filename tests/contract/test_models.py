@@ -11,11 +11,11 @@ import pytest
 from model_files import Folder, build, files
 from pydantic import ValidationError
 
-from nuno_cloth.mesh import Mesh
-from nuno_cloth.net import Net
-from nuno_cloth.presets import PRESETS
-from nuno_cloth.sheet import Sheet
-from nuno_cloth.skirt import Skirt
+from nuno_cloth.fabrics.presets import PRESETS
+from nuno_cloth.models.mesh import Mesh
+from nuno_cloth.models.net import Net
+from nuno_cloth.models.sheet import Sheet
+from nuno_cloth.models.skirt import Skirt
 from nuno_knit.knit import Knit
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

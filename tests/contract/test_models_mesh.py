@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from model_files import Folder, build, files, write_obj
 
-from nuno_cloth.mesh import Mesh, MeshConfig
-from nuno_cloth.presets import PRESETS
-from nuno_cloth.sheet import Sheet
-from nuno_cloth.triangles import affine_stiffness
+from nuno_cloth.fabrics.presets import PRESETS
+from nuno_cloth.models.mesh import Mesh, MeshConfig
+from nuno_cloth.models.sheet import Sheet
+from nuno_cloth.models.triangles import affine_stiffness
 from nuno_schemas.errors import BadInput
 
 __all__ = ["files"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from model_files import Folder, build, files, net_arrays
 
-from nuno_cloth.net import Net
+from nuno_cloth.models.net import Net
 from nuno_schemas.errors import BadInput
 
 __all__ = ["files"]

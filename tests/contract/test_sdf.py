@@ -14,9 +14,9 @@ from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.scene.scene_file import read
-from nuno_contact import field_cache
-from nuno_contact.sdf import SdfCollider, SdfConfig
-from nuno_kernels.field_sample import sample_field
+from nuno_contact.colliders.sdf import SdfCollider, SdfConfig
+from nuno_contact.fields import cache as field_cache
+from nuno_contact.fields.sample import sample_field
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import BodyShape
@@ -162,7 +162,7 @@ def test_what_makes_no_field_is_refused(
     files: Folder, monkeypatch: pytest.MonkeyPatch, config: dict[str, object], problem: str
 ) -> None:
     if problem == "too large":
-        monkeypatch.setattr("nuno_contact.sdf.LARGEST", 1 << 22)
+        monkeypatch.setattr("nuno_contact.colliders.sdf.LARGEST", 1 << 22)
     with pytest.raises(BadInput, match=problem):
         build(files, **config)
     assert problem == "encloses nothing" or not (files.folder / "fields").exists()

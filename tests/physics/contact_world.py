@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from nuno_kernels.contact import Contact, add_contact, commit_contact, make_contact, set_poses
+from nuno_contact.penalty.contact import Contact, add_contact, commit_contact, make_contact, set_poses
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses
 
 G = 9.81

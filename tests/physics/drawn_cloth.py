@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.picture import YarnsConfig, YarnsPicture
-from nuno_dye.texture import TextureConfig
-from nuno_dye.woven import WovenConfig, YarnConfig, build_cells
+from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells
+from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
+from nuno_dye.pictures.texture import TextureConfig
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.dye_picture import Layers, Picture, Window
 from nuno_schemas.fabric import Float

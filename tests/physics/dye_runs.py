@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from nuno_dye.explicit import Explicit, ExplicitConfig
-from nuno_dye.implicit import Implicit, ImplicitConfig
-from nuno_dye.rkl2 import Rkl2, Rkl2Config
+from nuno_dye.solvers.explicit import Explicit, ExplicitConfig
+from nuno_dye.solvers.implicit import Implicit, ImplicitConfig
+from nuno_dye.solvers.rkl2 import Rkl2, Rkl2Config
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float
 

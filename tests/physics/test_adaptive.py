@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nuno_integrators.adaptive import Dop853, Dopri5
+from nuno_integrators.explicit.adaptive import Dop853, Dopri5
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Springs, State
 from nuno_schemas.system import System, Term

@@ -6,8 +6,8 @@ import closed_meshes as meshes
 import numpy as np
 import pytest
 
-from nuno_kernels.closest_point import closest_points, scan_triangles
-from nuno_kernels.surface_tree import build_tree
+from nuno_kernels.meshes.closest_point import closest_points, scan_triangles
+from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

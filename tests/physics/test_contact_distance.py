@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from contact_world import box, capsule, contact_for, geometry, move, plane
 
-from nuno_kernels.contact_field import primitive_distance
-from nuno_kernels.contact_place import pose_bodies
+from nuno_contact.penalty.field_distance import primitive_distance
+from nuno_contact.penalty.poses import pose_bodies
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.surface import surface
 

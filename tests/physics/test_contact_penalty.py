@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from contact_world import STILL, G, box, capsule, contact_for, fall, geometry, move, plane, points
 
-from nuno_contact.penalty import Penalty, PenaltyConfig
-from nuno_kernels.contact import (
+from nuno_contact.penalty.contact import (
     add_contact,
     add_contact_parallel,
     commit_contact,
     commit_contact_parallel,
     count_contacts,
 )
+from nuno_contact.penalty.plugin import Penalty, PenaltyConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 

@@ -10,8 +10,8 @@ import pytest
 from pydantic import ValidationError
 from test_dye_diffusion import random_cells
 
-from nuno_dye.cells import CellsCloth, CellsConfig
-from nuno_dye.isotherms import FreundlichConfig, LangmuirConfig, PartitionConfig
+from nuno_dye.cloths.cells import CellsCloth, CellsConfig
+from nuno_dye.laws.isotherms import FreundlichConfig, LangmuirConfig, PartitionConfig
 from nuno_schemas.dye import Tortuosity
 from nuno_schemas.errors import BadInput
 

@@ -12,12 +12,12 @@ from drawn_cloth import BYTE, FLAT, INK, by_layer, cloth, draw_cloth, layers_of,
 from pydantic import ValidationError
 
 from nuno.scene.files import SceneFiles
-from nuno_dye import picture as module
-from nuno_dye.colour import colour_of, mix
-from nuno_dye.picture import YarnsConfig, YarnsPicture
-from nuno_dye.texture import TextureConfig, Textures, find_lays
-from nuno_dye.weaves import draw_plain, draw_satin, draw_twill
-from nuno_dye.woven import Lay
+from nuno_dye.cloths.woven import Lay
+from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
+from nuno_dye.pictures import picture as module
+from nuno_dye.pictures.colour import colour_of, mix
+from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
+from nuno_dye.pictures.texture import TextureConfig, Textures, find_lays
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Window, amount_seen
 from nuno_schemas.errors import BadInput

@@ -12,8 +12,8 @@ from test_dye_explicit import LAWS, dyed
 from test_dye_step import ISOTHERMS, resisted, start
 from test_dye_upkeep import kept
 
-from nuno_dye import implicit as module
-from nuno_dye.implicit import HALVINGS
+from nuno_dye.solvers import implicit as module
+from nuno_dye.solvers.implicit import HALVINGS
 from nuno_schemas.dye import Cells, Tortuosity
 
 ONES = np.ones((2, 3, 3))

@@ -13,7 +13,7 @@ from test_dye_explicit import LAWS, dyed
 from test_dye_step import ISOTHERMS, resisted, start
 from test_dye_upkeep import kept
 
-from nuno_dye.solving import CELLS_PER_THREAD
+from nuno_dye.solvers.solving import CELLS_PER_THREAD
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity
 from nuno_schemas.errors import BadInput
 

@@ -13,8 +13,13 @@ from PIL import Image
 from pydantic import ValidationError
 
 from nuno.scene.files import SceneFiles
-from nuno_dye.photograph import Colours, find_up, read_photograph, share_out, split_by_colour, to_oklab
-from nuno_dye.photograph_cloth import PhotographCloth, PhotographConfig, PhotographPicture, PhotographPictureConfig
+from nuno_dye.cloths.photograph import Colours, find_up, read_photograph, share_out, split_by_colour, to_oklab
+from nuno_dye.cloths.photograph_cloth import (
+    PhotographCloth,
+    PhotographConfig,
+    PhotographPicture,
+    PhotographPictureConfig,
+)
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.errors import BadInput

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from nuno_dye.resist import (
+from nuno_dye.supplies.resist import (
     Binding,
     ImageResist,
     Paste,
@@ -23,7 +23,7 @@ from nuno_dye.resist import (
     read_image,
     write_image,
 )
-from nuno_dye.shibori import Rings, Seigaiha, Squares, Stripes, draw_pattern, fold
+from nuno_dye.supplies.shibori import Rings, Seigaiha, Squares, Stripes, draw_pattern, fold
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 

@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 from drawn_cloth import cloth, layers_of, whole
 
-from nuno_dye.texture import TextureConfig, Textures, draw_noise, find_floats, find_lays, look_across, shade_yarn
-from nuno_dye.weaves import draw_plain
-from nuno_dye.woven import lay_evenly
+from nuno_dye.cloths.woven import lay_evenly
+from nuno_dye.drafts.weaves import draw_plain
+from nuno_dye.pictures.texture import (
+    TextureConfig,
+    Textures,
+    draw_noise,
+    find_floats,
+    find_lays,
+    look_across,
+    shade_yarn,
+)
 
 
 def test_shadow_and_holes_are_where_they_should_be() -> None:

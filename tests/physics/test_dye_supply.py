@@ -11,9 +11,9 @@ import pytest
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
-from nuno_dye.regions import Disc, Polygon, Rectangle, Region, Stroke, cover
-from nuno_dye.resist import Resists
-from nuno_dye.supply import AnySupply, Bath, Brush, Supplies, find_cells, prepare_supplies
+from nuno_dye.supplies.regions import Disc, Polygon, Rectangle, Region, Stroke, cover
+from nuno_dye.supplies.resist import Resists
+from nuno_dye.supplies.supply import AnySupply, Bath, Brush, Supplies, find_cells, prepare_supplies
 from nuno_schemas.errors import BadInput
 
 SIZE = 5e-5

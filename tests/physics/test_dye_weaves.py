@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nuno_dye.weaves import draw_plain, draw_satin, draw_twill, find_satin_steps, read_matrix
+from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill, find_satin_steps, read_matrix
 from nuno_schemas.errors import BadInput
 
 

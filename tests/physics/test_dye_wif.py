@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from wif_texts import DOBBY, FLOOR_LOOM, SINKING
 
-from nuno_dye.weaves import draw_plain, draw_twill
-from nuno_dye.wif import read_wif
+from nuno_dye.drafts.weaves import draw_plain, draw_twill
+from nuno_dye.drafts.wif import read_wif
 from nuno_schemas.errors import BadInput
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_cloth.energy import elastic_energy
-from nuno_cloth.kes import minimise
-from nuno_cloth.material import Measured
-from nuno_cloth.sheet import Sheet, SheetConfig
+from nuno_cloth.fabrics.energy import elastic_energy
+from nuno_cloth.fabrics.kes import minimise
+from nuno_cloth.fabrics.material import Measured
+from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_schemas.fabric import Float
 
 GRAVITY, DENSITY, LENGTH = 9.81, 0.2, 0.2

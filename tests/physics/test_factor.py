@@ -7,16 +7,16 @@ import pytest
 from nets import make_fabric, make_system, start
 from test_implicit import DOWN, PLUGINS, dense, sheet
 
-import nuno_kernels.packing
-from nuno_integrators.implicit import TRBDF2, ImplicitEuler
-from nuno_kernels.conjugate import multiply
-from nuno_kernels.dissection import dissect
-from nuno_kernels.factor import factorise, make_factor, solve_factored
-from nuno_kernels.lumped import positive_part
-from nuno_kernels.matrix import fill, make_linear
-from nuno_kernels.newton import turning_work
-from nuno_kernels.packing import pack, to_rows
-from nuno_kernels.plan import make_plan
+import nuno_kernels.step.packing
+from nuno_integrators.implicit.conjugate import multiply
+from nuno_integrators.implicit.dissection import dissect
+from nuno_integrators.implicit.factor import factorise, make_factor, solve_factored
+from nuno_integrators.implicit.lumped import positive_part
+from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_integrators.implicit.newton import turning_work
+from nuno_integrators.implicit.plan import make_plan
+from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
+from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Hinges, Springs
 
 
@@ -51,7 +51,7 @@ FABRICS = {
 
 @pytest.mark.parametrize("build", FABRICS.values(), ids=FABRICS)
 def test_the_factor_gives_the_dense_solution(build, monkeypatch):
-    monkeypatch.setattr("nuno_kernels.blocks.SMALL", 0)
+    monkeypatch.setattr("nuno_kernels.step.blocks.SMALL", 0)
     fabric = build()
     n, rng = fabric.number, np.random.default_rng(0)
     packed, x = pack(make_system(fabric)), to_rows(fabric.position)
@@ -166,7 +166,7 @@ def test_newton_steps_grow_little_with_stiffness(plugin, growth):
 
 @PLUGINS
 def test_factorisations_give_equal_bytes_for_any_number_of_threads(plugin, monkeypatch):
-    monkeypatch.setattr(nuno_kernels.packing, "PARALLEL_FROM", 0)
+    monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)
     ends = []
     for threads in (1, 2):
         system = make_system(sheet(24, k=1e7), DOWN, 0.1, threads=threads)

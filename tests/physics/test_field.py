@@ -6,12 +6,12 @@ import closed_meshes as meshes
 import numpy as np
 import pytest
 
-from nuno_kernels.closest_point import closest_points
-from nuno_kernels.field_build import build_field
-from nuno_kernels.field_exact import Exact
-from nuno_kernels.field_sample import sample_field
-from nuno_kernels.leg import leg_mesh
-from nuno_kernels.surface_tree import build_tree
+from nuno_contact.fields.build import build_field
+from nuno_contact.fields.exact import Exact
+from nuno_contact.fields.sample import sample_field
+from nuno_contact.figures.leg import leg_mesh
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from contact_world import G, capsule, contact_for, fall, geometry, move
 
-from nuno_kernels.closest_point import closest_points
-from nuno_kernels.contact import Contact, add_contact, add_contact_parallel, count_contacts
-from nuno_kernels.field_build import build_field
-from nuno_kernels.field_sample import sample_field
-from nuno_kernels.leg import leg_mesh
-from nuno_kernels.surface_tree import build_tree
+from nuno_contact.fields.build import build_field
+from nuno_contact.fields.sample import sample_field
+from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.penalty.contact import Contact, add_contact, add_contact_parallel, count_contacts
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.bodies import FIELD, Geometry, rotation_matrices
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from contact_world import STILL, G, capsule, contact_for, fall, geometry, move, plane, points, settle
 
-from nuno_contact.penalty import slip_speed
-from nuno_kernels.contact import add_contact
+from nuno_contact.penalty.contact import add_contact
+from nuno_contact.penalty.plugin import slip_speed
 
 MU = 0.4
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from contact_world import capsule, contact_for, geometry, move
 
-from nuno_kernels.contact import add_contact, commit_contact
+from nuno_contact.penalty.contact import add_contact, commit_contact
 
 
 @numba.njit(cache=True)

@@ -9,13 +9,13 @@ import pytest
 from contact_world import G, contact_for, geometry, move, plane
 from nets import make_fabric, make_system, start
 
-import nuno_kernels.packing
-from nuno_integrators.adaptive import Dop853
-from nuno_integrators.implicit import TRBDF2, ImplicitEuler
-from nuno_kernels.acceleration import evaluate
-from nuno_kernels.conjugate import multiply, solve
-from nuno_kernels.matrix import fill, make_linear
-from nuno_kernels.packing import pack, to_rows
+import nuno_kernels.step.packing
+from nuno_integrators.explicit.adaptive import Dop853
+from nuno_integrators.implicit.conjugate import multiply, solve
+from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
+from nuno_kernels.step.acceleration import evaluate
+from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Hinges, Springs
 from nuno_schemas.system import Term
@@ -65,7 +65,7 @@ def dense(linear, n, threads=None):
 
 @pytest.mark.parametrize("shuffle", [False, True])
 def test_matrix_of_stretched_cloth_is_the_derivative_of_its_forces(shuffle, monkeypatch):
-    monkeypatch.setattr("nuno_kernels.blocks.SMALL", 0)
+    monkeypatch.setattr("nuno_kernels.step.blocks.SMALL", 0)
     fabric = sheet(9, shuffle=shuffle)
     packed, rate = pack(make_system(fabric)), 200.0
     x = 1.02 * to_rows(fabric.position)
@@ -81,7 +81,7 @@ def test_matrix_of_stretched_cloth_is_the_derivative_of_its_forces(shuffle, monk
 
 @pytest.mark.parametrize("shuffle", [False, True])
 def test_matrix_is_symmetric_and_never_negative_however_crumpled(shuffle, monkeypatch):
-    monkeypatch.setattr("nuno_kernels.blocks.SMALL", 0)
+    monkeypatch.setattr("nuno_kernels.step.blocks.SMALL", 0)
     fabric = sheet(6, bend=1e-3 if not shuffle else 0.0, shuffle=shuffle)
     packed = pack(make_system(fabric))
     crumpled = to_rows(fabric.position) + 0.08 * np.random.default_rng(2).standard_normal((3, 36))
@@ -215,7 +215,7 @@ def test_an_incline_holds_or_lets_go_as_coulomb_says(plugin, share):
 
 @PLUGINS
 def test_any_number_of_threads_gives_equal_bytes(plugin, monkeypatch):
-    monkeypatch.setattr(nuno_kernels.packing, "PARALLEL_FROM", 0)
+    monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)
     ends = []
     for threads in (1, 2):
         system = make_system(sheet(50, bend=1e-5), DOWN, 0.1, threads=threads)

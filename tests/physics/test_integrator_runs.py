@@ -12,15 +12,15 @@ from explicit_methods import ALL, METHODS, name
 from nets import grid_springs, make_fabric, make_hinges, make_system, random_net, run, start
 from yarn_nets import chains, locking
 
-from nuno_contact.penalty import Penalty
-from nuno_integrators.leapfrog import Leapfrog
-from nuno_integrators.rk4 import RK4
-from nuno_kernels.blocks import BLOCK
-from nuno_kernels.hinges import HingeLists
-from nuno_kernels.packing import pack
-from nuno_kernels.springs import SpringLists
-from nuno_kernels.wind import WindLists, prepare_wind
-from nuno_kernels.yarns import YarnLists
+from nuno_cloth.wind.kernels import WindLists, prepare_wind
+from nuno_contact.penalty.plugin import Penalty
+from nuno_integrators.explicit.leapfrog import Leapfrog
+from nuno_integrators.explicit.rk4 import RK4
+from nuno_kernels.forces.hinges import HingeLists
+from nuno_kernels.forces.springs import SpringLists
+from nuno_kernels.forces.yarns import YarnLists
+from nuno_kernels.step.blocks import BLOCK
+from nuno_kernels.step.packing import pack
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -12,8 +12,8 @@ from typing import Any
 import numba
 import pytest
 
-from nuno_kernels import reached
-from nuno_kernels.kept import CHECKSUM, keep
+from nuno_kernels.compile import reached
+from nuno_kernels.compile.kept import CHECKSUM, keep
 
 
 def twice(x: float) -> float:

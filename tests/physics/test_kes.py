@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_cloth.energy import elastic_energy, hinge_energy, spring_energy
-from nuno_cloth.kes import TURN, bend, measure, relax, stretch
-from nuno_cloth.material import HandSet, Measured
-from nuno_cloth.presets import PRESETS
-from nuno_cloth.sheet import Sheet, SheetConfig
+from nuno_cloth.fabrics.energy import elastic_energy, hinge_energy, spring_energy
+from nuno_cloth.fabrics.kes import TURN, bend, measure, relax, stretch
+from nuno_cloth.fabrics.material import HandSet, Measured
+from nuno_cloth.fabrics.presets import PRESETS
+from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_schemas.fabric import Fabric, Float
 
 RESOLUTIONS = {(9, 9): (0.05, 0.05), (13, 9): (0.05, 0.04), (6, 9): (0.04, 0.05)}

@@ -10,7 +10,7 @@ import pytest
 from nets import accelerations, make_system
 from yarn_nets import chains, reference
 
-from nuno_kernels.yarn_tension import link_tensions, point_forces
+from nuno_kernels.forces.yarn_tension import link_tensions, point_forces
 from nuno_knit.knit import Knit, KnitConfig
 from nuno_knit.pressure import Pressure, PressureConfig, shares
 from nuno_schemas.errors import BadInput

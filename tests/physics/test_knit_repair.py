@@ -9,14 +9,14 @@ import pytest
 from closed_meshes import box, outward, sphere, torus
 from knit_bodies import brute_depths, knit, samples, wrapped
 
-from nuno_kernels.closest_point import closest_points
-from nuno_kernels.leg import leg_mesh
-from nuno_kernels.mesh_file import read_closed
-from nuno_kernels.surface_strings import CLEAR, LIES, LOST
-from nuno_kernels.surface_tree import build_tree
+from nuno_contact.figures.leg import leg_mesh
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.file import read_closed
+from nuno_kernels.meshes.tree import build_tree
 from nuno_knit.paths import Paths, find_paths
 from nuno_knit.repair import CHECKED, Repair, Repaired, YarnConfig, repair
 from nuno_knit.skin import Skin
+from nuno_knit.strings import CLEAR, LIES, LOST
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.operation import Surface

@@ -10,17 +10,17 @@ import pytest
 from nets import accelerations, make_fabric, make_system, random_net, start
 from yarn_nets import chains, locking, reference
 
-from nuno_integrators.adaptive import Dop853
-from nuno_integrators.implicit import TRBDF2, ImplicitEuler
-from nuno_integrators.symplectic_euler import SymplecticEuler
-from nuno_integrators.xpbd import XPBD
-from nuno_kernels.acceleration import evaluate
-from nuno_kernels.blocks import BLOCK
-from nuno_kernels.conjugate import multiply
-from nuno_kernels.energy import measure_energy
-from nuno_kernels.matrix import fill, make_linear
-from nuno_kernels.packing import pack, to_rows
-from nuno_kernels.stability import measure_rates
+from nuno_integrators.explicit.adaptive import Dop853
+from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.implicit.conjugate import multiply
+from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
+from nuno_integrators.stability import measure_rates
+from nuno_integrators.xpbd.plugin import XPBD
+from nuno_kernels.forces.energy import measure_energy
+from nuno_kernels.step.acceleration import evaluate
+from nuno_kernels.step.blocks import BLOCK
+from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Springs
 from nuno_schemas.system import System
@@ -99,7 +99,7 @@ BUILDS = {"lists": lambda: flat(50, 1), "runs": rows_of_runs}
 
 @pytest.mark.parametrize("build", BUILDS.values(), ids=BUILDS)
 def test_force_is_minus_the_gradient_of_energy(build: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nuno_kernels.blocks.SMALL", 0)
+    monkeypatch.setattr("nuno_kernels.step.blocks.SMALL", 0)
     fabric = build()
     packed, x0 = pack(make_system(fabric)), fabric.position
     part = packed.forces[0]

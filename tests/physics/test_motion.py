@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from nuno_contact.hula import Hula, HulaConfig
-from nuno_contact.keyframes import Keyframes, KeyframesConfig
+from nuno_contact.motions.hula import Hula, HulaConfig
+from nuno_contact.motions.keyframes import Keyframes, KeyframesConfig
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 

@@ -6,7 +6,7 @@ import numpy as np
 import pybvh
 import pytest
 
-from nuno_contact.bvh import BVH, BvhConfig
+from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_schemas.errors import BadInput
 
 WALK = Path(__file__).parents[3] / "shared" / "data" / "cmu_12_01_walk.bvh"

@@ -10,7 +10,7 @@ from knit_bodies import knit, wrapped
 from pydantic import ValidationError
 
 from nuno import registry
-from nuno_kernels.leg import leg_mesh
+from nuno_contact.figures.leg import leg_mesh
 from nuno_schemas.fabric import State
 from nuno_schemas.operation import Outcome, Surface
 

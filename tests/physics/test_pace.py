@@ -10,8 +10,8 @@ import pytest
 
 from nuno.cloth import build
 from nuno.scene import scene_file
+from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.pace import BETTER, TRY_AGAIN, Pace
-from nuno_integrators.symplectic_euler import SymplecticEuler
 from nuno_schemas.system import System, Term
 
 

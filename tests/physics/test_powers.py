@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nuno_dye.laws.power import SMALLEST, power
 from nuno_kernels import kernel
-from nuno_kernels.simd import WIDTH, load, store
-from nuno_kernels.simd_power import SMALLEST, power
+from nuno_kernels.lanes.simd import WIDTH, load, store
 from nuno_schemas.fabric import Float
 
 

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno_cloth.delaunay import fill_outline, triangulate
-from nuno_cloth.mesh import open_spans
-from nuno_cloth.shirt import STANDARD, Shirt, ShirtConfig, sewn_for, take_measures
-from nuno_cloth.shirt_pattern import outline_of
-from nuno_cloth.triangles import face_areas, find_edges
-from nuno_cloth.wearer import find_wearer
-from nuno_kernels.closest_point import closest_points
-from nuno_kernels.leg import leg_mesh
-from nuno_kernels.surface_tree import build_tree
-from nuno_kernels.torso import torso_mesh
+from nuno_cloth.models.delaunay import fill_outline, triangulate
+from nuno_cloth.models.mesh import open_spans
+from nuno_cloth.models.shirt import STANDARD, Shirt, ShirtConfig, sewn_for, take_measures
+from nuno_cloth.models.shirt_pattern import outline_of
+from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_cloth.models.wearer import find_wearer
+from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.figures.torso import torso_mesh
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 
@@ -182,7 +182,7 @@ def test_bodies_that_lie_tilted_are_refused_with_what_turns_them(body: Body) -> 
 def test_bodies_in_another_unit_are_refused_before_they_are_searched(
     body: Body, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nuno_cloth.shirt.find_wearer", lambda *_: pytest.fail("searched for arms"))
+    monkeypatch.setattr("nuno_cloth.models.shirt.find_wearer", lambda *_: pytest.fail("searched for arms"))
     for unit, per_metre in (("1mm", 1e3), ("1cm", 1e2), ("1km", 1e-3)):
         with pytest.raises(BadInput, match="too small or too large to wear a shirt") as refused:
             shirt((per_metre * body[0], body[1]))

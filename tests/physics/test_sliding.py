@@ -11,8 +11,8 @@ import pytest
 
 from nuno import registry
 from nuno.collision.distance import penetration, signed_distance
-from nuno_contact.sliding import Sliding, SlidingConfig
-from nuno_kernels.balance import hold_forces
+from nuno_contact.sliding.balance import hold_forces
+from nuno_contact.sliding.plugin import Sliding, SlidingConfig
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, Springs, State

@@ -15,11 +15,11 @@ from nets import (
     start,
 )
 
-from nuno_integrators.symplectic_euler import SymplecticEuler
-from nuno_kernels.blocks import BLOCK
-from nuno_kernels.energy import measure_energy
-from nuno_kernels.packing import of_type, pack, to_rows
-from nuno_kernels.springs import SpringRuns
+from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_kernels.forces.energy import measure_energy
+from nuno_kernels.forces.springs import SpringRuns
+from nuno_kernels.step.blocks import BLOCK
+from nuno_kernels.step.packing import of_type, pack, to_rows
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 
 
@@ -216,7 +216,7 @@ def test_small_nets_have_the_same_forces_and_energy_by_lists(c: float, monkeypat
     x, v = shaken(position, 1e-3)
     system, found = make_system(make_fabric(position, springs)), []
     for small in (springs.number + 1, springs.number):
-        monkeypatch.setattr("nuno_kernels.blocks.SMALL", small)
+        monkeypatch.setattr("nuno_kernels.step.blocks.SMALL", small)
         packed = pack(system)
         assert (not of_type(packed, SpringRuns)) == (small > springs.number)
         assert packed.velocity_matters == (c > 0.0)

@@ -16,11 +16,11 @@ from nets import (
     triangulate,
 )
 
-from nuno_integrators.euler import Euler
-from nuno_integrators.leapfrog import Leapfrog
-from nuno_integrators.rk4 import RK4
-from nuno_integrators.symplectic_euler import SymplecticEuler
-from nuno_kernels.stability import critical_step, measure_rates, spectral_radius
+from nuno_integrators.explicit.euler import Euler
+from nuno_integrators.explicit.leapfrog import Leapfrog
+from nuno_integrators.explicit.rk4 import RK4
+from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.stability import critical_step, measure_rates, spectral_radius
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.system import System, Term
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from straight_yarns import above, parallel, plane, worn
 
-from nuno_render.map_rows import BACKGROUND, COUNTS, MEANS
-from nuno_render.maps import Density, Map, map_values, most_of, reach_of
-from nuno_render.near import sort_points, sum_near
-from nuno_render.yarn_config import MapConfig
+from nuno_render.rays.map_rows import BACKGROUND, COUNTS, MEANS
+from nuno_render.rays.maps import Density, Map, map_values, most_of, reach_of
+from nuno_render.rays.near import sort_points, sum_near
+from nuno_render.rays.yarn_config import MapConfig
 from nuno_schemas.colour import colours, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.yarn_picture import SurfaceValues

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_contact.mesh import MeshConfig, make_torso
-from nuno_kernels.isosurface import find_isosurface
-from nuno_kernels.mesh_check import check_closed, check_crossings, volume
-from nuno_kernels.mesh_sections import cut_mesh, section_about
-from nuno_kernels.torso import ALONG, GIRTHS, HEIGHTS, JOINT
+from nuno_contact.colliders.mesh import MeshConfig, make_torso
+from nuno_contact.figures.isosurface import find_isosurface
+from nuno_contact.figures.torso import ALONG, GIRTHS, HEIGHTS, JOINT
+from nuno_kernels.meshes.check import check_closed, check_crossings, volume
+from nuno_kernels.meshes.loops import cut_mesh, section_about
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from nets import wind_force
 
-from nuno_cloth.sheet import Sheet, SheetConfig
-from nuno_cloth.skirt import Skirt, SkirtConfig
-from nuno_cloth.wind import ParticleWindConfig, ParticleWindForce, Wind, WindConfig
-from nuno_kernels.wind import WindRuns, add_particle_wind, prepare_wind
+from nuno_cloth.models.sheet import Sheet, SheetConfig
+from nuno_cloth.models.skirt import Skirt, SkirtConfig
+from nuno_cloth.wind.kernels import WindRuns, add_particle_wind, prepare_wind
+from nuno_cloth.wind.plugin import ParticleWindConfig, ParticleWindForce, Wind, WindConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 

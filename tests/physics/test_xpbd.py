@@ -10,16 +10,16 @@ from contact_world import G
 from nets import make_system, start
 from xpbd_nets import DOWN, advance, chain, sheet
 
-from nuno_integrators.adaptive import Dop853
-from nuno_integrators.implicit import ImplicitEuler
-from nuno_integrators.xpbd import XPBD
+from nuno_integrators.explicit.adaptive import Dop853
+from nuno_integrators.implicit.plugin import ImplicitEuler
+from nuno_integrators.xpbd.plugin import XPBD
 from nuno_schemas.system import Term
 
 
 @pytest.mark.parametrize("shuffle", [False, True])
 def test_many_sweeps_solve_the_step_of_backward_euler(shuffle, monkeypatch):
     """Springs of all kinds in runs and lists, their damping, hinges, viscous damping."""
-    monkeypatch.setattr("nuno_kernels.blocks.SMALL", 0)
+    monkeypatch.setattr("nuno_kernels.step.blocks.SMALL", 0)
     system = make_system(sheet(12, shuffle=shuffle), DOWN, 0.7)
     ours = advance(system, 5, 5e-3, iterations=200)
     exact = advance(system, 5, 5e-3, plugin=ImplicitEuler(), residual=1e-12)

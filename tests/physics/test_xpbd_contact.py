@@ -10,8 +10,8 @@ from contact_world import G, contact_for, geometry, move, plane
 from nets import make_fabric, make_system, start
 from xpbd_nets import DOWN, POSES, STILL, advance, chain, sheet
 
-from nuno_integrators.implicit import ImplicitEuler
-from nuno_integrators.xpbd import XPBD
+from nuno_integrators.implicit.plugin import ImplicitEuler
+from nuno_integrators.xpbd.plugin import XPBD
 from nuno_schemas.bodies import Poses
 from nuno_schemas.system import Carried, Term
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from straight_yarns import BARE, above, curves, everywhere, joined, parallel, plane, shares, worn
 
-from nuno_render.yarn_config import YarnsConfig
-from nuno_render.yarns import Lines, Yarns, radiance
+from nuno_render.rays.yarn_config import YarnsConfig
+from nuno_render.rays.yarns import Lines, Yarns, radiance
 from nuno_schemas.colour import to_linear
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
@@ -108,8 +108,8 @@ def tangle():
 
 
 def test_picture_is_the_same_by_any_number_of_threads_and_by_trying_everything(monkeypatch):
-    from nuno_render import ray_tree
-    from nuno_render import worn as gathered
+    from nuno_render.rays import tree as ray_tree
+    from nuno_render.rays import worn as gathered
 
     scene, camera = tangle()
     config = YarnsConfig(samples=4)

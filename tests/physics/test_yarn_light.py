@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from straight_yarns import BARE, above, curves, parallel, plane, worn
 
-from nuno_render.fibre import fibre_highlight
-from nuno_render.lighting import GROUND, KEY, SKY
-from nuno_render.yarn_config import YarnsConfig
-from nuno_render.yarns import radiance
+from nuno_render.light.lighting import GROUND, KEY, SKY
+from nuno_render.rays.fibre import fibre_highlight
+from nuno_render.rays.yarn_config import YarnsConfig
+from nuno_render.rays.yarns import radiance
 from nuno_schemas.camera import axes
 from nuno_schemas.drawing import Camera
 

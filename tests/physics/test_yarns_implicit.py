@@ -10,15 +10,15 @@ import pytest
 from nets import make_system, start
 from yarn_nets import balance, chains, line
 
-from nuno_integrators.implicit import TRBDF2, ImplicitEuler
-from nuno_kernels import solver
-from nuno_kernels.acceleration import evaluate
-from nuno_kernels.blocks import BLOCK
-from nuno_kernels.conjugate import multiply
-from nuno_kernels.factor import factorise, make_factor, solve_factored
-from nuno_kernels.matrix import Linear, fill, make_linear
-from nuno_kernels.packing import pack, to_rows
-from nuno_kernels.plan import make_plan
+from nuno_integrators.implicit.conjugate import multiply
+from nuno_integrators.implicit.factor import factorise, make_factor, solve_factored
+from nuno_integrators.implicit.matrix import Linear, fill, make_linear
+from nuno_integrators.implicit.plan import make_plan
+from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
+from nuno_integrators.implicit.plugin import linear_solve as solver
+from nuno_kernels.step.acceleration import evaluate
+from nuno_kernels.step.blocks import BLOCK
+from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Fabric, Float
 
 

@@ -9,10 +9,10 @@ import pytest
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno_integrators.implicit import ImplicitEuler
-from nuno_kernels import solver
-from nuno_kernels.acceleration import evaluate
-from nuno_kernels.packing import pack, to_rows
+from nuno_integrators.implicit.plugin import ImplicitEuler
+from nuno_integrators.implicit.plugin import linear_solve as solver
+from nuno_kernels.step.acceleration import evaluate
+from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.system import System
 

@@ -13,7 +13,7 @@ import yaml
 from nuno.cli.common import load_scene
 from nuno.cloth import build
 from nuno.scene.scene_file import Loaded, find
-from nuno_kernels.leg import leg_mesh
+from nuno_contact.figures.leg import leg_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 

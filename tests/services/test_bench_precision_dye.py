@@ -21,7 +21,7 @@ from nuno_bench.precision.page import orders_of
 from nuno_bench.problem.dye import AMOUNTS, DyeProblem, make_dye_problem
 from nuno_bench.problem.dye_reference import make_dye_reference
 from nuno_bench.problem.observe import Series
-from nuno_dye.explicit import Explicit
+from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float
 

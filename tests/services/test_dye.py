@@ -96,7 +96,7 @@ def test_the_recording_verifies_and_tells_where_it_differs(
     path = nuno.run(write_scene(tmp_path), record=tmp_path / "run.mcap").path
     assert main(["verify", str(path)]) == 0
     assert "equal to the last bit: 11 frames" in capsys.readouterr().out
-    monkeypatch.setattr("nuno_dye.isotherms.Langmuir.prepare", _weaker)
+    monkeypatch.setattr("nuno_dye.laws.isotherms.Langmuir.prepare", _weaker)
     with nuno.open(path) as recording:
         found = verify(recording)
     assert found.frame == 1 and found.compared == 1 and found.part == "dye"

@@ -88,7 +88,7 @@ def _two(data: dict[str, Any]) -> dict[str, Any]:
 def test_a_resumed_run_prepares_its_solver_with_the_resist_that_it_goes_on_with(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from nuno_dye.explicit import Explicit
+    from nuno_dye.solvers.explicit import Explicit
 
     whole = start(tmp_path)
     for _ in range(2):

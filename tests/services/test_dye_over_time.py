@@ -20,7 +20,7 @@ from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
 from nuno.verify import verify
-from nuno_dye.explicit import Explicit
+from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import DyeSystem
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

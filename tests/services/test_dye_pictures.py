@@ -19,7 +19,7 @@ from nuno import registry
 from nuno.cli import main
 from nuno.export.dyed_pictures import _bar, _time, caption, choose_amounts, dyed_pictures, find_amounts
 from nuno.scene.files import SceneFiles
-from nuno_dye.picture import YarnsPicture
+from nuno_dye.pictures.picture import YarnsPicture
 from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import DyeColour

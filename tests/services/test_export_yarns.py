@@ -18,9 +18,9 @@ from nuno.cli.export_yarns import tell_yarns
 from nuno.export.cloth import read_frame
 from nuno.export.curves import Form, export_yarns, make_yarns
 from nuno.recording.reader import open_recording
-from nuno_kernels.closest_point import closest_points
-from nuno_kernels.leg import leg_mesh
-from nuno_kernels.surface_tree import build_tree
+from nuno_contact.figures.leg import leg_mesh
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.fabric import Float
 
 MOVED = 0.02

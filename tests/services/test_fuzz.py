@@ -25,7 +25,7 @@ from nuno_bench.soak.fuzz.kind import OneFile
 from nuno_bench.soak.fuzz.kinds import KINDS
 from nuno_bench.soak.fuzz.mutate_containers import CHUNK, MCAP, mcap_record, mcap_records
 from nuno_bench.soak.fuzz.worker import Trial
-from nuno_kernels.mesh_file import load_mesh
+from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.bodies import FIELD, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.field import DistanceField

@@ -13,8 +13,8 @@ from scenes import write_scene
 import nuno
 from nuno.recording.reader import open_recording
 from nuno.wire.arrays import decode_points
-from nuno_kernels.closest_point import closest_points
-from nuno_kernels.surface_tree import build_tree
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.messages import PENETRATION, STATE
 
 TOLERANCE = 2e-3

@@ -14,7 +14,7 @@ from nuno_bench.validation import suite as validate
 from nuno_bench.validation.laws import dye_amounts
 from nuno_bench.validation.laws.base import Outcome
 from nuno_bench.validation.laws.dye import GROUP, make_cells
-from nuno_dye.explicit import Explicit
+from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput
 

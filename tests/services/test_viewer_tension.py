@@ -14,7 +14,7 @@ from nuno.cloth.edges import structural_edges
 from nuno.cloth.tension import SPAN, Tensions, tension_arrays
 from nuno.scene import scene_file
 from nuno.wire.arrays import encode_arrays, encode_points
-from nuno_kernels.yarn_tension import link_tensions
+from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.messages import FABRIC, STATE
 from nuno_schemas.view import View

@@ -154,10 +154,10 @@ def _text(name: str, seeds: list[bytes], words: tuple[str, ...], **more: Any) ->
 def _mesh(kind: str) -> Kind:
     wear = _of_plugin("nuno.models", "mesh", f".{kind}", partial(_wear, merge=False))
     collide = _of_plugin("nuno.colliders", "mesh", f".{kind}", _collide)
-    field = () if kind == "glb" else ("nuno_cloth.mesh",)
+    field = () if kind == "glb" else ("nuno_cloth.models.mesh",)
     return Kind(
         kind.upper(), partial(mesh_seeds, kind), _either(wear, collide) if kind != "glb" else collide,
-        partial(_mesh_mutate, kind), (*field, "nuno_kernels.mesh_file"), follows=("trimesh.exchange",),
+        partial(_mesh_mutate, kind), (*field, "nuno_kernels.meshes.file"), follows=("trimesh.exchange",),
     )  # fmt: skip
 
 
@@ -179,34 +179,35 @@ FILES = (
     _text(
         "BVH", [BVH], ("JOINT a", "End Site", "CHANNELS 3 Zrotation Xrotation Yrotation", "Frames: 1000000", "OFFSET",
         "MOTION", "}", "{", "ROOT b", "Frame Time: 0"),
-        reader=_of_plugin("nuno.motions", "bvh", ".bvh", _move), modules=("nuno_contact.bvh",), follows=("pybvh",),
+        reader=_of_plugin("nuno.motions", "bvh", ".bvh", _move),
+        modules=("nuno_contact.motions.bvh",), follows=("pybvh",),
     ),
     *map(_mesh, ("obj", "ply", "stl", "glb")),
     _text(
         "WIF", [WIF + TIE_UP, WIF + LIFT_PLAN], ("[WIF]", "[TIEUP]", "Threads=1000000", "Shafts=99999", "1=1,2,3,4",
         ";", "=", "[", "]", ",", "Units=Inches", "[WEFT SPACING]", "[WARP THICKNESS]", "0=0", "Rising Shed=false"),
         reader=_of_plugin("nuno.dye_cloths", "woven", ".wif", _woven),
-        modules=("nuno_dye.wif", "nuno_dye.wif_text", "nuno_dye.wif_yarns"),
+        modules=("nuno_dye.drafts.wif", "nuno_dye.drafts.text", "nuno_dye.drafts.yarns"),
     ),
     Kind(
         "PNG resist", lambda folder: [image_seed(mode) for mode in ("L", "LA", "1", "I;16")],
-        _of_plugin("nuno.dye_cloths", "woven", ".png", _stencil), mutate_png, ("nuno_dye.resist",),
+        _of_plugin("nuno.dye_cloths", "woven", ".png", _stencil), mutate_png, ("nuno_dye.supplies.resist",),
         follows=("PIL.PngImagePlugin", "PIL.ImageFile"),
     ),
     Kind(
         "photograph", lambda folder: [image_seed("RGB"), image_seed("RGBA"), image_seed("RGB", "JPEG")],
         _of_plugin("nuno.dye_cloths", "photograph", ".png", _photograph), mutate_png,
-        ("nuno_dye.photograph", "nuno_dye.photograph_cloth"),
+        ("nuno_dye.cloths.photograph", "nuno_dye.cloths.photograph_cloth"),
         follows=("PIL.PngImagePlugin", "PIL.JpegImagePlugin", "PIL.ImageFile", "PIL.TiffImagePlugin"),
     ),
     Kind(
         "npz of a net", net_seeds, _of_plugin("nuno.models", "net", ".npz", _wear), mutate_npz,
-        ("nuno_cloth.net", "nuno_cloth.net_yarns"), follows=("zipfile", "numpy.lib._format_impl"),
+        ("nuno_cloth.models.net", "nuno_cloth.models.net_yarns"), follows=("zipfile", "numpy.lib._format_impl"),
     ),
     Kind(
         "npz of cells", cell_seeds,
         _of_plugin("nuno.dye_cloths", "cells", ".npz", partial(_dye, file="x", cell_size=1e-4)), mutate_npz,
-        ("nuno_dye.cells_file", "nuno_dye.cells"), follows=("zipfile", "numpy.lib._format_impl"),
+        ("nuno_dye.cloths.cells_file", "nuno_dye.cloths.cells"), follows=("zipfile", "numpy.lib._format_impl"),
     ),
     _text(
         "OBJ of lines", [b"v 0 0 0\nv 1 0 0\nv 1 1 0\nl 1 2 3\nl -1 -2\nl 1/1 2/2\n"], WORDS["obj"],

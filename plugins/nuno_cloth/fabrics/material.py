@@ -1,0 +1,114 @@
+"""The `fabric` entry of a model: a preset, measured values, or spring constants set by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
+
+from nuno_cloth.fabrics.presets import PRESETS, Material
+from nuno_cloth.quantities import Density, Modulus, Ratio, Rigidity, SpringDamping, Tensile
+from nuno_schemas.errors import nearest
+from nuno_schemas.plugin import Config
+
+MEASURES = ("density", "warp", "weft", "shear", "bend_warp", "bend_weft")
+
+
+def _known(preset: str) -> str:
+    if preset not in PRESETS:
+        raise ValueError(f"unknown fabric preset {preset!r}; {nearest(preset, PRESETS)}")
+    return preset
+
+
+class Measured(Config):
+    """A fabric in measured units: a preset, some of its values replaced, or all of them given."""
+
+    preset: str | None = Field(
+        default=None, description="whose values hold where none is given (nuno fabrics lists them)"
+    )
+    density: Density | None = Field(default=None, description="areal density [kg/m^2]")
+    warp: Tensile | None = Field(
+        default=None, description="tensile stiffness along the warp, per width, width held [N/m]"
+    )
+    weft: Tensile | None = Field(
+        default=None, description="tensile stiffness along the weft, per width, width held [N/m]"
+    )
+    shear: Modulus | None = Field(default=None, description="shear stiffness: force per width and shear angle [N/m]")
+    bend_warp: Rigidity | None = Field(default=None, description="bending rigidity of the warp yarns, per width [N*m]")
+    bend_weft: Rigidity | None = Field(default=None, description="bending rigidity of the weft yarns, per width [N*m]")
+    damping_ratio: Ratio | None = Field(
+        default=None, description="damping of each spring as a part of its critical damping; 0.05 unless given"
+    )
+
+    @field_validator("preset")
+    @classmethod
+    def _preset_exists(cls, preset: str | None) -> str | None:
+        return preset if preset is None else _known(preset)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Measured:
+        missing = [name for name in MEASURES if getattr(self, name) is None]
+        if self.preset is None and missing:
+            raise ValueError(f"without a preset every measure is needed; missing: {', '.join(missing)}")
+        return self
+
+    def material(self) -> Material:
+        given: dict[str, Any] = self.model_dump(exclude={"preset"}, exclude_none=True)
+        if self.preset is None:
+            return Material(**given)
+        base = PRESETS[self.preset]
+        return replace(base, **given, source=f"{base.source}, changed: {', '.join(given)}") if given else base
+
+
+def _pair(value: object) -> object:
+    """One constant stands for warp and weft alike."""
+    return value if isinstance(value, (list, tuple)) else (value, value)
+
+
+Pair = Annotated[
+    tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
+]
+
+
+class HandSet(Config):
+    """Constants per spring, as the papers tune them: they do not follow the mesh."""
+
+    density: Density = Field(description="areal density [kg/m^2]")
+    structural: Pair = Field(description="springs between neighbours [N/m]: one number, or [warp, weft]")
+    shear: Modulus = Field(default=0.0, description="springs along diagonals [N/m]")
+    bending: Pair = Field(
+        default=(0.0, 0.0),
+        description="the papers' springs between vertices two apart [N/m]: one number, or [warp, weft]",
+    )
+    hinge: Rigidity = Field(default=0.0, description="stiffness of each fold line [N*m]")
+    damping: SpringDamping = Field(default=0.0, description="of each spring, along it [N*s/m]")
+    damping_ratio: Ratio = Field(
+        default=0.0, description="damping of each spring as a part of its critical damping, added to `damping`"
+    )
+
+
+def _form(value: object) -> Literal["name", "by hand", "measured"]:
+    if isinstance(value, str):
+        return "name"
+    by_hand = "structural" in value if isinstance(value, dict) else isinstance(value, HandSet)
+    return "by hand" if by_hand else "measured"
+
+
+FABRIC = (
+    "a preset's name (nuno fabrics lists them), a preset with some values replaced, measured values, or constants "
+    "per spring set by hand"
+)
+FabricChoice = Annotated[
+    Annotated[str, Field(json_schema_extra={"enum": sorted(PRESETS)}), BeforeValidator(_known), Tag("name")]
+    | Annotated[Measured, Tag("measured")]
+    | Annotated[HandSet, Tag("by hand")],
+    Discriminator(_form),
+]
+
+
+def resolve(choice: str | Measured | HandSet) -> Material | HandSet:
+    """The material in measured units, or the constants set by hand."""
+    if isinstance(choice, str):
+        return PRESETS[choice]
+    return choice.material() if isinstance(choice, Measured) else choice

@@ -1,0 +1,1 @@
+"""Garments and sheets, each a plugin: their meshes, patterns, and where they start."""

@@ -1,0 +1,199 @@
+"""Where a shirt starts: put on a body, clear of it, with as little strain as that takes.
+
+Below the underarms the shirt is rings about the trunk, and beyond them rings about the arms: each is the convex hull of
+the body's section, set off by as much as the ring is longer, so that it has its length at rest and is clear. The yoke
+between is harmonic, and then everything is drawn together by its springs and put out of the body in turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nuno_cloth.models.shirt_pattern import Cut, Sewn
+from nuno_cloth.models.wearer import Arm, Wearer
+from nuno_kernels.meshes.check import place_of
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.harmonic import solve_harmonic
+from nuno_kernels.meshes.limb import spread_hull
+from nuno_kernels.meshes.loops import Loop
+from nuno_kernels.meshes.tree import build_tree
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float, Int
+
+RINGS, AROUND = 24, 96
+"""Rings that are laid about a trunk and about an arm, and points of each."""
+UPPER = 0.2
+"""Of the cloth round an arm, so much is laid over it from the overarm on where the underarm is not closed yet."""
+MARGIN = 0.02
+"""Where a shirt is longer than the body, its rings are those about the body so far above its lower end [m]."""
+ROUNDS = 240
+"""Times that springs draw the shirt together and that it is put out of the body ..."""
+MOMENTUM = 0.95
+"""... going on by this share of what it moved the last time."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What ties a cut to its wearer.
+
+    shoulder: along the overarm, from N to the arm's root [m]; height: of N; deep: half the chest's depth, by which the
+    way from N to the underarms' ring is longer than the drop [m]
+    """
+
+    shoulder: float
+    height: float
+    deep: float
+
+    def drop(self, depth: float) -> float:
+        """Height of N above the ring that is `depth` [m] below it along the cloth."""
+        return float(np.sqrt(depth**2 - self.deep**2))
+
+
+def dress(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, pairs: Int, clearance: float) -> Float:
+    """(n, 3) start of a sewn shirt whose springs are `pairs` (s, 2), no point nearer to the body than `clearance` [m].
+
+    Raises BadInput, with the place and how deep, for a shirt that would start inside of the body.
+    """
+    x, placed = _lay(wearer, cut, fit, sewn, clearance)
+    for k in range(3):
+        x[:, k] = solve_harmonic(sewn.flat + 1e-3 * sewn.front[:, None] * [0.0, 0.0, 1.0], sewn.faces, placed, x[:, k])
+    tree = build_tree(wearer.x, wearer.faces)
+    rest = np.linalg.norm(sewn.flat[pairs[:, 1]] - sewn.flat[pairs[:, 0]], axis=1)
+    share = 1.0 / np.bincount(pairs.reshape(-1), minlength=len(x))[:, None]
+    face, before = None, x
+    for turn in range(ROUNDS + 1):
+        if turn:
+            x, before = x + MOMENTUM * (x - before) + share * _pull(x, pairs, rest), x
+        found = closest_points(tree, x, face)
+        face, near = found.face, found.distance < clearance
+        way = np.where(found.distance < 0.0, -1.0, 1.0)[:, None] * (x - found.point)
+        size = np.maximum(np.abs(found.distance), 1e-9)[:, None]
+        x = np.where(near[:, None], found.point + clearance * way / size, x)
+    left = closest_points(tree, x, face).distance
+    worst = int(np.argmin(left))
+    if left[worst] < 0.5 * clearance:
+        refuse(-float(left[worst]), x[worst], clearance)
+    return np.ascontiguousarray(x)
+
+
+def refuse(depth: float, place: Float, clearance: float) -> None:
+    """Raises BadInput for a shirt that reaches so deep into the body (below 0: is so near to it) [m]."""
+    told = f"{1e3 * depth:.3g} mm inside" if depth > 0.0 else f"{-1e3 * depth:.3g} mm from it"
+    raise BadInput(
+        "the shirt would start inside of the body, or too near to it", field="over",
+        value=f"{told}, {place_of(place)}", limit=f"{1e3 * clearance:.3g} mm outside", remedy="more ease, or longer",
+    )  # fmt: skip
+
+
+def _pull(x: Float, pairs: Int, rest: Float) -> Float:
+    """(n, 3) sums of half of what each spring's ends are off its rest length [m]."""
+    d = x[pairs[:, 1]] - x[pairs[:, 0]]
+    size = np.linalg.norm(d, axis=1)
+    move = (0.5 * (size - rest) / np.maximum(size, 1e-12))[:, None] * d
+    first, last = pairs.T
+    return np.stack(
+        [np.bincount(first, move[:, k], len(x)) - np.bincount(last, move[:, k], len(x)) for k in range(3)], 1
+    )
+
+
+def _lay(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, clearance: float) -> tuple[Float, Bool]:
+    """Places (n, 3) of the points on rings, overarms and round the neck, and which those are (n,)."""
+    u, v = np.abs(sewn.flat[:, 0]), sewn.flat[:, 1]
+    x = np.zeros_like(sewn.flat)
+    # Round the arms from the overarm, by the front and the underarm, from where that is straight; over their upper
+    # side from the root on.
+    away = np.stack([u, v], axis=1) - [cut.neck, 0.0]
+    along, across = away @ cut.along, away @ cut.across
+    inner, outer = (point - [cut.neck, 0.0] for point in (cut.curve()[1], cut.corners()["B"]))
+    ends, widths = [float(p @ cut.along) for p in (inner, outer)], [float(p @ cut.across) for p in (inner, outer)]
+    part = across / np.interp(along, ends, widths)
+    on_sleeve = np.where(along >= ends[0], part <= 1.0 + 1e-6, (along >= fit.shoulder) & (part <= UPPER))
+    on_seam = (across < 1e-9) & ~on_sleeve
+    share = np.where(sewn.front < 0, 1.0 - 0.5 * part, 0.5 * part)
+    levels = np.linspace(fit.shoulder, ends[1], RINGS)
+    for side, arm in zip((1, -1), wearer.arms, strict=True):
+        mine = on_sleeve & (sewn.side == side)
+        girths = np.where(levels < ends[0], -1.0, 1.0) * 2.0 * np.interp(levels, ends, widths)
+        rings = _round_arm(wearer, arm, levels - fit.shoulder, girths, clearance)
+        x[mine] = _on_rings(rings, levels, along[mine], share[mine])
+        # The overarm before that, from the neck to the arm's root.
+        mine = on_seam & (sewn.side == side)
+        start = np.array([wearer.middle + side * cut.neck, fit.height, wearer.neck[2]])
+        x[mine] = start + (along[mine] / fit.shoulder)[:, None] * (rings[0, 0] - start)
+    # Round the trunk from the middle of the front, by the left side and the middle of the back.
+    down, long = -v - cut.depth, cut.length - cut.depth
+    quarter = 0.25 * u / np.interp(down, [0.0, long], [cut.width, cut.hem])
+    half = np.where(sewn.front < 0, 0.5 - quarter, quarter)
+    levels = np.linspace(0.0, long, RINGS)
+    girths = 4.0 * np.interp(levels, [0.0, long], [cut.width, cut.hem])
+    top = fit.height - fit.drop(cut.depth)
+    rings = np.stack([_round_trunk(wearer, top - s, girth, clearance) for s, girth in zip(levels, girths, strict=True)])
+    mine = (down >= 0.0) & ~on_sleeve
+    x[mine] = _on_rings(rings, levels, down[mine], np.where(sewn.side < 0, 1.0 - half, half)[mine])
+    placed = on_sleeve | on_seam | mine
+    mine = sewn.neck
+    depth = np.where(sewn.front > 0, cut.front, cut.back)
+    turn = np.arctan2(sewn.flat[:, 0] / cut.neck, -v / depth)
+    x[mine] = np.stack(
+        [
+            wearer.middle + cut.neck * np.sin(turn),
+            fit.height - depth * np.cos(turn),
+            wearer.neck[2] + np.where(sewn.front < 0, -1.0, 1.0) * cut.neck * np.cos(turn),
+        ],
+        axis=1,
+    )[mine]
+    return x, placed | mine
+
+
+def _round_trunk(wearer: Wearer, level: float, girth: float, clearance: float) -> Float:
+    """(AROUND, 3) ring about the trunk at a height [m]."""
+    loop = wearer.trunk(max(level, float(wearer.x[:, 1].min()) + MARGIN))
+    if loop is None:
+        raise BadInput(
+            "the shirt is longer than the trunk", field="length", value=f"down to a height of {level:.3g} m",
+            limit="where the body has one level section", remedy="make it shorter",
+        )  # fmt: skip
+    places = _ring(loop, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), girth, clearance)
+    places[:, 1] = level
+    return places
+
+
+def _round_arm(wearer: Wearer, arm: Arm, places: Float, girths: Float, clearance: float) -> Float:
+    """(r, AROUND, 3) rings round an arm at places (r,) from its root; beyond its end as the last one on it."""
+    up, ahead = (axis - (axis @ arm.way) * arm.way for axis in (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])))
+    seam = up / np.linalg.norm(up)
+    side = ahead - (ahead @ seam) * seam
+    rings: list[Float] = []
+    for i, girth in enumerate(girths):
+        loop = wearer.across(arm, float(places[i]))
+        if loop is not None:
+            rings.append(_ring(loop, seam, side / np.linalg.norm(side), float(girth), clearance))
+        elif rings:
+            rings.append(rings[-1] + (places[i] - places[i - 1]) * arm.way)
+        else:
+            raise BadInput("the body has no arm where a sleeve begins", field="over.body", remedy="arms off its sides")
+    return np.stack(rings)
+
+
+def _ring(loop: Loop, seam: Float, side: Float, girth: float, clearance: float) -> Float:
+    """(AROUND, 3) places in equal steps along a loop's hull, set off to this girth [m]; below 0: by the clearance.
+
+    The hull of length l set off by d is l + 2 pi d long (J. Steiner).
+    """
+    places, normals, length = spread_hull(loop.points, loop.centroid(), seam, side, AROUND)
+    off = (girth - length) / (2.0 * np.pi)
+    if girth >= 0.0 and off < clearance:
+        refuse(-off, places[0], clearance)
+    return places + max(off, clearance) * normals
+
+
+def _on_rings(rings: Float, levels: Float, level: Float, share: Float) -> Float:
+    """(n, 3) places at levels (n,) and shares (n,) of the way round, between rings (r, AROUND, 3) at `levels` (r,)."""
+    row = np.clip((level - levels[0]) / (levels[-1] - levels[0]) * (len(levels) - 1), 0.0, len(levels) - 1.0)
+    column = np.mod(share, 1.0) * AROUND
+    i, j = np.minimum(row.astype(int), len(levels) - 2), column.astype(int) % AROUND
+    a, b, k = (row - i)[:, None], (column - column.astype(int))[:, None], (j + 1) % AROUND
+    first = (1.0 - b) * rings[i, j] + b * rings[i, k]
+    return np.asarray((1.0 - a) * first + a * ((1.0 - b) * rings[i + 1, j] + b * rings[i + 1, k]))

@@ -1,0 +1,274 @@
+"""Any triangle mesh as a garment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, Field
+
+from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
+from nuno_cloth.fabrics.presets import Material
+from nuno_cloth.models.placement import (
+    STILL,
+    TEXTURE,
+    VELOCITY,
+    Direction,
+    Point,
+    Rotation,
+    Velocity,
+    find_texture,
+    vertices,
+)
+from nuno_cloth.models.triangles import Edges, face_areas, find_edges, hinge_stiffness, spring_stiffness, yarn_axes
+from nuno_cloth.quantities import Scale
+from nuno_kernels.meshes.file import load_mesh
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.plugin import Config, Files
+
+KINDS = ("obj", "ply", "stl")
+STRUCTURAL, BENDING = 0, 2
+FARTHEST = 1e100
+"""Coordinates beyond this [m] have no squares and cubes that are numbers."""
+BYTES_PER_VERTEX = 2000
+"""What a run takes at most: 1,896 were measured between meshes of 262,144 and 640,000 vertices, with
+three springs and three hinges each, and the file's text and triangles while it is read."""
+
+
+class Box(Config):
+    """Vertices inside it are pinned."""
+
+    low: Point = Field(description="corner with the smallest x, y and z, in the world [m]")
+    high: Point = Field(description="corner with the largest x, y and z, in the world [m]")
+
+
+def _not_a_name(pin: object) -> object:
+    """A sheet's edges have names; a mesh has neither rows nor edges that could bear them."""
+    if isinstance(pin, str):
+        raise ValueError(
+            "a mesh has no pins with names; give vertex numbers, such as pin: [0, 7], "
+            "or boxes, such as pin: [{low: [-1, 0.9, -1], high: [1, 2, 1]}]"
+        )
+    return pin
+
+
+Pin = Annotated[int | Box, BeforeValidator(_not_a_name)]
+
+
+class MeshConfig(Config):
+    """A file's triangles: scaled, turned about the file's origin, then moved by `centre`."""
+
+    file: str = Field(description="a mesh beside the scene: OBJ, PLY or STL")
+    scale: Scale = Field(default=1.0, description="length of one of the file's units [m]")
+    rotate: Rotation | None = Field(default=None, description="a turn about the file's origin")
+    centre: Point = Field(default=(0.0, 0.0, 0.0), description="where the file's origin comes to lie [m]")
+    velocity: Velocity = Field(default=STILL, description=VELOCITY)
+    warp: Direction = Field(
+        default=(0.0, 1.0, 0.0), description="direction of the warp yarns in the file's axes, laid onto each triangle"
+    )
+    merge: bool = Field(
+        default=False,
+        description="join vertices at the same place: OBJ files with texture seams need it; STL, which has no shared "
+        "vertices, is always merged",
+    )
+    pin: tuple[Pin, ...] = Field(
+        default=(), description="vertex numbers, counted from 0, or boxes of the world {low, high} [m]"
+    )
+    fabric: FabricChoice = Field(default="denim", description=FABRIC)
+    texture: str | None = Field(default=None, description=TEXTURE)
+
+
+class Mesh:
+    """Springs on the edges; bends by hinges, or by the wrinkle paper's springs between the two
+    vertices opposite each inner edge where the fabric is set by hand with `bending`.
+    """
+
+    name: ClassVar[str] = "mesh"
+    Config: ClassVar[type[BaseModel]] = MeshConfig
+
+    def count(self, config: MeshConfig, files: Files) -> int:
+        return len(read_mesh(files.resolve(config.file), config.merge)[0])
+
+    def memory(self, config: MeshConfig, files: Files, vertices: int) -> int:
+        """What a run takes at most [bytes]."""
+        return vertices * BYTES_PER_VERTEX
+
+    def build(self, config: MeshConfig, files: Files, seed: int) -> Fabric:
+        """Raises BadInput for a mesh that is empty, degenerate, not manifold, not oriented."""
+        path = files.resolve(config.file)
+        points, faces, uv = read_mesh(path, config.merge)
+        edges = find_edges(faces)
+        check_mesh(path, points, faces, edges)
+        turn = np.eye(3) if config.rotate is None else config.rotate.matrix()
+        x = np.ascontiguousarray(points @ turn.T * config.scale + np.asarray(config.centre))
+        far = ~(np.abs(x) <= FARTHEST).all(axis=1)
+        if far.any():
+            where, at = int(np.argmax(far)), x[far][0].tolist()
+            limit, remedy = f"{FARTHEST:g} m", "give a smaller `scale`, or mend the file"
+            raise BadInput("too far away", str(path), field=f"vertex {where}", value=at, limit=limit, remedy=remedy)
+        area = face_areas(x, faces)
+        material = resolve(config.fabric)
+        share = np.repeat(area, 3) * material.density / 3
+        mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
+        springs, hinges = build_elements(material, x, faces, edges, mass, turn @ np.asarray(config.warp))
+        return Fabric(
+            name=self.name,
+            position=x,
+            velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
+            mass=mass,
+            pinned=pin_mesh(config.pin, x),
+            faces=faces,
+            springs=springs,
+            hinges=hinges,
+            uv=uv,
+            texture=find_texture(config.texture, files),
+            origin=_unseen(material, edges),
+        )
+
+
+def _unseen(material: Material | HandSet, edges: Edges) -> dict[str, float]:
+    """The bending stiffness that a mesh without inner edges has no spring to show."""
+    if isinstance(material, Material) or len(edges.inner):
+        return {}
+    return {"k_bend": material.bending[0]}
+
+
+def build_elements(
+    material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float, folded: bool = False
+) -> tuple[Springs, Hinges | None]:
+    """Springs on edges, and hinges or bending springs across the inner ones.
+
+    Bending springs are at rest in the shape x, or where that is `folded`, as pieces that lie on each other along their
+    seams, with it laid open.
+    """
+    pairs = edges.pairs
+    rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
+    flat = np.zeros(len(edges.inner))
+    reduced = _reduced(mass, pairs)
+    if isinstance(material, Material):
+        axes = yarn_axes(x, faces, warp)
+        k = spring_stiffness(material, x, faces, edges, *axes)
+        springs = Springs.from_pairs(pairs, k, rest, 2 * material.damping_ratio * np.sqrt(k * reduced), STRUCTURAL)
+        bending = hinge_stiffness(material, x, edges, face_areas(x, faces), *axes)
+        return springs, _hinges(edges, bending, flat)
+    k, ratio = np.full(len(pairs), material.structural[0]), 2 * material.damping_ratio
+    c = material.damping + ratio * np.sqrt(k * reduced)
+    springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)
+    if material.bending[0] > 0:
+        ends = np.ascontiguousarray(edges.quads[:, 2:])
+        span = open_spans(x, edges.quads) if folded else np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+        c = material.damping + ratio * np.sqrt(material.bending[0] * _reduced(mass, ends))
+        across = Springs.from_pairs(ends, flat + material.bending[0], span, c, BENDING)
+        springs = Springs.join([springs, across])
+    return springs, _hinges(edges, flat + material.hinge, flat)
+
+
+def open_spans(x: Float, quads: Int) -> Float:
+    """(h,) distances [m] between the last two vertices of each hinge (h, 4), its triangles laid open into a plane."""
+    start, end, left, right = (x[quads[:, i]] for i in range(4))
+    along = end - start
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    (one, high), (other, low) = (
+        (np.einsum("hk,hk->h", side - start, along), np.linalg.norm(np.cross(side - start, along), axis=1))
+        for side in (left, right)
+    )
+    return np.asarray(np.hypot(one - other, high + low))
+
+
+def _reduced(mass: Float, pairs: Int) -> Float:
+    """(s,) reduced masses of springs (s, 2) [kg]."""
+    one, other = mass[pairs[:, 0]], mass[pairs[:, 1]]
+    return np.asarray(one * other / (one + other))
+
+
+def _hinges(edges: Edges, k: Float, rest: Float) -> Hinges | None:
+    if not k.any():
+        return None
+    one = np.ones(len(k), np.int32)
+    return Hinges(edges.quads, one, one, k, rest)
+
+
+def read_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] | None]:
+    """Vertices (n, 3), faces (f, 3) and texture coordinates (n, 2) or None of a file. Raises BadInput."""
+    try:
+        points, faces, mesh = load_mesh(path, KINDS, maintain_order=True)
+    except BadInput as error:
+        error.file = str(path)
+        raise
+    uv = getattr(getattr(mesh, "visual", None), "uv", None)
+    uv = None if uv is None or len(uv) != len(points) else np.ascontiguousarray(uv, np.float32)
+    if merge or path.suffix.lower() == ".stl":
+        _, kept, joined = np.unique(points, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(np.argsort(kept))
+        faces, kept = order[joined.reshape(-1)][faces], np.sort(kept)
+        points, uv = points[kept], None if uv is None else uv[kept]
+    return np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int32), uv
+
+
+def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
+    """Raises BadInput that names the first bad vertex, face or edge; nothing is mended in silence."""
+
+    def refuse(problem: str, field: str, value: object, remedy: str | None = None) -> None:
+        raise BadInput(problem, file=str(path), field=field, value=value, remedy=remedy)
+
+    bad = np.argwhere(~np.isfinite(x))
+    if bad.size:
+        refuse("not a finite position", f"vertex {bad[0, 0]}", x[bad[0, 0]].tolist())
+    _, first, count = np.unique(x, axis=0, return_index=True, return_counts=True)
+    if (count > 1).any():
+        index = int(first[count > 1].min())
+        refuse(
+            f"{int((count > 1).sum())} places hold several vertices",
+            f"vertex {index}",
+            x[index].tolist(),
+            "merge: true",
+        )
+    unused = np.setdiff1d(np.arange(len(x)), faces)
+    if unused.size:
+        refuse(
+            f"{unused.size} vertices belong to no triangle and would weigh nothing",
+            f"vertex {unused[0]}",
+            None,
+            "remove them",
+        )
+    area = face_areas(x, faces)
+    longest = np.square(x[faces] - x[np.roll(faces, 1, axis=1)]).sum(-1).max(1)
+    flat = np.flatnonzero(area <= 1e-9 * longest)
+    if flat.size:
+        refuse(
+            f"{flat.size} triangles without area",
+            f"face {flat[0]}",
+            faces[flat[0]].tolist(),
+            "remove them in a mesh editor",
+        )
+    crowded = np.flatnonzero(edges.count > 2)
+    if crowded.size:
+        refuse("an edge with more than two triangles", "edge", edges.pairs[crowded[0]].tolist(), "split the mesh there")
+    twisted = np.flatnonzero(edges.count == 2)
+    twisted = twisted[~np.isin(twisted, edges.inner)]
+    if twisted.size:
+        refuse(
+            "neighbouring triangles face opposite ways",
+            "edge",
+            edges.pairs[twisted[0]].tolist(),
+            "make the normals consistent",
+        )
+
+
+def pin_mesh(pins: tuple[int | Box, ...], x: Float) -> Bool:
+    """(n,) bool; x (n, 3) in the world."""
+    pinned = np.zeros(len(x), np.bool_)
+    for index, pin in enumerate(pins):
+        if isinstance(pin, int):
+            vertices((pin,), len(x), pinned)
+            continue
+        inside = ((x >= np.asarray(pin.low)) & (x <= np.asarray(pin.high))).all(axis=1)
+        if not inside.any():
+            raise BadInput(
+                "the box holds no vertex", field=f"pin[{index}]", remedy="corners are in the world, low before high"
+            )
+        pinned |= inside
+    return pinned

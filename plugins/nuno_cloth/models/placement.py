@@ -1,0 +1,116 @@
+"""Where a garment starts: rotation, pins by name, texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from nuno_cloth.models.grid import Grid
+from nuno_cloth.quantities import Angle, Metres, Number, Speed
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.plugin import Config, Files
+
+Point = tuple[Metres, Metres, Metres]
+Velocity = tuple[Speed, Speed, Speed]
+
+
+def _not_zero(axis: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(axis):
+        raise ValueError("the axis must not be the zero vector")
+    return axis
+
+
+Direction = Annotated[tuple[Number, Number, Number], AfterValidator(_not_zero)]
+
+
+class Rotation(Config):
+    """A right-handed turn about an axis."""
+
+    axis: Direction = Field(default=(0.0, 1.0, 0.0), description="of any length but zero")
+    angle: Angle = Field(description="[rad]")
+
+    def matrix(self) -> Float:
+        """(3, 3), by Rodrigues' formula."""
+        x, y, z = np.asarray(self.axis) / np.linalg.norm(self.axis)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turn: Float = np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * cross @ cross
+        return turn
+
+
+class Attach(Config):
+    """The body and frame that pinned vertices follow."""
+
+    body: str = Field(description="name of a body of the scene")
+    frame: str = Field(description="one of its joints; bodies that do not move have the frame world")
+
+
+STILL = (0.0, 0.0, 0.0)
+VELOCITY = "of all free vertices at the start [m/s]"
+TEXTURE = "an image beside the scene, shown on the outside and the inside"
+
+PinName = Literal[
+    "top-row",
+    "bottom-row",
+    "left-edge",
+    "right-edge",
+    "all-rim",
+    "corners",
+    "top-corners",
+    "top-left",
+    "top-right",
+    "bottom-left",
+    "bottom-right",
+]
+
+
+def pin_grid(grid: Grid, pins: tuple[PinName | int, ...]) -> Bool:
+    """(n,) bool. Names are as seen from outside; numbers are vertices, row * cols + column."""
+    pinned = np.zeros((grid.rows, grid.cols), np.bool_)
+    places: dict[str, tuple[object, object]] = {
+        "top-row": (0, slice(None)),
+        "bottom-row": (-1, slice(None)),
+        "left-edge": (slice(None), 0),
+        "right-edge": (slice(None), -1),
+        "corners": (slice(None, None, max(grid.rows - 1, 1)), slice(None, None, max(grid.cols - 1, 1))),
+        "top-corners": (0, slice(None, None, max(grid.cols - 1, 1))),
+        "top-left": (0, 0),
+        "top-right": (0, -1),
+        "bottom-left": (-1, 0),
+        "bottom-right": (-1, -1),
+    }
+    for pin in pins:
+        if pin == "all-rim":
+            pinned[[0, -1], :] = True
+            pinned[:, [0, -1]] = True
+        elif isinstance(pin, str):
+            pinned[places[pin]] = True  # type: ignore[index]
+    vertices(pins, grid.number, pinned.reshape(-1))
+    return pinned.reshape(-1)
+
+
+def vertices(pins: tuple[str | int, ...], number: int, pinned: Bool) -> None:
+    """Mark the vertices that are named by number. Raises BadInput for one that does not exist."""
+    for index, pin in enumerate(pins):
+        if isinstance(pin, str):
+            continue
+        if not 0 <= pin < number:
+            raise BadInput(
+                "no such vertex to pin",
+                field=f"pin[{index}]",
+                value=pin,
+                limit=f"0 to {number - 1}",
+                remedy="vertices are numbered row * columns + column",
+            )
+        pinned[pin] = True
+
+
+def find_texture(texture: str | None, files: Files) -> str | None:
+    """The image's path. Raises BadInput if it is missing or outside the allowed folders."""
+    if texture is None:
+        return None
+    path: Path = files.resolve(texture)
+    return str(path)

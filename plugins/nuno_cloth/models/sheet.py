@@ -1,0 +1,168 @@
+"""A rectangular sheet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_cloth.fabrics.constants import Lattice, grid_constants
+from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
+from nuno_cloth.fabrics.presets import Material
+from nuno_cloth.models import mesh
+from nuno_cloth.models.grid import Grid, build_faces, build_hinges, build_springs
+from nuno_cloth.models.placement import (
+    STILL,
+    TEXTURE,
+    VELOCITY,
+    PinName,
+    Point,
+    Rotation,
+    Velocity,
+    find_texture,
+    pin_grid,
+)
+from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_cloth.quantities import Length
+from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.plugin import Config, Files
+from nuno_schemas.preset import Preset
+
+Cells = Literal["quads", "triangles"]
+CELLS = (
+    "quads: springs along rows, columns and both diagonals; triangles: on the edges of triangles, as the wrinkle paper "
+    "has them and ridge and valley lines need them"
+)
+BYTES_PER_VERTEX = {"quads": 400, "triangles": mesh.BYTES_PER_VERTEX}
+"""What a run takes at most: rows of quads are runs of springs; `nuno bench speed` measures them."""
+Vertices = Annotated[int, Field(ge=2, le=16384)]
+
+# Directions of columns and rows for each plane, so that their cross product rows x columns
+# is the axis that the plane lacks: that side is the outside.
+PLANES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+    "xy": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+    "xz": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "yz": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+}
+
+
+class SheetConfig(Config):
+    """A rectangle; warp yarns run down it."""
+
+    size: tuple[Length, Length] = Field(default=(1.0, 1.0), description="width and height [m]")
+    resolution: tuple[Vertices, Vertices] = Field(default=(32, 32), description="vertices across and down")
+    centre: Point = Field(default=(0.0, 0.0, 0.0), description="of the sheet [m]")
+    plane: Literal["xy", "xz", "yz"] = Field(
+        default="xy", description="xy hangs with its outside to +z, yz hangs to +x, xz lies with its outside up"
+    )
+    rotate: Rotation | None = Field(default=None, description="a turn about the centre, after `plane`")
+    cells: Cells = Field(default="quads", description=CELLS)
+    velocity: Velocity = Field(default=STILL, description=VELOCITY)
+    pin: tuple[PinName | int, ...] = Field(
+        default=(), description="names of edges or corners, or vertices: row * columns + column"
+    )
+    fabric: FabricChoice = Field(default="denim", description=FABRIC)
+    texture: str | None = Field(default=None, description=TEXTURE)
+
+
+@dataclass(frozen=True)
+class Net:
+    """What a grid is simulated with: masses (n,) [kg], triangles, springs and hinges."""
+
+    mass: Float
+    faces: Int
+    springs: Springs | None
+    hinges: Hinges | None
+
+
+def build_net(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: Cells) -> Net:
+    """The net of a grid of quads, or of the triangles that it is drawn with. Raises BadInput for elongated cells.
+
+    Of triangles everything is as on any mesh (triangles.py), each triangle's first yarn being that down the grid.
+    """
+    faces = build_faces(grid)
+    if cells == "quads":
+        constants = grid_constants(material, lattice)
+        mass = grid_mass(grid, material.density, lattice)
+        return Net(mass, faces, build_springs(grid, constants), build_hinges(grid, constants))
+    rows = faces // grid.cols
+    low = faces[np.arange(len(faces)), np.argmin(rows, axis=1)]
+    share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
+    mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
+    down = x[low + grid.cols] - x[low]
+    springs, hinges = mesh.build_elements(material, x, faces, find_edges(faces), mass, down)
+    return Net(mass, faces, springs, hinges)
+
+
+def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:
+    """(n,) masses [kg]: each cell gives a quarter to each of its corners.
+
+    Thirds of triangles would weigh vertices by where the diagonals happen to meet.
+    """
+    mass = np.repeat(density * lattice.row_area()[:, None], grid.cols, axis=1)
+    if not grid.periodic:
+        mass[:, [0, -1]] *= 0.5
+    return np.ascontiguousarray(mass.reshape(-1))
+
+
+class Sheet:
+    """A rectangle of quads, flat and unstretched at the start."""
+
+    name: ClassVar[str] = "sheet"
+    Config: ClassVar[type[BaseModel]] = SheetConfig
+
+    def count(self, config: SheetConfig, files: Files) -> int:
+        return config.resolution[0] * config.resolution[1]
+
+    def memory(self, config: SheetConfig, files: Files, vertices: int) -> int:
+        """What a run takes at most [bytes]."""
+        return vertices * BYTES_PER_VERTEX[config.cells]
+
+    def presets(self) -> tuple[Preset, ...]:
+        """Fabrics known by name, to every model here; the virtual tests take about a second."""
+        from nuno_cloth.fabrics.catalogue import list_presets
+
+        return list_presets()
+
+    def build(self, config: SheetConfig, files: Files, seed: int) -> Fabric:
+        """Raises BadInput for a pin that does not exist, a missing texture, elongated cells."""
+        cols, rows = config.resolution
+        grid = Grid(rows, cols)
+        a, b = config.size[0] / (cols - 1), config.size[1] / (rows - 1)
+        lattice = Lattice(np.full(rows, a), np.full(rows - 1, b))
+        material = resolve(config.fabric)
+        x = place(config, rows, cols)
+        net = build_net(grid, lattice, material, x, config.cells)
+        return Fabric(
+            name=self.name,
+            position=x,
+            velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
+            mass=net.mass,
+            pinned=pin_grid(grid, config.pin),
+            faces=net.faces,
+            springs=net.springs,
+            hinges=net.hinges,
+            uv=texture_coordinates(np.linspace(0, 1, cols), rows),
+            texture=find_texture(config.texture, files),
+        )
+
+
+def place(config: SheetConfig, rows: int, cols: int) -> Float:
+    """(n, 3) positions [m]."""
+    right, down = (np.asarray(axis) for axis in PLANES[config.plane])
+    if config.rotate is not None:
+        turn = config.rotate.matrix()
+        right, down = turn @ right, turn @ down
+    u = config.size[0] * np.linspace(-0.5, 0.5, cols)[None, :, None]
+    v = config.size[1] * np.linspace(-0.5, 0.5, rows)[:, None, None]
+    return np.ascontiguousarray((u * right + v * down + np.asarray(config.centre)).reshape(-1, 3))
+
+
+def texture_coordinates(across: Float, rows: int) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
+    """(n, 2) float32: u from `across` (cols,), v from 1 on the top row to 0 on the bottom row."""
+    uv = np.empty((rows, across.shape[0], 2), np.float32)
+    uv[..., 0] = across
+    uv[..., 1] = np.linspace(1, 0, rows)[:, None]
+    return uv.reshape(-1, 2)

@@ -1,0 +1,1 @@
+"""Wind and air drag: the plugins and their kernels."""

@@ -1,0 +1,237 @@
+"""Wind on triangles and on particles.
+
+A triangle of area A and unit normal n that moves at v (the mean of its corners) meets the air at
+u = wind - v. The law of a flat plate, normal pressure and skin friction apart:
+
+    F = rho A / 2 (Cn |u.n| (u.n) n + Ct |u_t| u_t),    u_t = u - (u.n) n
+
+It is the same for either sign of n, never pushes against u, and needs no square root unless Ct is
+used: with m = (x1 - x0) x (x2 - x0) = 2 A n, |u.n| (u.n) A n = |u.m| (u.m) m / (2 m.m). Each corner
+gets a third. A triangle without area feels nothing.
+
+Triangles go eight at a time, in runs or by lists as springs do, once in every block that owns a
+corner. A grid's triangles stand on its columns' edges (i, i + d); where the diagonals alternate,
+the third corner does too, so a run has one for even i and another for odd i.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.forces.hinges import cross, dot, listed_corner, minus, run_corner
+from nuno_kernels.lanes.choose import alternate, where_not_zero
+from nuno_kernels.lanes.simd import WIDTH, add_at, load, magnitude, read, root, splat, store, write
+from nuno_kernels.step.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
+from nuno_kernels.terms import register
+from nuno_schemas.fabric import Bool, Float, Int
+
+SHORTEST = 6
+"""Runs with fewer triangles than this go through lists."""
+
+LONGEST = 256
+"""Triangles of a piece of a run: their forces wait in a buffer of 6 kB."""
+
+
+class WindRuns(NamedTuple):
+    """Runs of triangles whose vertices follow each other, and the air that they meet.
+
+    start  (blocks + 1,) int64  tasks of each block
+    task   (m, 7) int64         first vertices: the edge's two, the third corner where the first
+                                vertex is even, and where it is odd; triangles; a column that is not
+                                used; and the corners to add to (bit c for corner c)
+    velocity    (3,)            of the air [m/s]
+    normal      rho Cn / 12 [kg/m^3]: halves of the law and of m, a third per corner
+    tangential  rho Ct / 12 [kg/m^3]
+    """
+
+    start: Long
+    task: Long
+    velocity: Float
+    normal: float
+    tangential: float
+
+
+class WindLists(NamedTuple):
+    """Triangles by index, padded to whole vectors by triangles without area, and the air as in WindRuns.
+
+    start    (blocks + 1,) int64  places of each block's triangles
+    corners  (6, p) int32         vertices, then their columns in the block's forces
+    """
+
+    start: Long
+    corners: Int
+    velocity: Float
+    normal: float
+    tangential: float
+
+
+class ParticleWind(NamedTuple):
+    """The same force (3,) [N] on every particle."""
+
+    force: Float
+
+
+@kernel
+def read_air(air: Any) -> Any:
+    """Velocity and coefficients as numbers: inside a loop, reading a tuple's array counts a reference."""
+    return air.velocity[0], air.velocity[1], air.velocity[2], air.normal, air.tangential
+
+
+@kernel
+def mean_flow(air: float, v0: Any, v1: Any, v2: Any) -> Any:
+    """One component of the air's velocity relative to eight triangles."""
+    return air - (1.0 / 3.0) * (v0 + v1 + v2)
+
+
+@kernel
+def wind_forces(x0: Any, x1: Any, x2: Any, v0: Any, v1: Any, v2: Any, air: Any) -> Any:
+    """A third of the force [N] on each of eight triangles; `air` is what read_air gives."""
+    wx, wy, wz, normal, tangential = air
+    m = cross(minus(x1, x0), minus(x2, x0))
+    u = (
+        mean_flow(wx, v0[0], v1[0], v2[0]),
+        mean_flow(wy, v0[1], v1[1], v2[1]),
+        mean_flow(wz, v0[2], v1[2], v2[2]),
+    )
+    mm, um = dot(m, m), dot(u, m)
+    along = where_not_zero(mm, um / mm)
+    push = normal * magnitude(um) * along
+    fx, fy, fz = push * m[0], push * m[1], push * m[2]
+    if tangential != 0.0:
+        tx, ty, tz = u[0] - along * m[0], u[1] - along * m[1], u[2] - along * m[2]
+        drag = tangential * root(mm * (tx * tx + ty * ty + tz * tz))
+        fx, fy, fz = fx + drag * tx, fy + drag * ty, fz + drag * tz
+    return fx, fy, fz
+
+
+@kernel
+def third_corner(x: Any, even: int, odd: int, m: int, i: int) -> Any:
+    """Positions or velocities of the third corner of up to eight triangles from vertex i on."""
+    a, b = run_corner(x, even, m), run_corner(x, odd, m)
+    return alternate(a[0], b[0], i), alternate(a[1], b[1], i), alternate(a[2], b[2], i)
+
+
+@kernel
+def add_wind_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+    """Add the wind on a block's runs to its forces (3, w); see add_hinge_runs."""
+    flow, wait, start, task = read_air(runs), np.empty((3, LONGEST + WIDTH)), runs.start, runs.task
+    for t in range(start[block], start[block + 1]):
+        i, j, even, odd, count, mark = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4], task[t, 6]
+        for q in range(0, count, WIDTH):
+            m = min(WIDTH, count - q)
+            f = wind_forces(
+                run_corner(x, i + q, m), run_corner(x, j + q, m), third_corner(x, even + q, odd + q, m, i),
+                run_corner(v, i + q, m), run_corner(v, j + q, m), third_corner(v, even + q, odd + q, m, i),
+                flow,
+            )  # fmt: skip
+            for row in range(3):
+                store(wait, row, q, f[row])
+        for c in range(4):
+            if (mark >> c) & 1:
+                for q in range(0, count, WIDTH):
+                    m, p = min(WIDTH, count - q), task[t, c] + q - origin
+                    for row in range(3):
+                        f = load(wait, row, q)
+                        if c == 2:
+                            f = alternate(f, splat(0.0), i)
+                        elif c == 3:
+                            f = alternate(splat(0.0), f, i)
+                        write(force, row, p, m, read(force, row, p, m) + f)
+
+
+@kernel
+def add_wind_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+    """Add the wind on a block's listed triangles to its forces (3, w)."""
+    flow, start, corners = read_air(lists), lists.start, lists.corners
+    for p in range(start[block], start[block + 1], WIDTH):
+        f = wind_forces(
+            listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p), listed_corner(x, corners, 2, p),
+            listed_corner(v, corners, 0, p), listed_corner(v, corners, 1, p), listed_corner(v, corners, 2, p),
+            flow,
+        )  # fmt: skip
+        for row in range(3):
+            for c in range(3):
+                add_at(force, row, corners, 3 + c, p, f[row])
+
+
+@kernel
+def add_particle_wind(wind: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+    """Add the same force [N] to every column of force (3, w)."""
+    for axis in range(3):
+        for vertex in range(force.shape[1]):
+            force[axis, vertex] += wind.force[axis]
+
+
+register(WindRuns, name="wind", block=add_wind_runs, reads_velocity=lambda wind: True)
+register(WindLists, name="wind", block=add_wind_lists, reads_velocity=lambda wind: True)
+register(ParticleWind, name="particle_wind", block=add_particle_wind)
+
+
+def prepare_wind(
+    faces: Int, vertices: int, velocity: Float, density: float, normal: float, tangential: float
+) -> tuple[WindRuns | WindLists, ...]:
+    """Wind on faces (f, 3) of so many vertices: the air's velocity (3,) [m/s] and density [kg/m^3], and the two
+    coefficients.
+    """
+    on_edge, found = _find_runs(np.asarray(faces, np.int64), vertices)
+    air: Any = np.array(velocity, np.float64), density * normal / 12, density * tangential / 12
+    runs = (WindRuns(*_pack_runs(found, vertices), *air),) if found.size else ()
+    if on_edge.all():
+        return runs
+    return *runs, WindLists(*_pack_lists(faces[~on_edge].astype(np.int64), vertices), *air)
+
+
+def _find_runs(faces: Long, vertices: int) -> tuple[Bool, Long]:
+    """Which faces (f,) lie in runs, and the runs (r, 5): first vertices of four corners, triangles.
+
+    Faces that have an edge (i, i + d) of the commonest offset d, d > 1, are sorted by the side of it that
+    they lie on, then by i. A run goes on while i does and its third corner's offset is the one before last.
+    """
+    none = np.zeros(faces.shape[0], bool), np.zeros((0, 5), np.int64)
+    offset = np.roll(faces, -1, axis=1) - faces
+    far = np.abs(offset)[np.abs(offset) > 1]
+    if far.size == 0:
+        return none
+    values, times = np.unique(far, return_counts=True)
+    d = values[np.argmax(times)]
+    which = np.flatnonzero((np.abs(offset) == d).any(axis=1))
+    edge = np.argmax(np.abs(offset[which]) == d, axis=1)
+    a, b, third = (faces[which, (edge + c) % 3] for c in range(3))
+    i, side, beyond = np.minimum(a, b), a < b, third - np.minimum(a, b)
+    order = np.lexsort((i, side))
+    i, side, beyond, which = i[order], side[order], beyond[order], which[order]
+    follows = np.concatenate([[False], (np.diff(i) == 1) & (side[1:] == side[:-1])])
+    alternates = np.ones(i.shape[0], bool)
+    alternates[2:] = (beyond[2:] == beyond[:-2]) | ~follows[1:-1]
+    first = np.flatnonzero(~(follows & alternates))
+    count = np.diff(np.concatenate([first, [i.shape[0]]]))
+    here, after = beyond[first], beyond[np.minimum(first + 1, i.shape[0] - 1)]
+    start = i[first]
+    swapped = start % 2 == 1
+    even, odd = start + np.where(swapped, after, here), start + np.where(swapped, here, after)
+    inside = (np.minimum(even, odd) >= 0) & (np.maximum(even, odd) + count <= vertices)
+    chosen = (count >= SHORTEST) & inside
+    covered = np.zeros(faces.shape[0], bool)
+    covered[which[np.repeat(chosen, count)]] = True
+    return covered, np.column_stack([start, start + d, even, odd, count])[chosen]
+
+
+def _pack_runs(runs: Long, vertices: int) -> tuple[Long, Long]:
+    """(r, 5) runs cut at the blocks' borders, one task per block that owns a corner: bounds and tasks."""
+    cut = cut_runs(np.column_stack([runs, np.zeros(runs.shape[0], np.int64)]), LONGEST)
+    task, start = assign_runs(cut[:, :6], block_count(vertices))
+    return start, task
+
+
+def _pack_lists(faces: Long, vertices: int) -> tuple[Long, Int]:
+    """Bounds and lists per block of (f, 3) faces in the order of their vertices."""
+    corners = np.ascontiguousarray(faces[np.lexsort((faces.max(axis=1), faces.min(axis=1)))].T)
+    element, bounds = owned_copies(corners, block_count(vertices))
+    element, start = pad_lists(element, bounds, WIDTH)
+    filled = element >= 0
+    target = local_targets(np.where(filled, corners[:, element], -1), start, vertices)
+    table = np.concatenate([np.where(filled, corners[:, element], 0), target]).astype(np.int32)
+    return start, table

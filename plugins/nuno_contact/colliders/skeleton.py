@@ -1,0 +1,222 @@
+"""Skeletons become capsules: every bone one, or cut in pieces with radii of their own."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, cast
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_contact.colliders.radii import PELVIS_HALF_WIDTH, PIECES, PROFILES, default_radius, find_part
+from nuno_contact.quantities import Size
+from nuno_schemas.bodies import CAPSULE
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import BodyShape, Config, Files, Mover
+
+
+class SkeletonConfig(Config):
+    """Capsules on the bones of a motion's skeleton.
+
+    A bone runs from a joint to one of its children and is called by that joint's name.
+    """
+
+    split: bool = Field(
+        default=True,
+        description="cut bones into pieces with their own radii; off: one capsule a bone (to measure what splitting "
+        "buys: with one capsule the skirt paper's contact was misjudged)",
+    )
+    height: Size | None = Field(
+        default=None, description="of the body [m], which scales default radii; the skeleton's unless given"
+    )
+    radii: dict[str, Size | Annotated[list[Size], Field(min_length=1)]] = Field(
+        default_factory=dict,
+        description="[m] of bones by joint, or of parts of the body (pelvis, back, neck, head, shoulder, arm, "
+        "forearm, hand, thigh, shin, foot, toe): one number, or a list, one for each piece from the inner end on; a "
+        "joint's name goes before the name of a part",
+    )
+    bones: tuple[str, ...] | None = Field(default=None, description="joints or parts to build; all unless given")
+
+
+@dataclass(frozen=True)
+class Bone:
+    """A segment in the frame of joint `frame`: from `a` to `b` (3,) [m], part of the body `part`.
+
+    before, after  length of the same part towards the trunk and away from it [m]; a back of
+                   several bones is one part
+    ends           the last capsule's cap stays within the bone: no bone follows, or only the neck,
+                   into which a cap as wide as the chest would reach
+    """
+
+    frame: int
+    part: str
+    a: Float
+    b: Float
+    before: float = 0.0
+    after: float = 0.0
+    ends: bool = False
+
+    @property
+    def length(self) -> float:
+        return float(np.linalg.norm(self.b - self.a))
+
+
+def rest_positions(mover: Mover) -> Float:
+    """(j, 3) joints with all rotations zero [m], the first at its own offset."""
+    position = mover.offsets.copy()
+    for j, parent in enumerate(mover.parents):
+        if parent >= 0:
+            position[j] += position[parent]
+    return position
+
+
+def find_height(mover: Mover) -> float:
+    """Extent of the skeleton at rest [m] along the axis in which its head lies from its root (the
+    widest, where no joint is called head or neck); for a standing or T-posed one its height.
+    """
+    rest = rest_positions(mover)
+    extent = np.ptp(rest, axis=0)
+    tops = [j for j, joint in enumerate(mover.joints) if find_part(joint) in ("head", "neck")]
+    return float(extent[np.argmax(np.abs(rest[tops[-1]] - rest[0]))] if tops else extent.max())
+
+
+def name_parts(mover: Mover, named: Collection[str]) -> list[str]:
+    """Part of the body that the bones from every joint belong to, "" for none.
+
+    Raises BadInput for a joint with children whose name says nothing, unless it is in `named`
+    (then its part is called "bone").
+    """
+    parents = set(mover.parents.tolist())
+    parts = []
+    for j, joint in enumerate(mover.joints):
+        part = find_part(joint)
+        if part is None and joint not in named and j in parents:
+            raise BadInput(
+                "the joint's name does not say which part of the body it is", field="radii", value=joint,
+                remedy=f"give its radius: radii: {{{joint}: 3 cm}}",
+            )  # fmt: skip
+        parts.append(part if part is not None else "bone")
+    return parts
+
+
+def find_bones(mover: Mover, named: Collection[str], half_width: float) -> list[Bone]:
+    """Bones of nonzero length, in the order of the joints they lead to.
+
+    The two bones from the pelvis to the thighs are one, across the body and `half_width` [m] to
+    either side of its middle at most: the hip joints lie further apart than a pelvis's round end
+    may begin. Joints of the pelvis are taken not to turn against each other.
+    """
+    parts, size = name_parts(mover, named), np.linalg.norm(mover.offsets, axis=1)
+    hips = [j for j, p in enumerate(mover.parents) if p >= 0 and (parts[p], parts[j]) == ("pelvis", "thigh")]
+    crossing = len(hips) == 2
+    led: list[str] = []
+    before, after = np.zeros(len(parts)), np.zeros(len(parts))
+    for j, p in enumerate(mover.parents):
+        led.append("" if p < 0 or size[j] == 0.0 else bone_part(parts[p], parts[j]))
+        if led[j] and led[j] == led[p]:
+            before[j] = before[p] + size[p]
+    for j in range(len(parts) - 1, 0, -1):
+        p = mover.parents[j]
+        if led[j] and led[j] == led[p]:
+            after[p] = max(after[p], after[j] + size[j])
+    bones = [cross_pelvis(mover, parts, hips, half_width)] if crossing else []
+    inner = set(mover.parents.tolist())
+    for j, p in enumerate(mover.parents):
+        if led[j] and not (crossing and j in hips):
+            ends = j not in inner or (led[j] == "back" and after[j] == 0.0)
+            bones.append(Bone(int(p), led[j], np.zeros(3), mover.offsets[j], before[j], after[j], ends))
+    return bones
+
+
+def bone_part(parent: str, child: str) -> str:
+    """Part of a bone between joints of the parts `parent` and `child`."""
+    if parent in ("pelvis", "back", "neck") and child in ("arm", "shoulder"):
+        return "shoulder"
+    return parent
+
+
+def cross_pelvis(mover: Mover, parts: list[str], hips: list[int], half_width: float) -> Bone:
+    """The bone across the pelvis between two hip joints, carried by the topmost pelvis joint."""
+    carrier = int(mover.parents[hips[0]])
+    while mover.parents[carrier] >= 0 and parts[mover.parents[carrier]] == "pelvis":
+        carrier = int(mover.parents[carrier])
+    rest = rest_positions(mover)
+    left, right = (rest[j] - rest[carrier] for j in hips)
+    middle, across = 0.5 * (left + right), 0.5 * (left - right)
+    reach = float(np.linalg.norm(across))
+    across = across * (min(half_width, reach) / reach if reach > 0.0 else 0.0)
+    return Bone(carrier, "pelvis", middle - across, middle + across)
+
+
+def choose_radii(bone: Bone, own: float | list[float] | None, height: float, split: bool) -> list[float]:
+    """Radii [m] of a bone's pieces, from its inner end to its outer; one if it is not `split`."""
+    if own is None:
+        whole = bone.before + bone.length + bone.after
+        share = bone.length / whole if whole > 0.0 else 0.0
+        pieces = max(1, round(PIECES.get(bone.part, 1) * share))
+        cuts = (bone.before + np.linspace(0.0, bone.length, pieces + 1)) / (whole or 1.0)
+        radii = [height * default_radius(bone.part, *ends) for ends in itertools.pairwise(cuts)]
+    else:
+        radii = own if isinstance(own, list) else [own]
+    return radii if split else [sum(radii) / len(radii)]
+
+
+def cut(bone: Bone, radii: list[float]) -> list[tuple[Float, Float, float]]:
+    """(a, b, radius) of pieces of equal length, end to end. A bone that `ends` gives up as much of
+    its last piece as the round cap adds.
+    """
+    pieces = []
+    for i, radius in enumerate(radii):
+        s0, s1 = i / len(radii), (i + 1) / len(radii)
+        if bone.ends and i == len(radii) - 1:
+            s1 = max(s0, s1 - radius / bone.length)
+        pieces.append((bone.a + s0 * (bone.b - bone.a), bone.a + s1 * (bone.b - bone.a), radius))
+    return pieces
+
+
+def check_names(field: str, names: Collection[str], mover: Mover) -> None:
+    """Raises BadInput for a name that is neither a joint nor a part of the body."""
+    for name in names:
+        if name not in mover.joints and name not in PROFILES:
+            raise BadInput("no such bone", field=field, value=name, remedy=nearest(name, (*mover.joints, *PROFILES)))
+
+
+class Skeleton:
+    """Capsules on a skeleton's bones: back in 2 pieces, pelvis 1, thighs 3, shins 2 (the skirt paper)."""
+
+    name: ClassVar[str] = "skeleton"
+    Config: ClassVar[type[BaseModel]] = SkeletonConfig
+
+    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
+        """Raises BadInput without a motion that has a skeleton, and for names that it does not have."""
+        c = cast(SkeletonConfig, config)
+        if mover is None or len(mover.joints) < 2:
+            raise BadInput("a skeleton needs a motion with joints", field="motion", remedy="add a motion: hula or bvh")
+        check_names("radii", c.radii, mover)
+        check_names("bones", c.bones or (), mover)
+        height = c.height or find_height(mover)
+        girdle = c.radii.get("pelvis", height * default_radius("pelvis", 0.0, 1.0))
+        half_width = max(0.0, height * PELVIS_HALF_WIDTH - float(np.max(girdle)))
+        frames, pieces = [], []
+        for bone in find_bones(mover, c.radii, half_width):
+            joint = mover.joints[bone.frame]
+            if bone.part == "" or (c.bones is not None and not {joint, bone.part} & set(c.bones)):
+                continue
+            own = c.radii.get(joint, c.radii.get(bone.part))
+            found = cut(bone, choose_radii(bone, own, height, c.split))
+            pieces += found
+            frames += [bone.frame] * len(found)
+        if not pieces:
+            raise BadInput("the skeleton has no bone of nonzero length", field="collider")
+        a, b, radius = zip(*pieces, strict=True)
+        return BodyShape(
+            frames=mover.joints,
+            kind=np.full(len(pieces), CAPSULE, np.int8),
+            frame=np.array(frames, np.int32),
+            a=np.array(a),
+            b=np.array(b),
+            radius=np.array(radius),
+        )

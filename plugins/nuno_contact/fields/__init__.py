@@ -1,0 +1,1 @@
+"""Sampled distance fields of meshes: built, kept on disk, and read."""

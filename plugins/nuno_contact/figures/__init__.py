@@ -1,0 +1,1 @@
+"""Meshes of bodies from measurements: a leg and a torso. Meshes from files are in `colliders`."""

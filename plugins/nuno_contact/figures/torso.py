@@ -1,0 +1,217 @@
+"""A torso to hang a shirt on: chest, shoulders, and stumps of neck and upper arms, as one smooth closed mesh.
+
+Level rings of superellipses, between those of a table by monotone cubics, are the trunk and the neck; two
+ellipsoids are the breasts, and two cones with round ends the shoulders and upper arms. Their distance functions, the
+trunk's to first order, are blended (quadratic smooth minimum), and the zero level is drawn
+(nuno_contact.figures.isosurface). A tube of rings, of which the leg is made, cannot branch; meshes put through each
+other would cut each other.
+
+Girths of waist and hip, and of the arm over the biceps, are the means to a millimetre of the 260 women in the data of
+Heinz et al. (2003) (nuno_contact.figures.leg): 69.8, 95.7 and 28.1 cm. Bust (90 cm) and neck (33 cm), heights and
+profiles are chosen to look like a dress form of these girths, 164.9 cm tall were it whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from nuno_contact.figures.isosurface import find_isosurface
+from nuno_contact.figures.leg import monotone
+from nuno_kernels.meshes.check import check_closed
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+
+
+class Level(NamedTuple):
+    """Height of a ring [m], its reach forwards and backwards and half its width [m], power of the superellipse, and
+    the name of its girth, if it has one.
+    """
+
+    height: float
+    front: float
+    back: float
+    width: float
+    power: float
+    girth: str = ""
+
+
+LEVELS = (
+    Level(0.740, 0.080, -0.112, 0.172, 2.3),
+    Level(0.850, 0.092, -0.122, 0.172, 2.2, "hip"),
+    Level(0.940, 0.094, -0.104, 0.156, 2.2),
+    Level(1.050, 0.090, -0.072, 0.118, 2.1, "waist"),
+    Level(1.130, 0.098, -0.082, 0.128, 2.2),
+    Level(1.200, 0.105, -0.094, 0.138, 2.2, "bust"),
+    Level(1.270, 0.096, -0.102, 0.150, 2.2),
+    Level(1.325, 0.070, -0.102, 0.150, 2.2),
+    Level(1.365, 0.044, -0.092, 0.122, 2.1),
+    Level(1.395, 0.036, -0.080, 0.080, 2.0),
+    Level(1.420, 0.040, -0.068, 0.058, 2.0),
+    Level(1.450, 0.046, -0.060, 0.052, 2.0, "neck"),
+    Level(1.500, 0.048, -0.058, 0.052, 2.0),
+)
+"""From the hips up."""
+GIRTHS = {"bust": 0.900, "waist": 0.698, "hip": 0.957, "neck": 0.330, "arm": 0.281}
+"""Unless others are asked for [m]."""
+HEIGHTS = {level.girth: level.height for level in LEVELS if level.girth}
+"""Heights of the girths but the arm's [m]."""
+BOTTOM, TOP = 0.780, 1.475
+"""Heights at which hips and neck are cut off [m]."""
+JOINT = (0.152, 1.312, -0.012)
+"""Of the left shoulder, in the middle of a ball of radius SHOULDER [m]."""
+SHOULDER, ARM, ALONG = 0.060, 0.220, 0.165
+"""Radius there, length of the stump from the joint, and where along it its girth is taken [m]."""
+BREAST, BREAST_RADII = (0.068, 1.192, 0.078), (0.056, 0.062, 0.056)
+"""Middle of the left breast and its radii [m], before it is scaled as the bust is."""
+EDGE = 0.012
+"""Radius of the rounded rims [m]."""
+BLEND_ARM, BLEND_BREAST = 0.050, 0.035
+"""Distances of two parts at which they begin to blend [m]."""
+SMOOTH = 15
+"""Standard deviation of the weights by which profiles are smoothed over heights [mm]."""
+ROUNDS = 6
+"""Times that rings are scaled until all girths are as asked for."""
+TOLERANCE = 5e-3
+"""How far a girth may then be off, as a share; one that can be reached is 1e-4 off."""
+RAYS, FARTHEST = 180, 0.3
+"""Chords by which a girth is measured, and how far its section may reach [m]."""
+SECANTS = 5
+"""Steps that find where a ray leaves, from 5 mm on."""
+
+
+def torso_mesh(
+    around: int = 96, girths: Mapping[str, float] | None = None, arms: float = 0.25 * np.pi
+) -> tuple[Float, Int]:
+    """Vertices (n, 3) [m] and triangles (f, 3) of a closed torso, about `around` vertices round its waist.
+
+    girths: those of GIRTHS that are to be others [m]; arms: angle between arms and plumb line [rad].
+    y is up, the floor y = 0 of the body that it is part of, and it faces +z; it is its own mirror image in x.
+    Raises BadInput for girths that leave no room between arms and trunk, or too little for these triangles.
+    """
+    wanted = {**GIRTHS, **(girths or {})}
+    scale = dict.fromkeys(wanted, 1.0)
+    scale["arm"] = wanted["arm"] / (2.0 * np.pi * SHOULDER)
+    for _ in range(ROUNDS):
+        found = _measure(scale, arms)
+        scale = {name: scale[name] * wanted[name] / found[name] for name in wanted}
+    off = {name: girth / wanted[name] - 1.0 for name, girth in _measure(scale, arms).items()}
+    worst = max(off, key=lambda name: abs(off[name]))
+    if abs(off[worst]) > TOLERANCE:
+        raise BadInput(
+            "arms and trunk of the torso would meet", field=f"girths.{worst}", value=f"{wanted[worst]:.3g} m",
+            limit=f"less, with arms at {np.degrees(arms):.3g} deg", remedy="raise the arms, or choose smaller girths",
+        )  # fmt: skip
+    reach = JOINT[0] + ARM * np.sin(arms) + 2.0 * SHOULDER
+    spacing = wanted["waist"] / around
+    half = (np.ceil(reach / spacing) + 0.5) * spacing
+    low, high = np.array([-half, BOTTOM - 0.05, -0.4]), np.array([half, TOP + 0.05, 0.4])
+    x, faces = find_isosurface(lambda x, y, z: field_of(x, y, z, scale, arms), low, high, spacing)
+    try:
+        check_closed(x, faces)
+    except BadInput:
+        # Nets are no surface where two sheets of it share a cell.
+        raise BadInput(
+            "the torso's arms come too near to its trunk for triangles of this size", field="resolution", value=around,
+            remedy="a higher resolution, arms raised further, or smaller girths",
+        ) from None  # fmt: skip
+    return x, faces
+
+
+def field_of(x: Float, y: Float, z: Float, scale: Mapping[str, float], arms: float) -> Float:
+    """About the signed distance [m] at places x, y, z [m] of a torso whose parts are scaled."""
+    x = np.abs(x)
+    trunk = _trunk(x, y, z, scale)
+    size = scale["bust"]
+    dx, dy, dz = (x - size * BREAST[0], y - BREAST[1], z - size * BREAST[2])
+    ball = np.sqrt((dx / BREAST_RADII[0]) ** 2 + (dy / BREAST_RADII[1]) ** 2 + (dz / BREAST_RADII[2]) ** 2)
+    breast = (ball - size) * min(BREAST_RADII)
+    body = _join(_join(trunk, breast, BLEND_BREAST), _arm(x, y, z, scale["arm"], arms), BLEND_ARM)
+    return _cap(_cap(body, BOTTOM - y), y - TOP)
+
+
+def _trunk(x: Float, y: Float, z: Float, scale: Mapping[str, float]) -> Float:
+    """The rings' own distance, to first order: off by the slope with which they widen."""
+    heights, columns = _columns()
+    known = [level for level in LEVELS if level.girth]
+    sizes = _smooth(np.interp(heights, [level.height for level in known], [scale[level.girth] for level in known]))
+    front, back, width, power, slope, size = (np.interp(y, heights, column) for column in (*columns, sizes))
+    middle, deep = 0.5 * (front + back), 0.5 * (front - back)
+    ring = (np.abs(x / (size * width)) ** power + np.abs((z - middle) / (size * deep)) ** power) ** (1.0 / power)
+    return np.asarray((ring - 1.0) * size * np.minimum(width, deep) / np.sqrt(1.0 + slope * slope))
+
+
+@cache
+def _columns() -> tuple[Float, Float]:
+    """Heights (h,) a millimetre apart, and front, back, width, power and slope of the width (5, h) there."""
+    table = np.array([level[:5] for level in LEVELS])
+    heights = np.linspace(table[0, 0], table[-1, 0], round((table[-1, 0] - table[0, 0]) * 1e3) + 1)
+    columns = [_smooth(monotone(table[:, 0], column, heights)) for column in table[:, 1:].T]
+    return heights, np.array([*columns, np.gradient(columns[2], heights)])
+
+
+def _smooth(column: Float) -> Float:
+    """Values a millimetre apart, averaged over SMOOTH: light shows where the curvature of cubics jumps."""
+    place = np.arange(-3 * SMOOTH, 3 * SMOOTH + 1)
+    weight = np.exp(-0.5 * (place / SMOOTH) ** 2)
+    return np.convolve(np.pad(column, 3 * SMOOTH, mode="edge"), weight / weight.sum(), mode="valid")
+
+
+def _arm(x: Float, y: Float, z: Float, scale: float, arms: float) -> Float:
+    """A cone from the shoulder's ball down the arm, cut off at its end."""
+    dx, dy, dz = x - JOINT[0], y - JOINT[1], z - JOINT[2]
+    along = dx * np.sin(arms) - dy * np.cos(arms)
+    t = np.clip(along / ALONG, 0.0, ARM / ALONG)
+    away = np.sqrt((dx - t * ALONG * np.sin(arms)) ** 2 + (dy + t * ALONG * np.cos(arms)) ** 2 + dz**2)
+    return _cap(away - SHOULDER * (1.0 + (scale - 1.0) * t), along - ARM)
+
+
+def _join(a: Float, b: Float, blend: float) -> Float:
+    """Either of two parts, rounded where they meet."""
+    h = np.maximum(blend - np.abs(a - b), 0.0)
+    return np.asarray(np.minimum(a, b) - h * h / (4.0 * blend))
+
+
+def _cap(a: Float, b: Float) -> Float:
+    """What lies in both parts, with the rim between them rounded."""
+    h = np.maximum(EDGE - np.abs(a - b), 0.0)
+    return np.asarray(np.maximum(a, b) + h * h / (4.0 * EDGE))
+
+
+def _measure(scale: Mapping[str, float], arms: float) -> dict[str, float]:
+    """Girths of the torso, by RAYS chords."""
+    angle = np.linspace(0.0, 2.0 * np.pi, RAYS + 1)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    found = {}
+    for name, height in HEIGHTS.items():
+        level = next(level for level in LEVELS if level.girth == name)
+        middle = np.array([0.0, height, 0.5 * (level.front + level.back)])
+        found[name] = _girth(middle, np.stack([sine, 0.0 * angle, cosine], axis=1), scale, arms)
+    way, side = np.array([np.sin(arms), -np.cos(arms), 0.0]), np.array([np.cos(arms), np.sin(arms), 0.0])
+    across = sine[:, None] * side + cosine[:, None] * np.array([0.0, 0.0, 1.0])
+    found["arm"] = _girth(np.array(JOINT) + ALONG * way, across, scale, arms)
+    return found
+
+
+def _girth(middle: Float, ways: Float, scale: Mapping[str, float], arms: float) -> float:
+    """Length round the section that rays (r, 3) from a place inside of it first leave."""
+    reach = np.linspace(0.0, FARTHEST, 61)
+    value = _at(middle + reach[:, None, None] * ways, scale, arms)
+    out = np.argmax(value >= 0.0, axis=0)
+    a, b = reach[out - 1], reach[out]
+    fa, fb = (np.take_along_axis(value, index[None], axis=0)[0] for index in (out - 1, out))
+    for _ in range(SECANTS):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            c = np.where(fb == fa, b, b - fb * (b - a) / (fb - fa))
+        a, fa, b = b, fb, c
+        fb = _at(middle + c[:, None] * ways, scale, arms)
+    edge = middle + b[:, None] * ways
+    return float(np.linalg.norm(np.diff(edge, axis=0), axis=1).sum())
+
+
+def _at(places: Float, scale: Mapping[str, float], arms: float) -> Float:
+    """The field at places (..., 3) [m]."""
+    return field_of(places[..., 0], places[..., 1], places[..., 2], scale, arms)

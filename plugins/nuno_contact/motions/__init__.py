@@ -1,0 +1,1 @@
+"""How bodies move in time, each a plugin; no shape stands here."""

@@ -1,0 +1,121 @@
+"""A rigid body moved by keyframes that are written in the scene."""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal, cast
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_contact.motions.rotations import from_axis_angle, from_euler, slerp
+from nuno_contact.quantities import Point, Spin, Time
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Config, Files, Mover
+
+WIDTH = {"euler": 3, "axis_angle": 4, "quaternion": 4}
+
+
+class KeyframesConfig(Config):
+    """Where a body is at given times.
+
+    Between keys a body turns the shorter way round: a key at least every half turn.
+    """
+
+    times: list[Time] = Field(description="of the keys [s], increasing")
+    positions: list[Point] | None = Field(
+        default=None, description="of the body's origin [m], one for each time; at rest at the origin unless given"
+    )
+    rotations: list[list[Spin]] | None = Field(
+        default=None,
+        description="one for each time, in the given form: euler [x, y, z], angles [rad] about world x first, then y, "
+        "then z; axis_angle [x, y, z, angle [rad]]; quaternion [w, x, y, z], normalised",
+    )
+    form: Literal["euler", "axis_angle", "quaternion"] = Field(default="euler", description="how rotations are written")
+    between: Literal["linear", "ease"] = Field(
+        default="linear", description="how the body moves from key to key; ease starts and stops softly at each"
+    )
+    end: Literal["hold", "loop"] = Field(
+        default="hold", description="what follows the last key: hold it, or loop from the first"
+    )
+
+
+def check_keys(config: KeyframesConfig) -> None:
+    """Raises BadInput for lists that are empty, out of order or of different lengths."""
+    times = config.times
+    if not times:
+        raise BadInput("a motion needs at least one keyframe", field="times", value=times, limit="one time or more")
+    for k, (before, after) in enumerate(itertools.pairwise(times)):
+        if not float(after) > float(before):
+            raise BadInput("times must increase", field=f"times[{k + 1}]", value=after, limit=f"> {before:g} s")
+    for name in ("positions", "rotations"):
+        values = getattr(config, name)
+        if values is not None and len(values) != len(times):
+            raise BadInput(f"{len(values)} {name} for {len(times)} times", field=name, limit="one for each time")
+    for k, values in enumerate(config.rotations or []):
+        if len(values) != WIDTH[config.form]:
+            raise BadInput(
+                f"a rotation as {config.form} has {WIDTH[config.form]} numbers", field=f"rotations[{k}]", value=values
+            )
+
+
+def read_rotation(values: list[float], form: str, field: str) -> Float:
+    """(4,) unit quaternion. Raises BadInput for an axis or quaternion of length 0."""
+    numbers = np.array(values, np.float64)
+    if form == "euler":
+        return from_euler(numbers)
+    turned = numbers[:3] if form == "axis_angle" else numbers
+    length = float(np.linalg.norm(turned))
+    if length == 0.0:
+        raise BadInput(f"a rotation as {form} needs a direction", field=field, value=values, limit="not all zero")
+    return from_axis_angle(turned, float(numbers[3])) if form == "axis_angle" else numbers / length
+
+
+@dataclass(frozen=True)
+class _Keys:
+    times: list[float]
+    position: Float
+    rotation: Float
+    ease: bool
+    loop: bool
+
+    def pose(self, t: float) -> tuple[Float, Float]:
+        """Rotation (1, 4) and translation (1, 3) at time t [s]."""
+        first, last = self.times[0], self.times[-1]
+        if self.loop and last > first and t > last:
+            t = first + math.fmod(t - first, last - first)
+        k = bisect.bisect_right(self.times, t) - 1
+        if k < 0 or k + 1 >= len(self.times):
+            k = min(max(k, 0), len(self.times) - 1)
+            return self.rotation[k : k + 1], self.position[k : k + 1]
+        s = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
+        if self.ease:
+            s = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        turn = slerp(self.rotation[k : k + 1], self.rotation[k + 1 : k + 2], s)
+        return turn, (1.0 - s) * self.position[k : k + 1] + s * self.position[k + 1 : k + 2]
+
+
+class Keyframes:
+    """One joint, "body", between keys."""
+
+    name: ClassVar[str] = "keyframes"
+    Config: ClassVar[type[BaseModel]] = KeyframesConfig
+
+    def prepare(self, config: BaseModel, files: Files) -> Mover:
+        """Raises BadInput for keys that make no motion."""
+        c = cast(KeyframesConfig, config)
+        check_keys(c)
+        still = np.tile([1.0, 0.0, 0.0, 0.0], (len(c.times), 1))
+        turns = [read_rotation(values, c.form, f"rotations[{k}]") for k, values in enumerate(c.rotations or [])]
+        keys = _Keys(
+            times=list(c.times),
+            position=np.array(c.positions, np.float64) if c.positions is not None else np.zeros((len(c.times), 3)),
+            rotation=np.array(turns) if turns else still,
+            ease=c.between == "ease",
+            loop=c.end == "loop",
+        )
+        return Mover(("body",), np.array([-1], np.int32), np.zeros((1, 3)), keys.pose)

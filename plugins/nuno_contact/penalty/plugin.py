@@ -1,0 +1,119 @@
+"""Penalty contact: stiffness from what the cloth can bear, damping, Coulomb friction."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel
+
+from nuno_contact.penalty.contact import make_contact
+from nuno_schemas.bodies import MESH, Geometry
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import Term
+
+REST_DEPTH = 5e-4
+"""A vertex at rest under its own weight sinks no deeper than this [m] ..."""
+STOP_SPEED, STOP_DEPTH = 1.0, 1e-3
+"""... and one that arrives at this speed [m/s] is stopped within about this depth [m] ..."""
+SHARE = 0.25
+"""... unless k would exceed this share of the stiffness of the vertex's springs together."""
+
+
+class PenaltyConfig(Config):
+    """Nothing: stiffness, damping and friction belong to each body of the scene."""
+
+
+def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
+    """(n,) stiffness of each vertex [N/m]: k = m max(g / REST_DEPTH, min(w0^2, SHARE sum_j k_j / m)).
+
+    w0 = STOP_SPEED / STOP_DEPTH stops an arriving vertex, and m g / w0^2 is only 10 um at rest.
+    The rows of the spring matrix bound its largest eigenvalue by w^2 <= 2 max_i sum_j k_j / m_i
+    (Gershgorin), so contact at a quarter of a row's sum raises the bound by an eighth and shortens
+    the stable step by at most about 6 %. Where springs are that soft, the rest depth still holds;
+    gravity may be zero, since the other two terms do not need it. A vertex without springs is
+    stopped at w0.
+    """
+    reaction = np.zeros(fabric.number)
+    if fabric.springs is not None:
+        pairs, k = fabric.springs.pairs(), fabric.springs.per_spring(fabric.springs.k)
+        for end in (0, 1):
+            np.add.at(reaction, pairs[:, end], k)
+    reaction[reaction == 0.0] = np.inf
+    weight = fabric.mass * float(np.sqrt(gravity @ gravity)) / REST_DEPTH
+    stop = fabric.mass * (STOP_SPEED / STOP_DEPTH) ** 2
+    return np.maximum(weight, np.minimum(stop, SHARE * reaction))
+
+
+def slip_speed(damping: float) -> float:
+    """How much faster than by Coulomb's law what starts to slide is at most, in mu g sqrt(m / k) [m/s].
+
+    What is pulled off from rest by mu N or a little more has the friction f = x + 2 zeta x' in units of mu N,
+    x'' = 1 - f, until f is 1, and gains what is missing of it until then: the largest speed of a damped oscillator's
+    answer to a step, exp(-zeta arccos(zeta) / sqrt(1 - zeta^2)). A stronger pull loads the friction spring sooner, and
+    gains less.
+    """
+    if damping < 1.0:
+        return math.exp(-damping * math.acos(damping) / math.sqrt(1.0 - damping**2))
+    if damping > 1.0:
+        return math.exp(-damping * math.acosh(damping) / math.sqrt(damping**2 - 1.0))
+    return math.exp(-1.0)
+
+
+def check(geometry: Geometry) -> None:
+    """Raises BadInput for a body that is a mesh, or whose contact constants make no sense."""
+    for primitive in np.flatnonzero(geometry.kind == MESH).tolist():
+        body = geometry.bodies[geometry.body[primitive]]
+        raise BadInput(
+            "penalty contact knows no meshes",
+            field=body,
+            remedy="give the body contact: {plugin: sliding}, or collider: {plugin: sdf, ...}",
+        )
+    for index, body in enumerate(geometry.bodies):
+        stiffness = geometry.stiffness[index]
+        if not (np.isnan(stiffness) or 0.0 < stiffness < np.inf):
+            raise BadInput("contact stiffness must be positive", field=body, value=float(stiffness), limit="> 0 N/m")
+        for name in ("damping", "friction"):
+            value = float(getattr(geometry, name)[index])
+            if not 0.0 <= value < np.inf:
+                raise BadInput(f"contact {name} must not be negative", field=body, value=value, limit=">= 0")
+
+
+class Penalty:
+    """Penalty contact (the skirt paper) with damping and friction that sticks.
+
+    Every body's stiffness, damping and friction are in the Geometry; NaN stiffness means "auto".
+    """
+
+    name: ClassVar[str] = "penalty"
+    Config: ClassVar[type[BaseModel]] = PenaltyConfig
+
+    def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
+        """The term. Raises BadInput for constants that make no sense.
+
+        All bodies may touch a vertex at once, so their k/m and c/m add up; within a body one
+        primitive acts, and its normal and its friction spring are orthogonal, so k counts once.
+        """
+        check(geometry)
+        own = auto_stiffness(fabric, gravity)
+        stiffness = np.where(np.isnan(geometry.stiffness)[:, None], own, geometry.stiffness[:, None])
+        damping = 2.0 * geometry.damping[:, None] * np.sqrt(stiffness * fabric.mass)
+        free = ~fabric.pinned
+        weight = fabric.mass * float(np.linalg.norm(gravity))
+        omega_squared = (stiffness.sum(axis=0) / fabric.mass)[free]
+        rate = (damping.sum(axis=0) / fabric.mass)[free]
+        shares = np.array([slip_speed(ratio) for ratio in geometry.damping.tolist()]) * geometry.friction
+        faster = shares[:, None] * weight / np.sqrt(stiffness * fabric.mass)
+        return Term(
+            name="contact",
+            data=(make_contact(geometry, stiffness, damping),),
+            omega_squared=float(omega_squared.max(initial=0.0)),
+            damping_rate=float(rate.max(initial=0.0)),
+            facts={
+                "rest_depth": float((weight / stiffness.min(axis=0)).max(initial=0.0)),
+                "slip_speed": float(faster[:, free].max(initial=0.0)),
+            },
+        )

@@ -1,0 +1,83 @@
+"""How far cloth is from rest: the force that is left on a vertex once surfaces and friction have held against it.
+
+On a vertex that touches a body the surface takes what points into it, and friction up to mu times that of the rest:
+what nuno_contact.sliding.slides does to a movement, here it does to a short one along the force. So the force that is
+left is that share of it by which a vertex at rest would begin to move, whatever grooves and edges of the mesh it lies
+at.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import prange
+
+from nuno_contact.sliding.planes import PARALLEL
+from nuno_contact.sliding.slides import BLOCK, pose_slides
+from nuno_contact.sliding.vertex import slide
+from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.bodies.poses import to_frame, turn_in, turn_out
+from nuno_kernels.meshes.closest_point import DEPTH, closest
+
+TRIAL = 1e-3
+"""Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge."""
+NEAR = 1.02
+"""A vertex within so many gaps touches. A step that is held off at an edge ends a little beyond the gap, by half the
+square of the angle that the surface's normal turned by on the way."""
+
+
+@kernel
+def along_planes(m: Any, n1: Any, n2: Any, planes: int) -> tuple[float, float, float]:
+    """The part of a movement along one plane, or along the line where two meet."""
+    if planes == 2:
+        x, y, z = n1[1] * n2[2] - n1[2] * n2[1], n1[2] * n2[0] - n1[0] * n2[2], n1[0] * n2[1] - n1[1] * n2[0]
+        square = x * x + y * y + z * z
+        if square > PARALLEL:
+            share = (m[0] * x + m[1] * y + m[2] * z) / square
+            return share * x, share * y, share * z
+    share = m[0] * n1[0] + m[1] * n1[1] + m[2] * n1[2]
+    return m[0] - share * n1[0], m[1] - share * n1[1], m[2] - share * n1[2]
+
+
+@kernel
+def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
+    """Hold the forces (3, n) on a block's vertices off all bodies, in place."""
+    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    for body in range(s.root.shape[0]):
+        f, gap = s.frame[body], s.gap[body]
+        length = TRIAL * gap
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+            g = (force[0, i], force[1, i], force[2, i])
+            size = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+            if s.mass[i] == 0.0 or s.clear[body, i] > NEAR * gap or not 0.0 < size < math.inf:
+                continue
+            px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, f)
+            g = turn_in(g, s.frames, f)
+            m = (length / size * g[0], length / size * g[1], length / size * g[2])
+            _, _, _, _, _, _, distance, _, _, _ = closest(
+                px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges,
+                s.vertex_normals, s.edge_normals, waiting, bound,
+            )  # fmt: skip
+            if distance > NEAR * gap:
+                continue
+            # Held where it is: what would put it back to the gap is no force, and friction none of that.
+            made, n1, n2, planes, _, _, _ = slide(
+                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], distance,
+                s.friction[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals,
+                s.edge_normals, waiting, bound,
+            )  # fmt: skip
+            if planes == 0:
+                continue
+            g = turn_out(along_planes(made, n1, n2, planes), s.frames, f)
+            for c in range(3):
+                force[c, i] = size / length * g[c]
+
+
+@parallel_kernel
+def hold_forces(s: Any, x: Any, force: Any) -> None:
+    """Hold the forces (3, n) on vertices x (3, n) off the bodies as they are at the end of the interval, in place."""
+    pose_slides(1.0, s)
+    for block in prange(s.tally.shape[0]):
+        hold_block(block, x, force, s)

@@ -1,0 +1,73 @@
+"""Where a straight movement first enters a triangle mesh."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nuno_kernels import forced_inline, kernel
+from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to, lower, where_not_negative
+from nuno_kernels.lanes.simd import load, splat
+from nuno_kernels.meshes.closest_point import take_nearest
+
+OVERLAP = 1e-9
+"""Triangles count as larger by this share, so that nothing slips through between two of them."""
+BEYOND = 1.0 + 2.0**-40
+"""A share of the movement that is no longer part of it."""
+
+
+@forced_inline
+def leaf_crossings(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, corners: Any, leaf: int
+) -> Any:  # fmt: skip
+    """Shares of the movement from p by d after which it enters a leaf's eight triangles; 2 where it does not."""
+    row = 9 * leaf
+    ax, ay, az = px - load(corners, row, 0), py - load(corners, row + 1, 0), pz - load(corners, row + 2, 0)
+    bx, by, bz = load(corners, row + 3, 0), load(corners, row + 4, 0), load(corners, row + 5, 0)
+    cx, cy, cz = load(corners, row + 6, 0), load(corners, row + 7, 0), load(corners, row + 8, 0)
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    towards = splat(0.0) - (nx * dx + ny * dy + nz * dz)
+    share = (nx * ax + ny * ay + nz * az) / towards
+    x, y, z = ax + share * dx, ay + share * dy, az + share * dz
+    det = nx * nx + ny * ny + nz * nz
+    u = nx * (y * cz - z * cy) + ny * (z * cx - x * cz) + nz * (x * cy - y * cx)
+    v = nx * (by * z - bz * y) + ny * (bz * x - bx * z) + nz * (bx * y - by * x)
+    within = lower(lower(u, v), det - u - v) + OVERLAP * det
+    none = splat(2.0)
+    # A movement along the plane has a share that is infinite or NaN: `within` is NaN then.
+    return where_not_negative(lower(lower(towards, share), within), share, none)
+
+
+@kernel
+def first_crossing(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, root: int, boxes: Any, child: Any,
+    corners: Any, face: Any, waiting: Any,
+) -> tuple[float, int]:  # fmt: skip
+    """(share of the movement, place of the triangle) where the movement from p by d first enters the mesh
+    through the outside of a triangle; (2, -1) where it does not.
+
+    `waiting` (DEPTH,) int64 is scratch. Boxes are tested against the box of the movement, which is short.
+    """
+    x0, x1 = min(px, px + dx), max(px, px + dx)
+    y0, y1 = min(py, py + dy), max(py, py + dy)
+    z0, z1 = min(pz, pz + dz), max(pz, pz + dz)
+    best, which = BEYOND, 0
+    waiting[0] = root
+    top = 1
+    while top > 0:
+        top -= 1
+        node = waiting[top]
+        if node < 0:
+            leaf = -1 - node
+            best, which = take_nearest(leaf_crossings(px, py, pz, dx, dy, dz, corners, leaf), leaf, face, best, which)
+            continue
+        row = 6 * node
+        x = higher(load(boxes, row, 0) - x1, x0 - load(boxes, row + 3, 0))
+        y = higher(load(boxes, row + 1, 0) - y1, y0 - load(boxes, row + 4, 0))
+        z = higher(load(boxes, row + 2, 0) - z1, z0 - load(boxes, row + 5, 0))
+        bits, first = lanes_up_to(higher(higher(x, y), z), 0.0), child[node]
+        while bits != 0:
+            j = first_lane(bits)
+            bits &= bits - 1
+            waiting[top] = first + j if first >= 0 else first - j
+            top += 1
+    return (best, which) if best < BEYOND else (2.0, -1)

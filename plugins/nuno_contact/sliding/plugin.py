@@ -1,0 +1,73 @@
+"""Sliding contact with meshes (the stocking paper): vertices never enter, slide on the surface, and rub."""
+
+from __future__ import annotations
+
+from typing import ClassVar, cast
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_contact.quantities import Size
+from nuno_contact.sliding.bodies import Slid, make_slides
+from nuno_kernels.meshes.check import check_closed, check_crossings
+from nuno_kernels.meshes.tree import build_tree
+from nuno_schemas.bodies import FIELD, OF_TRIANGLES, Geometry
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import Term
+
+
+class SlidingConfig(Config):
+    """How near vertices come; friction belongs to each body of the scene."""
+
+    gap: Size = Field(
+        default=5e-5, description="distance from the surface at which vertices rest [m], such as half a yarn's width"
+    )
+
+
+class Sliding:
+    """Vertices keep off moving closed meshes by `gap`; see nuno_contact.sliding.slides.
+
+    A body with a distance field is met by the triangles that the field was made of. Each body's Coulomb coefficient
+    is in the Geometry; its stiffness and damping are not used. It adds no force, and so limits no step.
+    """
+
+    name: ClassVar[str] = "sliding"
+    Config: ClassVar[type[BaseModel]] = SlidingConfig
+    of_triangles: ClassVar[bool] = True
+    """Distance fields are not read: they are neither sent, nor is penetration measured by them."""
+
+    def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
+        """The term. Raises BadInput for a body that is no closed mesh, and for friction that makes no sense."""
+        gap = float(cast(SlidingConfig, config).gap)
+        check_meshes(geometry)
+        for body, friction in zip(geometry.bodies, geometry.friction, strict=True):
+            if not 0.0 <= friction < np.inf:
+                raise BadInput("friction must not be negative", field=body, value=float(friction), limit=">= 0")
+        parts = zip(geometry.frame.tolist(), geometry.friction[geometry.body].tolist(), strict=True)
+        bodies = [Slid(build_tree(*geometry.mesh(i)), *part, gap) for i, part in enumerate(parts)]
+        slides = make_slides(bodies, len(geometry.frames), np.where(fabric.pinned, 0.0, fabric.mass))
+        return Term(name="slides", data=(slides,))
+
+
+def check_meshes(geometry: Geometry) -> None:
+    """Raises BadInput for a body that is no mesh, or a field's mesh that has no inside of its own."""
+    for primitive, kind in enumerate(geometry.kind.tolist()):
+        body = geometry.bodies[geometry.body[primitive]]
+        if kind not in OF_TRIANGLES:
+            raise BadInput(
+                "sliding contact is with meshes", field=body,
+                remedy="give the body a mesh as collider, or contact: {plugin: penalty} of its own",
+            )  # fmt: skip
+        if kind == FIELD:
+            x, faces = geometry.mesh(primitive)
+            try:
+                check_closed(x, faces)
+                check_crossings(x, faces)
+            except BadInput as error:
+                raise BadInput(
+                    f"sliding contact is with closed meshes, and {error.problem}", field=body,
+                    value=f"{error.field} {error.value}",
+                    remedy="contact: {plugin: penalty} goes by the field; collider: {..., mend: true} fills holes",
+                ) from None  # fmt: skip

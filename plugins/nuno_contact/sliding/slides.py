@@ -1,0 +1,260 @@
+"""Sliding contact: vertices never enter moving triangle meshes, slide on them, and rub.
+
+After a step every vertex has made a movement in each body's frame, where the body stands still, however it
+moves in the world. The movement goes unchanged unless it enters the body, or ends nearer to its surface than
+`gap`; it is then held off by the plane of the triangle it meets, by the next one it meets then, and so on
+(nuno_contact.sliding.vertex). The velocity relative to the body is held off by the same planes.
+
+A vertex whose distance from the surface was found once cannot meet it before it has moved as far: `clear`
+keeps what is left, and until that is used up nothing is searched. Where the movement is shorter than `clear`
+it cannot have crossed the body, so that only fast vertices and thin bodies cost a search for crossings.
+
+A vertex that is still inside after ROUNDS stays where it was relative to the body, which was outside:
+in no step does one enter. Not chosen: a force that grows with the depth, which no tight stocking leaves at
+rest on the surface, and which limits the step; contact as a constraint of every solver, for then each of
+them would need one of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from nuno_contact.sliding.vertex import slide, slow_down
+from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.bodies.poses import pose_frame, to_frame, turn_out, write_interval
+from nuno_kernels.meshes.closest_point import DEPTH, closest
+from nuno_kernels.terms import register
+from nuno_schemas.bodies import Poses
+from nuno_schemas.fabric import Float, Int
+
+BLOCK = 64
+"""Vertices handled together."""
+
+
+class Slides(NamedTuple):
+    """b bodies, their motion over one frame of animation, and n vertices in B blocks.
+
+    The trees of all bodies are one after the other in boxes ... edge_normals (nuno_kernels.meshes.tree).
+    """
+
+    root: NDArray[np.int64]
+    """(b,) root of each body's tree"""
+    frame: Int
+    """(b,) frame that carries the body"""
+    friction: Float
+    """(b,) Coulomb coefficient"""
+    gap: Float
+    """(b,) distance from the surface at which vertices rest [m]"""
+    mass: Float
+    """(n,) [kg], 0 for vertices that are held or carried: they are left alone"""
+    rotation0: Float
+    origin0: Float
+    spin: Float
+    shift: Float
+    frames: Float
+    """(f, 18) and the rest as in nuno_contact.penalty.contact"""
+    boxes: Float
+    child: NDArray[np.int64]
+    corners: Float
+    face: Int
+    faces: Int
+    edges: Int
+    vertex_normals: Float
+    edge_normals: Float
+    before: Float
+    """(b, 3, n) where vertices were after the last step, in the body's frame [m]; NaN at first"""
+    clear: Float
+    """(b, n) how far they may move without meeting the surface [m]; negative inside"""
+    place: NDArray[np.int64]
+    """(b, n) the triangle that was nearest"""
+    planes: Float
+    """(b, 7, n) normals, in the body's frame, of the planes that held vertices off in the last step, and how many"""
+    impulse: Float
+    """(B, b, 3) what the vertices of each block have given to the body so far [N s]"""
+    tally: NDArray[np.int64]
+    """(B, 2) vertices touching after the last step; vertices that were put back so far"""
+
+
+@kernel
+def slide_block(
+    block: int, x: Any, v: Any, body: int, root: int, f: int, mu: float, gap: float, mass: Any, frames: Any,
+    boxes: Any, child: Any, corners: Any, face: Any, faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any,
+    before: Any, clear: Any, place: Any, held: Any, impulse: Any, tally: Any,
+) -> None:  # fmt: skip
+    """Hold the vertices of one block off one body, in place in x and v (3, n)."""
+    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+        held[body, 6, i] = 0.0
+        if mass[i] == 0.0:
+            continue
+        px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], frames, f)
+        start = (before[body, 0, i], before[body, 1, i], before[body, 2, i])
+        m = (px - start[0], py - start[1], pz - start[2])
+        free = clear[body, i]
+        left = free - (1.0 + 1e-9) * math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+        before[body, 0, i], before[body, 1, i], before[body, 2, i] = px, py, pz
+        clear[body, i] = left
+        if left > gap or not (abs(px) + abs(py) + abs(pz) < math.inf):
+            continue
+        made, n1, n2, planes, distance, at, back = slide(
+            start, m, free, place[body, i], root, gap, mu, boxes, child, corners, face, faces, edges,
+            vertex_normals, edge_normals, waiting, bound,
+        )  # fmt: skip
+        clear[body, i], place[body, i] = distance, at
+        if planes == 0:
+            continue
+        p = (start[0] + made[0], start[1] + made[1], start[2] + made[2])
+        before[body, 0, i], before[body, 1, i], before[body, 2, i] = p
+        for c in range(3):
+            held[body, c, i], held[body, 3 + c, i] = n1[c], n2[c]
+        held[body, 6, i] = planes
+        moved = turn_out(p, frames, f)
+        x[0, i], x[1, i], x[2, i] = moved[0] + frames[f, 9], moved[1] + frames[f, 10], moved[2] + frames[f, 11]
+        change = slow_down(v, i, (x[0, i], x[1, i], x[2, i]), n1, n2, planes, mu, frames, f)
+        for c in range(3):
+            v[c, i] += change[c]
+            impulse[block, body, c] -= mass[i] * change[c]
+        tally[block, 0] += 1
+        tally[block, 1] += 1 if back else 0
+
+
+@kernel
+def slide_bodies(block: int, x: Any, v: Any, s: Any) -> None:
+    """Hold the vertices of one block off all bodies, one after the other."""
+    s.tally[block, 0] = 0
+    for body in range(s.root.shape[0]):
+        slide_block(
+            block, x, v, body, s.root[body], s.frame[body], s.friction[body], s.gap[body], s.mass, s.frames, s.boxes,
+            s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals, s.edge_normals, s.before, s.clear,
+            s.place, s.planes, s.impulse, s.tally,
+        )  # fmt: skip
+
+
+@kernel
+def slow_block(block: int, x: Any, v: Any, s: Any) -> None:
+    """Hold velocities v (3, n) of one block off the planes that hold its vertices."""
+    for body in range(s.root.shape[0]):
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+            planes = int(s.planes[body, 6, i])
+            if planes == 0:
+                continue
+            n1 = (s.planes[body, 0, i], s.planes[body, 1, i], s.planes[body, 2, i])
+            n2 = (s.planes[body, 3, i], s.planes[body, 4, i], s.planes[body, 5, i])
+            at = (x[0, i], x[1, i], x[2, i])
+            change = slow_down(v, i, at, n1, n2, planes, s.friction[body], s.frames, s.frame[body])
+            for c in range(3):
+                v[c, i] += change[c]
+                s.impulse[block, body, c] -= s.mass[i] * change[c]
+
+
+@kernel
+def slow_slides(x: Any, v: Any, s: Any) -> None:
+    """Hold velocities v (3, n) off the planes that hold vertices x (3, n) since commit_slides, with friction."""
+    for block in range(s.tally.shape[0]):
+        slow_block(block, x, v, s)
+
+
+@parallel_kernel
+def slow_slides_parallel(x: Any, v: Any, s: Any) -> None:
+    """slow_slides on several threads: the same bits."""
+    for block in prange(s.tally.shape[0]):
+        slow_block(block, x, v, s)
+
+
+@kernel
+def pose_slides(at: float, s: Any) -> None:
+    """Pose all frames at a fraction of the interval."""
+    for f in range(s.frames.shape[0]):
+        pose_frame(at, f, s.rotation0, s.origin0, s.spin, s.shift, s.frames)
+
+
+@kernel
+def commit_slides(x: Any, v: Any, at: float, s: Any) -> None:
+    """Hold all vertices x, v (3, n) off the bodies after a step that ends at fraction `at` of the interval."""
+    pose_slides(at, s)
+    for block in range(s.tally.shape[0]):
+        slide_bodies(block, x, v, s)
+
+
+@parallel_kernel
+def commit_slides_parallel(x: Any, v: Any, at: float, s: Any) -> None:
+    """commit_slides on several threads: the same bits."""
+    pose_slides(at, s)
+    for block in prange(s.tally.shape[0]):
+        slide_bodies(block, x, v, s)
+
+
+@kernel
+def find_block_room(block: int, x: Any, s: Any) -> None:
+    """`find_room` for the vertices of one block."""
+    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    for body in range(s.root.shape[0]):
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+            px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, s.frame[body])
+            ex, ey, ez = px - s.before[body, 0, i], py - s.before[body, 1, i], pz - s.before[body, 2, i]
+            s.before[body, 0, i], s.before[body, 1, i], s.before[body, 2, i] = px, py, pz
+            left = s.clear[body, i] - (1.0 + 1e-9) * math.sqrt(ex * ex + ey * ey + ez * ez)
+            if not left > s.gap[body] and abs(px) + abs(py) + abs(pz) < math.inf:
+                place, _, _, _, _, _, left, _, _, _ = closest(
+                    px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces,
+                    s.edges, s.vertex_normals, s.edge_normals, waiting, bound,
+                )  # fmt: skip
+                s.place[body, i] = place
+            s.clear[body, i] = left
+
+
+@parallel_kernel
+def find_room(s: Any, x: Any) -> None:
+    """Take vertices x (3, n) as they are at the start of the interval for the start of their next movement.
+
+    One that has not gone on from where it was, as after a jump, is looked up anew.
+    """
+    pose_slides(0.0, s)
+    for block in prange(s.tally.shape[0]):
+        find_block_room(block, x, s)
+
+
+@kernel
+def hold_slides(slides: Any, x: Any, v: Any, s: float, threads: Any) -> None:
+    """Hold all vertices off the bodies, on one thread or several."""
+    if threads is None:
+        commit_slides(x, v, s, slides)
+    else:
+        commit_slides_parallel(x, v, s, slides)
+
+
+@kernel
+def slow_held(slides: Any, x: Any, v: Any, threads: Any) -> None:
+    """Hold velocities off the planes that hold the vertices, on one thread or several."""
+    if threads is None:
+        slow_slides(x, v, slides)
+    else:
+        slow_slides_parallel(x, v, slides)
+
+
+def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:
+    """Write the interval into `slides`, in place."""
+    write_interval(slides, poses0, poses1)
+
+
+def count_slides(slides: Slides) -> dict[str, int]:
+    """Counts for a step report: vertices that touch after the last step, vertices put back so far."""
+    touching, back = (int(total) for total in slides.tally.sum(axis=0))
+    return {"touching": touching, "put_back": back}
+
+
+register(
+    Slides,
+    name="slides",
+    hold=hold_slides,
+    slow=slow_held,
+    begin=find_room,
+    unbalance="nuno_contact.sliding.balance:hold_forces",
+    interval=set_slide_poses,
+    counts=count_slides,
+)

@@ -1,0 +1,99 @@
+"""One vertex's movement held off one body: looked at as often as it meets another plane (nuno_contact.sliding.slides).
+
+`frames` (f, 18) is as in nuno_contact.penalty.distance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from nuno_contact.sliding.crossing import first_crossing
+from nuno_contact.sliding.planes import hold_off
+from nuno_kernels import kernel
+from nuno_kernels.bodies.poses import turn_out
+from nuno_kernels.meshes.closest_point import closest
+
+ROUNDS = 12
+"""Times that a movement is looked at: the last two planes it meets hold it off together."""
+TOUCHING = 1.0 - 1e-6
+"""A movement that planes have changed may end no nearer to the surface than this share of the gap.
+
+One that none has changed yet meets the surface as soon as it ends nearer than the gap, by however little: a vertex that
+could fall through a part of the gap unseen would feel no friction on the way, which at short steps is several of them.
+"""
+
+
+@kernel
+def outward(p: Any, near: Any, distance: float, normal: Any) -> tuple[float, float, float]:
+    """Unit direction out of the surface at the closest point `near` of p; the pseudonormal where p lies on it."""
+    x, y, z = p[0] - near[0], p[1] - near[1], p[2] - near[2]
+    if abs(distance) < 1e-9 * (abs(p[0]) + abs(p[1]) + abs(p[2])):
+        x, y, z = normal
+        distance = math.sqrt(x * x + y * y + z * z)
+    return x / distance, y / distance, z / distance
+
+
+@kernel
+def slide(
+    start: Any, m: Any, clear: float, place: int, root: int, gap: float, mu: float, boxes: Any, child: Any,
+    corners: Any, face: Any, faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any,
+    waiting: Any, bound: Any,
+) -> Any:  # fmt: skip
+    """A vertex's movement m from `start`, in the body's frame, where it would enter or come nearer than `gap`.
+
+    `clear` is the distance at the start, or less. Returns the movement it makes, the planes' normals n1 and n2,
+    how many of them there are, the distance left, the nearest triangle's place, and whether it was put back.
+    """
+    n1 = n2 = (0.0, 0.0, 0.0)
+    h1 = h2 = 0.0
+    planes = 0
+    made = m
+    distance = clear
+    for turn in range(ROUNDS):
+        length = math.sqrt(made[0] * made[0] + made[1] * made[1] + made[2] * made[2])
+        share, at = 2.0, -1
+        if clear > 0.0 and length >= clear:
+            share, at = first_crossing(
+                start[0], start[1], start[2], made[0], made[1], made[2], root, boxes, child, corners, face, waiting
+            )
+        if share <= 1.0:
+            row, j = 9 * (at // 8), at % 8
+            bx, by, bz = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
+            cx, cy, cz = corners[row + 6, j], corners[row + 7, j], corners[row + 8, j]
+            x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+            size = math.sqrt(x * x + y * y + z * z)
+            n2 = (x / size, y / size, z / size)
+            h2 = gap + share * (made[0] * n2[0] + made[1] * n2[1] + made[2] * n2[2])
+            place, distance = at, -1.0
+        else:
+            p = (start[0] + made[0], start[1] + made[1], start[2] + made[2])
+            place, _, _, x, y, z, distance, nx, ny, nz = closest(
+                p[0], p[1], p[2], place, root, boxes, child, corners, face, faces, edges, vertex_normals,
+                edge_normals, waiting, bound,
+            )  # fmt: skip
+            if distance >= (gap if planes == 0 else TOUCHING * gap):
+                return made, n1, n2, planes, distance, place, False
+            n2 = outward(p, (x, y, z), distance, (nx, ny, nz))
+            h2 = gap + (x - start[0]) * n2[0] + (y - start[1]) * n2[1] + (z - start[2]) * n2[2]
+        if turn == ROUNDS - 1:
+            break
+        planes = min(planes + 1, 2)
+        made = hold_off(m, n2, h2, n1, h1, planes == 2, mu)
+        n1, h1, n2, h2 = n2, h2, n1, h1
+    if distance > 0.0 or clear <= 0.0:
+        return made, n1, n2, planes, distance, place, False
+    return (0.0, 0.0, 0.0), n1, n2, planes, clear, place, True
+
+
+@kernel
+def slow_down(v: Any, i: int, at: Any, n1: Any, n2: Any, planes: int, mu: float, frames: Any, f: int) -> Any:
+    """Hold the velocity of vertex i at `at` off the body's planes; returns the change of velocity [m/s]."""
+    a, b = turn_out(n1, frames, f), turn_out(n2, frames, f)
+    rx, ry, rz = at[0] - frames[f, 9], at[1] - frames[f, 10], at[2] - frames[f, 11]
+    bx = frames[f, 12] + frames[f, 16] * rz - frames[f, 17] * ry
+    by = frames[f, 13] + frames[f, 17] * rx - frames[f, 15] * rz
+    bz = frames[f, 14] + frames[f, 15] * ry - frames[f, 16] * rx
+    u = (v[0, i] - bx, v[1, i] - by, v[2, i] - bz)
+    w = hold_off(u, a, 0.0, b, 0.0, planes == 2, mu)
+    return w[0] - u[0], w[1] - u[1], w[2] - u[2]

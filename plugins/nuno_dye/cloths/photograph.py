@@ -1,0 +1,185 @@
+"""A cloth from a photograph of woven cloth: where its warp shows, and where its weft (dye paper, section 4.3.1, b).
+
+Masks say which yarn a pixel shows; or colours do, and a median filter takes away single pixels that it gets wrong. Both
+layers are all fibre, without gaps. A cell is up in the layer that most of its pixels show.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from nuno_dye.quantities import Share
+from nuno_dye.supplies.resist import read_image
+from nuno_schemas.colour import parse_hex, to_linear
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.parts import Colour
+from nuno_schemas.plugin import Config, Files
+
+MOST_PIXELS = 2**25
+FORMATS = ["PNG", "JPEG"]
+CLEAN_MOST = 31
+NEAR = 0.02
+"""Colours nearer than this are told apart by noise."""
+TURN, QUARTER = 0x0112, 5
+"""Exif's tag of orientation; from 5 on it is turned by a quarter."""
+
+
+class Masks(Config):
+    """Two grey PNGs of the photograph's size."""
+
+    warp: str = Field(description="a PNG beside the scene, white where the photograph shows warp")
+    weft: str = Field(description="a PNG beside the scene, white where it shows weft; what is in neither is shared out")
+
+
+class Colours(Config):
+    """What warp and weft look like: a pixel shows the one that is nearer to it.
+
+    Light of s times a colour has s^(1/3) times its L, a and b in OKLab, so a / L and b / L do not change with shade;
+    they are what is compared, and as much of L as `lightness` says.
+    """
+
+    warp: Colour = Field(description="of the warp in the photograph, #rrggbb")
+    weft: Colour = Field(description="of the weft in the photograph, #rrggbb")
+    lightness: Share = Field(
+        default=0.0, description="how much lightness counts, which shade changes too; yarns of one hue need some"
+    )
+    clean: Annotated[int, Field(ge=1, le=CLEAN_MOST)] = Field(
+        default=5, description="side of the median filter that takes away specks, in pixels, odd; 1: none"
+    )
+
+    @field_validator("clean")
+    @classmethod
+    def _has_a_middle(cls, clean: int) -> int:
+        if clean % 2 == 0:
+            raise ValueError(f"a square of an even side has no middle pixel; write {clean - 1} or {clean + 1}")
+        return clean
+
+
+def read_photograph(path: Path) -> NDArray[np.uint8]:
+    """(h, w, 3) sRGB, upright. Raises BadInput for what is no photograph, and for too many pixels."""
+    from PIL import Image, ImageOps
+
+    try:
+        with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
+            number = image.width * image.height
+            if number <= MOST_PIXELS:
+                return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    except Exception as error:  # whatever a broken file makes of the decoder
+        problem = f"cannot be read as {' or '.join(FORMATS)}: {error}"
+        raise BadInput(problem, file=str(path)) from None
+    remedy = "scale the photograph"
+    raise BadInput("too many pixels", file=str(path), value=number, limit=f"{MOST_PIXELS}", remedy=remedy)
+
+
+def read_size(path: Path) -> tuple[int, int]:
+    """(h, w) of a photograph as it is upright, from its header. Raises BadInput."""
+    from PIL import Image
+
+    try:
+        with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
+            turned = image.getexif().get(TURN, 1) >= QUARTER
+            return (image.width, image.height) if turned else (image.height, image.width)
+    except Exception as error:  # whatever a broken file makes of the decoder
+        raise BadInput(f"cannot be read as {' or '.join(FORMATS)}: {error}", file=str(path)) from None
+
+
+def read_masks(masks: Masks, shape: tuple[int, int], files: Files) -> Bool:
+    """(h, w) where a photograph of `shape` shows warp; elsewhere it shows weft. Raises BadInput."""
+    paths = {name: files.resolve(getattr(masks, name)) for name in ("warp", "weft")}
+    found = {name: read_image(path, shape, of=("photograph's", "pixels")) >= 0.5 for name, path in paths.items()}
+    return share_out(found["warp"], found["weft"], {name: str(path) for name, path in paths.items()})
+
+
+def share_out(warp: Bool, weft: Bool, files: dict[str, str]) -> Bool:
+    """(h, w) warp, with what is in neither mask given to the nearer one. Raises BadInput for masks that overlap, or
+    are empty.
+    """
+    for name, mask in (("warp", warp), ("weft", weft)):
+        if not mask.any():
+            remedy = "paint white what shows this layer"
+            raise BadInput("the mask is empty", file=files[name], field=name, remedy=remedy)
+    both = np.argwhere(warp & weft)
+    if len(both):
+        y, x = both[0]
+        raise BadInput(
+            f"the masks overlap in {len(both)} pixels", file=files["weft"], field="weft",
+            value=f"first at {x} to the right, {y} down", limit=f"none of {files['warp']}",
+            remedy="paint a pixel white in one of them",
+        )  # fmt: skip
+    return _grow(warp, weft)
+
+
+def _grow(warp: Bool, weft: Bool) -> Bool:
+    """Both grow by a pixel at a time, each way, until they meet; where they do so at once it is warp."""
+    from PIL import Image, ImageFilter
+
+    def wider(mask: Bool) -> Bool:
+        return np.asarray(Image.fromarray(mask.astype(np.uint8)).filter(ImageFilter.MaxFilter(3))) > 0
+
+    while not (warp | weft).all():
+        free = ~(warp | weft)
+        warp, weft = warp | (free & wider(warp)), weft | (free & wider(weft) & ~wider(warp))
+    return warp
+
+
+def split_by_colour(colours: Colours, photograph: NDArray[np.uint8]) -> Bool:
+    """(h, w) where warp's colour is nearer than weft's. Raises BadInput where one of them is nowhere."""
+    from PIL import Image, ImageFilter
+
+    seen = _unshaded(to_linear(photograph / 255.0), colours.lightness)
+    ends = [_unshaded(parse_hex(text), colours.lightness) for text in (colours.warp, colours.weft)]
+    if np.linalg.norm(ends[0] - ends[1]) < NEAR:
+        raise BadInput(
+            "warp and weft have one colour", field="weft", value=colours.weft, limit=f"{colours.warp} is the warp's",
+            remedy="add lightness: 0.3 where one is brighter, or give masks",
+        )  # fmt: skip
+    warp, weft = (np.square(seen - end).sum(axis=-1) for end in ends)
+    found = np.asarray(warp < weft)
+    if colours.clean > 1:
+        image = Image.fromarray(found.astype(np.uint8) * 255)
+        found = np.asarray(image.filter(ImageFilter.MedianFilter(colours.clean))) > 127
+    if found.all() or not found.any():
+        name = "weft" if found.all() else "warp"
+        remedy = "take the colours of both from the photograph itself"
+        raise BadInput(f"the photograph shows no {name}", field=name, value=getattr(colours, name), remedy=remedy)
+    return found
+
+
+def _unshaded(linear: Float, lightness: float) -> Float:
+    """(..., 3) what is compared of linear light."""
+    lab = to_oklab(linear)
+    level = np.maximum(lab[..., :1], 1e-3)
+    return np.concatenate([lightness * level, lab[..., 1:] / level], axis=-1)
+
+
+LMS = np.array(
+    [[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566],
+     [0.0883024619, 0.2817188376, 0.6299787005]]
+)  # fmt: skip
+LAB = np.array(
+    [[0.2104542553, 0.7936177850, -0.0040720468], [1.9779984951, -2.4285922050, 0.4505937099],
+     [0.0259040371, 0.7827717662, -0.8086757660]]
+)  # fmt: skip
+
+
+def to_oklab(linear: Float) -> Float:
+    """(..., 3) lightness, green to red and blue to yellow of linear light (Ottosson 2020)."""
+    lab: Float = np.cbrt(linear @ LMS.T) @ LAB.T
+    return lab
+
+
+def find_up(warp: Bool, pixels: int) -> Bool:
+    """(2, ny, nx) which layer is up in cells of `pixels` x `pixels`: warp where at least half of them show it.
+
+    Pixels at the right and below that fill no cell are left out.
+    """
+    ny, nx = warp.shape[0] // pixels, warp.shape[1] // pixels
+    blocks: Any = warp[: ny * pixels, : nx * pixels].reshape(ny, pixels, nx, pixels)
+    up = 2 * blocks.sum(axis=(1, 3)) >= pixels * pixels
+    return np.stack([~up, up])

@@ -1,0 +1,184 @@
+"""The cloth of a photograph as a plugin, and the picture that is drawn with its own light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, model_validator
+
+from nuno_dye.cloths.cells import Tau
+from nuno_dye.cloths.photograph import Colours, Masks, find_up, read_masks, read_photograph, read_size, split_by_colour
+from nuno_dye.pictures.picture import Drawing, begin_drawing, draw
+from nuno_dye.quantities import CellSize, Positive, Share
+from nuno_dye.supplies.resist import Resists, find_resists, put_on
+from nuno_dye.supplies.supply import Supplies, prepare_supplies
+from nuno_schemas.colour import parse_hex, to_linear
+from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
+from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.look import DyeColour
+from nuno_schemas.parts import Colour
+from nuno_schemas.plugin import Config, Files
+
+
+class FibreConfig(Config):
+    """The fibre of one layer."""
+
+    porosity: Share = Field(default=0.5, description="P, share of the yarn that is not fibre")
+    twist: Share = Field(default=1.0, description="tau 1; smaller is more twisted")
+    resist: Share = Field(default=0.0, description="B, share of the room for mobile dye that is taken")
+
+
+class WholeTau3Config(Config):
+    """How straight dye's way is from a cell to its neighbour, 0 to 1, in cloth without gaps."""
+
+    I: Tau = Field(description="to the other layer")  # noqa: E741
+    II: Tau = Field(description="in a layer, across the yarn")
+    V: Tau = Field(default=1.0, description="in a layer, along the yarn")
+
+
+class PhotographConfig(Config):
+    """A photograph, and what tells its warp from its weft."""
+
+    file: str = Field(description="the photograph, PNG or JPEG, beside the scene; warp upright")
+    masks: Masks | None = Field(default=None, description="where warp shows, and where weft does")
+    colours: Colours | None = Field(default=None, description="in the place of masks: what warp and weft look like")
+    pixels: Annotated[int, Field(ge=1, le=256)] = Field(default=1, description="of the photograph, across a cell")
+    cell_size: CellSize = Field(default=5e-5, description="side of a cell [m]")
+    weft: FibreConfig = Field(default=FibreConfig(), description="yarns along x")
+    warp: FibreConfig = Field(default=FibreConfig(), description="yarns along y")
+    tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
+    tau3: WholeTau3Config = Field(description="by kind of face, I, II and V")
+    v_max: Positive = Field(default=1.0, description="most that a cell holds")
+    resist: Resists = Field(default=(), description="what keeps dye out, on both layers")
+    supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> PhotographConfig:
+        if (self.masks is None) == (self.colours is None):
+            raise ValueError("warp and weft are told apart in one way; give either masks or colours")
+        return self
+
+
+class PhotographCloth:
+    """Cells from a photograph's pixels."""
+
+    name: ClassVar[str] = "photograph"
+    Config: ClassVar[type[BaseModel]] = PhotographConfig
+
+    def count(self, config: PhotographConfig, files: Files) -> int:
+        height, width = read_size(files.resolve(config.file))
+        return 2 * (height // config.pixels) * (width // config.pixels)
+
+    def build(self, config: PhotographConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
+        """Raises BadInput for a photograph, masks or colours that do not fit each other."""
+        light = read_photograph(files.resolve(config.file))
+        if min(light.shape[:2]) < config.pixels:
+            limit = f"the photograph has {light.shape[1]} x {light.shape[0]} pixels"
+            raise BadInput("a cell is larger than the photograph", field="pixels", value=config.pixels, limit=limit)
+        warp = self.warp(config, light, files)
+        up = find_up(warp, config.pixels)
+        ny, nx = up.shape[1:]
+        inside = slice(ny * config.pixels), slice(nx * config.pixels)
+        t = config.tau3
+        tortuosity = Tortuosity(layers=t.I, beside=t.II, rim=1.0, gap=1.0, yarn=t.V, weave=config.tau2)
+        porosity, twist, resist = (
+            np.stack([np.full((ny, nx), getattr(layer, name)) for layer in (config.weft, config.warp)])
+            for name in ("porosity", "twist", "resist")
+        )
+        cells = Cells(
+            np.ones((2, ny, nx), np.bool_), up, porosity, twist, resist, config.cell_size, tortuosity, config.v_max,
+            photograph=Photograph(np.ascontiguousarray(light[inside]), np.ascontiguousarray(warp[inside])),
+        )  # fmt: skip
+        put_on(self.resists(config, cells, files), cells)
+        empty = np.zeros((dyes, 2, ny, nx))
+        return cells, DyeState(empty, empty.copy())
+
+    def warp(self, config: PhotographConfig, light: NDArray[np.uint8], files: Files) -> NDArray[np.bool_]:
+        """(h, w) where the photograph shows warp."""
+        if config.masks is not None:
+            return read_masks(config.masks, light.shape[:2], files)
+        assert config.colours is not None
+        try:
+            return split_by_colour(config.colours, light)
+        except BadInput as error:
+            place = f"colours.{error.field}"
+            raise BadInput(error.problem, None, None, place, error.value, error.limit, error.remedy) from None
+
+    def resists(self, config: PhotographConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
+        """Raises BadInput for what touches no cell, and an image that does not fit."""
+        return find_resists(config.resist, cells.fibre.shape[1:], config.cell_size, files)
+
+    def supplies(self, config: PhotographConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
+        """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
+        return prepare_supplies(config.supply, cells.fibre.shape[1:], config.cell_size, dyes)
+
+
+class PhotographPictureConfig(Config):
+    """The photograph, dyed."""
+
+    ground: Colour | None = Field(
+        default=None, description="colour of the undyed cloth, #rrggbb, lit as the photograph; its own unless given"
+    )
+
+
+class PhotographPicture:
+    """Draws dye on the photograph of the cloth: what dye lets through of the light that the cloth gave back.
+
+    The dye paper multiplies colours by the photograph's lightness, which `ground` does; without it, undyed cloth
+    is the photograph itself.
+    """
+
+    name: ClassVar[str] = "photograph"
+    Config: ClassVar[type[BaseModel]] = PhotographPictureConfig
+
+    def prepare(
+        self,
+        config: PhotographPictureConfig,
+        files: Files,
+        layers: Layers,
+        dyes: Sequence[DyeColour],
+        window: Window,
+        scale: int,
+    ) -> Drawing:
+        """Raises BadInput for a cloth without a photograph."""
+        photograph = layers.photograph
+        if photograph is None:
+            remedy = "picture: {plugin: yarns}; or a cloth of plugin: photograph"
+            raise BadInput("the cloth has no photograph", field="plugin", value=self.name, remedy=remedy)
+        light, warp = cut(photograph, layers.fibre.shape[1], window, scale)
+        shade = np.asarray(to_linear(light / 255.0), np.float32)
+        ground = np.ones(3)
+        if config.ground is not None:
+            ground = parse_hex(config.ground)
+            bright = shade @ np.array(LUMINANCE, np.float32)
+            shade = np.minimum(bright / max(float(np.quantile(bright, BRIGHT)), 1e-6), 1.0)[..., None]
+        _, ny, nx = layers.fibre.shape
+        yarns = np.zeros(ny, np.int32), np.zeros(nx, np.int32)
+        return begin_drawing(layers, dyes, ground, window, scale, warp.astype(np.uint8), shade, yarns)
+
+    def draw(self, prepared: Drawing, amounts: Float) -> Picture:
+        return draw(prepared, amounts)
+
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+BRIGHT = 0.98
+"""Share of pixels that are darker than what counts as fully lit."""
+
+
+def cut(photograph: Photograph, ny: int, window: Window, scale: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Light (h, w, 3) and warp (h, w) of a window at `scale` pixels a cell, from a cloth of ny rows of cells."""
+    from PIL import Image
+
+    pixels = photograph.light.shape[0] // ny
+    size = scale * (window.right - window.left), scale * (window.bottom - window.top)
+    box = tuple(pixels * side for side in (window.left, window.top, window.right, window.bottom))
+    smooth = Image.Resampling.BOX if scale <= pixels else Image.Resampling.BICUBIC
+    light = np.asarray(Image.fromarray(photograph.light).resize(size, smooth, box))
+    mask = Image.fromarray(photograph.warp.astype(np.uint8) * 255)
+    # Half-way between pixels of either layer the border is straight, and not a staircase.
+    return light, np.asarray(mask.resize(size, Image.Resampling.BILINEAR, box)) > 127

@@ -1,0 +1,165 @@
+"""A woven cloth with what keeps dye out of it, and what gives dye to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_dye.cloths.cells import Tau, Tau3Config
+from nuno_dye.cloths.woven import Lay, WovenConfig, YarnConfig, build_cells, lay_measured
+from nuno_dye.drafts.weaves import (
+    MatrixConfig,
+    PlainConfig,
+    SatinConfig,
+    TwillConfig,
+    draw_plain,
+    draw_satin,
+    draw_twill,
+    read_matrix,
+)
+from nuno_dye.drafts.wif import Draft, read_wif
+from nuno_dye.drafts.yarns import UNDYED, Yarns
+from nuno_dye.quantities import Positive
+from nuno_dye.supplies.resist import Resists, find_resists, put_on
+from nuno_dye.supplies.supply import Supplies, prepare_supplies
+from nuno_schemas.dye import Cells, DyeState, Supply
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.plugin import Config, Files
+
+
+class WifConfig(Config):
+    """A draft of a weaving program, WIF 1.1."""
+
+    plugin: Literal["wif"] = "wif"
+    file: str = Field(description="the WIF file, beside the scene")
+    measured: bool = Field(
+        default=False, description="yarns as wide and as far apart as the file says, in place of width and gap"
+    )
+
+
+Weave = Annotated[PlainConfig | TwillConfig | SatinConfig | MatrixConfig | WifConfig, Field(discriminator="plugin")]
+
+
+class WovenClothConfig(WovenConfig):
+    """A cloth from a weave and its yarns."""
+
+    weave: Weave = Field(default=PlainConfig(), description="plain, twill, satin, matrix or wif")
+    tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
+    tau3: Tau3Config = Field(description="by kind of face, I to V")
+    v_max: Positive = Field(default=1.0, description="most that a cell holds")
+    resist: Resists = Field(default=(), description="what keeps dye out, on both layers")
+    supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
+
+
+class WovenCloth:
+    """Yarns laid out in two layers and woven."""
+
+    name: ClassVar[str] = "woven"
+    Config: ClassVar[type[BaseModel]] = WovenClothConfig
+
+    def count(self, config: WovenClothConfig, files: Files) -> int:
+        nx, ny = fit_draft(config, read_draft(config, files) if config.cells is None else None).extent
+        return 2 * nx * ny
+
+    def build(self, config: WovenClothConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
+        """Raises BadInput for a weave or resist that is none, or does not fit the cloth."""
+        draft = read_draft(config, files)
+        config = fit_draft(config, draft)
+        drawdown, lays = draw_weave(config, draft)
+        cells = build_cells(drawdown, config, config.tau3.with_weave(config.tau2), seed, lays, config.v_max)
+        if draft is not None:
+            cells = replace(cells, ground=find_ground(draft, cells))
+        put_on(self.resists(config, cells, files), cells)
+        empty = np.zeros((dyes, *cells.fibre.shape))
+        return cells, DyeState(empty, empty.copy())
+
+    def resists(self, config: WovenClothConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
+        """Raises BadInput for what touches no cell, and an image that does not fit."""
+        _, ny, nx = cells.fibre.shape
+        return find_resists(config.resist, (ny, nx), config.cell_size, files)
+
+    def supplies(self, config: WovenClothConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
+        """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
+        _, ny, nx = cells.fibre.shape
+        return prepare_supplies(config.supply, (ny, nx), config.cell_size, dyes)
+
+
+def read_draft(config: WovenClothConfig, files: Files) -> Draft | None:
+    """The draft that the weave is of, None of any other weave. Raises BadInput."""
+    return read_wif(files.resolve(config.weave.file)) if isinstance(config.weave, WifConfig) else None
+
+
+def fit_draft(config: WovenClothConfig, draft: Draft | None) -> WovenClothConfig:
+    """With as many cells as a draft's yarns take, where the scene does not say how many. Raises BadInput."""
+    weave = config.weave
+    if config.cells is not None or draft is None or not isinstance(weave, WifConfig):
+        return config
+
+    def along(what: str, yarns: Yarns, even: YarnConfig, number: int) -> int:
+        if weave.measured:
+            return max(1, round(float(require_spacing(what, yarns, weave.file).sum()) / config.cell_size))
+        return number * (even.width + even.gap)
+
+    picks, ends = draft.drawdown.shape
+    across, down = along("WARP", draft.warp, config.warp, ends), along("WEFT", draft.weft, config.weft, picks)
+    return config.model_copy(update={"cells": (across, down)})
+
+
+def find_ground(draft: Draft, cells: Cells) -> tuple[Float, Float] | None:
+    """Colours of the yarns by row of weft and by column of warp; None where the draft has none."""
+    if cells.yarns is None or (draft.weft.colour is None and draft.warp.colour is None):
+        return None
+
+    def colours(yarns: Yarns, yarn: Int) -> Float:
+        known = np.array([UNDYED]) if yarns.colour is None else yarns.colour
+        return known[yarn % len(known)]
+
+    return colours(draft.weft, cells.yarns[0]), colours(draft.warp, cells.yarns[1])
+
+
+def draw_weave(config: WovenClothConfig, draft: Draft | None) -> tuple[Bool, tuple[Lay, Lay] | None]:
+    """Drawdown (picks, ends), and lays of weft and warp where a file has measured them."""
+    weave = config.weave
+    if isinstance(weave, TwillConfig):
+        return draw_twill(weave.over, weave.under, weave.direction), None
+    if isinstance(weave, SatinConfig):
+        return draw_satin(weave.ends, weave.step, weave.face), None
+    if isinstance(weave, MatrixConfig):
+        return read_matrix(weave.rows), None
+    if isinstance(weave, WifConfig) and draft is not None:
+        return draft.drawdown, lay_draft(draft, weave.file, config) if weave.measured else None
+    return draw_plain(), None
+
+
+def lay_draft(draft: Draft, file: str, config: WovenConfig) -> tuple[Lay, Lay]:
+    """Lays of weft and warp as measured. Raises BadInput for a file without spacing, and yarns finer than a cell.
+
+    A file without thickness has yarns that touch.
+    """
+
+    def lay(what: str, yarns: Yarns, cells: int) -> Lay:
+        spacing = require_spacing(what, yarns, file)
+        thickness = spacing if yarns.thickness is None else np.minimum(yarns.thickness, spacing)
+        if thickness.min() < config.cell_size:
+            raise BadInput(
+                "a yarn is finer than a cell", file=file, field="cell_size", value=config.cell_size,
+                limit=f"{thickness.min():g} m, the finest yarn of [{what}]",
+            )  # fmt: skip
+        return lay_measured(spacing, thickness, config.cell_size, cells)
+
+    return lay("WEFT", draft.weft, config.extent[1]), lay("WARP", draft.warp, config.extent[0])
+
+
+def require_spacing(what: str, yarns: Yarns, file: str) -> Float:
+    """(n,) from yarn to yarn [m]. Raises BadInput for a file that does not say."""
+    if yarns.spacing is None:
+        raise BadInput(
+            "the file does not say how far its yarns are apart", file=file, field=f"[{what}] Spacing",
+            remedy="measured: false, and width and gap of the yarns in cells",
+        )  # fmt: skip
+    return yarns.spacing

@@ -1,0 +1,1 @@
+"""Pictures of dyed cloth: colours of dye, and yarns with their shade."""

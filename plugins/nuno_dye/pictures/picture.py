@@ -1,0 +1,194 @@
+"""A picture of dyed yarns: each layer's colour from the dye in it, times the shade of its yarns.
+
+Between the middles of cells colour is interpolated, but only within a yarn of a layer: beside it lies another yarn,
+which may hold quite another amount.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field
+
+from nuno_dye.pictures.colour import mix
+from nuno_dye.pictures.texture import TextureConfig, Textures, find_lays
+from nuno_kernels import kernel
+from nuno_schemas.colour import parse_hex, to_linear, to_srgb
+from nuno_schemas.dye_picture import Layers, Picture, Window
+from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.look import DyeColour
+from nuno_schemas.parts import Colour
+from nuno_schemas.plugin import Config, Files
+
+BLOCK = 2**20
+"""Pixels, about, whose shade is computed at once."""
+SAMPLES = 4
+"""Points across a cell, at least, that shade is averaged over: twist is finer than a cell."""
+
+
+PLAIN = TextureConfig(depth=0.0, fibres=0.0, relief=0.0, bend=0.0, shadow=1.0, hole=1.0)
+
+
+class YarnsConfig(Config):
+    """Yarns drawn as twisted cylinders."""
+
+    ground: Colour | None = Field(
+        default=None,
+        description="colour of the undyed cloth, #rrggbb; left out: of each yarn, where a WIF file says, or the first "
+        "dye's light",
+    )
+    texture: TextureConfig | None = Field(
+        default=TextureConfig(), description="how yarns look; null: colours alone, as where a cloth is seen from afar"
+    )
+
+
+class Drawing(NamedTuple):
+    """What pictures of one window have in common.
+
+    layer         (h, w) uint8            the layer that shows at a pixel
+    shade         (h, w, 1 or 3) float32  how bright it is, all in all or by channel
+    inside        (4,)                    the window's rows and columns within `window`, which is a cell wider
+    """
+
+    layers: Layers
+    dyes: tuple[DyeColour, ...]
+    ground: Float | None
+    window: Window
+    inside: tuple[int, int]
+    scale: int
+    layer: NDArray[np.uint8]
+    shade: NDArray[np.float32]
+    yarns: tuple[Int, Int]
+    fibre: Bool
+
+
+class YarnsPicture:
+    """Draws the yarns that are woven."""
+
+    name: ClassVar[str] = "yarns"
+    Config: ClassVar[type[BaseModel]] = YarnsConfig
+
+    def prepare(
+        self,
+        config: YarnsConfig,
+        files: Files,
+        layers: Layers,
+        dyes: Sequence[DyeColour],
+        window: Window,
+        scale: int,
+    ) -> Drawing:
+        layer, shade = shade_window(layers, window, scale, config.texture or PLAIN)
+        ground = None if config.ground is None else parse_hex(config.ground)
+        yarns = find_lays(layers)
+        return begin_drawing(
+            layers, dyes, ground, window, scale, layer, shade[..., None], (yarns[0].yarn, yarns[1].yarn)
+        )
+
+    def draw(self, prepared: Drawing, amounts: Float) -> Picture:
+        return draw(prepared, amounts)
+
+
+def shade_window(
+    layers: Layers, window: Window, scale: int, texture: TextureConfig
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Layer and shade (h, w) of a window's pixels, each the mean over points SAMPLES to a cell or more."""
+    finer = -(-SAMPLES // scale)
+    textures = Textures(layers, scale * finer, texture)
+    height, width = scale * (window.bottom - window.top), scale * (window.right - window.left)
+    layer, shade = np.empty((height, width), np.uint8), np.empty((height, width), np.float32)
+    rows = max(1, BLOCK // (scale * finer * finer * width))
+    for low in range(window.top, window.bottom, rows):
+        high = min(window.bottom, low + rows)
+        shows, bright = textures.find(Window(low, high, window.left, window.right))
+        part = slice(scale * (low - window.top), scale * (high - window.top))
+        layer[part] = shows[::finer, ::finer]
+        shade[part] = bright.reshape(-1, finer, width, finer).mean(axis=(1, 3))
+    return layer, shade
+
+
+def begin_drawing(
+    layers: Layers,
+    dyes: Sequence[DyeColour],
+    ground: Float | None,
+    window: Window,
+    scale: int,
+    layer: NDArray[np.uint8],
+    shade: NDArray[np.float32],
+    yarns: tuple[Int, Int],
+) -> Drawing:
+    """What is drawn again and again, with a cell more on each side of the window where the cloth has one."""
+    _, ny, nx = layers.fibre.shape
+    wide = Window(
+        max(window.top - 1, 0), min(window.bottom + 1, ny), max(window.left - 1, 0), min(window.right + 1, nx)
+    )
+    near = yarns[0][wide.top : wide.bottom], yarns[1][wide.left : wide.right]
+    fibre = np.ascontiguousarray(layers.fibre[:, wide.top : wide.bottom, wide.left : wide.right])
+    if ground is None and layers.ground is not None:
+        weft, warp = (to_linear(colours) for colours in layers.ground)
+        both = weft[wide.top : wide.bottom, None], warp[None, wide.left : wide.right]
+        ground = np.stack([np.broadcast_to(colours, (*fibre.shape[1:], 3)) for colours in both])
+    inside = window.top - wide.top, window.left - wide.left
+    return Drawing(layers, tuple(dyes), ground, wide, inside, scale, layer, shade, near, fibre)
+
+
+def draw(drawing: Drawing, amounts: Float) -> Picture:
+    """(h, w, 3) sRGB picture of amounts (dyes, 2, ny, nx) of the whole cloth."""
+    top, bottom, left, right = drawing.window
+    # What is no number, after a run that diverged, has no colour.
+    shown = np.nan_to_num(np.asarray(amounts[..., top:bottom, left:right], np.float64))
+    light = mix(shown, drawing.dyes, drawing.layers.v_max, drawing.ground)
+    picture = np.empty((*drawing.layer.shape, 3), np.uint8)
+    rows, columns = (np.ascontiguousarray(yarn, np.int32) for yarn in drawing.yarns)
+    paint(
+        np.ascontiguousarray(light, np.float32), drawing.layer, drawing.shade, drawing.fibre, rows, columns,
+        drawing.inside[0], drawing.inside[1], drawing.scale, _srgb_bytes(), picture,
+    )  # fmt: skip
+    return picture
+
+
+@functools.cache
+def _srgb_bytes() -> NDArray[np.uint8]:
+    """(65536,) sRGB bytes of equal steps of linear light; even near black a step is a twentieth of a byte."""
+    return np.rint(255.0 * to_srgb(np.arange(65536) / 65535.0)).astype(np.uint8)
+
+
+@kernel
+def paint(
+    light: Any, layer: Any, shade: Any, fibre: Any, rows: Any, columns: Any, top: int, left: int, scale: int,
+    table: Any, out: Any,
+) -> None:  # fmt: skip
+    """Pixels of `out` (h, w, 3) from light (2, ny, nx, 3) at the middles of cells, times shade.
+
+    A pixel lies between four middles of its layer; those of its own yarn (or gap) count by how near they are.
+    """
+    _, ny, nx, _ = light.shape
+    last = shade.shape[2] - 1
+    middle = min(1, last)
+    for j in range(out.shape[0]):
+        y = top + j // scale
+        down = (j % scale + 0.5) / scale - 0.5
+        below = min(max(y + (1 if down > 0.0 else -1), 0), ny - 1)
+        for i in range(out.shape[1]):
+            x = left + i // scale
+            across = (i % scale + 0.5) / scale - 0.5
+            beside = min(max(x + (1 if across > 0.0 else -1), 0), nx - 1)
+            which, own = layer[j, i], fibre[layer[j, i], y, x]
+            weight = red = green = blue = 0.0
+            for v in (y, below):
+                b = 1.0 - abs(down) if v == y else abs(down)
+                for u in (x, beside):
+                    joined = rows[v] == rows[y] if which == 0 else columns[u] == columns[x]
+                    if joined and fibre[which, v, u] == own:
+                        w = b * (1.0 - abs(across) if u == x else abs(across))
+                        weight += w
+                        red += w * light[which, v, u, 0]
+                        green += w * light[which, v, u, 1]
+                        blue += w * light[which, v, u, 2]
+            full = 65535.0 / weight
+            out[j, i, 0] = table[int(full * shade[j, i, 0] * red + 0.5)]
+            out[j, i, 1] = table[int(full * shade[j, i, middle] * green + 0.5)]
+            out[j, i, 2] = table[int(full * shade[j, i, last] * blue + 0.5)]

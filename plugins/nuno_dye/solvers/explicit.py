@@ -1,0 +1,174 @@
+"""The explicit solver: the dye paper's scheme, whole frames of steps in one compiled call for each dye.
+
+Where no limit can bind, the faster kernel of diffusion alone takes the steps, with adsorption as the case is. A step
+of it replaces each amount by a mean of itself and its neighbours', with weights that add to 1 and are none of them
+negative as long as D0 dt / size^2 sum P T <= 1; limits only make the neighbours' weights smaller, and adsorption the
+amounts. So no amount ever exceeds the largest of those at the start and of what supplies have kept up since, and a
+cell's inflow is at most (that - phi). Nothing can be limited, then, if every cell that a face reaches has room for
+it. Memory keeps this largest amount, so that a resumed run chooses its kernel as the whole run did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numba
+import numpy as np
+from pydantic import BaseModel
+
+from nuno_dye.laws.adsorption import Uptake
+from nuno_dye.laws.faces import face_sums, face_values
+from nuno_dye.laws.potential import curve_of
+from nuno_dye.solvers.bands import Cut, make_bands, make_dye_bands, read_bands
+from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
+from nuno_dye.solvers.dyeing import LEVELS, DyeBands, dye
+from nuno_dye.solvers.solving import (
+    Known,
+    adsorbs,
+    count_bands,
+    describe_threads,
+    know,
+    largest_amounts,
+    make_report,
+    raise_largest,
+    renew_work,
+    require_laws,
+    uptake_of,
+)
+from nuno_dye.solvers.upkeep import Upkeep, begin_upkeep, make_upkeep, sum_given
+from nuno_kernels import threads_available
+from nuno_schemas.dye import Cells, DyeReport, DyeState, DyeSystem
+from nuno_schemas.fabric import Float, Memory
+from nuno_schemas.plugin import Config
+
+
+class ExplicitConfig(Config):
+    """The explicit solver has no fields of its own."""
+
+
+@dataclass
+class Work:
+    """What was made from a system.
+
+    bands   by dye, and whether limits may bind: the step [s] and the kernel's layout for it
+    upkeep  by dye and ghost rows: the layout of its floors
+    fibre   by ghost rows: the layout of V_d
+    """
+
+    known: Known
+    bands: dict[tuple[int, bool], tuple[float, Bands | DyeBands]] = field(default_factory=dict)
+    upkeep: dict[tuple[int, int], Upkeep] = field(default_factory=dict)
+    fibre: dict[int, Float] = field(default_factory=dict)
+
+
+class Explicit:
+    """Adsorption, then diffusion with all fluxes from the same amounts."""
+
+    name: ClassVar[str] = "explicit"
+    order: ClassVar[int] = 1
+    Config: ClassVar[type[BaseModel]] = ExplicitConfig
+
+    def prepare(self, config: ExplicitConfig, system: DyeSystem, state: DyeState) -> Memory:
+        """Memory: `highest` (dyes,), the largest amount that any cell can have had."""
+        require_laws(system)
+        return Memory({"highest": largest_amounts(state)}, _make_work(system))
+
+    def limit(self, config: ExplicitConfig, system: DyeSystem) -> float:
+        """The most that D0 g comes to, times dt / size^2 and the largest sum of P T over a cell's faces, is 1 there."""
+        most = float(face_sums(face_values(system.cells)).max()) * max(one.D0 * one.steepest for one in system.dyes)
+        return system.cells.size**2 / most if most > 0.0 else float(np.inf)
+
+    def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
+        """See nuno_schemas.dye.DyeSolver."""
+        work = _renew_work(memory, system)
+        highest = memory.arrays["highest"]
+        raise_largest(highest, work.known)
+        numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
+        given = [_advance_one(work, k, state, steps, dt, float(highest[k])) for k in range(len(system.dyes))]
+        state.t += steps * dt
+        return make_report(system, state, {"steps": steps}, given)
+
+    def about(self, system: DyeSystem) -> str:
+        return describe_threads(system)
+
+
+def _make_work(system: DyeSystem) -> Work:
+    return Work(know(system))
+
+
+def _renew_work(memory: Memory, system: DyeSystem) -> Work:
+    work: Work = memory.work  # type: ignore[assignment]
+    memory.work = work = renew_work(work, system, _make_work, work.upkeep)
+    return work
+
+
+def _upkeep(work: Work, k: int, cut: Cut) -> Upkeep | None:
+    """Floors of one dye in a kernel's layout, with nothing given yet; None where it has none."""
+    if work.known.floors is None or not work.known.floors[k].any():
+        return None
+    found = work.upkeep.get((k, cut.ghost))
+    if found is None:
+        found = work.upkeep[k, cut.ghost] = make_upkeep(cut.fill(work.known.floors[k])[0])
+    return begin_upkeep(found)
+
+
+def _uptake(work: Work, k: int, cut: Cut, scale: float) -> Uptake | None:
+    """Fibre of one dye in a kernel's layout; None where the kernel fixes nothing."""
+    if cut.ghost not in work.fibre:
+        work.fibre[cut.ghost] = cut.fill(work.known.system.cells.fixed_room)[0]
+    return uptake_of(work.known.system.dyes[k], np.empty(cut.shape), work.fibre[cut.ghost], scale)
+
+
+def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, highest: float) -> float:
+    """Bring one dye from the start of a frame to its end; with no steps, compile what they need.
+
+    Returns what its supplies gave.
+    """
+    system, phi, fixed = work.known.system, state.phi[k], state.fixed[k]
+    one, cells = system.dyes[k], system.cells
+    scale, curve = one.D0 * dt / cells.size**2, curve_of(one)
+    limited = not highest <= work.known.room or scale * work.known.most > 1.0 or curve is not None
+    cut = Cut(phi.shape, count_bands(system), 2 * LEVELS if limited else GHOST)
+    bands = _layout(work, k, limited, dt, scale, cut.number)
+    uptake, upkeep = _uptake(work, k, cut, scale), _upkeep(work, k, cut)
+    function = one.isotherm.function if one.isotherm is not None and adsorbs(one) else None
+    for count in [steps] if function is None or not steps else [1] * steps:
+        if function is not None and count:
+            _adsorb(phi, fixed, cells, one.adsorption * scale, function)
+        bands = bands._replace(phi=cut.fill(phi)[0])
+        uptake = uptake and uptake._replace(fixed=cut.fill(fixed)[0])
+        if limited:
+            dye(count, bands, uptake, upkeep, curve)
+        else:
+            diffuse(count, bands, uptake, upkeep)
+        read_bands(bands, bands.phi, phi)
+        if uptake is not None:
+            read_bands(bands, uptake.fixed, fixed)
+    if upkeep is None:
+        return 0.0
+    return sum_given(*(read_bands(bands, values, np.empty(phi.shape)) for values in (upkeep.given, upkeep.lost)))
+
+
+def _layout(work: Work, k: int, limited: bool, dt: float, scale: float, number: int) -> Bands | DyeBands:
+    """One dye's weights in a kernel's layout."""
+    known, bands = work.bands.get((k, limited), (0.0, None))
+    if bands is None or known != dt:
+        empty, cells = np.zeros(work.known.system.cells.fibre.shape), work.known.system.cells
+        bands = (
+            make_dye_bands(empty, cells, work.known.faces, scale, number)
+            if limited
+            else make_bands(empty, work.known.faces, scale, number)
+        )
+        work.bands[k, limited] = dt, bands
+    return bands
+
+
+def _adsorb(phi: Float, fixed: Float, cells: Cells, rate: float, function: Callable[[Float, Float], Float]) -> None:
+    """What nuno_dye.laws.adsorption.adsorb_row does, with an isotherm that no kernel knows."""
+    room = cells.fixed_room
+    most = np.minimum(room, function(phi, room)) - fixed
+    taken = np.maximum(np.minimum(np.minimum(rate * (phi - fixed), most), phi), 0.0)
+    phi -= taken
+    fixed += taken

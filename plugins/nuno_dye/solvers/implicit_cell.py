@@ -1,0 +1,138 @@
+"""A cell's own equation in an implicit stage: its neighbours are given, its fibre and its limits are not split off.
+
+    phi + (A - A_b) = b + sum over faces f w (phi_j - phi)
+
+with weights w, f the factor of the face's receiver, and A what fibre holds at phi:
+
+    A(phi) = max(A_0, min(V_d, A_d(phi), max(A_b, (A_b + rho phi) / (1 + rho))))
+
+A_0 is fixed dye at the step's start, A_b where the stage begins, rho = D_ab dt / d^2: within its limit fibre takes
+rho (phi - A)^+, and it gives nothing back. A grows with phi, so that there is one root, and which of its pieces holds
+it is found by trying them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, PARTITION
+from nuno_dye.laws.potential import amount, potential
+from nuno_dye.solvers.fixing import limit_beside
+from nuno_dye.solvers.sums import sum_compensated
+from nuno_kernels import kernel
+from nuno_schemas.fabric import Float
+
+ROUNDS = 40
+"""Newton steps for Freundlich's limit at most; four or five do."""
+BENDS = 60
+"""Newton steps at most where D falls with dye; one to eight do."""
+
+
+class Fibre(NamedTuple):
+    """What fibre holds in a stage, (2 r, w) each, and its law.
+
+    least  A_0, at the step's start
+    begun  A_b, where the stage begins
+    room   V_d
+    rate   D_ab dt / d^2 of the stage
+    """
+
+    least: Float
+    begun: Float
+    room: Float
+    rate: float
+    isotherm: int
+    first: float
+    second: float
+
+
+@kernel
+def held_at(x: float, fibre: Any, at: int, c: int) -> float:
+    """A at mobile dye x."""
+    begun, room = fibre.begun[at, c], fibre.room[at, c]
+    free = max(begun, (begun + fibre.rate * x) / (1.0 + fibre.rate))
+    limit = min(limit_beside(fibre.isotherm, fibre.first, fibre.second, max(x, 0.0), room), room)
+    held: float = max(fibre.least[at, c], min(limit, free))
+    return held
+
+
+@kernel
+def solve_limit(isotherm: int, first: float, second: float, total: float, ways: float, room: float) -> float:
+    """The x >= 0 with ways x + A_d(x) = total, total > 0."""
+    if isotherm == PARTITION:
+        return total / (ways + first)
+    if isotherm == FREUNDLICH:
+        # Concave in x: from below its root Newton's steps stay below it.
+        x = min(0.5 * total / ways, (0.5 * total / first) ** (1.0 / second)) if first > 0.0 else total / ways
+        for _ in range(ROUNDS):
+            bound = first * x**second
+            step = (total - ways * x - bound) / (ways + second * bound / x) if x > 0.0 else 0.0
+            x += step
+            if step <= 1e-15 * x:
+                break
+        return x
+    # ways K x^2 + (ways + K (V_d - S)) x - S = 0, the greater root, without cancellation.
+    p, q = ways + first * (room - total), 4.0 * ways * first * total
+    root = math.sqrt(p * p + q)
+    return 2.0 * total / (p + root) if p > 0.0 else (root - p) / (2.0 * ways * first)
+
+
+@kernel
+def solve_cell(total: float, ways: float, fibre: Any, at: int, c: int) -> Any:
+    """The x with ways x + A(x) - A_b = total."""
+    if fibre is None or fibre.room[at, c] <= fibre.least[at, c]:
+        return total / ways
+    begun, least, room, rate = fibre.begun[at, c], fibre.least[at, c], fibre.room[at, c], fibre.rate
+    x = total / ways
+    if x > begun:
+        x = (total + begun * rate / (1.0 + rate)) / (ways + rate / (1.0 + rate))
+    elif x <= 0.0:
+        return x
+    free = max(begun, (begun + rate * x) / (1.0 + rate))
+    if min(limit_beside(fibre.isotherm, fibre.first, fibre.second, x, room), room) >= free:
+        return x
+    total += begun
+    x = (total - least) / ways
+    if limit_beside(fibre.isotherm, fibre.first, fibre.second, max(x, 0.0), room) <= least:
+        return x
+    x = (total - room) / ways
+    if x > 0.0 and limit_beside(fibre.isotherm, fibre.first, fibre.second, x, room) >= room:
+        return x
+    return solve_limit(fibre.isotherm, fibre.first, fibre.second, total, ways, room)
+
+
+@kernel
+def solve_level(total: float, ways: float, near: float, curve: Any, fibre: Any, at: int, c: int) -> Any:
+    """The level G(x) with x + (ways - 1) G(x) + A(x) - A_b = total, `near` being a level close to it.
+
+    G is concave and lies below its tangent at any x, of which `solve_cell` knows the root: that root is
+    no greater than the one sought, and from below it each of Newton's steps comes nearer.
+    """
+    if curve is None:
+        return solve_cell(total, ways, fibre, at, c)
+    x, level, through = amount(near, curve), near, ways - 1.0
+    for _ in range(BENDS):
+        slope = curve.cap if not x > curve.knee else curve.phi0 / x
+        before, x = x, solve_cell(total - through * (level - slope * x), 1.0 + through * slope, fibre, at, c)
+        level = potential(x, curve)
+        # What is left is of the order of the step's square.
+        if not abs(x - before) > 1e-8 * abs(x) or max(before, x) <= curve.knee:
+            break
+    return level
+
+
+def hold_back(law: tuple[int, float, float], floor: Float, least: Float, fixed: Float, room: Float) -> float:
+    """Take from kept-up fibre what prolonging put beyond its limit at the floor, in place; what the supply saves.
+
+    Left there, it would come off the fibre into a cell that is at its floor already, and raise it and its limit.
+    """
+    kind, first, second = law
+    limit = first * (floor**second if kind == FREUNDLICH else floor)
+    if kind == LANGMUIR:
+        limit = room * limit / (1.0 + limit)
+    beyond = np.where(floor > 0.0, np.maximum(fixed - np.maximum(least, np.minimum(limit, room)), 0.0), 0.0)
+    fixed -= beyond
+    return sum_compensated(beyond.reshape(-1))

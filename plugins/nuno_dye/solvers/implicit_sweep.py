@@ -1,0 +1,287 @@
+"""An implicit stage by sweeps: projected successive over-relaxation of all limits, supplies and fibre at once.
+
+A cell and its neighbours have different colours, as layer + row + column is even or odd, so that each half of a sweep
+depends on the other colour alone: the bits are those of any number of threads. In a cell its own equation is solved
+(nuno_dye.solvers.implicit_cell); it is then
+
+    at its floor   where a supply keeps it up
+    full           at V_u, if its root lies beyond: f <= 1, the factor of its inflow, is what keeps it there,
+                   (V_u - b + outflow + taken) / inflow; the supply replaces what flows out of a full kept-up cell
+    free           relaxed by omega; f = 1
+
+As for an obstacle problem (Cryer 1971), what is over-relaxed beyond a bound stays at it. More dye anywhere means
+less room and no less dye elsewhere, so that the sweeps come to the one solution. omega goes by Chebyshev's rule to
+Young's best value for the largest eigenvalue that Jacobi's iteration can have, W / (1 + W), W being the largest sum of
+weights of a cell. A multigrid method would need a coarse form of all three conditions.
+
+Where D falls with dye, everything is in G (nuno_dye.laws.potential): fluxes are linear in it, and only what a cell
+holds is not, as with its fibre. W then counts the largest D.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import prange
+
+from nuno_dye.laws.potential import amount
+from nuno_dye.solvers.diffusion import LEFT
+from nuno_dye.solvers.implicit_cell import held_at, solve_level
+from nuno_kernels import kernel, parallel_kernel
+from nuno_schemas.fabric import Float
+
+CROSSINGS = 8
+"""Newton steps in a cell; each but the last passes one of five neighbours, and the first may come from above."""
+
+
+class Stage(NamedTuple):
+    """One dye in a stage, (2 r, w) each, weft rows before warp rows.
+
+    level    G of mobile dye (nuno_dye.laws.potential), from a first guess to the solution
+    passed   f, any where nothing can be limited
+    begun    b
+    """
+
+    level: Float
+    passed: Float
+    begun: Float
+
+
+@kernel
+def root_among(
+    stage: Any, weights: Any, curve: Any, fibre: Any, row: int, r: int, layer: int, c: int
+) -> tuple[float, float]:
+    """Root of a cell's equation with f = 1 for itself, and the sum of its ways there.
+
+    What flows out goes by the others' factors, so that the sum of ways falls where the cell rises above one: the
+    equation is concave, Newton's steps from below its root stay below, and each passes another cell. One step alone
+    goes to and fro between both sides of a full neighbour, if it is over-relaxed.
+    """
+    level, passed, along, down = stage.level, stage.passed, weights.along, weights.down
+    at, other = row + layer * r, row + r - layer * r
+    east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
+    through, x = weights.across[row, c], level[at, c]
+    p_0, p_1, p_2, p_3 = level[at, c + 1], level[at, c - 1], level[at + 1, c], level[at - 1, c]
+    f_0, f_1, f_2, f_3 = passed[at, c + 1], passed[at, c - 1], passed[at + 1, c], passed[at - 1, c]
+    p_4, f_4, begun, ways = level[other, c], passed[other, c], stage.begun[at, c], 1.0
+    limited = f_0 + f_1 + f_2 + f_3 + f_4 < 5.0
+    for _ in range(CROSSINGS):
+        g_0 = east if p_0 > x or not limited else east * f_0
+        g_1 = west if p_1 > x or not limited else west * f_1
+        g_2 = south if p_2 > x or not limited else south * f_2
+        g_3 = north if p_3 > x or not limited else north * f_3
+        g_4 = through if p_4 > x or not limited else through * f_4
+        ways = 1.0 + (((g_0 + g_1) + (g_2 + g_3)) + g_4)
+        total = begun + (((g_0 * p_0 + g_1 * p_1) + (g_2 * p_2 + g_3 * p_3)) + g_4 * p_4)
+        before, x = x, solve_level(total, ways, x, curve, fibre, at, c)
+        low, high = min(before, x), max(before, x)
+        if not limited or not (
+            low < p_0 <= high or low < p_1 <= high or low < p_2 <= high or low < p_3 <= high or low < p_4 <= high
+        ):
+            break
+    return x, ways
+
+
+@kernel
+def root_open(
+    stage: Any, weights: Any, curve: Any, fibre: Any, row: int, r: int, layer: int, c: int
+) -> tuple[float, float]:
+    """The same where nothing can be limited."""
+    level, along, down = stage.level, weights.along, weights.down
+    at, other = row + layer * r, row + r - layer * r
+    east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
+    through = weights.across[row, c]
+    ways = 1.0 + (((east + west) + (south + north)) + through)
+    total = stage.begun[at, c] + (
+        ((east * level[at, c + 1] + west * level[at, c - 1]) + (south * level[at + 1, c] + north * level[at - 1, c]))
+        + through * level[other, c]
+    )
+    return solve_level(total, ways, level[at, c], curve, fibre, at, c), ways
+
+
+@kernel
+def flows_at(level: float, way: float, other: float, factor: float) -> tuple[float, float, float]:
+    """What comes in and goes out through one face of a cell that holds `level`, and the way out."""
+    apart = way * (other - level)
+    return (apart, 0.0, 0.0) if apart > 0.0 else (0.0, -apart * factor, way * factor)
+
+
+@kernel
+def fill_cell(
+    limit: float, begun: float, level: Any, passed: Any, weights: Any, curve: Any, fibre: Any, kept: bool, row: int,
+    r: int, layer: int, c: int,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Level, factor and inflow of a cell whose root without a factor lies beyond its limit."""
+    at, other = row + layer * r, row + r - layer * r
+    along, down, across = weights.along, weights.down, weights.across
+    came, went, ways = 0.0, 0.0, 0.0
+    for way, i, k in (
+        (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
+        (down[at - 1, c], at - 1, c), (across[row, c], other, c),
+    ):  # fmt: skip
+        into, out, open_way = flows_at(limit, way, level[i, k], passed[i, k])
+        came, went, ways = came + into, went + out, ways + open_way
+    full = amount(limit, curve)
+    taken = held_at(full, fibre, at, c) - fibre.begun[at, c] if fibre is not None else 0.0
+    room = full - begun + taken + (0.0 if kept else went)
+    if room < 0.0 and not kept:
+        # More begins here than can stay: nothing comes in, and it holds what does not flow out.
+        total = begun + ways * limit - went
+        return max(limit, solve_level(total, 1.0 + ways, limit, curve, fibre, at, c)), 0.0, came
+    factor = min(max(room / came, 0.0), 1.0) if came > 0.0 else 1.0
+    return limit, factor, came
+
+
+@kernel
+def distance(root: float, here: float, ways: float, curve: Any) -> float:
+    """What a level leaves of its cell's equation, in amounts."""
+    if curve is None:
+        return abs(root - here) * ways
+    return abs(root - here) * (ways - 1.0) + abs(amount(root, curve) - amount(here, curve))
+
+
+@kernel
+def relax_cell(
+    stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any, most: Any, omega: float, row: int, r: int,
+    layer: int, c: int,
+) -> Any:  # fmt: skip
+    """Bring one cell nearer to its root; the residual of its equation before, in amounts."""
+    level, passed, at = stage.level, stage.passed, row + layer * r
+    here = level[at, c]
+    if most is None:
+        root, ways = root_open(stage, weights, curve, fibre, row, r, layer, c)
+    else:
+        root, ways = root_among(stage, weights, curve, fibre, row, r, layer, c)
+    least = floor[at, c]
+    kept = least > 0.0 and root <= least
+    if most is not None and (root >= most[at, c] or (kept and least >= most[at, c])):
+        limit = most[at, c]
+        found, factor, came = fill_cell(
+            limit, stage.begun[at, c], level, passed, weights, curve, fibre, least >= limit > 0.0, row, r, layer, c
+        )
+        off = distance(found, here, ways, curve) + abs(factor - passed[at, c]) * came
+        level[at, c], passed[at, c] = found, factor
+        return off
+    if kept:
+        root = relaxed = least
+    else:
+        relaxed = here + omega * (root - here)
+        if least > 0.0:
+            relaxed = max(relaxed, least)
+        if most is not None:
+            relaxed = min(relaxed, most[at, c])
+    off = distance(root, here, ways, curve)
+    level[at, c] = relaxed
+    if most is not None:
+        off += abs(1.0 - passed[at, c]) * ways * max(here, 0.0)
+        passed[at, c] = 1.0
+    return off
+
+
+@kernel
+def relax_row(
+    colour: int, omega: float, stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any, most: Any, nx: int,
+    row: int, largest: float,
+) -> float:  # fmt: skip
+    """The cells of one colour in a row of both layers; the larger of `largest` and their residuals."""
+    r = weights.across.shape[0]
+    for layer in range(2):
+        for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
+            off = relax_cell(stage, weights, curve, fibre, floor, most, omega, row, r, layer, c)
+            # What is not a number must stay so.
+            if not off <= largest and largest == largest:
+                largest = off
+    return largest
+
+
+@parallel_kernel
+def relax_bands(
+    omega: float, second: float, cuts: Any, stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any, most: Any,
+    nx: int, worst: Any,
+) -> None:  # fmt: skip
+    """One colour everywhere, the other a row behind it while that is in the cache, but in the bands' outer rows, which
+    the first colour of the next band still sees as they were.
+    """
+    for b in prange(cuts.shape[0] - 1):
+        largest = 0.0
+        for row in range(cuts[b], cuts[b + 1]):
+            largest = relax_row(0, omega, stage, weights, curve, fibre, floor, most, nx, row, largest)
+            if row - 1 > cuts[b]:
+                largest = relax_row(1, second, stage, weights, curve, fibre, floor, most, nx, row - 1, largest)
+        worst[b, 0] = largest
+
+
+@parallel_kernel
+def relax_edges(
+    omega: float, cuts: Any, stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any, most: Any, nx: int,
+    worst: Any,
+) -> None:  # fmt: skip
+    """The other colour in the bands' outer rows."""
+    for b in prange(cuts.shape[0] - 1):
+        first, last = cuts[b], cuts[b + 1] - 1
+        largest = relax_row(1, omega, stage, weights, curve, fibre, floor, most, nx, first, 0.0)
+        if last > first:
+            largest = relax_row(1, omega, stage, weights, curve, fibre, floor, most, nx, last, largest)
+        worst[b, 1] = largest
+
+
+@kernel
+def relax(
+    sweeps: int, radius: float, bound: float, cuts: Any, stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any,
+    most: Any, nx: int,
+) -> tuple[int, float]:  # fmt: skip
+    """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times; sweeps and last residual."""
+    worst = np.zeros((cuts.shape[0] - 1, 2))
+    square, omega, residual = radius * radius, 1.0, np.inf
+    for n in range(sweeps):
+        second = 1.0 / (1.0 - 0.5 * square) if n == 0 else 1.0 / (1.0 - 0.25 * square * omega)
+        relax_bands(omega, second, cuts, stage, weights, curve, fibre, floor, most, nx, worst)
+        relax_edges(second, cuts, stage, weights, curve, fibre, floor, most, nx, worst)
+        omega = 1.0 / (1.0 - 0.25 * square * second)
+        residual = worst.max()
+        if residual <= bound or not np.isfinite(residual):
+            return n + 1, residual
+    return sweeps, residual
+
+
+@kernel
+def flow(way: float, here: float, other: float, factor: float, other_factor: float) -> float:
+    """Flux from the other cell, by the factor of the one that receives; the same bits from both sides."""
+    return way * (factor if other > here else other_factor) * (other - here)
+
+
+@kernel
+def settle_row(
+    out: Any, held: Any, stage: Any, weights: Any, curve: Any, fibre: Any, limited: bool, row: int, r: int, layer: int,
+    nx: int,
+) -> None:  # fmt: skip
+    """What the fluxes of the solution make of one row of one layer, and what its fibre then holds."""
+    level, passed, along, down = stage.level, stage.passed, weights.along, weights.down
+    at, other = row + layer * r, row + r - layer * r
+    for c in range(LEFT, LEFT + nx):
+        here, f = level[at, c], passed[at, c] if limited else 1.0
+        came = 0.0
+        for way, i, k in (
+            (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
+            (down[at - 1, c], at - 1, c), (weights.across[row, c], other, c),
+        ):  # fmt: skip
+            came += flow(way, here, level[i, k], f, passed[i, k] if limited else 1.0)
+        taken = 0.0
+        if fibre is not None:
+            found = held_at(amount(here, curve), fibre, at, c)
+            taken = found - fibre.begun[at, c]
+            held[at, c] = found
+        out[at, c] = stage.begun[at, c] + came - taken
+
+
+@parallel_kernel
+def settle(
+    out: Any, held: Any, cuts: Any, stage: Any, weights: Any, curve: Any, fibre: Any, limited: bool, nx: int
+) -> None:
+    """Mobile and fixed dye after the stage, from the fluxes: a residual moves dye then, and makes none."""
+    r = weights.across.shape[0]
+    for b in prange(cuts.shape[0] - 1):
+        for row in range(cuts[b], cuts[b + 1]):
+            for layer in range(2):
+                settle_row(out, held, stage, weights, curve, fibre, limited, row, r, layer, nx)

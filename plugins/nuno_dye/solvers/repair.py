@@ -1,0 +1,177 @@
+"""What a step leaves below nothing or above capacity goes to or comes from the nearest cells that can; no dye is lost.
+
+Excess flows over faces, through full cells, towards those with room: from every cell to the neighbours that are a
+face nearer to room, by the faces' weights, and at the end by the room that there is. A lack is made good likewise by
+the nearest cells that have dye. A cell that held more than its capacity before the step may go on to. To share
+excess with the neighbours, again and again until all are within bounds, took hundreds of sweeps where many full
+cells lie together, and then came to an end no better than rounding.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nuno_dye.solvers.diffusion import LEFT
+from nuno_kernels import kernel
+
+ROUNDS = 100
+"""Times that excess is sent on, each time from twice as far: nearly all of it has room beside it, and cells that get
+more than they can take send that on in the next."""
+
+ROUNDING = 1.0 + 2.0**-49
+"""A cell above its capacity by no more than rounding is set to it: among full cells nobody could take so little."""
+ROOM = 2.0**-20
+"""Share of its capacity for which a cell is worth the way, unless there is none anywhere."""
+
+
+@kernel
+def face(weights: Any, r: int, row: int, c: int, side: int) -> tuple[float, int, int]:
+    """Weight of a cell's face, and the row, (2 r, w), and column of the cell behind it."""
+    if side == 0:
+        return weights.along[row, c], row, c + 1
+    if side == 1:
+        return weights.along[row, c - 1], row, c - 1
+    if side == 2:
+        return weights.down[row, c], row + 1, c
+    if side == 3:
+        return weights.down[row - 1, c], row - 1, c
+    layer = row // r
+    return weights.across[row - layer * r, c], row + r - 2 * layer * r, c
+
+
+@kernel
+def room_of(phi: Any, most: Any, row: int, c: int, lacking: bool) -> float:
+    """What a cell can take; what it can give where others lack."""
+    there: float = phi[row, c]
+    return there if lacking else most[row, c] - there
+
+
+@kernel
+def find_outside(phi: Any, most: Any, floor: Any, first: int, last: int, nx: int, lacking: bool, queue: Any) -> int:
+    """Cells above capacity, or below nothing, into `queue` as row w + c; how many."""
+    r, w, found = phi.shape[0] // 2, phi.shape[1], 0
+    for layer in range(2):
+        for row in range(first + layer * r, last + 1 + layer * r):
+            for c in range(LEFT, LEFT + nx):
+                there, limit = phi[row, c], most[row, c]
+                if lacking:
+                    outside = there < 0.0 and floor[row, c] == 0.0
+                else:
+                    outside = there > limit
+                    if outside and there <= limit * ROUNDING:
+                        phi[row, c] = limit
+                        outside = False
+                if outside:
+                    queue[found] = row * w + c
+                    found += 1
+    return found
+
+
+@kernel
+def find_ends(
+    phi: Any, most: Any, weights: Any, lacking: bool, queue: Any, count: int, far: Any, ends: Any, reach: int,
+    worth: float,
+) -> int:  # fmt: skip
+    """Cells with room no more than `reach` faces from the `count` first of `queue`, into `ends`; how many.
+
+    `far` is then 0 where there is room, -1 on the way, and -2 where nobody has been.
+    """
+    r, w, found, at = weights.across.shape[0], phi.shape[1], 0, 0
+    for n in range(count):
+        far[queue[n] // w, queue[n] % w] = -1
+    for _ in range(reach):
+        layer = count
+        for n in range(at, layer):
+            row, c = queue[n] // w, queue[n] % w
+            for side in range(5):
+                weight, i, k = face(weights, r, row, c, side)
+                if weight > 0.0 and far[i, k] == -2:
+                    if room_of(phi, most, i, k, lacking) > worth * most[i, k]:
+                        far[i, k] = 0
+                        ends[found] = i * w + k
+                        found += 1
+                    else:
+                        far[i, k] = -1
+                        queue[count] = i * w + k
+                        count += 1
+        if count == layer:
+            break
+        at = layer
+    return found
+
+
+@kernel
+def measure_ways(weights: Any, w: int, far: Any, ends: Any, count: int) -> int:
+    """Faces between each cell that was passed and room into `far`, and the cells into `ends`, nearest first."""
+    r, at = weights.across.shape[0], 0
+    while at < count:
+        row, c = ends[at] // w, ends[at] % w
+        at += 1
+        for side in range(5):
+            weight, i, k = face(weights, r, row, c, side)
+            if weight > 0.0 and far[i, k] == -1:
+                far[i, k] = far[row, c] + 1
+                ends[count] = i * w + k
+                count += 1
+    return count
+
+
+@kernel
+def send_on(phi: Any, most: Any, weights: Any, floor: Any, lacking: bool, far: Any, row: int, c: int) -> None:
+    """Bring one cell within its bounds; what it has beyond goes a face nearer to room."""
+    r, near = weights.across.shape[0], far[row, c] - 1
+    if lacking and floor[row, c] > 0.0:
+        return
+    amount = -phi[row, c] if lacking else phi[row, c] - most[row, c]
+    if amount <= 0.0:
+        return
+    total = 0.0
+    for side in range(5):
+        weight, i, k = face(weights, r, row, c, side)
+        if weight > 0.0 and far[i, k] == near:
+            total += max(room_of(phi, most, i, k, lacking), 0.0) if near == 0 else weight
+    if total == 0.0:  # others have filled up all that there was: this cell waits for the next round
+        return
+    for side in range(5):
+        weight, i, k = face(weights, r, row, c, side)
+        if weight > 0.0 and far[i, k] == near:
+            share = max(room_of(phi, most, i, k, lacking), 0.0) if near == 0 else weight
+            phi[i, k] += (-amount if lacking else amount) * share / total
+    phi[row, c] = 0.0 if lacking else most[row, c]
+
+
+@kernel
+def repair_side(phi: Any, most: Any, floor: Any, weights: Any, first: int, last: int, nx: int, lacking: bool) -> int:
+    """Bring amounts below capacity, or above nothing; how many cells still lie outside."""
+    w = phi.shape[1]
+    queue = np.empty(phi.size, np.int64)
+    outside = find_outside(phi, most, floor, first, last, nx, lacking, queue)
+    if outside == 0:
+        return 0
+    ends, far = np.empty(phi.size, np.int64), np.empty(phi.shape, np.int32)
+    reach = 1
+    for _ in range(ROUNDS):
+        far[:] = -2
+        everywhere = reach >= phi.size
+        count = find_ends(phi, most, weights, lacking, queue, outside, far, ends, reach, 0.0 if everywhere else ROOM)
+        if count == 0 and everywhere:
+            break
+        for n in range(measure_ways(weights, w, far, ends, count) - 1, count - 1, -1):
+            send_on(phi, most, weights, floor, lacking, far, ends[n] // w, ends[n] % w)
+        outside = find_outside(phi, most, floor, first, last, nx, lacking, queue)
+        if outside == 0:
+            break
+        reach = min(2 * reach, phi.size)
+    return outside
+
+
+@kernel
+def repair(phi: Any, most: Any, floor: Any, weights: Any, first: int, last: int, nx: int) -> int:
+    """Bring amounts (2 r, w) into 0 .. `most`; how many cells still lie outside. Not a number stays.
+
+    A cell with a `floor` above 0 may lack what it will be given.
+    """
+    outside = repair_side(phi, most, floor, weights, first, last, nx, False)
+    return outside + repair_side(phi, most, floor, weights, first, last, nx, True)

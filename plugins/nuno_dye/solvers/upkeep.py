@@ -1,0 +1,73 @@
+"""Supplies that are kept up: after every step a cell holds at least its floor, and what that took is summed.
+
+The sum is kept by cell, compensated (Kahan 1965), so that it depends neither on bands nor on passes. Rows without
+a floor are not touched, and without an Upkeep nothing of this is compiled.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_dye.solvers.sums import sum_compensated
+from nuno_kernels import kernel
+from nuno_kernels.lanes.choose import higher
+from nuno_kernels.lanes.simd import WIDTH, load, store
+from nuno_schemas.fabric import Float
+
+
+class Upkeep(NamedTuple):
+    """Floors of one dye and what they took, in bands as in nuno_dye.solvers.diffusion.Bands.
+
+    floor  (b, 2 r, w)  least amounts, 0 where nothing is kept up
+    given  (b, 2 r, w)  what was added
+    lost   (b, 2 r, w)  what rounding added to that
+    rows   (b, r)       whether a row has a floor in either layer
+    """
+
+    floor: Float
+    given: Float
+    lost: Float
+    rows: NDArray[np.bool_]
+
+
+def make_upkeep(floor: Float) -> Upkeep:
+    """Upkeep for floors that are cut into bands."""
+    most = floor.reshape(floor.shape[0], 2, -1, floor.shape[2]).max(axis=(1, 3))
+    return Upkeep(floor, np.zeros_like(floor), np.zeros_like(floor), most > 0.0)
+
+
+def begin_upkeep(upkeep: Upkeep) -> Upkeep:
+    """The same with nothing given yet."""
+    upkeep.given.fill(0.0)
+    upkeep.lost.fill(0.0)
+    return upkeep
+
+
+def sum_given(given: Float, lost: Float) -> float:
+    """All that was added, from amounts by cell."""
+    return sum_compensated(np.concatenate([given.reshape(-1), -lost.reshape(-1)]))
+
+
+@kernel
+def keep_both(phi: Any, upkeep: Any, b: int, start: int, row: int, r: int) -> None:
+    """Raise one row of both layers of band `b`, (2 r, w), to its floor, from column `start` on."""
+    if upkeep.rows[b, row]:
+        keep_row(phi, upkeep.floor[b], upkeep.given[b], upkeep.lost[b], start, row)
+        keep_row(phi, upkeep.floor[b], upkeep.given[b], upkeep.lost[b], start, row + r)
+
+
+@kernel
+def keep_row(phi: Any, floor: Any, given: Any, lost: Any, start: int, row: int) -> None:
+    """Raise one row of one layer to its floor, from column `start` on."""
+    for c in range(start, phi.shape[1] - WIDTH, WIDTH):
+        there = load(phi, row, c)
+        raised = higher(load(floor, row, c), there)
+        before = load(given, row, c)
+        added = (raised - there) - load(lost, row, c)
+        after = before + added
+        store(phi, row, c, raised)
+        store(given, row, c, after)
+        store(lost, row, c, (after - before) - added)

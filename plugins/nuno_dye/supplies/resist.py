@@ -1,0 +1,196 @@
+"""What keeps dye out of cloth: B in [0, 1], the share of a cell's room for mobile dye that is taken.
+
+B comes from an image, as in the dye paper; from shapes; from lines of paste or binding; from shibori patterns.
+Several leave what each of them leaves of the room: 1 - B = (1 - B_1)(1 - B_2)...
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from nuno_dye.quantities import Length, Place, Share
+from nuno_dye.supplies.regions import MOST_POINTS, Region, Stroke, cover, find_distance, find_middles
+from nuno_dye.supplies.shibori import Panels, Pattern, draw_pattern
+from nuno_schemas.dye import Cells
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Config, Files
+
+Line = Annotated[tuple[Place, ...], Field(min_length=1, max_length=MOST_POINTS)]
+
+MOST_RESISTS = 256
+
+
+class _Resist(Config):
+    strength: Share = Field(default=1.0, description="B where it is strongest; 1 lets no dye in")
+
+
+class ImageResist(_Resist):
+    """A stencil: white keeps dye out."""
+
+    kind: Literal["image"] = "image"
+    file: str = Field(
+        description="a grey PNG beside the scene, a pixel for each cell, white being the most that its bits can say; "
+        "transparent keeps nothing out"
+    )
+    invert: bool = Field(default=False, description="black keeps dye out")
+    fit: Literal["exact", "stretch"] = Field(
+        default="exact",
+        description="stretch: an image of any size is drawn out over the cloth, by means over its cells",
+    )
+
+
+class ShapeResist(_Resist):
+    """A disc, rectangle, polygon or stroke."""
+
+    kind: Literal["shape"] = "shape"
+    region: Region = Field(description="where dye is kept out")
+
+
+class Paste(_Resist):
+    """A line of paste, even over its width."""
+
+    kind: Literal["paste"] = "paste"
+    points: Line = Field(description="of the line, x to the right and y down [m]")
+    width: Length = Field(description="[m]")
+
+
+class Binding(_Resist):
+    """A thread tied around the cloth, which presses most along its middle.
+
+    The share of room that it takes goes as the pressure under a cylinder, sqrt(1 - (d / a)^2) at a distance d from
+    the middle, a being half of the width (Hertz 1882).
+    """
+
+    kind: Literal["binding"] = "binding"
+    points: Line = Field(description="of the thread, x to the right and y down [m]")
+    width: Length = Field(description="over which it presses [m]")
+
+
+class Shibori(_Resist):
+    """A tied or clamped cloth, or waves."""
+
+    kind: Literal["shibori"] = "shibori"
+    pattern: Pattern = Field(description="rings, stripes, squares or seigaiha")
+    fold: tuple[Panels, Panels] = Field(default=(1, 1), description="panels across and down that it is folded into")
+
+
+Resist = Annotated[ImageResist | ShapeResist | Paste | Binding | Shibori, Field(discriminator="kind")]
+Resists = Annotated[tuple[Resist, ...], Field(max_length=MOST_RESISTS)]
+
+
+def find_resist(
+    resist: ImageResist | ShapeResist | Paste | Binding | Shibori, shape: tuple[int, int], size: float, files: Files
+) -> Float:
+    """(ny, nx) B of one item. Raises BadInput for an image that does not fit, and what touches no cell."""
+    if isinstance(resist, ImageResist):
+        stretched = resist.fit == "stretch"
+        values = read_image(files.resolve(resist.file), None if stretched else shape, resist.invert)
+        values = stretch(values, shape) if stretched else values
+    elif isinstance(resist, ShapeResist):
+        values = cover(resist.region, shape, size).astype(np.float64)
+    elif isinstance(resist, Shibori):
+        values = draw_pattern(resist.pattern, resist.fold, shape, size)
+    else:
+        values = cover(Stroke(points=resist.points, width=resist.width), shape, size).astype(np.float64)
+        if isinstance(resist, Binding):
+            half = 0.5 * resist.width
+            distance = np.minimum(find_distance(resist.points, half, *find_middles(shape, size)), half)
+            values = np.sqrt(1.0 - (distance / half) ** 2)
+    return resist.strength * values
+
+
+def find_resists(items: Sequence[Resist], shape: tuple[int, int], size: float, files: Files) -> tuple[Float, ...]:
+    """(ny, nx) B of each item. Raises BadInput, at `resist[i]` where it does not stand in a file."""
+    found = []
+    for index, item in enumerate(items):
+        try:
+            found.append(find_resist(item, shape, size, files))
+        except BadInput as error:
+            if isinstance(item, ImageResist):
+                raise
+            inside = {"shape": "region", "paste": "points", "binding": "points", "shibori": "pattern"}[item.kind]
+            place = f"resist[{index}].{inside}"
+            raise BadInput(error.problem, None, None, place, error.value, error.limit, error.remedy) from None
+    return tuple(found)
+
+
+def put_on(parts: Sequence[Float], cells: Cells) -> None:
+    """Add resists (ny, nx) to what both layers of cells have."""
+    for part in parts:
+        np.copyto(cells.resist, combine([cells.resist, np.broadcast_to(part, cells.resist.shape)]))
+
+
+def combine(parts: Sequence[Float]) -> Float:
+    """B of several resists together, of one shape, at least one."""
+    room = np.ones_like(parts[0])
+    for part in parts:
+        room = room * (1.0 - part)
+    return 1.0 - room
+
+
+def read_image(
+    path: Path, shape: tuple[int, int] | None, invert: bool = False, of: tuple[str, str] = ("cloth's", "cells")
+) -> Float:
+    """(ny, nx) a grey PNG of any bit depth, as shares of the white of that depth; what is transparent counts less.
+
+    One with opacity or in colours that are all grey is read to 8 bits of each channel.
+
+    `of` says whose size `shape` is, and in what; without a shape an image of any size is read.
+
+    Raises BadInput for a file that is no PNG, for one in colour, and for a size that is not the cloth's.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with path.open("rb") as stream, Image.open(stream, formats=["PNG"]) as image:
+            found = (image.height, image.width)
+            if shape is None or found == shape:
+                values, cover_ = _read_pixels(image)
+    except UnidentifiedImageError:
+        raise BadInput("cannot be read as PNG", file=str(path), remedy="save it as a grey PNG") from None
+    except Exception as error:  # whatever a broken file makes of the decoder
+        raise BadInput(f"cannot be read as PNG: {error}", file=str(path)) from None
+    if shape is not None and found != shape:
+        raise BadInput(
+            f"the image has not the {of[0]} size", file=str(path), value=f"{found[1]} x {found[0]} pixels",
+            limit=f"{shape[1]} x {shape[0]} {of[1]}", remedy=f"scale the image, or change the {of[0]} {of[1]}",
+        )  # fmt: skip
+    if values.ndim == 3:
+        if (values != values[..., :1]).any():
+            raise BadInput("the image is in colour", file=str(path), limit="grey", remedy="convert it to grey")
+        values = values[..., 0]
+    return (1.0 - values if invert else values) * cover_
+
+
+def stretch(values: Float, shape: tuple[int, int]) -> Float:
+    """(ny, nx) means of an image over the cells that it is drawn out over, in single precision."""
+    from PIL import Image
+
+    drawn = Image.fromarray(values.astype(np.float32)).resize(shape[::-1], Image.Resampling.BOX)
+    return np.clip(np.asarray(drawn, np.float64), 0.0, 1.0)
+
+
+def _read_pixels(image: Any) -> tuple[Float, Float | float]:
+    """Values (ny, nx) or (ny, nx, 3) and opacity, in [0, 1]."""
+    if image.mode == "1" or image.mode.startswith("I"):
+        most = 255.0 if image.mode == "1" else 65535.0
+        values = np.asarray(image.convert("L") if image.mode == "1" else image, np.float64)
+        # The one value that such a file may call transparent: Pillow does not convert it.
+        clear = image.info.get("transparency")
+        return values / most, 1.0 if clear is None else (values != clear).astype(np.float64)
+    mode = "LA" if image.mode in ("L", "LA") else "RGBA"
+    pixels = np.asarray(image.convert(mode), np.float64) / 255.0
+    return (pixels[..., 0] if mode == "LA" else pixels[..., :3]), pixels[..., -1]
+
+
+def write_image(path: Path, values: Float) -> None:
+    """Write B (ny, nx) as a grey PNG of 16 bits, which `read_image` reads again within 2^-17."""
+    from PIL import Image
+
+    Image.fromarray(np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)).save(path, format="PNG")

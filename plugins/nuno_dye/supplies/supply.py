@@ -1,0 +1,134 @@
+"""Dye that is given to a cloth: drops, brush strokes, baths; at once, or kept up for a time.
+
+Amounts are shares of V_u, what a cell can hold of mobile dye: the dye paper's initial "1.0 V" is a full cell,
+amount 1. Supply raises a cell to its share and never takes dye away, so that what is there already, more or less,
+makes a cell neither overflow nor dry. A finite bath exchanges dye both ways.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from nuno_dye.quantities import Length, Moment, Place, Positive, Share
+from nuno_dye.supplies.regions import MOST_POINTS, All, Disc, Region, Stroke, cover
+from nuno_schemas.dye import Supply
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Bool
+from nuno_schemas.parts import Name
+from nuno_schemas.plugin import Config
+
+MOST_SUPPLIES = 256
+
+
+class _Supply(Config):
+    """What all kinds share."""
+
+    dye: Annotated[int, Field(ge=0, le=255)] | Name = Field(
+        default=0, description="its name, or its place in the list of dyes, from 0"
+    )
+    amount: Share = Field(default=1.0, description="share of what a cell can hold of mobile dye")
+    layers: Literal["both", "weft", "warp"] = Field(default="both", description="which yarns it reaches")
+    maintained: bool = Field(default=False, description="kept up from `start` to `stop`; else given once, at `start`")
+    start: Moment = Field(default=0.0, description="[s]")
+    stop: Moment | None = Field(default=None, description="of what is maintained [s]; to the end unless given")
+
+    @model_validator(mode="after")
+    def _check(self) -> _Supply:
+        if self.stop is not None and not self.maintained:
+            problem = "stop is for what is maintained; add maintained: true, or leave stop out"
+            raise PydanticCustomError("stop_of_nothing", problem, {"inside": ("stop",)})
+        if self.stop is not None and self.stop <= self.start:
+            times = {"stop": f"{self.stop:g}", "start": f"{self.start:g}", "inside": ("stop",)}
+            raise PydanticCustomError("stop_before_start", "stop {stop} s must be after start {start} s", times)
+        return self
+
+
+class Drop(_Supply):
+    """A round drop."""
+
+    kind: Literal["drop"] = "drop"
+    place: Place = Field(description="of its middle, x to the right and y down [m]")
+    diameter: Length = Field(description="[m]")
+
+
+class Brush(_Supply):
+    """A stroke of a round brush along a line."""
+
+    kind: Literal["stroke"] = "stroke"
+    points: Annotated[tuple[Place, ...], Field(min_length=1, max_length=MOST_POINTS)] = Field(
+        description="of the line [m]"
+    )
+    width: Length = Field(description="of the brush [m]")
+
+
+class Bath(_Supply):
+    """Immersion of the cloth or a part of it."""
+
+    kind: Literal["bath"] = "bath"
+    region: Region = Field(default=All(), description="what is immersed")
+    liquor: Positive | None = Field(
+        default=None, description="the bath's volume over that of the immersed cells' room; endless unless given"
+    )
+
+    @model_validator(mode="after")
+    def _check_liquor(self) -> Bath:
+        if self.liquor is not None and not self.maintained:
+            problem = "a bath with a liquor ratio is exhausted over time; add maintained: true"
+            raise PydanticCustomError("liquor_at_once", problem, {"inside": ("liquor",)})
+        return self
+
+
+AnySupply = Annotated[Drop | Brush | Bath, Field(discriminator="kind")]
+Supplies = Annotated[tuple[AnySupply, ...], Field(max_length=MOST_SUPPLIES)]
+
+
+def find_cells(supply: AnySupply, shape: tuple[int, int], size: float) -> Bool:
+    """(2, ny, nx) the cells it reaches. Raises BadInput where there is none."""
+    if isinstance(supply, Drop):
+        part = cover(Disc(centre=supply.place, diameter=supply.diameter), shape, size)
+    elif isinstance(supply, Brush):
+        part = cover(Stroke(points=supply.points, width=supply.width), shape, size)
+    else:
+        part = cover(supply.region, shape, size)
+    reached = np.array([supply.layers != "warp", supply.layers != "weft"])
+    return np.asarray(part & reached[:, None, None])
+
+
+def prepare_supplies(
+    items: Sequence[AnySupply], shape: tuple[int, int], size: float, dyes: Sequence[str]
+) -> tuple[Supply, ...]:
+    """What a cloth of (ny, nx) cells with side `size` [m] is given of `dyes`, by name.
+
+    Raises BadInput, at `supply[i]`, for what reaches no cell and for a dye that is none of the scene's.
+    """
+    return tuple(_prepare(item, f"supply[{index}]", shape, size, dyes) for index, item in enumerate(items))
+
+
+def find_dye(dye: int | str, dyes: Sequence[str]) -> int:
+    """The place of a dye among the scene's, given as that or by name. Raises BadInput."""
+    if dye in dyes:
+        return dyes.index(str(dye))
+    if isinstance(dye, int) and dye < len(dyes):
+        return dye
+    known = ", ".join(f"{place} {name}" for place, name in enumerate(dyes))
+    remedy = nearest(dye, dyes) if isinstance(dye, str) else "write the dye's name, or its place in the list of dyes"
+    raise BadInput("no such dye", field="dye", value=dye, limit=known, remedy=remedy)
+
+
+def _prepare(item: AnySupply, place: str, shape: tuple[int, int], size: float, dyes: Sequence[str]) -> Supply:
+    inside = "dye"
+    try:
+        dye = find_dye(item.dye, dyes)
+        inside = {"drop": "place", "stroke": "points", "bath": "region"}[item.kind]
+        cells = find_cells(item, shape, size)
+    except BadInput as error:
+        raise BadInput(error.problem, None, None, f"{place}.{inside}", error.value, error.limit, error.remedy) from None
+    until = math.inf if item.stop is None else item.stop
+    liquor = item.liquor if isinstance(item, Bath) else None
+    return Supply(item.kind, dye, cells, item.amount, item.start, until if item.maintained else None, liquor)

@@ -1,0 +1,36 @@
+"""Explicit Euler: x += v dt, v += a dt, both from the old state. Order 1, never stable undamped."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from nuno_integrators.explicit.fixed_step import Explicit
+from nuno_integrators.explicit.updates import add_twice
+from nuno_kernels import kernel
+from nuno_kernels.step.acceleration import commit, evaluate
+from nuno_schemas.fabric import Float
+
+
+@kernel
+def advance_euler(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+    """`steps` steps of x, v (3, n); stages (1, 3, n)."""
+    a = stages[0]
+    for step in range(steps):
+        evaluate(x, v, step / steps, a, p, extra)
+        add_twice(x, x, dt, v, v, v, dt, a, p.threads)
+        commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
+
+
+class Euler(Explicit):
+    """Amplitude grows by sqrt(1 + omega^2 dt^2) a step on an undamped oscillator."""
+
+    name: ClassVar[str] = "euler"
+    order: ClassVar[int] = 1
+    buffers: ClassVar[int] = 1
+    loop: ClassVar[Any] = advance_euler
+
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
+        return np.array([[1.0, dt], [-omega * omega * dt, 1.0 - damping * dt]])

@@ -1,0 +1,162 @@
+"""The compiled loop of an adaptive method: stages, error estimate, PI control of the step."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno_integrators.compiled import source_of
+from nuno_integrators.explicit.combine import combine, square
+from nuno_kernels import kernel, shared_source
+from nuno_kernels.step.acceleration import commit, evaluate
+from nuno_schemas.fabric import Float
+
+SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0
+"""Hairer's factors: of the step that the estimate asks for, and the bounds of one step to the next."""
+SMALLEST = 1e-10
+"""Share of the interval below which a step is given up."""
+LANDED = 1e-9
+"""Share of a step by which it may miss the end of an interval and still count as ending there."""
+
+
+class Pair(NamedTuple):
+    """A tableau as compiled code reads it; see nuno_integrators.explicit.tableaux.Tableau."""
+
+    a: Float
+    aa: Float
+    c: Float
+    errors: Float
+    position_errors: Float
+
+
+class Buffers(NamedTuple):
+    """The start (x, v) of the pending step, its end (y, u), and slopes k (s, 3, n), twice the same memory."""
+
+    x: Float
+    v: Float
+    y: Float
+    u: Float
+    k: Float
+    flat: Float
+    sums: Float
+    wait: Float
+
+
+AT, PENDING, NEXT, BEFORE = 0, 1, 2, 3
+"""Places in `control` (4,): where the pending step starts, seconds after the start of the interval; its
+length, 0 for none; the step to try next; the error of the last accepted step, as a share of the allowed."""
+
+ACCEPTED, REJECTED = 0, 1
+"""Places in `counts` (2,)."""
+
+
+@kernel
+def attempt(
+    b: Any, pair: Any, stages: int, first: int, h: float, start: float, span: float, p: Any, extra: Any
+) -> None:
+    """Stages `first` to `stages` - 1 of a step of h from (b.x, b.v); the last leaves the end in (b.y, b.u)."""
+    for i in range(first, stages):
+        s = (start + pair.c[i] * h) / span
+        if i == 0:
+            evaluate(b.x, b.v, s, b.k[0], p, extra)
+        else:
+            combine(b.x, b.v, b.flat, pair.c[i] * h, h, pair.aa[i], pair.a[i], i, b.y, b.u, p.threads)
+            evaluate(b.y, b.u, s, b.k[i], p, extra)
+
+
+attempt_interpreted = source_of(attempt, True)
+
+
+@shared_source
+def estimated(b: Any, pair: Any, which: int, h: float, threads: Any) -> float:
+    """One of the pair's estimates [m], root of the sum over the vertices: of h times velocities, and of positions."""
+    velocity = np.sqrt(square(b.flat, pair.errors[which], b.sums, b.wait, threads))
+    return float(h * h * (velocity + np.sqrt(square(b.flat, pair.position_errors[which], b.sums, b.wait, threads))))
+
+
+@shared_source
+def estimate_error(b: Any, pair: Any, h: float, allowed: float, p: Any) -> float:
+    """Estimated error over the allowed: root mean square over the vertices, of positions and of h times velocities.
+
+    `allowed` is in metres times the root of the number of vertices. Of two estimates e5 and e3 the
+    error is e5^2 / sqrt(e5^2 + e3^2 / 100) (Hairer, Norsett & Wanner 1993, section II.10).
+    """
+    total = estimated(b, pair, 0, h, p.threads)
+    if pair.errors.shape[0] == 2 and total > 0.0:
+        other = estimated(b, pair, 1, h, p.threads)
+        total = total * total / np.sqrt(total * total + 0.01 * other * other)
+    return float(total / allowed)
+
+
+@kernel
+def choose_length(wish: float, left: float, longest: float, landing: bool) -> float:
+    """Length of the next step; one that must land on the end takes half the way where two are left."""
+    h = min(wish, longest)
+    if landing and h > left * (1.0 - LANDED):
+        return left
+    if landing and h > 0.5 * left:
+        return 0.5 * left
+    return h
+
+
+@kernel
+def take(control: Any, h: float, error: float, alpha: float, again: bool) -> None:
+    """Leave a step of h pending whose error is allowed, and choose the next; `again` after one that was not."""
+    error = max(error, 1e-4)
+    wish = SAFETY * control[BEFORE] ** 0.04 / error**alpha
+    factor = min(1.0 if again else GROW, max(SHRINK, wish))
+    # A step cut short by the interval's end does not hold back the next.
+    control[NEXT] = max(h * factor, control[NEXT]) if h < control[NEXT] and factor > 1.0 else h * factor
+    control[BEFORE] = error
+    control[PENDING] = h
+
+
+@kernel
+def advance_adaptive(
+    b: Any, pair: Any, stages: int, estimate: int, control: Any, counts: Any,
+    span: float, longest: float, landing: bool, allowed: float, p: Any, extra: Any,
+) -> bool:  # fmt: skip
+    """Step to the end of an interval of `span`: until the pending step ends beyond it, or just there.
+
+    A step that is accepted stays pending until the next is tried, so that the state at the end of
+    the interval can be read inside of it. False where the step has become too small.
+    """
+    alpha = 1.0 / (estimate + 1) - 0.75 * 0.04
+    first, again = 0, False
+    while True:
+        h = control[PENDING]
+        if h > 0.0:
+            over = control[AT] + h - span
+            if over > LANDED * h:
+                return True
+            control[AT] += h
+            control[PENDING] = 0.0
+            b.x[:] = b.y
+            b.v[:] = b.u
+            commit(b.x, b.v, control[AT] / span, p.bodies, p.bodies_on, p.threads)
+            # The last slope is the next step's first, unless bodies have moved vertices or anchors.
+            first = 0
+            if not p.moved:
+                b.k[0][:] = b.k[stages - 1]
+                first = 1
+            if over > -LANDED * h:
+                control[AT] = 0.0
+                return True
+        h = choose_length(control[NEXT], span - control[AT], longest, landing)
+        if not h > SMALLEST * span:
+            return False
+        if extra is None:
+            attempt(b, pair, stages, first, h, control[AT], span, p, None)
+        else:
+            attempt_interpreted(b, pair, stages, first, h, control[AT], span, p, extra)
+        error = estimate_error(b, pair, h, allowed, p)
+        if error <= 1.0:
+            counts[ACCEPTED] += 1
+            take(control, h, error, alpha, again)
+            again = False
+        else:
+            counts[REJECTED] += 1
+            # NaN compares false with everything: such a step is shortened as far as one may.
+            control[NEXT] = h * (max(SHRINK, SAFETY / error**alpha) if error < 1e30 else SHRINK)
+            first, again = 1, True

@@ -1,0 +1,56 @@
+"""Symplectic Euler: v += a dt from the old state, damping included, then x += v_new dt. Order 1."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from nuno_integrators.explicit.fixed_step import Explicit
+from nuno_integrators.explicit.updates import add_twice
+from nuno_kernels import kernel
+from nuno_kernels.step.acceleration import Packed, add_forces, commit, evaluate
+from nuno_schemas.fabric import Float
+
+
+@kernel
+def advance_symplectic_euler(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+    """`steps` steps of x, v (3, n); stages (2, 3, n)."""
+    a = stages[0]
+    for step in range(steps):
+        evaluate(x, v, step / steps, a, p, extra)
+        add_twice(v, v, dt, a, x, x, dt, v, p.threads)
+        commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
+
+
+@kernel
+def advance_at_once(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+    """The same to the last bit, where nothing adds to the forces after the blocks: each step in one pass over the
+    vertices instead of two, from one pair of arrays to another, and with one meeting of the threads.
+    """
+    here_x, here_v, to_x, to_v = x, v, stages[0], stages[1]
+    for step in range(steps):
+        add_forces(here_x, here_v, step / steps, to_x, to_v, dt, p, p.late, p.threads)
+        here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
+        commit(here_x, here_v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
+    if steps % 2 == 1:
+        x[...] = here_x
+        v[...] = here_v
+
+
+class SymplecticEuler(Explicit):
+    """Stable for damping dt + omega^2 dt^2 / 2 < 2; the skirt paper's "FB Euler"."""
+
+    name: ClassVar[str] = "symplectic_euler"
+    order: ClassVar[int] = 1
+    buffers: ClassVar[int] = 2
+    loop: ClassVar[Any] = advance_symplectic_euler
+
+    def loop_for(self, packed: Packed) -> Any:
+        """One pass a step where contact and Python add no forces."""
+        return advance_at_once if packed.late is None else advance_symplectic_euler
+
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
+        square, kept = omega * omega * dt, 1.0 - damping * dt
+        return np.array([[1.0 - square * dt, kept * dt], [-square, kept]])

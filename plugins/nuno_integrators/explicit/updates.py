@@ -1,0 +1,60 @@
+"""Updates y + h k of positions and velocities, two in one pass over the blocks.
+
+A parallel region costs its threads a meeting; two updates that follow each other share one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import prange
+
+from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.lanes.simd import WIDTH, read, write
+from nuno_kernels.step.blocks import BLOCK
+
+
+@kernel
+def add_block(block: int, out: Any, y: Any, h: float, k: Any) -> None:
+    """out = y + h k on a block's vertices."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, out.shape[1])
+    for p in range(low, high, WIDTH):
+        m = min(WIDTH, high - p)
+        for row in range(3):
+            write(out, row, p, m, read(y, row, p, m) + h * read(k, row, p, m))
+
+
+@parallel_kernel
+def add_twice_parallel(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any) -> None:
+    """first = y + h k, then second = z + g m, block by block on several threads."""
+    for block in prange((first.shape[1] + BLOCK - 1) // BLOCK):
+        add_block(block, first, y, h, k)
+        add_block(block, second, z, g, m)
+
+
+@parallel_kernel
+def add_parallel(out: Any, y: Any, h: float, k: Any) -> None:
+    """out = y + h k, block by block on several threads."""
+    for block in prange((out.shape[1] + BLOCK - 1) // BLOCK):
+        add_block(block, out, y, h, k)
+
+
+@kernel
+def add(out: Any, y: Any, h: float, k: Any, threads: Any) -> None:
+    """out = y + h k, all (3, n)."""
+    if threads is None:
+        for block in range((out.shape[1] + BLOCK - 1) // BLOCK):
+            add_block(block, out, y, h, k)
+    else:
+        add_parallel(out, y, h, k)
+
+
+@kernel
+def add_twice(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any, threads: Any) -> None:
+    """first = y + h k, then second = z + g m, all (3, n); the second may use the first."""
+    if threads is None:
+        for block in range((first.shape[1] + BLOCK - 1) // BLOCK):
+            add_block(block, first, y, h, k)
+            add_block(block, second, z, g, m)
+    else:
+        add_twice_parallel(first, y, h, k, second, z, g, m)

@@ -1,0 +1,150 @@
+"""Conjugate gradients on the matrix of an implicit step (nuno_integrators.implicit.matrix).
+
+Preconditioned with the inverses of its diagonal 3 x 3 blocks. Sums are taken block by block and then in
+the blocks' order, so that the result does not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+
+from nuno_integrators.implicit.matrix import Linear
+from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.step.blocks import BLOCK, PADDING
+from nuno_kernels.terms import each, each_block
+from nuno_schemas.fabric import Float
+
+multiply_forces = each("multiply", "block, origin, u, out", linear=True)
+
+
+@kernel
+def multiply_block(
+    block: int, forces: Any, on: Any, rows: Any, inverse_mass: Any, own: Any, u: Any, out: Any, sums: Any
+) -> None:
+    """out = A u on a block's vertices, 0 where pinned; its part of u.A u into sums."""
+    origin = block * BLOCK
+    width = min(BLOCK, u.shape[1] - origin)
+    local = np.zeros((3, width + PADDING))
+    multiply_forces(forces, on, rows, block, origin, u, local)
+    total = 0.0
+    for c in range(width):
+        v = origin + c
+        if inverse_mass[v] > 0.0:
+            x, y, z = u[0, v], u[1, v], u[2, v]
+            fx = local[0, c] + own[0, v] * x + own[3, v] * y + own[4, v] * z
+            fy = local[1, c] + own[3, v] * x + own[1, v] * y + own[5, v] * z
+            fz = local[2, c] + own[4, v] * x + own[5, v] * y + own[2, v] * z
+            out[0, v], out[1, v], out[2, v] = fx, fy, fz
+            total += x * fx + y * fy + z * fz
+        else:
+            out[0, v], out[1, v], out[2, v] = 0.0, 0.0, 0.0
+    sums[block] = total
+
+
+multiply_parallel = each_block(multiply_block, "inverse_mass, own, u, out, sums", linear=True)
+
+
+@kernel
+def descend_block(block: int, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, step: float) -> float:
+    """x += step p, r -= step q, z = A's inverse diagonal blocks times r; returns the block's part of r.z."""
+    total = 0.0
+    for v in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
+        for row in range(3):
+            x[row, v] += step * p[row, v]
+            r[row, v] -= step * q[row, v]
+        rx, ry, rz = r[0, v], r[1, v], r[2, v]
+        zx = inverse[0, v] * rx + inverse[3, v] * ry + inverse[4, v] * rz
+        zy = inverse[3, v] * rx + inverse[1, v] * ry + inverse[5, v] * rz
+        zz = inverse[4, v] * rx + inverse[5, v] * ry + inverse[2, v] * rz
+        z[0, v], z[1, v], z[2, v] = zx, zy, zz
+        total += rx * zx + ry * zy + rz * zz
+    return total
+
+
+@kernel
+def turn_block(block: int, z: Any, p: Any, turn: float) -> None:
+    """p = z + turn p."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, p.shape[1])
+    for row in range(3):
+        for v in range(low, high):
+            p[row, v] = z[row, v] + turn * p[row, v]
+
+
+@parallel_kernel
+def turn_parallel(sums: Any, z: Any, p: Any, turn: float) -> None:
+    """All blocks on several threads: before a product, which reads its neighbours' p."""
+    for block in prange(sums.shape[0]):
+        turn_block(block, z, p, turn)
+
+
+@parallel_kernel
+def descend_parallel(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, step: float) -> None:
+    """All blocks on several threads."""
+    for block in prange(sums.shape[0]):
+        sums[block] = descend_block(block, inverse, x, r, z, p, q, step)
+
+
+@kernel
+def turn_and_multiply(turn: float, a: Any, threads: Any) -> float:
+    """p = z + turn p and q = A p; p.q."""
+    blocks = a.sums.shape[0]
+    if threads is None:
+        for block in range(blocks):
+            turn_block(block, a.z, a.p, turn)
+        for block in range(blocks):
+            multiply_block(block, a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums)
+    else:
+        turn_parallel(a.sums, a.z, a.p, turn)
+        multiply_parallel(a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums, blocks)
+    return float(a.sums.sum())
+
+
+@kernel
+def descend(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, step: float, threads: Any) -> float:
+    """x += step p, r -= step q, z = M r; r.z."""
+    if threads is None:
+        for block in range(sums.shape[0]):
+            sums[block] = descend_block(block, inverse, x, r, z, p, q, step)
+    else:
+        descend_parallel(sums, inverse, x, r, z, p, q, step)
+    return float(sums.sum())
+
+
+@kernel
+def iterate(tolerance: float, most: int, a: Any, threads: Any) -> int:
+    """Conjugate gradients from x = 0; see `solve`."""
+    a.x[:] = 0.0
+    a.p[:] = 0.0
+    a.q[:] = 0.0
+    rz = descend(a.sums, a.inverse, a.x, a.r, a.z, a.p, a.q, 0.0, threads)
+    target = tolerance * tolerance * rz
+    turn = 0.0
+    for iteration in range(most):
+        if not rz > target:
+            return iteration
+        curvature = turn_and_multiply(turn, a, threads)
+        if not curvature > 0.0:
+            return -1 - iteration
+        before = rz
+        rz = descend(a.sums, a.inverse, a.x, a.r, a.z, a.p, a.q, rz / curvature, threads)
+        turn = rz / before
+    return most
+
+
+def solve(a: Linear, tolerance: float, most: int, threads: int | None) -> int:
+    """a.x = A^-1 a.r until sqrt(r.z) has fallen to `tolerance` of its start; the iterations it took.
+
+    Stops early, and says so by -1 - iterations, at a direction without positive curvature: the matrix is
+    not positive, or rounding has eaten it. a.r holds what is left.
+    """
+    return int(iterate(tolerance, most, a, threads))
+
+
+def multiply(a: Linear, u: Float, threads: int | None) -> Float:
+    """A u (3, n), 0 where pinned."""
+    a.p[...], a.z[...] = u, 0.0
+    turn_and_multiply(1.0, a, threads)
+    return a.q.copy()

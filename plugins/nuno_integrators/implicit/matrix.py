@@ -1,0 +1,126 @@
+"""The matrix of an implicit step, linearised at a state; it is never assembled here.
+
+    A u = D u + sum over springs (alpha I + w w^T) (u_i - u_j) + sum over hinges g (g.u) + sum over pairs of a yarn,
+
+D (6, n) holding each vertex's own symmetric 3 x 3 block: mass over the squared step, damping, contact. What links
+of a yarn add that follow each other is in nuno_kernels.forces.linear_yarns.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.step.blocks import BLOCK, PADDING, block_count
+from nuno_kernels.terms import each, each_block, role_of
+from nuno_schemas.fabric import Bool, Float
+
+LOWEST = 1e300
+"""Below anything that a spring's stiffness can be."""
+
+
+fill_rows = each("fill", "block, x, before, rate, floor, follow", linear=True)
+sum_diagonal = each("diagonal", "block, origin, out", linear=True)
+
+
+class Linear(NamedTuple):
+    """The matrix A and what solving with it needs.
+
+    own, inverse  (6, n) xx, yy, zz, xy, xz, yz: D, and the inverse of A's diagonal blocks, 0 where pinned
+    forces, forces_on   as in Packed
+    rows          of each force what its matrix is kept as (nuno_kernels.forces.linear_layout), None for one without
+    sums          (blocks,) scratch
+    x, r, z, p, q (3, n) solution, residual, preconditioned residual, direction, A times direction
+    """
+
+    own: Float
+    inverse: Float
+    inverse_mass: Float
+    forces: tuple[Any, ...]
+    forces_on: Bool
+    rows: tuple[Any, ...]
+    sums: Float
+    x: Float
+    r: Float
+    z: Float
+    p: Float
+    q: Float
+
+
+def make_linear(packed: Packed) -> Linear:
+    """Room for the matrix of a packed system and for solving with it."""
+    n = packed.inverse_mass.shape[0]
+    makers = [role_of(type(term), "rows") for term in packed.forces]
+    rows = tuple(None if make is None else make(term) for make, term in zip(makers, packed.forces, strict=True))
+    on = np.array([part is not None for part in rows], np.bool_)
+    own, inverse = np.zeros((2, 6, n))
+    sums = np.zeros(block_count(n))
+    vectors = (np.zeros((3, n)) for _ in "xrzpq")
+    return Linear(own, inverse, packed.inverse_mass, packed.forces, on, rows, sums, *vectors)
+
+
+@kernel
+def invert(own: Any, inverse: Any, v: int, diagonal: Any, at: int) -> None:
+    """Inverse of vertex v's diagonal block, by cofactors."""
+    xx, yy, zz = own[0, v] + diagonal[0, at], own[1, v] + diagonal[1, at], own[2, v] + diagonal[2, at]
+    xy, xz, yz = own[3, v] + diagonal[3, at], own[4, v] + diagonal[4, at], own[5, v] + diagonal[5, at]
+    c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    scale = 1.0 / (xx * c0 + xy * c1 + xz * c2)
+    inverse[0, v], inverse[3, v], inverse[4, v] = scale * c0, scale * c1, scale * c2
+    inverse[1, v], inverse[5, v] = scale * (xx * zz - xz * xz), scale * (xy * xz - xx * yz)
+    inverse[2, v] = scale * (xx * yy - xy * xy)
+
+
+class Tangent(NamedTuple):
+    """How forces are made linear: dv/dx = `rate` [1/s], the least that a spring may have across its direction, and
+    whether tensions follow the last Newton step (1) or are those before it (0).
+    """
+
+    rate: float
+    floor: float
+    follow: float
+
+
+@kernel
+def fill_block(
+    block: int, forces: Any, on: Any, rows: Any, x: Any, before: Any, tangent: Any, inverse_mass: Any, own: Any,
+    inverse: Any,
+) -> None:  # fmt: skip
+    """Linearise a block's forces at x (3, n) and invert its diagonal blocks."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    diagonal = np.zeros((6, high - low + PADDING))
+    fill_rows(forces, on, rows, block, x, before, tangent.rate, tangent.floor, tangent.follow)
+    sum_diagonal(forces, on, rows, block, low, diagonal)
+    for v in range(low, high):
+        if inverse_mass[v] > 0.0:
+            invert(own, inverse, v, diagonal, v - low)
+
+
+fill_parallel = each_block(fill_block, "x, before, tangent, inverse_mass, own, inverse", linear=True)
+
+
+@kernel
+def fill_blocks(x: Any, before: Any, tangent: Any, a: Any, threads: Any) -> None:
+    """All blocks, on one thread or several."""
+    if threads is None:
+        for block in range(a.sums.shape[0]):
+            fill_block(block, a.forces, a.forces_on, a.rows, x, before, tangent, a.inverse_mass, a.own, a.inverse)
+    else:
+        fill_parallel(
+            a.forces, a.forces_on, a.rows, x, before, tangent, a.inverse_mass, a.own, a.inverse, a.sums.shape[0]
+        )  # fmt: skip
+
+
+def fill(
+    x: Float, rate: float, p: Packed, a: Linear, exact: bool = False, before: Float | None = None, follow: bool = True
+) -> None:
+    """Linearise at x (3, n), with dv/dx = `rate` [1/s]; a.own holds D already.
+
+    The matrix is positive unless it is `exact`; its preconditioner is in either case. Springs have the tension
+    that a linear step from `before` (3, n) to x leads to, or the one that they had there where not `follow`.
+    """
+    tangent = Tangent(rate, -LOWEST if exact else 0.0, float(follow))
+    fill_blocks(x, x if before is None else before, tangent, a, p.threads)

@@ -1,0 +1,229 @@
+"""Newton's method for an implicit stage: x = x^ + g v, v = v^ + g a(x, v).
+
+The residual is the force that is missing, m (a(x, v) - (v - v^) / g), and the step in x solves
+(M / g^2 + K + C / g) dx = residual with K and C of nuno_kernels.forces.linear; nuno_integrators.implicit.linear_solve
+says how. What springs and hinges do not hold (contact, wind, forces in Python, damping) acts on each vertex by itself
+or nearly so: its derivative is taken as one 3 x 3 block a vertex, by moving all vertices together along each
+axis. Contact and friction are exact that way; a triangle's wind is lumped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nuno_integrators.implicit.linear_solve import Counts, Solver, compile_solver, make_solver, solve_linear
+from nuno_integrators.implicit.lumped import add_stiffness
+from nuno_kernels import kernel
+from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.step.packing import call_each, parts, silence
+from nuno_kernels.terms import kernels_of
+from nuno_schemas.fabric import Float
+
+SLOW = 0.3
+"""A Newton step that leaves more than this of the residual is followed by one with the exact matrix. Cloth
+that is about to buckle holds compressed springs in balance: without their negative stiffness every step
+goes a tenth of the way. Far from the end the exact matrix is mostly not positive, and not worth trying."""
+SLOPE = 0.5
+"""A step is shortened where the residual along it has turned round and is more than this share of what it was."""
+MOST_TRIALS = 6
+REACH = 1e-7
+"""Share of the cloth's size by which vertices are moved to differentiate what acts on each by itself."""
+EPSILON = float(np.finfo(float).eps)
+
+
+@kernel
+def missing_force(a: Any, u: Any, vhat: Any, g: float, mass: Any, out: Any) -> float:
+    """out = mass (a - (u - vhat) / g), 0 for mass 0; the largest of its norms."""
+    largest = 0.0
+    for p in range(out.shape[1]):
+        square = 0.0
+        for row in range(3):
+            f = mass[p] * (a[row, p] - (u[row, p] - vhat[row, p]) / g) if mass[p] > 0.0 else 0.0
+            out[row, p] = f
+            square += f * f
+        # Not max(): NaN has to come through.
+        largest = largest if square <= largest * largest else np.sqrt(square)
+    return largest
+
+
+@kernel
+def along(r: Any, d: Any) -> float:
+    """r.d of (3, n) arrays."""
+    total = 0.0
+    for row in range(3):
+        for p in range(r.shape[1]):
+            total += r[row, p] * d[row, p]
+    return total
+
+
+@dataclass
+class Stage:
+    """Memory of the solver for one packed system; x, v (3, n) are the stage's unknowns."""
+
+    packed: Packed
+    mass: Float
+    size: float
+    scale: float
+    solver: Solver
+    x: Float
+    v: Float
+    a: Float
+    residual: Float
+    others: Packed | None
+
+    @property
+    def counts(self) -> Counts:
+        return self.solver.counts
+
+
+def make_stage(packed: Packed, position: Float, size: float, python: bool) -> Stage:
+    """`position` (n, 3) and `size` are the cloth's at rest [m]; `python` says whether a force is written in Python."""
+    w = packed.inverse_mass
+    mass = np.divide(1.0, w, out=np.zeros_like(w), where=w > 0.0)
+    matrices = {kernels_of(term).name for term in packed.forces if kernels_of(term).rows is not None}
+    lumped = python or packed.late is not None or len(matrices) < len(parts(packed))
+    others = silence(packed, *matrices) if lumped else None
+    stiffest = max(call_each(packed, "stiffest"), default=0.0)
+    x, v, a, residual = np.zeros((4, 3, w.shape[0]))
+    return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, others)
+
+
+def solve_stage(
+    st: Stage, packed: Packed, extra: Any, xhat: Float, vhat: Float, g: float, s: float,
+    start: Float, limits: tuple[float, int],
+) -> tuple[bool, float]:  # fmt: skip
+    """Solve for st.x, st.v from their present guess st.v; whether it converged, and the residual [N].
+
+    `start` (3, n) is where the cloth is now; `limits` are the residual as a share of the largest single
+    force, and the most Newton steps.
+    """
+    tolerance, most = limits
+    limit_approach(packed, g)
+    guess = st.v.copy()
+    np.multiply(st.v, g, out=st.x)
+    st.x += xhat
+    st.solver.before[...], st.solver.follow = start, False
+    worst, slow = _evaluate(st, packed, extra, vhat, g, s), False
+    for _ in range(most):
+        allowed = tolerance * largest_force(st, packed) + _rounding(st, g)
+        if worst <= allowed:
+            return True, worst
+        if not np.isfinite(worst):
+            return False, worst
+        before = worst
+        if not _solve_newton(st, packed, extra, g, s, slow):
+            st.v[...] = guess
+            return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+        worst = _search(st, packed, extra, vhat, g, s)
+        slow = worst > SLOW * before
+    return False, worst
+
+
+def limit_approach(packed: Packed, g: float) -> None:
+    """Let contact's dashpots see what can be gone within g [s] at most; see Contact.rate."""
+    call_each(packed, "approach", 1.0 / g)
+
+
+def _solve_newton(st: Stage, packed: Packed, extra: Any, g: float, s: float, exact: bool) -> bool:
+    """The Newton step into st.solver.linear.x; False if the stage is to be begun anew."""
+    _fill_own(st, packed, extra, g, s)
+    st.counts.newton += 1
+    done = solve_linear(st.solver, packed, st.x, 1.0 / g, st.residual, exact)
+    st.solver.before[...], st.solver.follow = st.x, True
+    return done
+
+
+def compile_stage(st: Stage, packed: Packed, extra: Any, x: Float, v: Float) -> None:
+    """Compile what `solve_stage` needs, by solving for no force at (x, v)."""
+    st.x[...], st.v[...] = x, v
+    _evaluate(st, packed, extra, st.v, 1.0, 0.0)
+    _fill_own(st, packed, extra, 1.0, 0.0)
+    compile_solver(st.solver, packed, st.x)
+    along(st.residual, st.solver.linear.x)
+    largest_force(st, packed)
+    turning_work(st.x, st.x, st.x, packed)
+
+
+def _rounding(st: Stage, g: float) -> float:
+    """What rounding alone leaves of a vertex's force [N]: of springs' lengths, and of momentum over the step."""
+    place, speed = float(np.abs(st.x).max(initial=0.0)), float(np.abs(st.v).max(initial=0.0))
+    return 16.0 * EPSILON * (st.scale * place + float(st.mass.max(initial=0.0)) * speed / g)
+
+
+def _evaluate(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: float) -> float:
+    evaluate(st.x, st.v, s, st.a, packed, extra)
+    st.counts.evaluations += 1
+    return float(missing_force(st.a, st.v, vhat, g, st.mass, st.residual))
+
+
+def _search(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: float) -> float:
+    """Go along the solution d in st.solver.linear.x, less far where the residual along it turns round.
+
+    For conservative forces residual.d is minus the slope of the step's energy along d, which a
+    minimum makes 0: the rule brings the secant's minimum, and needs no energy, so that it holds for
+    friction and wind too. Where d is exact, what springs pull for having turned does not count: the next
+    step takes it back, and steps that avoid it are short on stiff cloth (the Maratos effect).
+    """
+    d = st.solver.linear.x
+    before, gone, share = along(st.residual, d), 0.0, 1.0
+    worst = np.inf
+    for _ in range(MOST_TRIALS):
+        st.x += (share - gone) * d
+        st.v += ((share - gone) / g) * d
+        gone = share
+        worst = _evaluate(st, packed, extra, vhat, g, s)
+        after = along(st.residual, d)
+        if st.solver.direct:
+            after += turning_work(st.solver.before, st.x, d, packed)
+        if after >= -SLOPE * before:
+            break
+        share *= max(0.1, before / (before - after)) if np.isfinite(after) else 0.1
+    return worst
+
+
+def _fill_own(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None:
+    """What acts on each vertex by itself, and its inertia, into the matrix."""
+    own = st.solver.linear.own
+    own[:3] = st.mass / (g * g) + (packed.damping / g) * st.mass
+    own[3:] = 0.0
+    if st.others is not None:
+        own[:3] = st.mass / (g * g)
+        _add_others(st, st.others._replace(bodies_on=packed.bodies_on, damping=packed.damping), extra, g, s)
+
+
+def _add_others(st: Stage, others: Packed, extra: Any, g: float, s: float) -> None:
+    """Add each vertex's own stiffness, symmetric and without negative parts."""
+    base, moved = np.empty_like(st.a), np.empty((3, *st.a.shape))
+    evaluate(st.x, st.v, s, base, others, extra)
+    step = REACH * st.size
+    for axis in range(3):
+        x, v = st.x.copy(), st.v.copy()
+        x[axis] += step
+        v[axis] += step / g
+        evaluate(x, v, s, moved[axis], others, extra)
+    st.counts.evaluations += 4
+    add_stiffness(base, moved, st.mass / step, st.solver.linear.own)
+
+
+def largest_force(st: Stage, packed: Packed) -> float:
+    """The largest single force [N] at st.x: of a spring, a weight, or what remains of all on a vertex."""
+    weight = float(np.linalg.norm(packed.gravity)) * float(st.mass.max(initial=0.0))
+    inertia = float(np.sqrt(((st.a * st.mass) ** 2).sum(axis=0)).max(initial=0.0))
+    return max(weight, inertia, largest_tension(st.x, packed))
+
+
+def largest_tension(x: Float, packed: Packed) -> float:
+    """The largest force of a spring [N], whichever way."""
+    return float(max(call_each(packed, "tension", x), default=0.0))
+
+
+def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
+    """Work along d (3, n) of the tension that springs have for having turned on their way from `before` to x [J].
+
+    A spring that turns from a to b is longer than b's share along a, by the square of the angle. A linear step
+    cannot know of that, and the next one takes it back.
+    """
+    return float(sum(call_each(packed, "turning", before, x, d)))

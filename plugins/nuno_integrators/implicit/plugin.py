@@ -1,0 +1,214 @@
+"""Implicit methods: stable at any step, for cloth too stiff to follow.
+
+Implicit Euler and TR-BDF2 share one stage, x = x^ + g v with v = v^ + g a(x, v), solved by Newton's
+method to a stated residual (nuno_integrators.implicit.newton). Where it does not converge the step is halved, and where
+that does not help solved with more patience.
+
+TR-BDF2 (Bank et al. 1985; Hosea & Shampine 1996, Appl. Numer. Math. 20, 21-37) takes a trapezoidal
+stage to gamma = 2 - sqrt(2) of the step and the second-order backward formula from there: of order 2,
+and like implicit Euler it damps what it cannot follow. It needs no history, so that a step may change its
+length, and a checkpoint holds nothing of it. Plain BDF2 would keep the state before.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from nuno_integrators.compiled import Compiled, Told, Work
+from nuno_integrators.explicit.adaptive import cloth_size
+from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
+from nuno_integrators.implicit.newton import Stage, compile_stage, limit_approach, make_stage, solve_stage
+from nuno_kernels.step.acceleration import Packed, commit, evaluate
+from nuno_schemas.fabric import Float, State
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import StepLimit, System
+
+Limits = tuple[float, int]
+
+GAMMA = 2.0 - math.sqrt(2.0)
+MOST_HALVINGS = 14
+"""Of a frame of 1/60 s steps of 1 us are left. Before that the inertia m / h^2 outweighs 4 k s / (1 - s), with which
+springs that are shorter than at rest by the share s push a vertex m aside, and a step has one solution: at a third and
+a gram for every k up to 5e8 N/m."""
+PATIENT_FROM = 4
+"""A step that so many halvings did not help is not one that is too long. Most steps that fail, as over contact, go
+through after one halving or two, and those cost less than patience."""
+PATIENCE = 10
+"""Times as many Newton steps are taken then, by factorisations. A chain of stiff springs in compression gives way to
+the side: tens of steps leave the straight line, where rounding alone pushes it aside, and then it takes about one for
+every vertex along it. Loose solutions turn stiff springs by so little a step that they take hundreds."""
+
+
+class ImplicitConfig(Config):
+    """How far Newton's method goes."""
+
+    residual: float = Field(
+        1e-3,
+        ge=1e-12,
+        lt=1,
+        description="force that may be missing at a vertex, as a share of the largest single force",
+    )
+    most_iterations: int = Field(
+        20,
+        ge=1,
+        le=1000,
+        description="Newton steps before a time step is halved; where four halvings do not help, ten times as many",
+    )
+
+
+@dataclass
+class ImplicitWork(Work):
+    """`stage` is the solver's memory; `limits` its residual and the most Newton steps."""
+
+    stage: Stage
+    limits: Limits
+
+
+class Implicit(Compiled):
+    """Steps that solve for their end."""
+
+    Config: ClassVar[type[ImplicitConfig]] = ImplicitConfig
+    explicit: ClassVar[bool] = False
+
+    def make_work(self, config: ImplicitConfig, system: System, packed: Packed) -> ImplicitWork:
+        n = system.fabric.number
+        python = any(term.in_python for term in system.terms)
+        stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric), python)
+        x, v = np.empty((2, 3, n))
+        return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, (config.residual, config.most_iterations))
+
+    def limit(self, config: ImplicitConfig, system: System, state: State) -> StepLimit:
+        """Nothing limits the step."""
+        found = super().limit(config, system, state)
+        return StepLimit(float("inf"), found.omega, found.damping)
+
+    def go(self, work: ImplicitWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
+        work.stage.solver.counts = Counts()
+        taken, span = 0, steps * dt
+        for step in range(steps):
+            done, residual = self._step(work, packed, extra, step * dt, dt, span, 0)
+            taken += done
+            if residual is not None:
+                message = f"a residual of {residual:.3g} N is left after steps of {dt / 2**MOST_HALVINGS:.2g} s"
+                return Told(taken, message, _totals(work.stage.counts, taken))
+        return Told(taken, "", _totals(work.stage.counts, taken))
+
+    def compile(self, work: ImplicitWork, packed: Packed, extra: Any) -> None:
+        compile_stage(work.stage, packed, extra, work.x, work.v)
+        # By its signature: called, it would let friction forget where it holds.
+        held = (work.x, work.v, 1.0, packed.bodies, packed.bodies_on, packed.threads)
+        kernel: Any = commit
+        kernel.compile(tuple(numba.typeof(value) for value in held))
+
+    def _step(
+        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, depth: int
+    ) -> tuple[int, float | None]:
+        """One step, halved as often as needed: steps taken, and the residual it failed with, None where it did not."""
+        solver, (tolerance, most) = work.stage.solver, work.limits
+        solver.direct = False
+        ok, residual = self.attempt(work, packed, extra, start, h, span, work.limits)
+        if not ok and depth == PATIENT_FROM and prefer_factors(solver):
+            ok, residual = self.attempt(work, packed, extra, start, h, span, (tolerance, PATIENCE * most))
+        if ok:
+            work.x[...], work.v[...] = work.stage.x, work.stage.v
+            commit(work.x, work.v, (start + h) / span, packed.bodies, packed.bodies_on, packed.threads)
+            return 1, None
+        if depth == MOST_HALVINGS:
+            return 0, residual
+        work.stage.counts.halvings += 1
+        first, failed = self._step(work, packed, extra, start, 0.5 * h, span, depth + 1)
+        if failed is not None:
+            return first, failed
+        second, failed = self._step(work, packed, extra, start + 0.5 * h, 0.5 * h, span, depth + 1)
+        return first + second, failed
+
+    def attempt(
+        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
+    ) -> tuple[bool, float]:
+        """Leave the state after a step of h in work.stage; whether it converged, and the residual [N].
+
+        `limits` as of nuno_integrators.implicit.newton.solve_stage.
+        """
+        raise NotImplementedError
+
+    def step_at_rest(self, work: ImplicitWork, extra: Any) -> Any:
+        def forces_only(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
+            for _ in range(steps):
+                evaluate(x, v, 0.0, stages[0], p, force)
+
+        return forces_only
+
+
+def _totals(counts: Counts, taken: int) -> dict[str, int]:
+    return {
+        "steps": taken,
+        "newton_steps": counts.newton,
+        "linear_iterations": counts.linear,
+        "factorisations": counts.factorisations,
+        "evaluations": counts.evaluations,
+        "halvings": counts.halvings,
+    }
+
+
+class ImplicitEuler(Implicit):
+    """x_new = x + h v_new, v_new = v + h a(x_new, v_new). Order 1."""
+
+    name: ClassVar[str] = "implicit_euler"
+    order: ClassVar[int] = 1
+
+    def attempt(
+        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
+    ) -> tuple[bool, float]:
+        work.stage.v[...] = work.v
+        return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, limits)
+
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
+        return np.asarray(np.linalg.inv(np.array([[1.0, -dt], [omega * omega * dt, 1.0 + damping * dt]])))
+
+
+class TRBDF2(Implicit):
+    """Trapezoidal rule to gamma h, backward differences from there. Order 2."""
+
+    name: ClassVar[str] = "tr_bdf2"
+    order: ClassVar[int] = 2
+
+    def attempt(
+        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
+    ) -> tuple[bool, float]:
+        """With g = gamma h / 2 both stages are x = x^ + g v: x^ = x + g v at first, then the backward formula's."""
+        st, (xhat, vhat), g = work.stage, work.stages, 0.5 * GAMMA * h
+        # Also for the forces at the start: they would otherwise follow from the step before, which a checkpoint lacks.
+        limit_approach(packed, g)
+        evaluate(work.x, work.v, start / span, st.a, packed, extra)
+        st.counts.evaluations += 1
+        np.multiply(work.v, g, out=xhat)
+        xhat += work.x
+        np.multiply(st.a, g, out=vhat)
+        vhat += work.v
+        st.v[...] = work.v
+        ok, residual = solve_stage(st, packed, extra, xhat, vhat, g, (start + GAMMA * h) / span, work.x, limits)
+        if not ok:
+            return ok, residual
+        # near * middle - (near - 1) * old, written so that what stands still does so to the last bit.
+        near = 1.0 / (GAMMA * (2.0 - GAMMA))
+        for hat, middle, old in ((xhat, st.x, work.x), (vhat, st.v, work.v)):
+            np.subtract(middle, old, out=hat)
+            hat *= near
+            hat += old
+        return solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), limits)
+
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
+        rate, one, g = np.array([[0.0, 1.0], [-omega * omega, -damping]]), np.eye(2), 0.5 * GAMMA * dt
+        inverse = np.linalg.inv(one - g * rate)
+        middle = inverse @ (one + g * rate)
+        near = 1.0 / (GAMMA * (2.0 - GAMMA))
+        result: Float = inverse @ (near * middle - (near - 1.0) * one)
+        return result

@@ -1,0 +1,199 @@
+"""How fast a system can oscillate and how strongly it is damped, and the step that this allows.
+
+The largest eigenvalue of -da/dx (squared angular frequency) and of -da/dv (damping rate) is found
+by the Lanczos method in the mass inner product, in which both are symmetric, with products taken as
+central differences of the compiled acceleration. The basis is not kept: the recurrence needs three
+vectors, and lost orthogonality only repeats eigenvalues that have converged.
+
+The largest Ritz value theta lies below the eigenvalue, its residual beta |s_k| away at most; adding
+the residual gives the upper bound (Zhou & Li 2011, Linear Algebra Appl. 435, 480-493).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.forces.energy import measure_energy
+from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.step.packing import Extra, pack, python_terms, reads_velocity, silence_bodies, to_rows
+from nuno_kernels.terms import kernels_of
+from nuno_schemas.fabric import Fabric, Float, Springs, State
+from nuno_schemas.system import System
+
+FEWEST, MOST, CHECK = 24, 160, 8
+"""Lanczos steps: at least, at most, and between looks at the residual."""
+
+MARGIN = 0.02
+"""Least and sought share of the residual in an eigenvalue's bound: 1 % of the frequency."""
+
+
+@kernel
+def weigh(u: Any, w: Any, mass: Any) -> float:
+    """Sum of mass u.w over all vertices, in one fixed order."""
+    total = 0.0
+    for row in range(3):
+        for p in range(u.shape[1]):
+            total += mass[p] * u[row, p] * w[row, p]
+    return total
+
+
+def largest_eigenvalue(multiply: Callable[[Float], Float], mass: Float) -> float:
+    """Upper bound on the largest eigenvalue, 0 at least, of an operator on rows (3, n).
+
+    It is symmetric in the inner product weighted by mass (n,); vertices of mass 0 are held. The
+    array that `multiply` returns is its own: it is read before the next call.
+    """
+    free = mass > 0.0
+    size = 3 * int(free.sum())
+    if size == 0:
+        return 0.0
+    u = np.random.default_rng(20240229).standard_normal((3, mass.shape[0]))
+    u[:, ~free] = 0.0
+    u /= np.sqrt(np.where(free, mass, 1.0))
+    u /= np.sqrt(weigh(u, u, mass))
+    # Two vectors are enough: the next one is written over the one before. On a large sheet this
+    # is where a run needs most memory.
+    before, beta, bound = np.zeros_like(u), 0.0, 0.0
+    alphas: list[float] = []
+    betas: list[float] = []
+    while len(alphas) < min(size, MOST):
+        w = before
+        w *= -beta
+        w += multiply(u)
+        alphas.append(weigh(w, u, mass))
+        for row in range(3):
+            w[row] -= alphas[-1] * u[row]
+        beta = float(np.sqrt(weigh(w, w, mass)))
+        last = len(alphas) == min(size, MOST)
+        scale = max(map(abs, alphas))
+        if last or beta <= 1e-9 * scale or (len(alphas) >= FEWEST and len(alphas) % CHECK == 0):
+            tridiagonal = np.diag(alphas) + np.diag(betas, 1) + np.diag(betas, -1)
+            values, vectors = np.linalg.eigh(tridiagonal)
+            residual = beta * abs(vectors[-1, -1])
+            bound = values[-1] + max(residual, MARGIN * abs(values[-1]))
+            if residual <= MARGIN * values[-1] or beta <= 1e-9 * scale:
+                break
+        betas.append(beta)
+        w /= beta
+        before, u = u, w
+    return max(0.0, float(bound))
+
+
+def measure_rates(system: System, state: State) -> tuple[float, float]:
+    """Largest angular frequency and damping rate [1/s] in the present state, bounds from above.
+
+    What a term declares for when it becomes active (contact) is added.
+    """
+    packed, extra, x, v, reach = _prepare(system, state)
+    mass = np.where(system.fabric.pinned, 0.0, system.fabric.mass)
+    moved, a, b = np.empty_like(x), np.empty_like(x), np.empty_like(x)
+
+    def difference(u: Float, base: Float, step: float) -> Float:
+        """-(da/dx) u or -(da/dv) u, whichever of x and v is `base`."""
+        width = step / max(float(u.max()), -float(u.min()))
+        for sign, out in ((width, a), (-width, b)):
+            np.multiply(u, sign, out=moved)
+            np.add(moved, base, out=moved)
+            evaluate(moved if base is x else x, moved if base is v else v, 0.0, out, packed, extra)
+        np.subtract(b, a, out=b)
+        np.divide(b, 2.0 * width, out=b)
+        return b
+
+    def stiffness(u: Float) -> Float:
+        return difference(u, x, reach)
+
+    def friction(u: Float) -> Float:
+        return difference(u, v, 1e-3)
+
+    squared = largest_eigenvalue(stiffness, mass) + sum(term.omega_squared for term in system.terms)
+    uniform = extra is None and not reads_velocity(
+        packed._replace(damping=0.0, moved=any(kernels_of(t).hold for t in packed.bodies))
+    )
+    rate = packed.damping if uniform else largest_eigenvalue(friction, mass)
+    return float(np.sqrt(squared)), rate + sum(term.damping_rate for term in system.terms)
+
+
+def _prepare(system: System, state: State) -> tuple[Packed, Extra | None, Float, Float, float]:
+    """What is differentiated, and the reach of the differences [m].
+
+    The reach is 1e-5 of the shortest spring: curvature then spoils 1e-10 of a product and rounding
+    1e-11 R/L, for which positions are taken from their middle where no force depends on the place.
+    """
+    extra = python_terms(system, state.t, state.t)
+    if system.fabric.springs is not None:
+        # What locks may do so at any time: it counts as if it had.
+        system = replace(system, fabric=replace(system.fabric, springs=system.fabric.springs.stiffest()))
+    packed = silence_bodies(pack(system))
+    x, v = to_rows(state.x), to_rows(state.v)
+    if extra is None and x.shape[1]:
+        x -= 0.5 * (x.min(axis=1, keepdims=True) + x.max(axis=1, keepdims=True))
+    energy = measure_energy(x, v, system.fabric.mass, packed)
+    if energy.zero_length:
+        fabric = _with_loose_springs(system.fabric, state.x)
+        packed = silence_bodies(pack(replace(system, fabric=fabric)))
+    extent = float(np.abs(x).max(initial=0.0)) or 1.0
+    return packed, extra, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)
+
+
+def _with_loose_springs(fabric: Fabric, position: Float) -> Fabric:
+    """Springs of zero length act as if their rest length were 0.
+
+    They exert no force now, but have stiffness k along any direction they take.
+    """
+    assert fabric.springs is not None
+    s, pairs = fabric.springs, fabric.springs.pairs()
+    zero = (position[pairs[:, 0]] == position[pairs[:, 1]]).all(axis=1)
+    k, rest, c = (s.per_spring(value) for value in (s.k, s.rest, s.c))
+    return replace(fabric, springs=Springs.from_pairs(pairs, k, np.where(zero, 0.0, rest), c))
+
+
+def spectral_radius(matrix: Float) -> float:
+    """Largest modulus of the eigenvalues of a (2, 2) matrix."""
+    half = 0.5 * (matrix[0, 0] + matrix[1, 1])
+    det = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    disc = half * half - det
+    return float(np.sqrt(det)) if disc < 0.0 else float(abs(half) + np.sqrt(disc))
+
+
+def critical_step(amplification: Callable[[float, float, float], Float], omega: float, damping: float) -> float:
+    """Step [s] up to which |x|, |v| stay bounded on x'' = -omega^2 x - damping x'.
+
+    The first crossing of spectral radius 1; 0 for a method that grows at any step, inf where there
+    is nothing to limit.
+    """
+    rate = max(omega, damping)
+    if rate <= 0.0:
+        return float("inf")
+
+    def grows(step: float) -> bool:
+        return spectral_radius(amplification(omega, damping, step)) > 1.0 + 1e-13
+
+    low, high = 0.0, 0.0
+    for _ in range(160):
+        high = low + 0.05 / rate
+        if grows(high):
+            break
+        low = high
+    else:
+        return float("inf")
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if grows(middle) else (middle, high)
+    return low if low > 1e-5 / rate else 0.0
+
+
+def stable_step(
+    amplification: Callable[[float, float, float], Float], omega: float, damping: float, least: float
+) -> float:
+    """Step [s] that is stable for every mode up to `omega` with damping from `least` to `damping`.
+
+    The fastest and the most damped mode need not be one: a stability region with lobes may allow
+    the two together what it denies to either alone.
+    """
+    rates = sorted({least + f * (damping - least) for f in (0.0, 0.25, 0.5, 0.75, 1.0)})
+    return min(critical_step(amplification, f * omega, rate) for f in (0.0, 0.25, 0.5, 0.75, 1.0) for rate in rates)

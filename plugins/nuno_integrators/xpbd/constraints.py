@@ -1,0 +1,264 @@
+"""Springs and hinges as compliant constraints, solved one after another: the sweep of an XPBD step.
+
+Backward Euler over a step h asks for displacements u with m' u / h^2 = m' u^ / h^2 + sum of forces at
+x + u, m' = m (1 + h damping) and u^ the displacement without these forces. XPBD (Macklin, Mueller &
+Chentanez 2016, MIG, 49-54) solves it element by element: where a spring's tension k C + c dC/dt, with
+C = |d| - L and dC/dt = n.(u_j - u_i) / h, were it alone, it becomes
+
+    T = (k C + c dC/dt) / (1 + (k + c / h) (mobility_i + mobility_j)),   mobility = h^2 / m',
+
+C and dC/dt taken without T, which moves both ends along n by their mobility times T: the paper's
+equation 18 and its damping, eq. 26, with T = -lambda / h^2 and compliance 1 / k; so written a stiffness
+of 0 is no special case. For two vertices this is exact, however far they turn.
+
+Where sweeps are repeated the paper adds up multipliers, so that what a first sweep did along another
+direction stays: its limit is not quite backward Euler's step. Here a spring's force is kept as a vector
+and taken back before it is found anew, and a hinge's is brought to the force F(x + u) that it exerts,
+(1 + k g g^T mobility) dF = F(x + u) - F with g its angle's gradient. The limit is the step itself. The
+second derivative of a hinge's energy k (1 - cos) is at most k, so that no change leads beyond its minimum.
+
+Displacements are kept, not new positions: velocities u / h then lose no digits however far from the
+origin, and the damping reads them as they are. Not chosen: relaxing each tension by (1 + z) / (1 + z / 2),
+z = (k + c / h) times both mobilities, which makes an evenly tense sheet exact in one sweep, but grows from
+about the step on that explicit methods stop at.
+
+Elements are sorted into batches, and batches into colours: batches of one colour share no vertex, so
+that threads change nothing; within a batch, eight elements computed together share none either
+(nuno_integrators.xpbd.packing).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from numba import prange
+
+from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.forces.hinges import FLAT, cross, dot, listed_corner, minus, times
+from nuno_kernels.lanes.choose import where_greater, where_not_zero
+from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.step.blocks import Long
+from nuno_schemas.fabric import Float, Int
+
+
+class RunBatches(NamedTuple):
+    """Runs of springs whose ends lie eight vertices apart at least.
+
+    start     (batches + 1,) int64  tasks of each batch
+    task      (m, 5) int64          first vertex i, first vertex j, springs, column of the constants,
+                                    column of the first force kept
+    constants, each                 as in nuno_kernels.forces.springs.SpringRuns
+    kept      (3, w)                forces on the i ends [N], padded to whole vectors, or None where one
+                                    sweep needs no memory
+    """
+
+    start: Long
+    task: Long
+    constants: Float
+    each: bool | None
+    kept: Float | None
+
+
+class ListBatches(NamedTuple):
+    """Springs or hinges by index, in whole vectors without a common vertex.
+
+    start     (batches + 1,) int64  columns of each batch
+    ends      (2, p) or (4, p) int32
+    constants (3, p)                k [N/m], rest [m], c [N s/m]; of hinges k cos(rest), k sin(rest), k [N m]
+    kept      (3, p) or (9, p)      forces [N] on the i ends, or as `sweep_hinges` says; None as above
+    """
+
+    start: Long
+    ends: Int
+    constants: Float
+    kept: Float | None
+
+
+@kernel
+def plus(a: Any, b: Any) -> Any:
+    """a + b of two triples."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@kernel
+def kept_rows(kept: Any, p: int) -> Any:
+    """Eight forces from (3, w)."""
+    return load(kept, 0, p), load(kept, 1, p), load(kept, 2, p)
+
+
+@kernel
+def keep_rows(kept: Any, p: int, f: Any) -> None:
+    """Eight forces into (3, w)."""
+    store(kept, 0, p, f[0])
+    store(kept, 1, p, f[1])
+    store(kept, 2, p, f[2])
+
+
+@kernel
+def spring_pull(
+    dx: Any, dy: Any, dz: Any, ux: Any, uy: Any, uz: Any, mobility: Any, k: Any, rest: Any, rate: Any
+) -> Any:
+    """Forces on the i ends of eight springs.
+
+    d is the vector from i to j at the step's start, u how it changed since without the spring; `rate` is
+    c / h and `mobility` that of both ends. Springs of length 0 have no direction and exert no force.
+    """
+    px, py, pz = dx + ux, dy + uy, dz + uz
+    square = px * px + py * py + pz * pz
+    length = root(square)
+    missing = k * (length - rest) * length + rate * (ux * px + uy * py + uz * pz)
+    f = where_not_zero(square, missing / (square * (1.0 + (k + rate) * mobility)))
+    return f * px, f * py, f * pz
+
+
+@kernel
+def sweep_spring_runs(
+    batch: int, x: Any, u: Any, mobility: Any, inverse_step: float,
+    start: Any, task: Any, constants: Any, each: Any, kept: Any,
+) -> None:  # fmt: skip
+    """Solve a batch's runs in their order, in place in u (3, n)."""
+    for t in range(start[batch], start[batch + 1]):
+        i, j, count, at, column = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4]
+        for q in range(0, count, WIDTH):
+            m = min(WIDTH, count - q)
+            a, b, p = i + q, j + q, column + q
+            where = at if each is None else at + q
+            k = splat(constants[0, where]) if each is None else read(constants, 0, where, m)
+            rest = splat(constants[1, where]) if each is None else read(constants, 1, where, m)
+            c = splat(constants[2, where]) if each is None else read(constants, 2, where, m)
+            mi, mj = read(mobility, 0, a, m), read(mobility, 0, b, m)
+            ui = read(u, 0, a, m), read(u, 1, a, m), read(u, 2, a, m)
+            uj = read(u, 0, b, m), read(u, 1, b, m), read(u, 2, b, m)
+            if kept is not None:
+                ui, uj = minus(ui, times(mi, kept_rows(kept, p))), plus(uj, times(mj, kept_rows(kept, p)))
+            f = spring_pull(
+                read(x, 0, b, m) - read(x, 0, a, m), read(x, 1, b, m) - read(x, 1, a, m),
+                read(x, 2, b, m) - read(x, 2, a, m), uj[0] - ui[0], uj[1] - ui[1], uj[2] - ui[2],
+                mi + mj, k, rest, inverse_step * c,
+            )  # fmt: skip
+            for row in range(3):
+                if kept is not None:
+                    store(kept, row, p, f[row])
+                write(u, row, a, m, ui[row] + mi * f[row])
+                write(u, row, b, m, uj[row] - mj * f[row])
+
+
+@kernel
+def sweep_spring_lists(
+    batch: int, x: Any, u: Any, mobility: Any, inverse_step: float, start: Any, ends: Any, constants: Any, kept: Any
+) -> None:
+    """Solve a batch's listed springs in their order, in place in u (3, n)."""
+    for p in range(start[batch], start[batch + 1], WIDTH):
+        mi, mj = gather(mobility, 0, ends, 0, p), gather(mobility, 0, ends, 1, p)
+        d = minus(listed_corner(x, ends, 1, p), listed_corner(x, ends, 0, p))
+        moved = minus(listed_corner(u, ends, 1, p), listed_corner(u, ends, 0, p))
+        if kept is not None:
+            moved = plus(moved, times(mi + mj, kept_rows(kept, p)))
+        f = spring_pull(
+            d[0], d[1], d[2], moved[0], moved[1], moved[2], mi + mj,
+            load(constants, 0, p), load(constants, 1, p), inverse_step * load(constants, 2, p),
+        )  # fmt: skip
+        change = f
+        if kept is not None:
+            change = minus(f, kept_rows(kept, p))
+            keep_rows(kept, p, f)
+        for row in range(3):
+            add_at(u, row, ends, 0, p, mi * change[row])
+            add_at(u, row, ends, 1, p, 0.0 - mj * change[row])
+
+
+@kernel
+def hinge_parts(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any) -> Any:
+    """Moments k sin(angle - rest) of eight hinges, and at x0 and x1 minus, at x2 and x3 plus the angle's gradient.
+
+    r = 1 / (|n1|^2 |n2|^2 |e|^2) as in nuno_kernels.forces.hinges.hinge_forces, 0 for a triangle without area.
+    """
+    e, d2, d3 = minus(x1, x0), minus(x2, x0), minus(x3, x0)
+    n1, n2 = cross(e, d2), cross(d3, e)
+    ee, q1, q2 = dot(e, e), dot(n1, n1), dot(n2, n2)
+    r = where_greater(q2, FLAT * ee * dot(d3, d3), 1.0 / (q1 * q2 * ee))
+    r = where_greater(q1, FLAT * ee * dot(d2, d2), r)
+    sine, cosine = dot(n1, d3) * (ee * root(r)), dot(n1, n2) * root(r * ee)
+    size = root(ee) * (ee * r)
+    g2, g3 = times(size * q2, n1), times(size * q1, n2)
+    g1 = plus(times(dot(d2, e) * (r * q1 * q2), g2), times(dot(d3, e) * (r * q1 * q2), g3))
+    return k_cos * sine - k_sin * cosine, minus(plus(g2, g3), g1), g1, g2, g3
+
+
+@kernel
+def moved_corner(x: Any, u: Any, ends: Any, which: int, p: int) -> Any:
+    """Positions x + u of one corner of eight hinges."""
+    return plus(listed_corner(x, ends, which, p), listed_corner(u, ends, which, p))
+
+
+@kernel
+def sweep_hinges(batch: int, x: Any, u: Any, mobility: Any, start: Any, ends: Any, constants: Any, kept: Any) -> None:
+    """Solve a batch's hinges in their order, in place in u (3, n).
+
+    Forces are f0 and f1 on x0 and x1, minus f2 and f3 on x2 and x3, with f0 = f2 + f3 - f1; (9, p) are kept.
+    """
+    for p in range(start[batch], start[batch + 1], WIDTH):
+        m0, m1 = gather(mobility, 0, ends, 0, p), gather(mobility, 0, ends, 1, p)
+        m2, m3 = gather(mobility, 0, ends, 2, p), gather(mobility, 0, ends, 3, p)
+        moment, g0, g1, g2, g3 = hinge_parts(
+            moved_corner(x, u, ends, 0, p), moved_corner(x, u, ends, 1, p), moved_corner(x, u, ends, 2, p),
+            moved_corner(x, u, ends, 3, p), load(constants, 0, p), load(constants, 1, p),
+        )  # fmt: skip
+        k = load(constants, 2, p)
+        all_k = 1.0 + k * (m0 * dot(g0, g0) + m1 * dot(g1, g1) + m2 * dot(g2, g2) + m3 * dot(g3, g3))
+        if kept is None:
+            moment = moment / all_k
+            f1, f2, f3 = times(moment, g1), times(moment, g2), times(moment, g3)
+        else:
+            f1 = minus(times(moment, g1), (load(kept, 0, p), load(kept, 1, p), load(kept, 2, p)))
+            f2 = minus(times(moment, g2), (load(kept, 3, p), load(kept, 4, p), load(kept, 5, p)))
+            f3 = minus(times(moment, g3), (load(kept, 6, p), load(kept, 7, p), load(kept, 8, p)))
+            f0 = minus(plus(f2, f3), f1)
+            along = k * (m0 * dot(g0, f0) + m1 * dot(g1, f1) + m2 * dot(g2, f2) + m3 * dot(g3, f3)) / all_k
+            f1, f2, f3 = minus(f1, times(along, g1)), minus(f2, times(along, g2)), minus(f3, times(along, g3))
+            for row in range(3):
+                store(kept, row, p, load(kept, row, p) + f1[row])
+                store(kept, 3 + row, p, load(kept, 3 + row, p) + f2[row])
+                store(kept, 6 + row, p, load(kept, 6 + row, p) + f3[row])
+        for row in range(3):
+            add_at(u, row, ends, 0, p, m0 * (f2[row] + f3[row] - f1[row]))
+            add_at(u, row, ends, 1, p, m1 * f1[row])
+            add_at(u, row, ends, 2, p, 0.0 - m2 * f2[row])
+            add_at(u, row, ends, 3, p, 0.0 - m3 * f3[row])
+
+
+@kernel
+def solve_batch(
+    batch: int, x: Any, u: Any, mobility: Any, inverse_step: float, runs: Any, lists: Any, hinges: Any
+) -> None:
+    """Solve all of a batch."""
+    if runs is not None:
+        sweep_spring_runs(
+            batch, x, u, mobility, inverse_step, runs.start, runs.task, runs.constants, runs.each, runs.kept
+        )
+    if lists is not None:
+        sweep_spring_lists(batch, x, u, mobility, inverse_step, lists.start, lists.ends, lists.constants, lists.kept)
+    if hinges is not None:
+        sweep_hinges(batch, x, u, mobility, hinges.start, hinges.ends, hinges.constants, hinges.kept)
+
+
+@parallel_kernel
+def solve_colour(
+    first: int, last: int, x: Any, u: Any, mobility: Any, inverse_step: float, runs: Any, lists: Any, hinges: Any
+) -> None:
+    """Solve batches [first, last), which share no vertex, on several threads."""
+    for batch in prange(first, last):
+        solve_batch(batch, x, u, mobility, inverse_step, runs, lists, hinges)
+
+
+@kernel
+def sweep(
+    x: Any, u: Any, mobility: Any, inverse_step: float, colour: Any, runs: Any, lists: Any, hinges: Any, threads: Any
+) -> None:
+    """Solve every element once, in place in u (3, n)."""
+    if threads is None:
+        for batch in range(colour[-1]):
+            solve_batch(batch, x, u, mobility, inverse_step, runs, lists, hinges)
+    else:
+        for c in range(colour.shape[0] - 1):
+            solve_colour(colour[c], colour[c + 1], x, u, mobility, inverse_step, runs, lists, hinges)

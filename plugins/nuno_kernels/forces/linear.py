@@ -1,0 +1,303 @@
+"""Springs and hinges made linear at a state: the symmetric positive matrix that implicit methods solve with.
+
+A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|), T / |d| and dT / d|d| for
+one that has locked: without the
+maximum a compressed spring is indefinite across its direction (Choi & Ko 2002, ACM Trans. Graph. 21,
+604-611); that is the `floor` 0, and a lower one leaves the spring's exact derivative. Its damping adds
+c d^ d^T times the rate dv/dx of the method. Both are kept as alpha and w, K = alpha I + w w^T. A hinge is
+kept as g g^T with g = sqrt(k cos(angle - rest)) times the gradient of its angle: Gauss and Newton's
+matrix, which leaves out the moment times the angle's second derivative, and nothing beyond a right angle.
+
+Every block keeps copies of its own for the elements that cross its border, as the forces do.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.forces.hinges import (
+    FLAT,
+    LONGEST,
+    HingeLists,
+    cross,
+    dot,
+    listed_corner,
+    minus,
+    run_corner,
+    times,
+)
+from nuno_kernels.forces.linear_layout import (
+    HINGE_ROWS,
+    SPRING_ROWS,
+    LinearLists,
+    linear_lists,
+    linear_runs,
+    listed_elements,
+    run_elements,
+)
+from nuno_kernels.forces.springs import FAR, SpringLists, listed_lock, run_constant, run_lock, tensions
+from nuno_kernels.forces.springs import LONGEST as LONGEST_SPRINGS
+from nuno_kernels.lanes.choose import higher, where_greater, where_not_zero
+from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
+
+
+@kernel
+def slope_at(length: Any, k: Any, lock: Any, locks: Any) -> Any:
+    """dT / d|d| of eight springs."""
+    return k if locks is None else k + where_greater(length, lock[1], lock[0])
+
+
+@kernel
+def spring_rows(
+    d: Any, d0: Any, k: Any, rest: Any, damping: Any, lock: Any, locks: Any, floor: float, follow: float
+) -> Any:
+    """alpha and w of eight springs along d, which were along d0; `damping` is c times the rate. All are 0 at length 0.
+
+    alpha is by the tension that is expected, at the length d0.d / |d0|, or |d0| where `follow` is 0.
+    """
+    square, square0 = dot(d, d), dot(d0, d0)
+    inverse = where_not_zero(square, 1.0 / root(square))
+    length0 = root(square0)
+    expected = length0 + follow * where_not_zero(square0, dot(d0, d) / length0 - length0)
+    # A spring of length 0 has no entries, like its force: with any, vertices that lie together would have
+    # different rows, and rounding alone would part them, whereupon the spring throws them apart.
+    across = where_not_zero(square, higher(tensions(expected, k, rest, lock, locks) * inverse, splat(floor)))
+    slope = slope_at(root(square), k, lock, locks)
+    across = slope - higher(slope - across, splat(0.0))
+    size = root(slope - across + damping) * inverse
+    return across, size * d[0], size * d[1], size * d[2]
+
+
+@kernel
+def run_difference(x: Any, i: int, j: int, m: int) -> Any:
+    """x[:, j] - x[:, i] of up to eight that follow each other."""
+    return read(x, 0, j, m) - read(x, 0, i, m), read(x, 1, j, m) - read(x, 1, i, m), read(x, 2, j, m) - read(x, 2, i, m)
+
+
+@kernel
+def listed_difference(x: Any, ends: Any, p: int) -> Any:
+    """x[:, ends[1]] - x[:, ends[0]] of eight listed ones."""
+    return (
+        gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p), gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p),
+        gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p),
+    )  # fmt: skip
+
+
+@kernel
+def fill_spring_runs(
+    runs: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+) -> None:
+    """Write the rows of a block's runs at x (3, n), after a step from `before`."""
+    task, constants, rows = runs.task, runs.constants, linear.rows
+    for t in range(runs.start[block], runs.start[block + 1]):
+        i, j, count, at = task[t, 0], task[t, 1], task[t, 2], task[t, 3]
+        for q in range(0, count, WIDTH):
+            m = min(WIDTH, count - q)
+            place = at if runs.each is None else at + q
+            k, rest = run_constant(0, place, m, constants, runs.each), run_constant(1, place, m, constants, runs.each)
+            c = run_constant(2, place, m, constants, runs.each)
+            lock = run_lock(place, m, constants, runs.each, runs.locks)
+            d, d0 = run_difference(x, i + q, j + q, m), run_difference(before, i + q, j + q, m)
+            found = spring_rows(d, d0, k, rest, rate * c, lock, runs.locks, floor, follow)
+            for row in range(SPRING_ROWS):
+                write(rows, row, linear.column[t] + q, m, found[row])
+
+
+@kernel
+def fill_spring_lists(
+    lists: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+) -> None:
+    """Write the rows of a block's listed springs at x (3, n), after a step from `before`."""
+    ends, constants = lists.ends, lists.constants
+    for p in range(lists.start[block], lists.start[block + 1], WIDTH):
+        d, d0 = listed_difference(x, ends, p), listed_difference(before, ends, p)
+        k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
+        lock = listed_lock(p, constants, 3, lists.locks)
+        found = spring_rows(d, d0, k, rest, rate * c, lock, lists.locks, floor, follow)
+        for row in range(SPRING_ROWS):
+            store(linear.rows, row, p, found[row])
+
+
+@kernel
+def spring_product(a: Any, wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """(alpha I + w w^T) d of eight springs."""
+    s = wx * dx + wy * dy + wz * dz
+    return a * dx + wx * s, a * dy + wy * s, a * dz + wz * s
+
+
+@kernel
+def multiply_spring_runs(runs: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+    """Add the products of a block's runs with u (3, n) to `out` (3, w)."""
+    task, rows = linear.task, linear.rows
+    wait = np.empty((3, LONGEST_SPRINGS + WIDTH))
+    for t in range(linear.start[block], linear.start[block + 1]):
+        i, j, count, side, at = task[t, 0], task[t, 1], task[t, 2], task[t, 4], linear.column[t]
+        near = side == 3 and j - i < FAR
+        for q in range(0, count, WIDTH):
+            m = min(WIDTH, count - q)
+            f = spring_product(
+                read(rows, 0, at + q, m), read(rows, 1, at + q, m), read(rows, 2, at + q, m), read(rows, 3, at + q, m),
+                read(u, 0, i + q, m) - read(u, 0, j + q, m), read(u, 1, i + q, m) - read(u, 1, j + q, m),
+                read(u, 2, i + q, m) - read(u, 2, j + q, m),
+            )  # fmt: skip
+            for row in range(3):
+                if side & 1:
+                    write(out, row, i + q - origin, m, read(out, row, i + q - origin, m) + f[row])
+                if near:
+                    store(wait, row, q, f[row])
+                elif side & 2:
+                    write(out, row, j + q - origin, m, read(out, row, j + q - origin, m) - f[row])
+        if near:
+            for q in range(0, count, WIDTH):
+                m, p = min(WIDTH, count - q), j + q - origin
+                for row in range(3):
+                    write(out, row, p, m, read(out, row, p, m) - load(wait, row, q))
+
+
+@kernel
+def multiply_spring_lists(lists: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+    """Add the products of a block's listed springs with u (3, n) to `out` (3, w)."""
+    ends, rows = linear.indices, linear.rows
+    for p in range(linear.start[block], linear.start[block + 1], WIDTH):
+        f = spring_product(
+            load(rows, 0, p), load(rows, 1, p), load(rows, 2, p), load(rows, 3, p),
+            gather(u, 0, ends, 0, p) - gather(u, 0, ends, 1, p), gather(u, 1, ends, 0, p) - gather(u, 1, ends, 1, p),
+            gather(u, 2, ends, 0, p) - gather(u, 2, ends, 1, p),
+        )  # fmt: skip
+        for row in range(3):
+            add_at(out, row, ends, 2, p, f[row])
+            add_at(out, row, ends, 3, p, 0.0 - f[row])
+
+
+@kernel
+def hinge_rows(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any) -> Any:
+    """sqrt(k cos(angle - rest)) times the gradient of eight hinges' angles at x1, x2 (negative) and x3 (negative).
+
+    With r = 1 / (q1 q2 e^2) as in nuno_kernels.forces.hinges.hinge_forces: |e| / (q1 q2) = |e| e^2 r.
+    """
+    e, d2, d3 = minus(x1, x0), minus(x2, x0), minus(x3, x0)
+    n1, n2 = cross(e, d2), cross(d3, e)
+    ee, q1, q2 = dot(e, e), dot(n1, n1), dot(n2, n2)
+    r = where_greater(q2, FLAT * ee * dot(d3, d3), 1.0 / (q1 * q2 * ee))
+    r = where_greater(q1, FLAT * ee * dot(d2, d2), r)
+    cosine, sine = dot(n1, n2) * root(r * ee), dot(n1, d3) * (ee * root(r))
+    k = higher(k_cos * cosine + k_sin * sine, splat(0.0))
+    size = root(k * ee) * (ee * r)
+    f2, f3 = times(size * q2, n1), times(size * q1, n2)
+    t2, t3 = dot(d2, e) * (r * q1 * q2), dot(d3, e) * (r * q1 * q2)
+    return (
+        t2 * f2[0] + t3 * f3[0], t2 * f2[1] + t3 * f3[1], t2 * f2[2] + t3 * f3[2],
+        f2[0], f2[1], f2[2], f3[0], f3[1], f3[2],
+    )  # fmt: skip
+
+
+@kernel
+def fill_hinge_runs(
+    runs: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+) -> None:
+    """Write the rows of a block's hinge runs at x (3, n)."""
+    task, constants = runs.task, runs.constants
+    for t in range(runs.start[block], runs.start[block + 1]):
+        at = task[t, 5]
+        for q in range(0, task[t, 4], WIDTH):
+            m = min(WIDTH, task[t, 4] - q)
+            found = hinge_rows(
+                run_corner(x, task[t, 0] + q, m), run_corner(x, task[t, 1] + q, m),
+                run_corner(x, task[t, 2] + q, m), run_corner(x, task[t, 3] + q, m),
+                splat(constants[0, at]), splat(constants[1, at]),
+            )  # fmt: skip
+            for row in range(HINGE_ROWS):
+                write(linear.rows, row, linear.column[t] + q, m, found[row])
+
+
+@kernel
+def fill_hinge_lists(
+    lists: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+) -> None:
+    """Write the rows of a block's listed hinges at x (3, n)."""
+    corners, constants = lists.corners, lists.constants
+    for p in range(lists.start[block], lists.start[block + 1], WIDTH):
+        found = hinge_rows(
+            listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p), listed_corner(x, corners, 2, p),
+            listed_corner(x, corners, 3, p), load(constants, 0, p), load(constants, 1, p),
+        )  # fmt: skip
+        for row in range(HINGE_ROWS):
+            store(linear.rows, row, p, found[row])
+
+
+@kernel
+def hinge_product(g: Any, u0: Any, u1: Any, u2: Any, u3: Any) -> Any:
+    """g.u of eight hinges, g given by its nine rows."""
+    a, b, c = minus(u1, u0), minus(u0, u2), minus(u0, u3)
+    return (
+        g[0] * a[0] + g[1] * a[1] + g[2] * a[2] + g[3] * b[0] + g[4] * b[1] + g[5] * b[2]
+        + g[6] * c[0] + g[7] * c[1] + g[8] * c[2]
+    )  # fmt: skip
+
+
+@kernel
+def multiply_hinge_runs(runs: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+    """Add the products of a block's hinge runs with u (3, n) to `out` (3, w); they wait as forces do."""
+    task, rows = linear.task, linear.rows
+    wait = np.empty((12, LONGEST + WIDTH))
+    for t in range(linear.start[block], linear.start[block + 1]):
+        at = linear.column[t]
+        for q in range(0, task[t, 4], WIDTH):
+            m, c = min(WIDTH, task[t, 4] - q), at + q
+            g = (
+                read(rows, 0, c, m), read(rows, 1, c, m), read(rows, 2, c, m), read(rows, 3, c, m), read(rows, 4, c, m),
+                read(rows, 5, c, m), read(rows, 6, c, m), read(rows, 7, c, m), read(rows, 8, c, m),
+            )  # fmt: skip
+            s = hinge_product(
+                g, run_corner(u, task[t, 0] + q, m), run_corner(u, task[t, 1] + q, m),
+                run_corner(u, task[t, 2] + q, m), run_corner(u, task[t, 3] + q, m),
+            )  # fmt: skip
+            for row in range(3):
+                store(wait, row, q, s * (g[3 + row] + g[6 + row] - g[row]))
+                store(wait, 3 + row, q, s * g[row])
+                store(wait, 6 + row, q, 0.0 - s * g[3 + row])
+                store(wait, 9 + row, q, 0.0 - s * g[6 + row])
+        for corner in range(4):
+            if (task[t, 6] >> corner) & 1:
+                for q in range(0, task[t, 4], WIDTH):
+                    m, p = min(WIDTH, task[t, 4] - q), task[t, corner] + q - origin
+                    for row in range(3):
+                        write(out, row, p, m, read(out, row, p, m) + load(wait, 3 * corner + row, q))
+
+
+@kernel
+def multiply_hinge_lists(lists: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+    """Add the products of a block's listed hinges with u (3, n) to `out` (3, w)."""
+    corners, rows = linear.indices, linear.rows
+    for p in range(linear.start[block], linear.start[block + 1], WIDTH):
+        g = (
+            load(rows, 0, p), load(rows, 1, p), load(rows, 2, p), load(rows, 3, p), load(rows, 4, p),
+            load(rows, 5, p), load(rows, 6, p), load(rows, 7, p), load(rows, 8, p),
+        )  # fmt: skip
+        s = hinge_product(
+            g, listed_corner(u, corners, 0, p), listed_corner(u, corners, 1, p),
+            listed_corner(u, corners, 2, p), listed_corner(u, corners, 3, p),
+        )  # fmt: skip
+        for row in range(3):
+            add_at(out, row, corners, 4, p, s * (g[3 + row] + g[6 + row] - g[row]))
+            add_at(out, row, corners, 5, p, s * g[row])
+            add_at(out, row, corners, 6, p, 0.0 - s * g[3 + row])
+            add_at(out, row, corners, 7, p, 0.0 - s * g[6 + row])
+
+
+rows_of_spring_runs, elements_of_spring_runs = linear_runs(SPRING_ROWS, 2), run_elements(2)
+rows_of_hinge_runs, elements_of_hinge_runs = linear_runs(HINGE_ROWS, 4), run_elements(4)
+elements_of_spring_lists, elements_of_hinge_lists = listed_elements(2), listed_elements(4)
+
+
+def rows_of_spring_lists(lists: SpringLists) -> LinearLists:
+    """Room for the rows of listed springs."""
+    return linear_lists(lists.start, lists.ends, SPRING_ROWS)
+
+
+def rows_of_hinge_lists(lists: HingeLists) -> LinearLists:
+    """Room for the rows of listed hinges."""
+    return linear_lists(lists.start, lists.corners, HINGE_ROWS)

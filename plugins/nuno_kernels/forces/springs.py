@@ -1,0 +1,249 @@
+"""Damped springs: f_i += (k (|d| - L) + c (v_j - v_i).d^) d^ and the reverse on j, d = x_j - x_i.
+
+A spring that locks at the strain e has k' from there on: (k' - k) (|d| - (1 + e) L) is added where it is positive.
+A spring of zero length has no direction and exerts no force. Runs of springs whose vertices
+follow each other are read straight from the arrays, the rest through lists of indices; either
+way eight springs are computed at a time, each once per block that owns one of its ends.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.lanes.choose import higher, where_not_zero
+from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.step.blocks import (
+    Long,
+)
+from nuno_kernels.terms import register
+from nuno_schemas.fabric import Float, Int
+
+LONGEST = 256
+"""Springs of a piece of a run: its forces wait in a buffer of 6 kB."""
+
+FAR = 32
+"""Vertices between the ends from which both ends can be updated in one pass: nearer, a read
+would overlap the write just before it and wait for it."""
+
+
+class SpringRuns(NamedTuple):
+    """Runs of springs whose vertices follow each other.
+
+    start     (blocks + 1,) int64  tasks of each block
+    task      (m, 5) int64         first vertex i, first vertex j, springs, column of the constants, and
+                                   the ends to add to (1 the i end, 2 the j end, 3 both)
+    constants (3, r) or (3, s)     k [N/m], rest [m], c [N s/m], one column per run or per spring; where any locks,
+                                   (5, .) with what k grows by [N/m] and the length from which it does [m]
+    each      True where there is one column per spring, else None
+    damped    True where any c is not 0, else None
+    locks     True where any locks, else None
+    """
+
+    start: Long
+    task: Long
+    constants: Float
+    each: bool | None
+    damped: bool | None
+    locks: bool | None
+
+
+class SpringLists(NamedTuple):
+    """Springs by index, padded to whole vectors by springs from a vertex to itself.
+
+    start     (blocks + 1,) int64  places of each block's springs
+    ends      (4, p) int32         vertices i and j, then their columns in the block's forces
+    constants (3, p) or (5, p)     as in SpringRuns
+    damped, locks                  as in SpringRuns
+    """
+
+    start: Long
+    ends: Int
+    constants: Float
+    damped: bool | None
+    locks: bool | None
+
+
+@kernel
+def tensions(length: Any, k: Any, rest: Any, lock: Any, locks: Any) -> Any:
+    """k (|d| - L) of eight springs, and what k grows by times |d| beyond the lock: `lock` holds both."""
+    pull = k * (length - rest)
+    return pull if locks is None else pull + lock[0] * higher(length - lock[1], splat(0.0))
+
+
+@kernel
+def tension_at(length: float, constants: Any, c: int, locks: Any) -> float:
+    """The same of the spring whose constants stand in column c."""
+    pull = constants[0, c] * (length - constants[1, c])
+    if locks is not None:
+        pull += constants[3, c] * max(length - constants[4, c], 0.0)
+    return float(pull)
+
+
+@kernel
+def pull(dx: Any, dy: Any, dz: Any, k: Any, rest: Any, lock: Any, locks: Any) -> Any:
+    """k (|d| - L) / |d|: exactly 0 at the rest length, which k - k L / |d| is not."""
+    square = dx * dx + dy * dy + dz * dz
+    length = root(square)
+    return where_not_zero(square, tensions(length, k, rest, lock, locks) / length)
+
+
+@kernel
+def damped_pull(dx: Any, dy: Any, dz: Any, approach: Any, k: Any, rest: Any, c: Any, lock: Any, locks: Any) -> Any:
+    """(k (|d| - L) + c approach / |d|) / |d| with approach = (v_j - v_i).d."""
+    square = dx * dx + dy * dy + dz * dz
+    length = root(square)
+    inverse = 1.0 / length
+    return where_not_zero(square, (tensions(length, k, rest, lock, locks) + c * (approach * inverse)) * inverse)
+
+
+@kernel
+def run_constant(row: int, at: int, m: int, constants: Any, each: Any) -> Any:
+    """One constant of up to eight springs of a run."""
+    return splat(constants[row, at]) if each is None else read(constants, row, at, m)
+
+
+@kernel
+def run_lock(at: int, m: int, constants: Any, each: Any, locks: Any) -> Any:
+    """What k grows by and from which length of up to eight springs of a run: nothing where none locks.
+
+    Not None, which numba would make an optional of: what is not read costs nothing.
+    """
+    if locks is None:
+        return splat(0.0), splat(0.0)
+    return run_constant(3, at, m, constants, each), run_constant(4, at, m, constants, each)
+
+
+@kernel
+def listed_lock(p: int, constants: Any, row: int, locks: Any) -> Any:
+    """The same of eight listed springs, from this row of their constants on."""
+    if locks is None:
+        return splat(0.0), splat(0.0)
+    return load(constants, row, p), load(constants, row + 1, p)
+
+
+@kernel
+def run_forces(
+    x: Any, v: Any, i: int, j: int, m: int, at: int, constants: Any, each: Any, damped: Any, locks: Any
+) -> Any:
+    """Forces on the i ends of up to eight springs of a run."""
+    dx = read(x, 0, j, m) - read(x, 0, i, m)
+    dy = read(x, 1, j, m) - read(x, 1, i, m)
+    dz = read(x, 2, j, m) - read(x, 2, i, m)
+    k, rest = run_constant(0, at, m, constants, each), run_constant(1, at, m, constants, each)
+    lock = run_lock(at, m, constants, each, locks)
+    if damped is None:
+        w = pull(dx, dy, dz, k, rest, lock, locks)
+    else:
+        c = run_constant(2, at, m, constants, each)
+        approach = (
+            (read(v, 0, j, m) - read(v, 0, i, m)) * dx
+            + (read(v, 1, j, m) - read(v, 1, i, m)) * dy
+            + (read(v, 2, j, m) - read(v, 2, i, m)) * dz
+        )
+        w = damped_pull(dx, dy, dz, approach, k, rest, c, lock, locks)
+    return w * dx, w * dy, w * dz
+
+
+@kernel
+def add_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+    """Add a block's runs to its forces (3, w); `origin` is the block's first vertex."""
+    start, task, constants, each = runs.start, runs.task, runs.constants, runs.each
+    wait = np.empty((3, LONGEST + WIDTH))
+    for t in range(start[block], start[block + 1]):
+        i, j, count, at, side = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4]
+        near = side == 3 and j - i < FAR
+        for q in range(0, count, WIDTH):
+            m = min(WIDTH, count - q)
+            where = at if each is None else at + q
+            f = run_forces(x, v, i + q, j + q, m, where, constants, each, runs.damped, runs.locks)
+            for row in range(3):
+                g = f[row]
+                if side & 1:
+                    write(force, row, i + q - origin, m, read(force, row, i + q - origin, m) + g)
+                if near:
+                    store(wait, row, q, g)
+                elif side & 2:
+                    write(force, row, j + q - origin, m, read(force, row, j + q - origin, m) - g)
+        if near:
+            for q in range(0, count, WIDTH):
+                m = min(WIDTH, count - q)
+                for row in range(3):
+                    p = j + q - origin
+                    write(force, row, p, m, read(force, row, p, m) - load(wait, row, q))
+
+
+@kernel
+def listed_forces(x: Any, v: Any, ends: Any, p: int, constants: Any, damped: Any, locks: Any) -> Any:
+    """Forces on the i ends of eight listed springs."""
+    dx = gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p)
+    dy = gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p)
+    dz = gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p)
+    k = load(constants, 0, p)
+    rest = load(constants, 1, p)
+    lock = listed_lock(p, constants, 3, locks)
+    if damped is None:
+        w = pull(dx, dy, dz, k, rest, lock, locks)
+    else:
+        approach = (
+            (gather(v, 0, ends, 1, p) - gather(v, 0, ends, 0, p)) * dx
+            + (gather(v, 1, ends, 1, p) - gather(v, 1, ends, 0, p)) * dy
+            + (gather(v, 2, ends, 1, p) - gather(v, 2, ends, 0, p)) * dz
+        )
+        w = damped_pull(dx, dy, dz, approach, k, rest, load(constants, 2, p), lock, locks)
+    return w * dx, w * dy, w * dz
+
+
+@kernel
+def add_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+    """Add a block's listed springs to its forces (3, w)."""
+    start, ends, constants = lists.start, lists.ends, lists.constants
+    for p in range(start[block], start[block + 1], WIDTH):
+        fx, fy, fz = listed_forces(x, v, ends, p, constants, lists.damped, lists.locks)
+        add_at(force, 0, ends, 2, p, fx)
+        add_at(force, 1, ends, 2, p, fy)
+        add_at(force, 2, ends, 2, p, fz)
+        add_at(force, 0, ends, 3, p, 0.0 - fx)
+        add_at(force, 1, ends, 3, p, 0.0 - fy)
+        add_at(force, 2, ends, 3, p, 0.0 - fz)
+
+
+def damps(springs: SpringRuns | SpringLists) -> bool:
+    """Whether any spring has a damper."""
+    return springs.damped is not None and bool(springs.constants[2].any())
+
+
+register(
+    SpringRuns,
+    name="springs",
+    block=add_runs,
+    reads_velocity=damps,
+    energy="nuno_kernels.forces.energy:energy_of_spring_runs",
+    tension="nuno_kernels.forces.tension:tension_of_runs",
+    turning="nuno_kernels.forces.tension:turning_of_runs",
+    stiffest="nuno_kernels.forces.tension:stiffest",
+    rows="nuno_kernels.forces.linear:rows_of_spring_runs",
+    elements="nuno_kernels.forces.linear:elements_of_spring_runs",
+    fill="nuno_kernels.forces.linear:fill_spring_runs",
+    diagonal="nuno_kernels.forces.diagonal:sum_spring_runs",
+    multiply="nuno_kernels.forces.linear:multiply_spring_runs",
+    assemble="nuno_kernels.forces.assembly:assemble_springs",
+)
+register(
+    SpringLists,
+    name="springs",
+    block=add_lists,
+    reads_velocity=damps,
+    energy="nuno_kernels.forces.energy:energy_of_spring_lists",
+    tension="nuno_kernels.forces.tension:tension_of_lists",
+    turning="nuno_kernels.forces.tension:turning_of_lists",
+    stiffest="nuno_kernels.forces.tension:stiffest",
+    rows="nuno_kernels.forces.linear:rows_of_spring_lists",
+    elements="nuno_kernels.forces.linear:elements_of_spring_lists",
+    fill="nuno_kernels.forces.linear:fill_spring_lists",
+    diagonal="nuno_kernels.forces.diagonal:sum_spring_lists",
+    multiply="nuno_kernels.forces.linear:multiply_spring_lists",
+    assemble="nuno_kernels.forces.assembly:assemble_springs",
+)

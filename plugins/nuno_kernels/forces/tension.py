@@ -1,0 +1,83 @@
+"""What Newton's method asks of springs: the largest force, and how much of it comes of having turned."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_kernels.forces.springs import SpringLists, SpringRuns, tension_at
+from nuno_kernels.step.blocks import BLOCK
+
+
+@kernel
+def size_of_tension(x: Any, i: int, j: int, constants: Any, c: int, locks: Any) -> float:
+    """|k (|d| - L)|."""
+    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    return abs(tension_at(np.sqrt(dx * dx + dy * dy + dz * dz), constants, c, locks))
+
+
+@kernel
+def tension_of_runs(runs: Any, x: Any) -> float:
+    """The largest over runs."""
+    largest, task, constants = 0.0, runs.task, runs.constants
+    for t in range(task.shape[0]):
+        for q in range(task[t, 2]):
+            c = task[t, 3] if runs.each is None else task[t, 3] + q
+            largest = max(largest, size_of_tension(x, task[t, 0] + q, task[t, 1] + q, constants, c, runs.locks))
+    return largest
+
+
+@kernel
+def tension_of_lists(lists: Any, x: Any) -> float:
+    """The largest over lists."""
+    largest, ends, constants = 0.0, lists.ends, lists.constants
+    for c in range(ends.shape[1]):
+        largest = max(largest, size_of_tension(x, ends[0, c], ends[1, c], constants, c, lists.locks))
+    return largest
+
+
+@kernel
+def turning(x0: Any, x: Any, d: Any, i: int, j: int, constants: Any, c: int, locks: Any) -> float:
+    """(T(|b|) - T(a.b / |a|)) b.(d_j - d_i) / |b|."""
+    ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
+    bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
+    if a == 0.0 or b == 0.0:
+        return 0.0
+    length = (ax * bx + ay * by + az * bz) / a
+    tension = constants[0, c] * (b - length)
+    if locks is not None:
+        tension += constants[3, c] * (max(b - constants[4, c], 0.0) - max(length - constants[4, c], 0.0))
+    return float(tension * (bx * (d[0, j] - d[0, i]) + by * (d[1, j] - d[1, i]) + bz * (d[2, j] - d[2, i])) / b)
+
+
+@kernel
+def turning_of_runs(runs: Any, x0: Any, x: Any, d: Any) -> float:
+    """The sum over runs, each spring once: by the task that adds to its first end."""
+    total, task, constants = 0.0, runs.task, runs.constants
+    for t in range(task.shape[0]):
+        if task[t, 4] & 1:
+            for q in range(task[t, 2]):
+                c = task[t, 3] if runs.each is None else task[t, 3] + q
+                total += turning(x0, x, d, task[t, 0] + q, task[t, 1] + q, constants, c, runs.locks)
+    return total
+
+
+@kernel
+def turning_of_lists(lists: Any, x0: Any, x: Any, d: Any) -> float:
+    """The sum over lists, each spring once: by its first end's block."""
+    total, ends, constants = 0.0, lists.ends, lists.constants
+    for block in range(lists.start.shape[0] - 1):
+        for c in range(lists.start[block], lists.start[block + 1]):
+            if ends[0, c] // BLOCK == block:
+                total += turning(x0, x, d, ends[0, c], ends[1, c], constants, c, lists.locks)
+    return total
+
+
+def stiffest(springs: SpringRuns | SpringLists) -> float:
+    """The greatest stiffness that any spring has [N/m]."""
+    constants = springs.constants
+    k = constants[0] if constants.shape[0] == 3 else constants[0] + np.maximum(constants[3], 0.0)
+    return float(k.max(initial=0.0))

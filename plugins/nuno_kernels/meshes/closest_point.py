@@ -1,0 +1,292 @@
+"""The closest point of a triangle mesh, with the side of it that a point lies on.
+
+Of the four candidates of a triangle, its inside (where the foot of the perpendicular lies in it) and its
+three edges, the nearest is taken. With n = (b - a) x (c - a) and p - a = s (b - a) + t (c - a) + h n,
+
+    s = n . ((p - a) x (c - a)) / n . n,    t = n . ((b - a) x (p - a)) / n . n,
+
+whose error grows with 1 / sin of the triangle's angle at a; the usual solution by dot products squares that.
+Every candidate is a point of the triangle whatever rounding did to s and t, so that even a sliver's error
+stays within its width, and a triangle without area is its edges.
+
+The search starts with the leaf of a triangle that is thought to be near and looks only at boxes that are no
+farther away than the best so far. Of equally near triangles that of the lowest number is taken: the answer does
+not depend on the start, the order of the search or the number of threads, to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numba import prange
+
+from nuno_kernels import forced_inline, kernel, parallel_kernel, threads_available
+from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
+from nuno_kernels.lanes.simd import WIDTH, load, splat
+from nuno_kernels.meshes.tree import Tree, in_eights
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+
+BLOCK = 256
+"""Queries handled together."""
+DEPTH = 96
+"""Nodes that wait to be looked at: at most seven a level, and twelve levels hold 5e11 triangles."""
+FARTHEST = 1e154
+"""Coordinates beyond this have no square."""
+
+
+@forced_inline
+def leaf_distances(px: float, py: float, pz: float, corners: Any, leaf: int) -> Any:
+    """Squared distances [m^2] of a point to a leaf's eight triangles, as a vector."""
+    row = 9 * leaf
+    zero, one = splat(0.0), splat(1.0)
+    ax, ay, az = px - load(corners, row, 0), py - load(corners, row + 1, 0), pz - load(corners, row + 2, 0)
+    bx, by, bz = load(corners, row + 3, 0), load(corners, row + 4, 0), load(corners, row + 5, 0)
+    cx, cy, cz = load(corners, row + 6, 0), load(corners, row + 7, 0), load(corners, row + 8, 0)
+    d, e = bx * ax + by * ay + bz * az, cx * ax + cy * ay + cz * az
+    bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    det = nx * nx + ny * ny + nz * nz
+    u = nx * (ay * cz - az * cy) + ny * (az * cx - ax * cz) + nz * (ax * cy - ay * cx)
+    v = nx * (by * az - bz * ay) + ny * (bz * ax - bx * az) + nz * (bx * ay - by * ax)
+    # Edge a-b, edge a-c, edge b-c; a quotient of an edge without length is NaN, which `higher` makes 0.
+    s = lower(higher(d / bb, zero), one)
+    x, y, z = ax - s * bx, ay - s * by, az - s * bz
+    least = x * x + y * y + z * z
+    t = lower(higher(e / cc, zero), one)
+    x, y, z = ax - t * cx, ay - t * cy, az - t * cz
+    least = lower(x * x + y * y + z * z, least)
+    t = lower(higher((e - bc - (d - bb)) / (bb - 2.0 * bc + cc), zero), one)
+    s = one - t
+    x, y, z = ax - s * bx - t * cx, ay - s * by - t * cy, az - s * bz - t * cz
+    least = lower(x * x + y * y + z * z, least)
+    s, t = u / det, v / det
+    x, y, z = ax - s * bx - t * cx, ay - s * by - t * cy, az - s * bz - t * cz
+    return where_not_negative(lower(lower(u, v), det - u - v), lower(x * x + y * y + z * z, least), least)
+
+
+@forced_inline
+def take_nearest(values: Any, leaf: int, face: Any, best: float, which: int) -> tuple[float, int]:
+    """(squared distance, place) of the best so far and a leaf's eight triangles."""
+    bits = lanes_up_to(values, best)
+    while bits != 0:
+        j = first_lane(bits)
+        bits &= bits - 1
+        value, at = lane(values, j), WIDTH * leaf + j
+        if value < best or (value == best and face[at] < face[which]):
+            best, which = value, at
+    return best, which
+
+
+@kernel
+def find_place(
+    px: float, py: float, pz: float, start: int, root: int, boxes: Any, child: Any, corners: Any, face: Any,
+    waiting: Any, bound: Any,
+) -> int:  # fmt: skip
+    """Place of the nearest triangle of the tree from node `root` on, the search starting with that in place `start`.
+
+    `waiting` (DEPTH,) int64 and `bound` (DEPTH,) are scratch.
+    """
+    zero = splat(0.0)
+    own = start // WIDTH
+    best, which = take_nearest(leaf_distances(px, py, pz, corners, own), own, face, math.inf, start)
+    waiting[0], bound[0] = root, 0.0
+    top = 1
+    while top > 0:
+        top -= 1
+        if bound[top] > best:
+            continue
+        node = waiting[top]
+        if node < 0:
+            leaf = -1 - node
+            if leaf == own:
+                continue
+            best, which = take_nearest(leaf_distances(px, py, pz, corners, leaf), leaf, face, best, which)
+            continue
+        row = 6 * node
+        x = higher(higher(load(boxes, row, 0) - px, px - load(boxes, row + 3, 0)), zero)
+        y = higher(higher(load(boxes, row + 1, 0) - py, py - load(boxes, row + 4, 0)), zero)
+        z = higher(higher(load(boxes, row + 2, 0) - pz, pz - load(boxes, row + 5, 0)), zero)
+        # A share of 64 ulp off: see nuno_kernels.meshes.tree.ROUNDING, which does not cover points that are far away.
+        away = (x * x + y * y + z * z) * (1.0 - 2.0**-46)
+        bits, first = lanes_up_to(away, best), child[node]
+        base = top
+        while bits != 0:
+            j = first_lane(bits)
+            bits &= bits - 1
+            value, k = lane(away, j), top
+            while k > base and bound[k - 1] < value:
+                waiting[k], bound[k] = waiting[k - 1], bound[k - 1]
+                k -= 1
+            waiting[k], bound[k] = first + j if first >= 0 else first - j, value
+            top += 1
+    return which
+
+
+@forced_inline
+def clamp(value: float) -> float:
+    """`value` in [0, 1]; 0 for NaN."""
+    return min(value, 1.0) if value > 0.0 else 0.0
+
+
+@kernel
+def read_triangle(px: float, py: float, pz: float, place: int, corners: Any) -> tuple[float, float, int]:
+    """Coordinates (s, t) of the closest point a + s (b - a) + t (c - a) of a triangle, and where it lies:
+    0 inside, 1 to 3 on the edge a-b, b-c or c-a, 4 to 6 at the corner a, b or c.
+    """
+    row, j = 9 * (place // WIDTH), place % WIDTH
+    ax, ay, az = px - corners[row, j], py - corners[row + 1, j], pz - corners[row + 2, j]
+    bx, by, bz = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
+    cx, cy, cz = corners[row + 6, j], corners[row + 7, j], corners[row + 8, j]
+    d, e = bx * ax + by * ay + bz * az, cx * ax + cy * ay + cz * az
+    bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    det = nx * nx + ny * ny + nz * nz
+    u = nx * (ay * cz - az * cy) + ny * (az * cx - ax * cz) + nz * (ax * cy - ay * cx)
+    v = nx * (by * az - bz * ay) + ny * (bz * ax - bx * az) + nz * (bx * ay - by * ax)
+    best, s, t, part = math.inf, 0.0, 0.0, 4
+    if min(u, v, det - u - v) >= 0.0 and det > 0.0:
+        s, t, part = u / det, v / det, 0
+        x, y, z = ax - s * bx - t * cx, ay - s * by - t * cy, az - s * bz - t * cz
+        best = x * x + y * y + z * z
+    for edge in range(1, 4):
+        if edge == 1:
+            along = clamp(d / bb)
+            es, et = along, 0.0
+        elif edge == 2:
+            along = clamp((e - bc - (d - bb)) / (bb - 2.0 * bc + cc))
+            es, et = 1.0 - along, along
+        else:
+            along = clamp(1.0 - e / cc)
+            es, et = 0.0, clamp(e / cc)
+            along = 1.0 - et
+        x, y, z = ax - es * bx - et * cx, ay - es * by - et * cy, az - es * bz - et * cz
+        value = x * x + y * y + z * z
+        if value < best:
+            best, s, t, part = value, es, et, edge
+            if along == 0.0:
+                part = 3 + edge
+            elif along == 1.0:
+                part = 3 + edge % 3 + 1
+    return s, t, part
+
+
+Answer = tuple[int, float, float, float, float, float, float, float, float, float]
+
+
+@kernel
+def closest(
+    px: float, py: float, pz: float, start: int, root: int, boxes: Any, child: Any, corners: Any, face: Any,
+    faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any, waiting: Any, bound: Any,
+) -> Answer:  # fmt: skip
+    """(place, s, t, closest point, signed distance [m], and the pseudonormal there, of any length)."""
+    place = find_place(px, py, pz, start, root, boxes, child, corners, face, waiting, bound)
+    s, t, part = read_triangle(px, py, pz, place, corners)
+    row, j = 9 * (place // WIDTH), place % WIDTH
+    bx, by, bz = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
+    cx, cy, cz = corners[row + 6, j], corners[row + 7, j], corners[row + 8, j]
+    qx = corners[row, j] + s * bx + t * cx
+    qy = corners[row + 1, j] + s * by + t * cy
+    qz = corners[row + 2, j] + s * bz + t * cz
+    if part == 0:
+        nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    elif part < 4:
+        number = edges[face[place], part - 1]
+        nx, ny, nz = edge_normals[number, 0], edge_normals[number, 1], edge_normals[number, 2]
+    else:
+        number = faces[face[place], part - 4]
+        nx, ny, nz = vertex_normals[number, 0], vertex_normals[number, 1], vertex_normals[number, 2]
+    dx, dy, dz = px - qx, py - qy, pz - qz
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if dx * nx + dy * ny + dz * nz < 0.0:
+        distance = -distance
+    return place, s, t, qx, qy, qz, distance, nx, ny, nz
+
+
+@parallel_kernel
+def find_closest(
+    points: Any, start: Any, boxes: Any, child: Any, corners: Any, face: Any, place: Any, faces: Any, edges: Any,
+    vertex_normals: Any, edge_normals: Any, near: Any, triangle: Any, weights: Any, distance: Any,
+) -> None:  # fmt: skip
+    """The closest points of points (n, 3), blocks of them on several threads: see `closest_points`."""
+    for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
+        waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
+            at, s, t, x, y, z, d, _, _, _ = closest(
+                points[i, 0], points[i, 1], points[i, 2], place[start[i]], 0, boxes, child, corners, face, faces,
+                edges, vertex_normals, edge_normals, waiting, bound,
+            )  # fmt: skip
+            near[i, 0], near[i, 1], near[i, 2] = x, y, z
+            weights[i, 0], weights[i, 1], weights[i, 2] = 1.0 - s - t, s, t
+            triangle[i], distance[i] = face[at], d
+
+
+@dataclass(frozen=True)
+class Closest:
+    """Closest points of a mesh.
+
+    point    (n, 3) [m]
+    face     (n,) int32, the lowest number where several are equally near
+    weights  (n, 3) barycentric coordinates in it
+    distance (n,) [m], negative inside of a closed mesh
+    """
+
+    point: Float
+    face: Int
+    weights: Float
+    distance: Float
+
+
+def closest_points(tree: Tree, points: Float, start: Int | None = None, threads: int | None = None) -> Closest:
+    """The closest points of a mesh to points (n, 3) [m].
+
+    `start` (n,) are the triangles that the search begins with, as of the last time: a good guess bounds
+    it, and a bad one costs time only. `threads` are all that there are unless given; the same bits with any.
+    Raises BadInput for points that are not finite.
+    """
+    points = np.ascontiguousarray(points, np.float64)
+    bad = ~(np.abs(points) <= FARTHEST).all(axis=1)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise BadInput("not a finite position", field=f"points[{first}]", value=points[first].tolist())
+    n = len(points)
+    begin = np.zeros(n, np.int32) if start is None else np.ascontiguousarray(start, np.int32)
+    found = Closest(np.empty((n, 3)), np.empty(n, np.int32), np.empty((n, 3)), np.empty(n))
+    available = threads_available()[0]
+    numba.set_num_threads(max(1, min(threads or available, available)))
+    find_closest(
+        points, begin, tree.boxes, tree.child, tree.corners, tree.face, tree.place, tree.faces, tree.edges,
+        tree.vertex_normals, tree.edge_normals, found.point, found.face, found.weights, found.distance,
+    )  # fmt: skip
+    return found
+
+
+@kernel
+def scan(points: Any, corners: Any, face: Any, triangle: Any, weights: Any, distance: Any) -> None:
+    """Look at every triangle for each point: see `scan_triangles`."""
+    for i in range(points.shape[0]):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        best, which = math.inf, 0
+        for leaf in range(corners.shape[0] // 9):
+            best, which = take_nearest(leaf_distances(px, py, pz, corners, leaf), leaf, face, best, which)
+        s, t, _ = read_triangle(px, py, pz, which, corners)
+        weights[i, 0], weights[i, 1], weights[i, 2] = 1.0 - s - t, s, t
+        triangle[i], distance[i] = face[which], math.sqrt(best)
+
+
+def scan_triangles(points: Float, vertices: Float, faces: Int) -> tuple[Int, Float, Float]:
+    """Triangle (n,) nearest to each of points (n, 3) [m], barycentric coordinates (n, 3) in it, and distance (n,) [m].
+
+    For a few points of a mesh that moves: to build the tree of 20,000 triangles takes as long as to look at all of them
+    for a thousand points. Of equally near triangles that of the lowest number is taken.
+    """
+    filled = np.minimum(np.arange(-(-len(faces) // WIDTH) * WIDTH), len(faces) - 1)
+    a, b, c = (vertices.take(faces[filled, k], axis=0) for k in range(3))
+    corners = in_eights(np.concatenate([a, b - a, c - a], axis=1), 0.0)
+    triangle, weights, distance = np.empty(len(points), np.int32), np.empty((len(points), 3)), np.empty(len(points))
+    scan(np.ascontiguousarray(points), corners, filled.astype(np.int32), triangle, weights, distance)
+    return triangle, weights, distance

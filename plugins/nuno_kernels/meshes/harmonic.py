@@ -1,0 +1,73 @@
+"""A harmonic field on a triangle mesh: as smooth as the values that are given on some vertices allow.
+
+With linear elements the field solves sum_j w_ij (u_i - u_j) = 0 on every other vertex, w_ij = (cot a + cot b) / 2 of
+the two angles opposite to the edge (U. Pinkall, K. Polthier, Computing discrete minimal surfaces and their conjugates,
+Experimental Mathematics 2(1), 1993). It has no extreme but on vertices that are given, so that on a tube between two
+given ends its levels are loops that go round it once and never cross: what planes across an axis do at a bend.
+Weights of obtuse pairs, which may be negative, are raised to a small share of the largest; that keeps this.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_kernels.meshes.normals import edge_numbers
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float, Int
+
+LEAST = 1e-3
+"""Least weight of an edge; equilateral triangles have 0.58."""
+ACCURACY = 1e-8
+"""Residual that the solution is left with, as a share of that at the start."""
+ROUNDS = 20_000
+
+
+def edge_weights(x: Float, faces: Int) -> tuple[Int, Float]:
+    """(e, 2) edges of a mesh and their weights (e,), `LEAST` at least."""
+    numbers, pairs = edge_numbers(faces)
+    corner = x[faces]
+    weight = np.zeros(len(pairs))
+    for k in range(3):
+        # The edge from corner k to the next is opposite to the one after that.
+        a, b = corner[:, k] - corner[:, k - 1], corner[:, (k + 1) % 3] - corner[:, k - 1]
+        sine = np.linalg.norm(np.cross(a, b), axis=1)
+        cosine = (a * b).sum(axis=1)
+        weight += np.bincount(numbers[:, k], 0.5 * cosine / np.maximum(sine, LEAST * np.abs(cosine)), len(pairs))
+    return pairs, np.maximum(weight, LEAST)
+
+
+def solve_harmonic(x: Float, faces: Int, given: Bool, value: Float) -> Float:
+    """(n,) the field that is `value` on the vertices `given` (n,) and harmonic elsewhere.
+
+    Conjugate gradients, preconditioned with the diagonal. Vertices that no edges join to a given one stay 0. Raises
+    BadInput for a mesh on which they do not converge.
+    """
+    pairs, weight = edge_weights(x, faces)
+    used = ~(given[pairs[:, 0]] & given[pairs[:, 1]])
+    (i, j), w, n = pairs[used].T, weight[used], len(x)
+    diagonal = np.maximum(np.bincount(i, w, n) + np.bincount(j, w, n), LEAST)
+
+    def apply(u: Float) -> Float:
+        return np.asarray(diagonal * u - np.bincount(i, w * u[j], n) - np.bincount(j, w * u[i], n))
+
+    u = np.where(given, value, 0.0)
+    residual = np.where(given, 0.0, -apply(u))
+    z = residual / diagonal
+    direction, power = z, float((residual * z).sum())
+    least = ACCURACY**2 * power
+    for _ in range(ROUNDS):
+        if power <= least:
+            return u
+        image = np.where(given, 0.0, apply(direction))
+        step = power / float((direction * image).sum())
+        u = u + step * direction
+        residual = residual - step * image
+        z = residual / diagonal
+        before, power = power, float((residual * z).sum())
+        direction = z + power / before * direction
+    raise BadInput(
+        "no smooth field was found on the mesh, from which a limb's rows follow",
+        value=f"a residual of {np.sqrt(power / least) * ACCURACY:.2g} of the first after {ROUNDS:,} rounds",
+        limit=f"{ACCURACY:g}",
+        remedy="mend or remesh it: its triangles differ too much in size, or are no more than lines",
+    )

@@ -1,0 +1,202 @@
+"""The whole acceleration a(x, v, t), compiled for just the terms that a scene has.
+
+`evaluate` is what every integrator's loop calls: the same source runs compiled, and in plain Python where a force
+is written in Python.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import prange
+
+from nuno_kernels import kernel, parallel_kernel, shared_source
+from nuno_kernels.lanes.simd import WIDTH, load, write
+from nuno_kernels.step.blocks import BLOCK, PADDING
+from nuno_kernels.terms import each, each_block
+from nuno_schemas.fabric import Bool, Float
+
+add_blocks = each("block", "block, origin, x, v, force")
+place = each("place", "x, v, s")
+add_after = each("after", "x, v, s, a, threads")
+settle_bodies = each("settle", "x, v, s, threads")
+hold_bodies = each("hold", "x, v, s, threads")
+slow_bodies = each("slow", "x, v, threads")
+
+
+class Packed(NamedTuple):
+    """A system in the layout of the kernels.
+
+    inverse_mass  (n,) [1/kg], 0 for pinned vertices
+    gravity       (3,) [m/s^2]
+    damping       [1/s], a -= damping v
+    forces        terms that add to the forces block by block (nuno_kernels.terms), and (forces,) which of them act
+    bodies        terms that carry vertices, meet them or hold them, and (bodies,) which of them act
+    threads       None: compiled for one thread; else how many run
+    late          None: all forces go by blocks, and a block is finished while it is in the core's
+                  cache; True: bodies or Python add to the forces afterwards
+    velocity_matters  whether any force reads the velocity
+    moved         whether bodies move vertices or friction's anchors after a step: an acceleration found before is
+                  then not that of the next step's start
+    frozen_damping    [1/s] of a method that takes it at the step's start (rk4_printed)
+    """
+
+    inverse_mass: Float
+    gravity: Float
+    damping: float
+    forces: tuple[Any, ...] = ()
+    forces_on: Bool = np.ones(0, np.bool_)
+    bodies: tuple[Any, ...] = ()
+    bodies_on: Bool = np.ones(0, np.bool_)
+    threads: int | None = None
+    late: bool | None = None
+    velocity_matters: bool = True
+    moved: bool = False
+    frozen_damping: float = 0.0
+
+
+@kernel
+def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
+    """Turn a block's forces into accelerations, in place; pinned vertices get none."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, a.shape[1])
+    for row in range(3):
+        g = gravity[row]
+        for p in range(np.uint64(low), np.uint64(high)):
+            w = inverse_mass[p]
+            own = g - damping * v[row, p]
+            a[row, p] = w * a[row, p] + (own if w > 0.0 else 0.0)
+
+
+@kernel
+def step_block(
+    block: int, x: Any, v: Any, force: Any, dt: float, inverse_mass: Any, gravity: Any, damping: float,
+    to_x: Any, to_v: Any,
+) -> None:  # fmt: skip
+    """A step of symplectic Euler from x, v (3, n) and a block's forces (3, w), with the bits of `finish_block`
+    and `add_twice`, but in one pass.
+    """
+    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    for row in range(3):
+        g = gravity[row]
+        for p in range(np.uint64(low), np.uint64(high)):
+            w = inverse_mass[p]
+            own = g - damping * v[row, p]
+            a = w * force[row, p - np.uint64(low)] + (own if w > 0.0 else 0.0)
+            moved = v[row, p] + dt * a
+            to_v[row, p] = moved
+            to_x[row, p] = x[row, p] + dt * moved
+
+
+class Own(NamedTuple):
+    """What acts on each vertex by itself, the fields of Packed of these names, and the step [s]. Threads take no
+    Packed, which holds tuples of terms.
+    """
+
+    inverse_mass: Float
+    gravity: Float
+    damping: float
+    dt: float
+
+
+@kernel
+def force_block(block: int, forces: Any, on: Any, own: Any, late: Any, x: Any, v: Any, to_x: Any, to_v: Any) -> None:
+    """Forces on a block's vertices, summed in the core's cache: a step of symplectic Euler into to_x, to_v (3, n),
+    or, where dt is 0, accelerations into to_x, newtons if `late`. One function for both: each kind would compile all
+    forces anew.
+    """
+    inverse_mass, gravity, damping, dt = own.inverse_mass, own.gravity, own.damping, own.dt
+    origin = block * BLOCK
+    width = min(BLOCK, x.shape[1] - origin)
+    force = np.zeros((3, width + PADDING))
+    add_blocks(forces, on, block, origin, x, v, force)
+    if dt != 0.0:
+        step_block(block, x, v, force, dt, inverse_mass, gravity, damping, to_x, to_v)
+    else:
+        for q in range(0, width, WIDTH):
+            m = min(WIDTH, width - q)
+            for row in range(3):
+                write(to_x, row, origin + q, m, load(force, row, q))
+        if late is None:
+            finish_block(block, v, to_x, inverse_mass, gravity, damping)
+
+
+force_parallel = each_block(force_block, "own, late, x, v, to_x, to_v")
+
+
+@parallel_kernel
+def finish_parallel(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
+    """Forces in a (3, n) become accelerations [m/s^2], on several threads."""
+    for block in prange((a.shape[1] + BLOCK - 1) // BLOCK):
+        finish_block(block, v, a, inverse_mass, gravity, damping)
+
+
+@kernel
+def add_forces(x: Any, v: Any, s: float, to_x: Any, to_v: Any, dt: float, p: Any, late: Any, threads: Any) -> None:
+    """Forces [N] at fraction s of the frame into to_x (3, n), or accelerations unless `late`, or, where dt is not 0,
+    a whole step into to_x and to_v.
+
+    `late` and `threads` are p's: numba prunes by what is an argument. Puts carried vertices in their place first.
+    The loop over blocks stands here, not in a function of its own: every level of calls is optimised once more with
+    all that it calls.
+    """
+    place(p.bodies, p.bodies_on, x, v, s)
+    own, blocks = Own(p.inverse_mass, p.gravity, p.damping, dt), (x.shape[1] + BLOCK - 1) // BLOCK
+    if threads is None:
+        for block in range(blocks):
+            force_block(block, p.forces, p.forces_on, own, late, x, v, to_x, to_v)
+    else:
+        force_parallel(p.forces, p.forces_on, own, late, x, v, to_x, to_v, blocks)
+    add_after(p.bodies, p.bodies_on, x, v, s, to_x, threads)
+
+
+@kernel
+def finish(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float, late: Any, threads: Any) -> None:
+    """Forces in a (3, n) become accelerations [m/s^2] where they did not at once."""
+    if late is not None:
+        if threads is None:
+            for block in range((a.shape[1] + BLOCK - 1) // BLOCK):
+                finish_block(block, v, a, inverse_mass, gravity, damping)
+        else:
+            finish_parallel(v, a, inverse_mass, gravity, damping)
+
+
+@shared_source
+def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
+    """a (3, n) = acceleration [m/s^2] at x, v (3, n) and fraction s of the frame.
+
+    `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
+    """
+    add_forces(x, v, s, a, a, 0.0, p, p.late, p.threads)
+    if extra is not None:
+        extra(x, v, s, a)
+    finish(v, a, p.inverse_mass, p.gravity, p.damping, p.late, p.threads)
+
+
+@kernel
+def settle(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
+    """After a whole step that ends at fraction s: place carried vertices, update friction anchors."""
+    place(bodies, on, x, v, s)
+    settle_bodies(bodies, on, x, v, s, threads)
+
+
+@kernel
+def hold(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
+    """Hold vertices that have moved up to fraction s of the frame off the bodies that they slide on."""
+    hold_bodies(bodies, on, x, v, s, threads)
+
+
+@kernel
+def slow(x: Any, v: Any, bodies: Any, on: Any, threads: Any) -> None:
+    """Hold velocities off the planes that hold the vertices since they were last held off."""
+    slow_bodies(bodies, on, x, v, threads)
+
+
+@kernel
+def commit(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
+    """After a whole step that ends at fraction s: place carried vertices, hold vertices off the bodies that they slide
+    on, and update friction anchors on the others by where that leaves them.
+    """
+    place(bodies, on, x, v, s)
+    hold_bodies(bodies, on, x, v, s, threads)
+    settle_bodies(bodies, on, x, v, s, threads)

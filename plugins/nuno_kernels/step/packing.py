@@ -1,0 +1,161 @@
+"""From a System to the layout of the kernels, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from nuno_kernels import threads_available
+from nuno_kernels.forces.hinges import pack_hinges
+from nuno_kernels.forces.spring_packing import pack_springs
+from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.terms import kernels_of, role_of
+from nuno_schemas.fabric import Bool, Fabric, Float
+from nuno_schemas.system import System
+
+PARALLEL_FROM = 4096
+"""Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""
+
+T = TypeVar("T")
+Extra = Callable[[Float, Float, float, Float], None]
+
+
+def to_rows(array: Float, out: Float | None = None) -> Float:
+    """(n, 3) -> C-contiguous (3, n) that shares no memory with it.
+
+    Not np.ascontiguousarray: one vertex transposed is contiguous as it is, and would be handed back as a view.
+    """
+    if out is None:
+        return np.array(array.T, np.float64, order="C")
+    out[...] = array.T
+    return out
+
+
+def thread_count(system: System) -> int:
+    """Threads that this system's kernels run on."""
+    if system.fabric.number < PARALLEL_FROM:
+        return 1
+    return max(1, min(system.threads, threads_available()[0]))
+
+
+def pack(system: System) -> Packed:
+    """Kernel layout of a system. Raises BadInput for a force of a type without kernels; those in Python are left to
+    `python_terms`.
+    """
+    fabric = system.fabric
+    given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
+    forces = (*pack_springs(fabric.springs, fabric.number), *pack_hinges(fabric.hinges, fabric.number))
+    forces += (*_pack_yarns(fabric), *(part for part in given if kernels_of(part).block is not None))
+    bodies = (*_pack_carried(system), *(part for part in given if kernels_of(part).block is None))
+    threads = thread_count(system)
+    python = any(term.in_python for term in system.terms)
+    adds = any(kernels_of(part).after is not None for part in bodies)
+    moved = any(kernels_of(part).settle is not None or kernels_of(part).hold is not None for part in bodies)
+    packed = Packed(
+        inverse_mass=np.divide(1.0, fabric.mass, out=np.zeros(fabric.number), where=~fabric.pinned),
+        gravity=np.array(system.gravity, np.float64),
+        damping=float(system.damping),
+        forces=forces,
+        forces_on=np.ones(len(forces), np.bool_),
+        bodies=bodies,
+        bodies_on=np.ones(len(bodies), np.bool_),
+        threads=threads if threads > 1 else None,
+        late=True if python or adds else None,
+        moved=moved,
+    )
+    return packed._replace(velocity_matters=python or reads_velocity(packed))
+
+
+def parts(packed: Packed) -> tuple[str, ...]:
+    """Names of what a step's forces can be told apart into."""
+    felt = [term for term in packed.bodies if kernels_of(term).after is not None]
+    return tuple(dict.fromkeys(kernels_of(term).name for term in (*packed.forces, *felt)))
+
+
+def silence(packed: Packed, *names: str) -> Packed:
+    """The same system, of the same types, in which the terms of these names do nothing.
+
+    Being of the same types, it runs the kernels that are compiled already.
+    """
+
+    def acting(terms: tuple[Any, ...], on: Bool) -> Bool:
+        return on & np.array([kernels_of(term).name not in names for term in terms], np.bool_)
+
+    return packed._replace(
+        forces_on=acting(packed.forces, packed.forces_on), bodies_on=acting(packed.bodies, packed.bodies_on)
+    )
+
+
+def silence_bodies(packed: Packed) -> Packed:
+    """The same system, of the same types, in which no body carries, meets or holds vertices."""
+    return packed._replace(bodies_on=np.zeros_like(packed.bodies_on))
+
+
+def reads_velocity(packed: Packed) -> bool:
+    """Whether any of the compiled forces depends on the velocity, or bodies move vertices after a step: an
+    acceleration found before is then not that of the next step's start.
+    """
+    return packed.damping != 0.0 or packed.moved or any(kernels_of(term).reads_velocity(term) for term in packed.forces)
+
+
+def of_type(packed: Packed, kind: type[T]) -> list[T]:
+    """The forces of a type."""
+    return [term for term in packed.forces if isinstance(term, kind)]
+
+
+def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
+    """What the terms of a system give that have this role (nuno_kernels.terms.Kernels), in their order; those that
+    are silent do nothing.
+    """
+    terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
+    calls = [(role_of(type(term), role), term) for term, on in terms if on]
+    return [call(term, *args) for call, term in calls if call is not None]
+
+
+def _pack_carried(system: System) -> tuple[Any, ...]:
+    """The vertices that frames carry."""
+    if not system.carried:
+        return ()
+    from nuno_kernels.bodies.bindings import make_bindings
+
+    each = [(np.asarray(one.vertices), np.asarray(one.local), np.asarray(one.frame)) for one in system.carried]
+    return (make_bindings(*(np.concatenate(arrays) for arrays in zip(*each, strict=True))),)
+
+
+def _pack_yarns(fabric: Fabric) -> tuple[Any, ...]:
+    """Pairs of links between which tension passes, none where none does: their kernel is then not loaded."""
+    if fabric.yarns is None or fabric.springs is None:
+        return ()
+    from nuno_kernels.forces.yarns import pack_yarns
+
+    found = pack_yarns(fabric.yarns, fabric.springs, fabric.number)
+    return () if found is None else (found,)
+
+
+def own_copy(data: Any) -> Any:
+    """A term's tuple with arrays of its own: anchors and scratch belong to one solver's memory. What is read only
+    is nobody's.
+    """
+    return type(data)(*(value.copy() if isinstance(value, np.ndarray) and value.flags.writeable else value
+                        for value in data))  # fmt: skip
+
+
+def python_terms(system: System, start: float, end: float) -> Extra | None:
+    """One function that adds all forces written in Python to rows, or None where there are none.
+
+    They are called with x, v (n, 3), the time [s] and `out` (n, 3), to which they add newtons.
+    """
+    calls: list[Any] = [term.data for term in system.terms if callable(term.data)]
+    if not calls:
+        return None
+
+    def extra(x: Float, v: Float, s: float, a: Float) -> None:
+        out = np.zeros((x.shape[1], 3))
+        position, velocity = np.array(x.T, order="C"), np.array(v.T, order="C")
+        for call in calls:
+            call(position, velocity, start + s * (end - start), out)
+        a += out.T
+
+    return extra

@@ -1,0 +1,141 @@
+"""Chords between points on a triangle mesh as strings: the shortest way in one plane that stays outside.
+
+The way is the upper hull of the line in which the plane cuts the mesh (nuno_kernels.meshes.section) and of both ends:
+it bends round ridges and goes straight over hollows. All points that it gains lie on edges of the mesh.
+
+The knit paper's way projects the rest of the chord onto every triangle anew, so that the plane turns a
+little at each edge. That way need not arrive: beside the second point it turns round. In one plane it arrives wherever
+the plane's line joins both points.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_kernels import kernel
+from nuno_kernels.meshes.section import STEPS, Joined, edge_share, find_start, follow_section, make_chord
+from nuno_schemas.fabric import Float, Int
+
+
+@kernel
+def upper_hull(count: int, length: float, tolerance: float, u: Any, w: Any, order: Any) -> int:
+    """How many of `count` points (u, w) make the upper hull of them, (0, 0) and (length, 0); order[:..] are those.
+
+    Points that rise above the way without them by no more than `tolerance` [m] are left out.
+    """
+    for k in range(count):
+        place = k
+        while place > 0 and u[order[place - 1]] > u[k]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = k
+    kept = 0
+    for k in range(count + 1):
+        point = order[k] if k < count else -1
+        x, y = (u[point], w[point]) if point >= 0 else (length, 0.0)
+        while kept > 0:
+            bx, by = u[order[kept - 1]], w[order[kept - 1]]
+            ax, ay = (u[order[kept - 2]], w[order[kept - 2]]) if kept > 1 else (0.0, 0.0)
+            if (bx - ax) * (y - ay) < (by - ay) * (x - ax):
+                break
+            kept -= 1
+        if point >= 0:
+            order[kept] = point
+            kept += 1
+    return thin_hull(kept, length, tolerance, u, w, order)
+
+
+@kernel
+def thin_hull(count: int, length: float, tolerance: float, u: Any, w: Any, order: Any) -> int:
+    """Leave points of a hull out as long as all those left out stay within `tolerance` of the way: see upper_hull."""
+    kept, x0, y0, last = 0, 0.0, 0.0, 0
+    for k in range(1, count + 1):
+        x, y = (u[order[k]], w[order[k]]) if k < count else (length, 0.0)
+        for m in range(last, k):
+            a, b = u[order[m]] - x0, w[order[m]] - y0
+            if b * (x - x0) - a * (y - y0) > tolerance * (x - x0):
+                last = k
+                break
+        if last == k:
+            order[kept] = order[k - 1]
+            x0, y0 = u[order[kept]], w[order[kept]]
+            kept += 1
+    return kept
+
+
+LIES, CLEAR, LOST = 1, 0, -1
+"""What became of a chord: laid over the mesh, outside of it as it is, or no way was found."""
+
+
+@kernel
+def lay_chords(
+    begin: int, points: Any, normals: Any, distance: Any, foot: Any, pairs: Any, tolerance: float, vertices: Any,
+    faces: Any, across: Any, ptr: Any, around: Any, status: Any, ends: Any, added: Any, face_of: Any,
+) -> int:  # fmt: skip
+    """Lay chords `begin` and on over the mesh; returns the first that finds no room in `added` any more.
+
+    Chord k gains points added[ends[k]:ends[k + 1]] (.., 3), each on an edge of triangle face_of[..].
+    """
+    u, w = np.empty(STEPS), np.empty(STEPS)
+    met, order = np.empty((STEPS, 2), np.int64), np.empty(STEPS, np.int64)
+    for k in range(begin, pairs.shape[0]):
+        i, j, at = pairs[k, 0], pairs[k, 1], ends[k]
+        if at + STEPS > added.shape[0]:
+            return k
+        ends[k + 1], status[k] = at, CLEAR
+        dx, dy, dz = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+        # No point of a chord is nearer to the mesh than its end less the way from there.
+        if max(distance[i], 0.0) + max(distance[j], 0.0) >= math.sqrt(dx * dx + dy * dy + dz * dz):
+            continue
+        chord = make_chord(points, normals, i, j)
+        start = find_start(chord, foot[i], vertices, faces, ptr, around) if chord.length > 0.0 else -1
+        count = -1
+        if start >= 0:
+            below = 2.0 * max(-distance[i], -distance[j], 0.0)
+            count = follow_section(chord, start, below, vertices, faces, across, u, w, met)
+        if count < 0:
+            status[k] = LOST
+            continue
+        kept = upper_hull(count, chord.length, tolerance, u, w, order)
+        for m in range(kept):
+            face, edge = met[order[m], 0], met[order[m], 1]
+            first, second = faces[face, edge], faces[face, (edge + 1) % 3]
+            t = edge_share(chord, first, second, vertices)
+            for c in range(3):
+                added[at + m, c] = vertices[first, c] + t * (vertices[second, c] - vertices[first, c])
+            face_of[at + m] = face
+        if kept > 0:
+            status[k], ends[k + 1] = LIES, at + kept
+    return int(pairs.shape[0])
+
+
+class Laid(NamedTuple):
+    """Chords over a mesh: status (s,) LIES, CLEAR or LOST; chord k gains points[ptr[k]:ptr[k + 1]] on faces `face`."""
+
+    status: NDArray[np.int8]
+    ptr: NDArray[np.int64]
+    points: Float
+    face: Int
+
+
+def lay_over(
+    mesh: Joined, points: Float, normals: Float, distance: Float, foot: Int, pairs: Int, tolerance: float
+) -> Laid:
+    """Chords between points (n, 3) [m], pairs (s, 2) of them, as strings over a closed mesh.
+
+    normals (n, 3), distance (n,) [m] and foot (n,) are those of the mesh at each point's closest point. Where
+    a chord lies no deeper than `tolerance` [m] it is left as it is.
+    """
+    pairs = np.ascontiguousarray(pairs, np.int64)
+    status, ends = np.zeros(len(pairs), np.int8), np.zeros(len(pairs) + 1, np.int64)
+    added, face = np.empty((len(pairs) + 2 * STEPS, 3)), np.empty(len(pairs) + 2 * STEPS, np.int32)
+    done = 0
+    while done < len(pairs):
+        done = lay_chords(done, points, normals, distance, foot, pairs, tolerance, *mesh, status, ends, added, face)
+        if done < len(pairs):
+            added, face = np.concatenate([added, np.empty_like(added)]), np.concatenate([face, np.empty_like(face)])
+    return Laid(status, ends, added[: ends[-1]].copy(), face[: ends[-1]].copy())

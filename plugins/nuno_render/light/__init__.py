@@ -1,0 +1,1 @@
+"""Lights, the maps that say what they reach, and shading; shared by `raster` and `rays`."""

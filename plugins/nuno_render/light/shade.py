@@ -1,0 +1,190 @@
+"""Light on what each pixel sees, resolved from samples to a picture in linear light.
+
+A pixel's samples are grouped by triangle; each group is shaded once, at the mean place of its
+samples, and weighs as many as it has. That place lies inside the triangle, so nothing is
+extrapolated at silhouettes (centroid sampling), and a smooth surface costs one shading a pixel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_render.compiled import kernel
+from nuno_render.light.light_maps import openness, shadow
+from nuno_render.texture import look_up
+
+# mypy: disable-error-code="no-untyped-def"
+
+SHEEN_ROUGHNESS = 0.4
+BACK_SIDE = 0.82
+"""Albedo of the back of cloth relative to its front: the wrong side of most weaves is duller."""
+BODY_GLOSS = 0.04
+
+
+@kernel
+def corner_planes(clip, a, b, c, out):
+    """What gives the corners' weights at a pixel, into out (3, 3).
+
+    A point sum b_i c_i of homogeneous corners projects to (x, y) where it is parallel to
+    (x, y, 1), so b_i is (c_j x c_k) . (x, y, 1), up to a common factor (Olano and Greer 1997).
+    No division by w: corners behind the eye do no harm. Rows are the cross products.
+    """
+    for k in range(3):
+        i = b if k == 0 else (c if k == 1 else a)
+        j = c if k == 0 else (a if k == 1 else b)
+        out[k, 0] = clip[i, 1] * clip[j, 2] - clip[i, 2] * clip[j, 1]
+        out[k, 1] = clip[i, 2] * clip[j, 0] - clip[i, 0] * clip[j, 2]
+        out[k, 2] = clip[i, 0] * clip[j, 1] - clip[i, 1] * clip[j, 0]
+
+
+@kernel
+def corner_weights(planes, x, y):
+    """Perspective-correct weights (b0, b1, b2) at pixel (x, y); thirds where degenerate."""
+    b0 = planes[0, 0] * x + planes[0, 1] * y + planes[0, 2]
+    b1 = planes[1, 0] * x + planes[1, 1] * y + planes[1, 2]
+    b2 = planes[2, 0] * x + planes[2, 1] * y + planes[2, 2]
+    total = b0 + b1 + b2
+    if total == 0.0:
+        return 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0
+    return b0 / total, b1 / total, b2 / total
+
+
+@kernel
+def sky(up_part, sky_light, ground_light, k):
+    """Irradiance / pi of a hemisphere sky, radiance blending from ground to sky with height:
+    integral of (d.n)+ ((s + g) / 2 + (s - g) / 2 d.up) over directions = (s + g) / 2 + (s - g) n.up / 3.
+    """
+    return 0.5 * (sky_light[k] + ground_light[k]) + (sky_light[k] - ground_light[k]) * up_part / 3.0
+
+
+@kernel
+def _interreflect(free, albedo):
+    """Sky light in a cavity of one colour, all bounces: f / (1 - albedo (1 - f))."""
+    return free / (1.0 - albedo * (1.0 - free))
+
+
+@kernel
+def _sheen(nl, nv, nh):
+    """Charlie sheen (Estevez and Kulla 2017) with the visibility of Neubelt and Pettineo (2013)."""
+    inverse = 1.0 / SHEEN_ROUGHNESS
+    sine = np.sqrt(max(1.0 - nh * nh, 0.0))
+    return (2.0 + inverse) * sine**inverse / (2.0 * np.pi) / (4.0 * (nl + nv - nl * nv) + 1e-6)
+
+
+@kernel
+def surface_light(albedo, n, view, light, light_colour, lit, free, up, sky_light, ground_light, cloth, sheen, out):
+    """Radiance toward the viewer, into out (3,): diffuse key and sky light, and sheen or gloss.
+
+    n, view, light (3,) unit vectors; lit: part of the key light, 0 to 1; free: part of the
+    sky. light_colour (3,) is the radiance of a white diffuse surface that faces the light.
+    """
+    nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
+    nv = max(n[0] * view[0] + n[1] * view[1] + n[2] * view[2], 0.02)
+    hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
+    norm = np.sqrt(hx * hx + hy * hy + hz * hz) + 1e-12
+    nh = max((n[0] * hx + n[1] * hy + n[2] * hz) / norm, 0.0)
+    direct = lit * max(nl, 0.0)
+    highlight, rim = 0.0, 0.0
+    if nl > 0.0 and cloth:
+        highlight = sheen * np.pi * _sheen(nl, nv, nh)
+    elif nl > 0.0:
+        highlight = BODY_GLOSS * 6.0 * nh**24
+    if cloth:
+        rim = 0.35 * sheen * (1.0 - nv) ** 3
+    up_part = n[0] * up[0] + n[1] * up[1] + n[2] * up[2]
+    for k in range(3):
+        tint = 0.25 + 0.75 * albedo[k]
+        ambient = sky(up_part, sky_light, ground_light, k)
+        out[k] = light_colour[k] * direct * (albedo[k] + highlight * tint)
+        out[k] += ambient * (albedo[k] * _interreflect(free, albedo[k]) + rim * tint * free)
+
+
+@kernel
+def _texel(planes, a, b, c, uv, texels, levels, count, x, y, out):
+    """Image of a mesh at pixel (x, y), averaged over the pixel, into out (3,)."""
+    weights = corner_weights(planes, x, y)
+    u = weights[0] * uv[a, 0] + weights[1] * uv[b, 0] + weights[2] * uv[c, 0]
+    v = weights[0] * uv[a, 1] + weights[1] * uv[b, 1] + weights[2] * uv[c, 1]
+    change = (0.0, 0.0, 0.0, 0.0)
+    for step in range(2):
+        weights = corner_weights(planes, x + 1.0 - step, y + step)
+        du = weights[0] * uv[a, 0] + weights[1] * uv[b, 0] + weights[2] * uv[c, 0] - u
+        dv = weights[0] * uv[a, 1] + weights[1] * uv[b, 1] + weights[2] * uv[c, 1] - v
+        change = (change[2], change[3], du, dv)
+    look_up(texels, levels, count, u, v, change[0], change[1], change[2], change[3], out)
+
+
+@kernel
+def _place(weights, a, b, c, positions, normals, eye, p, n, g, view):
+    """Point p, smooth normal n, flat normal g and direction to the eye, each (3,), both normals
+    turned toward the viewer. Returns whether the back of the face is seen.
+    """
+    facing = 0.0
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        g[k] = (positions[b, i] - positions[a, i]) * (positions[c, j] - positions[a, j])
+        g[k] -= (positions[b, j] - positions[a, j]) * (positions[c, i] - positions[a, i])
+        p[k] = weights[0] * positions[a, k] + weights[1] * positions[b, k] + weights[2] * positions[c, k]
+        n[k] = weights[0] * normals[a, k] + weights[1] * normals[b, k] + weights[2] * normals[c, k]
+        view[k] = eye[k] - p[k]
+        facing += view[k] * g[k]
+    turn = -1.0 if facing < 0.0 else 1.0
+    ln = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) + 1e-30
+    lg = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) + 1e-30
+    lv = np.sqrt(view[0] * view[0] + view[1] * view[1] + view[2] * view[2]) + 1e-30
+    for k in range(3):
+        n[k] *= turn / ln
+        g[k] *= turn / lg
+        view[k] /= lv
+    return facing < 0.0
+
+
+@kernel
+def shade_point(f, x, y, clip, scene, textures, eye, lights, maps, skies, sheen, work, out):
+    """Radiance of face f at pixel (x, y), into out (3,). The tuples are those of `resolve`."""
+    positions, normals, albedos, uv, faces, mesh, two_sided = scene
+    texels, levels, counts = textures
+    light, light_colour, up, sky_light, ground_light, spread = lights
+    planes, p, n, g, view, albedo, texel = work[0:3], work[3], work[4], work[5], work[6], work[7], work[8]
+    a, b, c, m = faces[f, 0], faces[f, 1], faces[f, 2], mesh[f]
+    corner_planes(clip, a, b, c, planes)
+    weights = corner_weights(planes, x, y)
+    back = _place(weights, a, b, c, positions, normals, eye, p, n, g, view)
+    dull = BACK_SIDE if back and two_sided[m] else 1.0
+    for k in range(3):
+        albedo[k] = dull * (weights[0] * albedos[a, k] + weights[1] * albedos[b, k] + weights[2] * albedos[c, k])
+    if counts[m] > 0:
+        _texel(planes, a, b, c, uv, texels, levels[m], counts[m], x, y, texel)
+        for k in range(3):
+            albedo[k] *= texel[k]
+    free = openness(p[0], p[1], p[2], n[0], n[1], n[2], skies)
+    lit = 1.0 if n[0] * light[0] + n[1] * light[1] + n[2] * light[2] > 0.0 else 0.0
+    if lit > 0.0 and maps[0].shape[0] > 0:
+        turn = -1.0 if back else 1.0
+        lit = _lit(p, n, a, b, c, weights, positions, normals, turn, maps, spread)
+    surface_light(
+        albedo, n, view, light, light_colour, lit, free, up, sky_light, ground_light, two_sided[m], sheen, out
+    )
+
+
+@kernel
+def _lit(p, n, a, b, c, weights, positions, normals, turn, maps, spread):
+    """Shadow at p, tested from a point on the smooth surface that the normals suggest.
+
+    A coarse mesh's flat faces shadow each other where the interpolated normal still sees the
+    light, which shows as steps along the terminator. The point is raised to the mean of its
+    projections on the corners' tangent planes (Hanika 2021), then by 1.5 texels along n.
+    """
+    depths, disc, basis, centre, scale = maps
+    lift = 1.5 / scale
+    x, y, z = p[0] + lift * n[0], p[1] + lift * n[1], p[2] + lift * n[2]
+    for k in range(3):
+        i = a if k == 0 else (b if k == 1 else c)
+        below = 0.0
+        for d in range(3):
+            below += (p[d] - positions[i, d]) * normals[i, d] * turn
+        if below < 0.0:
+            x -= weights[k] * below * normals[i, 0] * turn
+            y -= weights[k] * below * normals[i, 1] * turn
+            z -= weights[k] * below * normals[i, 2] * turn
+    return shadow(depths, disc, basis, centre, scale, x, y, z, n[0], n[1], n[2], spread)

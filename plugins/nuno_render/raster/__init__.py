@@ -1,0 +1,1 @@
+"""The renderer for meshes: what each sample sees, found by a z-buffer."""

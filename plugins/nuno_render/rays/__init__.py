@@ -1,0 +1,1 @@
+"""Pictures of yarns and of values on bodies, by rays."""

@@ -1,0 +1,87 @@
+"""Light on skin and on yarns.
+
+A yarn is a bundle of fibres along its tangent T. Its highlight is that of Kajiya and Kay (Rendering fur with three
+dimensional textures, SIGGRAPH 1989): light from L leaves it as a cone about T, and is seen from V with
+
+    (sin(T, L) sin(T, V) - T.L T.V)^p = cos(angle between V and the cone)^p,
+
+brightest where T is at right angles to L + V: on a hoop, where its normal plane holds the half vector. Seen round
+the yarn it has the falloff cos(phi / 2) of a mirroring fibre (Marschner et al., Light scattering from human hair
+fibers, SIGGRAPH 2003), phi between L and V about T, so that light from behind makes no highlight. Their diffuse term
+sin(T, L) is Lambert's law integrated over a round fibre; here the normal is known and nothing is left to integrate.
+
+Skin and yarns scatter light inside, which carries it beyond the terminator: (n.L + w) / (1 + w), w larger for red in
+skin, which red light passes best.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_render.compiled import kernel
+from nuno_render.light.shade import sky
+
+# mypy: disable-error-code="no-untyped-def"
+
+SKIN_WRAP = np.array([0.34, 0.20, 0.14])
+YARN_WRAP = 0.45
+GLOSS, SHARPNESS = 0.05, 18.0
+"""Strength and exponent of the skin's own highlight."""
+BOUNCE = 0.55
+"""Of a surface that hides the sky: its light relative to the sky's, before its own colour."""
+
+
+@kernel
+def wrapped(cosine, w):
+    """Lambert's law over a terminator moved by w."""
+    return max((cosine + w) / (1.0 + w), 0.0)
+
+
+@kernel
+def fibre_highlight(t, light, view, sharpness):
+    """Kajiya and Kay's highlight of a fibre along the unit vector t (3,), with the falloff about it; 0 to 1."""
+    tl = t[0] * light[0] + t[1] * light[1] + t[2] * light[2]
+    tv = t[0] * view[0] + t[1] * view[1] + t[2] * view[2]
+    sl, sv = np.sqrt(max(1.0 - tl * tl, 0.0)), np.sqrt(max(1.0 - tv * tv, 0.0))
+    cone = sl * sv - tl * tv
+    if cone <= 0.0:
+        return 0.0
+    lv = light[0] * view[0] + light[1] * view[1] + light[2] * view[2]
+    around = 1.0
+    if sl * sv > 1e-9:
+        around = min(max((lv - tl * tv) / (sl * sv), -1.0), 1.0)
+    return cone**sharpness * np.sqrt(0.5 * (1.0 + around))
+
+
+@kernel
+def ambient_light(albedo, up_part, free, sky_light, ground_light, k):
+    """Sky light that a surface sends on; what hides the sky is of the same colour."""
+    return albedo[k] * sky(up_part, sky_light, ground_light, k) * (free + (1.0 - free) * BOUNCE * albedo[k])
+
+
+@kernel
+def skin_light(albedo, n, view, lights, lit, free, out):
+    """Radiance of skin toward the viewer, into out (3,); lit and free as in shade.surface_light."""
+    light, light_colour, up, sky_light, ground_light = lights[0], lights[1], lights[2], lights[3], lights[4]
+    nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
+    hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
+    norm = np.sqrt(hx * hx + hy * hy + hz * hz) + 1e-12
+    nh = max((n[0] * hx + n[1] * hy + n[2] * hz) / norm, 0.0)
+    gloss = GLOSS * nh**SHARPNESS if nl > 0.0 else 0.0
+    up_part = n[0] * up[0] + n[1] * up[1] + n[2] * up[2]
+    for k in range(3):
+        out[k] = light_colour[k] * lit * (albedo[k] * wrapped(nl, SKIN_WRAP[k]) + gloss)
+        out[k] += ambient_light(albedo, up_part, free, sky_light, ground_light, k)
+
+
+@kernel
+def yarn_light(albedo, n, t, view, lights, lit, free, highlight, sharpness, out):
+    """Radiance of a yarn with normal n and tangent t toward the viewer, into out (3,)."""
+    light, light_colour, up, sky_light, ground_light = lights[0], lights[1], lights[2], lights[3], lights[4]
+    nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
+    shine = highlight * fibre_highlight(t, light, view, sharpness)
+    up_part = n[0] * up[0] + n[1] * up[1] + n[2] * up[2]
+    for k in range(3):
+        tint = 0.35 + 0.65 * albedo[k]
+        out[k] = light_colour[k] * lit * (albedo[k] * wrapped(nl, YARN_WRAP) + shine * tint)
+        out[k] += ambient_light(albedo, up_part, free, sky_light, ground_light, k)

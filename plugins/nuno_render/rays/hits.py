@@ -1,0 +1,194 @@
+"""Where rays o + t d, d a unit vector, meet triangles and capsules.
+
+A capsule is the union of two spheres and the side of a cylinder between them, and convex: a ray enters it where it
+first enters one of the three, and leaves it where it last leaves one. With p = o - a from the axis's end a and
+w = b - a, the ray moved to where it is nearest to a (t counts from there, so that a distant eye costs no digits), the
+side is met where A t^2 + 2 B t + C = 0 with
+
+    A = |d x w|^2,  B = (p x w).(d x w),  C = |p x w|^2 - r^2 w.w,   0 <= w.p + t w.d <= w.w,
+
+and a sphere where t^2 + 2 t p.d + p.p - r^2 = 0. A root of a negative number, and a ray along the axis, give NaN, which
+no comparison takes. The same by dot products, |p|^2 |w|^2 - (p.w)^2, loses the digits of (|w| / r)^2.
+
+Of items that are met at one distance that of the lowest number comes first: what is found depends neither on the
+order of the search nor on the tree, to the last bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
+from nuno_kernels.lanes.simd import WIDTH, load, root, splat
+from nuno_render.compiled import inlined, kernel
+
+# mypy: disable-error-code="no-untyped-def"
+
+DEPTH = 96
+"""Nodes that wait to be looked at: at most seven a level, and twelve levels hold 5e11 items."""
+SLOP = 1.0 + 2.0**-49
+"""Boxes end later by this factor: more than rounding takes off (Ize, Robust BVH ray traversal, JCGT 2(2), 2013)."""
+EDGE = 1e-12
+"""Share of a triangle by which it reaches over its edges, so that no ray passes between two."""
+
+
+@kernel
+def inverse(d):
+    """1 / d, huge where d is 0, so that no product with 0 is NaN."""
+    if abs(d) < 1e-300:
+        return 1e300
+    return 1.0 / d
+
+
+@inlined
+def box_entries(ox, oy, oz, ix, iy, iz, boxes, row):
+    """Distances at which a ray enters a node's eight boxes, NaN where it misses them; (ix, iy, iz) are 1 / d."""
+    ax, bx = (load(boxes, row, 0) - ox) * ix, (load(boxes, row + 3, 0) - ox) * ix
+    ay, by = (load(boxes, row + 1, 0) - oy) * iy, (load(boxes, row + 4, 0) - oy) * iy
+    az, bz = (load(boxes, row + 2, 0) - oz) * iz, (load(boxes, row + 5, 0) - oz) * iz
+    enter = higher(higher(lower(ax, bx), lower(ay, by)), higher(lower(az, bz), splat(0.0)))
+    leave = lower(lower(higher(ax, bx), higher(ay, by)), higher(az, bz)) * SLOP
+    return where_not_negative(leave - enter, enter, splat(np.nan))
+
+
+@inlined
+def capsule_ends(ox, oy, oz, dx, dy, dz, rows, row):
+    """Distances at which a ray enters and leaves a leaf's eight capsules; inf and -inf where it misses."""
+    px, py, pz = ox - load(rows, row, 0), oy - load(rows, row + 1, 0), oz - load(rows, row + 2, 0)
+    wx, wy, wz = load(rows, row + 3, 0), load(rows, row + 4, 0), load(rows, row + 5, 0)
+    radius = load(rows, row + 6, 0)
+    near = splat(0.0) - (px * dx + py * dy + pz * dz)
+    px, py, pz = px + near * dx, py + near * dy, pz + near * dz
+    ww, wd, wp = wx * wx + wy * wy + wz * wz, wx * dx + wy * dy + wz * dz, wx * px + wy * py + wz * pz
+    pd, pp = px * dx + py * dy + pz * dz, px * px + py * py + pz * pz - radius * radius
+    none = splat(np.inf)
+    # The sphere round a, then that round b, whose p is p - w.
+    half = root(pd * pd - pp)
+    enter, leave = lower(splat(0.0) - pd - half, none), higher(half - pd, splat(-np.inf))
+    qd = pd - wd
+    half = root(qd * qd - (pp - 2.0 * wp + ww))
+    enter, leave = lower(splat(0.0) - qd - half, enter), higher(half - qd, leave)
+    ux, uy, uz = py * wz - pz * wy, pz * wx - px * wz, px * wy - py * wx
+    vx, vy, vz = dy * wz - dz * wy, dz * wx - dx * wz, dx * wy - dy * wx
+    a, b = vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+    half = root(b * b - a * (ux * ux + uy * uy + uz * uz - ww * radius * radius))
+    first, last = (splat(0.0) - b - half) / a, (half - b) / a
+    along = wp + first * wd
+    enter = lower(where_not_negative(lower(along, ww - along), first, none), enter)
+    along = wp + last * wd
+    leave = higher(where_not_negative(lower(along, ww - along), last, splat(-np.inf)), leave)
+    return enter + near, leave + near
+
+
+@inlined
+def triangle_entries(ox, oy, oz, dx, dy, dz, rows, row):
+    """Distances at which a ray meets a leaf's eight triangles, NaN where it misses them (Moeller, Trumbore 1997)."""
+    sx, sy, sz = ox - load(rows, row, 0), oy - load(rows, row + 1, 0), oz - load(rows, row + 2, 0)
+    ex, ey, ez = load(rows, row + 3, 0), load(rows, row + 4, 0), load(rows, row + 5, 0)
+    fx, fy, fz = load(rows, row + 6, 0), load(rows, row + 7, 0), load(rows, row + 8, 0)
+    px, py, pz = dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx
+    det = ex * px + ey * py + ez * pz
+    u = (sx * px + sy * py + sz * pz) / det
+    qx, qy, qz = sy * ez - sz * ey, sz * ex - sx * ez, sx * ey - sy * ex
+    v = (dx * qx + dy * qy + dz * qz) / det
+    t = (fx * qx + fy * qy + fz * qz) / det
+    inside = lower(lower(u, v), 1.0 - u - v) + EDGE
+    return where_not_negative(lower(inside, t), t, splat(np.nan))
+
+
+@inlined
+def push_children(entries, limit, first, waiting, bound, top):
+    """Add the children that a ray enters up to `limit` to those that wait, the nearest last; returns their number."""
+    bits, base = lanes_up_to(entries, limit), top
+    while bits != 0:
+        j = first_lane(bits)
+        bits &= bits - 1
+        value, k = lane(entries, j), top
+        while k > base and bound[k - 1] < value:
+            waiting[k], bound[k] = waiting[k - 1], bound[k - 1]
+            k -= 1
+        waiting[k], bound[k] = first + j if first >= 0 else first - j, value
+        top += 1
+    return top
+
+
+@kernel
+def meet_triangle(ox, oy, oz, dx, dy, dz, least, most, tree, waiting, bound):
+    """(triangle, distance) of the first that a ray meets between two distances; (-1, most) where there is none.
+
+    `waiting` (DEPTH,) int64 and `bound` (DEPTH,) are scratch here and below.
+    """
+    best, found = most, -1
+    top = 0
+    if tree.child.shape[0] > 0:
+        waiting[0], bound[0], top = 0, 0.0, 1
+    ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
+    while top > 0:
+        top -= 1
+        if bound[top] > best:
+            continue
+        node = waiting[top]
+        if node >= 0:
+            entries = box_entries(ox, oy, oz, ix, iy, iz, tree.boxes, 6 * node)
+            top = push_children(entries, best, tree.child[node], waiting, bound, top)
+            continue
+        leaf = -1 - node
+        t = triangle_entries(ox, oy, oz, dx, dy, dz, tree.rows, 9 * leaf)
+        bits = lanes_up_to(t, best)
+        while bits != 0:
+            j = first_lane(bits)
+            bits &= bits - 1
+            value, item = lane(t, j), tree.item[WIDTH * leaf + j]
+            if value > least and (value < best or (value == best and item < found)):
+                best, found = value, item
+    return found, best
+
+
+@kernel
+def meet_capsules(ox, oy, oz, dx, dy, dz, most, tree, keep, items, enters, leaves, waiting, bound):
+    """The first `keep` capsules that a ray meets up to a distance, nearest first; returns how many there are.
+
+    items (keep,) int64, enters and leaves (keep,) [m] take them. A capsule in which the ray starts is met at a
+    distance below 0.
+    """
+    count, limit = 0, most
+    top = 0
+    if tree.child.shape[0] > 0:
+        waiting[0], bound[0], top = 0, 0.0, 1
+    ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
+    while top > 0:
+        top -= 1
+        if bound[top] > limit:
+            continue
+        node = waiting[top]
+        if node >= 0:
+            entries = box_entries(ox, oy, oz, ix, iy, iz, tree.boxes, 6 * node)
+            top = push_children(entries, limit, tree.child[node], waiting, bound, top)
+            continue
+        leaf = -1 - node
+        enter, leave = capsule_ends(ox, oy, oz, dx, dy, dz, tree.rows, 7 * leaf)
+        bits = lanes_up_to(enter, limit) & lanes_up_to(splat(0.0) - leave, 0.0)
+        while bits != 0:
+            j = first_lane(bits)
+            bits &= bits - 1
+            count = _keep(
+                lane(enter, j), lane(leave, j), tree.item[WIDTH * leaf + j], keep, items, enters, leaves, count
+            )
+            if count == keep:
+                limit = min(limit, enters[keep - 1])
+    return count
+
+
+@kernel
+def _keep(enter, leave, item, keep, items, enters, leaves, count):
+    """Put a hit in its place among the first `keep`; returns how many there are."""
+    place = count
+    while place > 0 and (enters[place - 1] > enter or (enters[place - 1] == enter and items[place - 1] > item)):
+        place -= 1
+    if place == keep:
+        return count
+    last = min(count, keep - 1)
+    for k in range(last, place, -1):
+        items[k], enters[k], leaves[k] = items[k - 1], enters[k - 1], leaves[k - 1]
+    items[place], enters[place], leaves[place] = item, enter, leave
+    return last + 1

@@ -1,0 +1,137 @@
+"""The pictures `density` and `map`: numbers on the surface of bodies as colours, with a bar that says which."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel
+
+from nuno_render.annotate import annotate
+from nuno_render.config import Legend
+from nuno_render.light.lighting import key_direction, unit
+from nuno_render.raster.plugin import encode_picture
+from nuno_render.rays.map_rows import BACKGROUND, COUNTS, MEANS, ON_FACES, ON_VERTICES, map_rows
+from nuno_render.rays.near import sort_points
+from nuno_render.rays.worn import check_eye, gather_skin
+from nuno_render.rays.yarn_config import MapConfig, grid_of
+from nuno_render.rays.yarns import in_parts
+from nuno_render.sight import sight_of
+from nuno_schemas.colour import colours, parse_hex
+from nuno_schemas.drawing import Camera
+from nuno_schemas.dye_picture import Picture
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.yarn_picture import Progress, SurfaceValues, Worn
+
+LINKS = 5.0
+"""Of a link's mean length: how near points count unless given."""
+MOST = 0.95
+"""Share of what is seen that the colours reach to unless their end is given."""
+
+
+class Map:
+    """Shows values of vertices, faces, or of the points near each place, by their mean."""
+
+    name: ClassVar[str] = "map"
+    Config: ClassVar[type[BaseModel]] = MapConfig
+    curves: ClassVar[bool] = False
+    shows: ClassVar[bool] = True
+
+    def draw(self, config: MapConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
+        """(height, width, 3) uint8 sRGB. Raises BadInput for nothing to show, too, and values of another number."""
+        if worn.values is None:
+            raise BadInput("there are no values to show", remedy="take the pictures density, yarns or lines")
+        return _paint(config, worn, camera, worn.values, MEANS, progress)
+
+
+class Density:
+    """Shows how many points, where yarns cross, are near each place of the skin: the knit paper's figure 18."""
+
+    name: ClassVar[str] = "density"
+    Config: ClassVar[type[BaseModel]] = MapConfig
+    curves: ClassVar[bool] = False
+    shows: ClassVar[bool] = False
+
+    def draw(self, config: MapConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
+        """(height, width, 3) uint8 sRGB. Raises BadInput."""
+        reach = reach_of(config, worn)
+        counted = SurfaceValues("points", np.zeros(len(worn.points)), f"points within {1e3 * reach:.3g} mm")
+        return _paint(config, worn, camera, counted, COUNTS, progress)
+
+
+def reach_of(config: MapConfig, worn: Worn) -> float:
+    """How near points count [m]."""
+    if config.radius is not None:
+        return config.radius
+    d = worn.points[worn.links[:, 1]] - worn.points[worn.links[:, 0]]
+    length = np.sqrt((d * d).sum(axis=1))
+    length = length[np.isfinite(length) & (length > 0.0)]
+    if not len(length):
+        raise BadInput("there are no links whose length says how near is near", field="radius", remedy="give a radius")
+    return LINKS * float(length.mean())
+
+
+def map_values(
+    config: MapConfig, worn: Worn, camera: Camera, shown: SurfaceValues, kind: int, progress: Progress | None = None
+) -> Float:
+    """(h, w, samples, 2): the value at each sample, NaN where there is none and BACKGROUND where no body is, and the
+    cosine of the surface to the light. Raises BadInput.
+    """
+    sight = sight_of(camera)
+    check_eye(worn.bodies, camera)
+    origin = np.asarray(camera.target, np.float64)
+    skin = gather_skin(worn.bodies, origin, config.skin, keep_faces=True)
+    if not len(skin.faces):
+        raise BadInput("there is no body whose surface could show values")
+    counts = {"points": len(worn.points), "vertices": len(skin.x), "faces": len(skin.faces)}
+    if shown.values.shape != (counts[shown.on],):
+        limit = f"({counts[shown.on]},), one for each of the {shown.on}"
+        raise BadInput("values of the wrong shape", field="values", value=shown.values.shape, limit=limit)
+    reach = reach_of(config, worn) if shown.on == "points" else 1.0
+    where = worn.points - origin if shown.on == "points" else np.zeros((0, 3))
+    cells = sort_points(where, shown.values if shown.on == "points" else np.zeros(0), reach)
+    mode = {"points": kind, "vertices": ON_VERTICES, "faces": ON_FACES}[shown.on]
+    columns, rows = grid_of(config.samples)
+    up = unit(np.array(config.up))
+    light = key_direction(config, camera, up)
+    found = np.empty((camera.size[1], camera.size[0], columns * rows, 2))
+    values = np.ascontiguousarray(shown.values, np.float64)
+
+    def draw(first: int, last: int) -> None:
+        map_rows(first, last, sight, (columns, rows, config.seed), light, skin, mode, values, cells, found)
+
+    in_parts(draw, camera.size[1], None, progress)
+    return found
+
+
+def _paint(
+    config: MapConfig, worn: Worn, camera: Camera, shown: SurfaceValues, kind: int, progress: Progress | None
+) -> Picture:
+    """Values as colours of evenly lit bodies, on the plain background."""
+    found = map_values(config, worn, camera, shown, kind, progress)
+    value, cosine = found[..., 0], found[..., 1]
+    seen = value[np.isfinite(value) & (value != BACKGROUND)]
+    low = config.low if config.low is not None else float(seen.min(initial=math.inf))
+    high = config.high if config.high is not None else most_of(seen)
+    if not (math.isfinite(low) and math.isfinite(high)):
+        low, high = 0.0, 1.0
+    if config.low is not None and config.high is not None and not low < high:
+        raise BadInput("the scale has no extent", field="low", value=low, limit=f"less than high, {high:g}")
+    light = colours(value, low, high).reshape(*value.shape, 3)
+    light *= (0.72 + 0.28 * np.maximum(cosine, 0.0))[..., None]
+    top, bottom = (parse_hex(colour) for colour in config.background)
+    s = (np.arange(len(value)) + 0.5) / len(value)
+    s = s * s * (3.0 - 2.0 * s)
+    light = np.where((value == BACKGROUND)[..., None], (top + s[:, None] * (bottom - top))[:, None, None], light)
+    legend = Legend(label=shown.label, low=low, high=high)
+    return annotate(encode_picture(light.mean(axis=2)), config.caption or "", legend)
+
+
+def most_of(seen: Float) -> float:
+    """What MOST of all values above the least are below: of a few places, edges or closed toes, the rest would be
+    dark; and bare skin, which is no part of a knit, does not count.
+    """
+    above = seen[seen > seen.min(initial=math.inf)]
+    return float(np.percentile(above, 100.0 * MOST)) if len(above) else float(seen.max(initial=-math.inf))

@@ -1,0 +1,175 @@
+"""What comes to the eye from skin, from a yarn and from the floor: one ray to the light and one to the sky each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_render.compiled import kernel
+from nuno_render.light.shade import sky
+from nuno_render.rays.crossings import free_way
+from nuno_render.rays.fibre import skin_light, yarn_light
+from nuno_render.sampling import place_sample, scramble
+
+# mypy: disable-error-code="no-untyped-def"
+
+LOW = 0.1
+"""Sine of the least height over skin at which its shadow is looked for. Light that comes lower, or from below, reaches
+it through the skin, whose own body must not hide it.
+"""
+
+
+@kernel
+def across(d, u, v):
+    """Two unit vectors at right angles to the unit vector d, into u and v (Duff et al., JCGT 6(1), 2017)."""
+    sign = 1.0 if d[2] >= 0.0 else -1.0
+    a = -1.0 / (sign + d[2])
+    b = d[0] * d[1] * a
+    u[0], u[1], u[2] = 1.0 + sign * d[0] * d[0] * a, sign * b, -sign * d[0]
+    v[0], v[1], v[2] = b, sign + d[1] * d[1] * a, -d[1]
+
+
+@kernel
+def receive(p, q, n, least, lights, look, skin, threads, sample, hits, work):
+    """(lit, free): shares of the key light at p (3,), and of the sky at q (3,) with unit normal n.
+
+    Light is looked for no lower over the surface than a sine of `least`.
+
+    The light's disc and the cosine-weighted half sphere are each met at one place, which `sample` chooses:
+    (number, columns, rows, pattern of the pixel).
+    """
+    keep, shadows, occlusion = look[1], look[4], look[5]
+    share = 1.0 if look[7] else look[0]
+    number, columns, rows, pattern = sample
+    d, u, v = work[0], work[1], work[2]
+    lit, free = 1.0, 1.0
+    if shadows:
+        x, y = place_sample(number, columns, rows, scramble(pattern, 11))
+        across(lights[0], u, v)
+        far, turn = lights[5] * np.sqrt(x), 2.0 * np.pi * y
+        for k in range(3):
+            d[k] = lights[0][k] + far * (np.cos(turn) * u[k] + np.sin(turn) * v[k])
+        height = n[0] * d[0] + n[1] * d[1] + n[2] * d[2]
+        if height < least:
+            for k in range(3):
+                d[k] += (least - height) * n[k]
+        norm = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        for k in range(3):
+            d[k] /= norm
+        lit = free_way(p, d, skin, threads, share, keep, hits)
+    if occlusion:
+        x, y = place_sample(number, columns, rows, scramble(pattern, 12))
+        across(n, u, v)
+        sine, rise, turn = np.sqrt(x), np.sqrt(1.0 - x), 2.0 * np.pi * y
+        for k in range(3):
+            d[k] = rise * n[k] + sine * (np.cos(turn) * u[k] + np.sin(turn) * v[k])
+        free = free_way(q, d, skin, threads, share, keep, hits)
+    return lit, free
+
+
+@kernel
+def find_weights(p, g, x, a, b, c):
+    """Weights of corners b and c at a point p (3,) of their triangle, and the length of its normal g (3,)."""
+    square, s, r = g[0] * g[0] + g[1] * g[1] + g[2] * g[2] + 1e-300, 0.0, 0.0
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        s += g[k] * ((p[i] - x[a, i]) * (x[c, j] - x[a, j]) - (p[j] - x[a, j]) * (x[c, i] - x[a, i]))
+        r += g[k] * ((x[b, i] - x[a, i]) * (p[j] - x[a, j]) - (x[b, j] - x[a, j]) * (p[i] - x[a, i]))
+    return s / square, r / square, np.sqrt(square)
+
+
+@kernel
+def raise_point(p, g, corners, weights, turn, skin, off, out):
+    """Where rays from a point p (3,) of a triangle with unit normal g start, into out (3,).
+
+    Flat faces would shadow each other where the smooth normal still sees the light: rays start on the smooth surface
+    that the normals suggest (Hanika, Hacking the shadow terminator, 2021), and `off` above it.
+    """
+    for k in range(3):
+        out[k] = p[k] + off * g[k]
+    for m in range(3):
+        corner, weight = corners[m], weights[m]
+        below = 0.0
+        for k in range(3):
+            below += (p[k] - skin.x[corner, k]) * skin.normals[corner, k] * turn
+        if below < 0.0:
+            for k in range(3):
+                out[k] -= weight * below * skin.normals[corner, k] * turn
+
+
+@kernel
+def shade_skin(face, eye, d, t, lights, look, skin, threads, sample, hits, work, out):
+    """Radiance of a body where a ray meets a triangle, into out (3,)."""
+    p, n, g, albedo, view = work[3], work[4], work[5], work[6], work[7]
+    a, b, c = skin.faces[face, 0], skin.faces[face, 1], skin.faces[face, 2]
+    x = skin.x
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        g[k] = (x[b, i] - x[a, i]) * (x[c, j] - x[a, j]) - (x[b, j] - x[a, j]) * (x[c, i] - x[a, i])
+        p[k], view[k] = eye[k] + t * d[k], -d[k]
+    s, r, area = find_weights(p, g, x, a, b, c)
+    turn = -1.0 if g[0] * d[0] + g[1] * d[1] + g[2] * d[2] > 0.0 else 1.0
+    norm = 0.0
+    for k in range(3):
+        n[k] = turn * ((1.0 - s - r) * skin.normals[a, k] + s * skin.normals[b, k] + r * skin.normals[c, k])
+        albedo[k] = (1.0 - s - r) * skin.albedo[a, k] + s * skin.albedo[b, k] + r * skin.albedo[c, k]
+        norm += n[k] * n[k]
+    norm = np.sqrt(norm) + 1e-300
+    for k in range(3):
+        n[k] /= norm
+        g[k] *= turn / area
+    raise_point(p, g, (a, b, c), (1.0 - s - r, s, r), turn, skin, look[6], work[8])
+    lit, free = receive(work[8], work[8], n, LOW, lights, look, skin, threads, sample, hits, work)
+    skin_light(albedo, n, view, lights, lit, free, out)
+
+
+@kernel
+def shade_yarn(item, eye, d, t, lights, look, skin, threads, sample, hits, work, out):
+    """Radiance of a yarn where a ray enters a capsule, into out (3,)."""
+    p, n, view, axis, tangent = work[3], work[4], work[5], work[6], work[7]
+    along, length = 0.0, 0.0
+    for k in range(3):
+        p[k], view[k] = eye[k] + t * d[k], -d[k]
+        axis[k] = threads.end[item, k] - threads.start[item, k]
+        along += axis[k] * (p[k] - threads.start[item, k])
+        length += axis[k] * axis[k]
+    s = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
+    norm, bend, tl = 0.0, 0.0, 0.0
+    for k in range(3):
+        work[8][k] = threads.start[item, k] + s * axis[k]
+        n[k] = p[k] - work[8][k]
+        tangent[k] = (1.0 - s) * threads.first[item, k] + s * threads.last[item, k]
+        norm += n[k] * n[k]
+        bend += tangent[k] * tangent[k]
+    norm, bend = np.sqrt(norm) + 1e-300, np.sqrt(bend) + 1e-300
+    for k in range(3):
+        n[k] /= norm
+        tangent[k] /= bend
+        tl += tangent[k] * lights[0][k]
+    # The light that comes to the yarn is that on the side which faces it: inside it is scattered about.
+    side = np.sqrt(max(1.0 - tl * tl, 0.0)) + 1e-12
+    for k in range(3):
+        work[8][k] += (threads.radius[item] + look[6]) * (lights[0][k] - tl * tangent[k]) / side
+        p[k] += look[6] * n[k]
+    lit, free = receive(work[8], p, n, -2.0, lights, look, skin, threads, sample, hits, work)
+    colour = threads.colour[threads.yarn[item]]
+    yarn_light(colour, n, tangent, view, lights, lit, free, look[2], look[3], out)
+
+
+@kernel
+def shade_floor(eye, d, t, floor, lights, look, skin, threads, sample, hits, work, out):
+    """Radiance of the floor, blended into out (3,), which holds the background."""
+    _, _, centre, radius, albedo = floor
+    p, up = work[3], lights[2]
+    away = 0.0
+    for k in range(3):
+        p[k] = eye[k] + t * d[k]
+        away += (p[k] - centre[k]) ** 2
+    fade = min(max((np.sqrt(away) / radius - 1.0) / 4.0, 0.0), 1.0)
+    fade = fade * fade * (3.0 - 2.0 * fade)
+    if fade >= 1.0:
+        return
+    lit, free = receive(p, p, up, -2.0, lights, look, skin, threads, sample, hits, work)
+    nl = max(up[0] * lights[0][0] + up[1] * lights[0][1] + up[2] * lights[0][2], 0.0)
+    for k in range(3):
+        radiance = albedo[k] * (lights[1][k] * nl * lit + sky(1.0, lights[3], lights[4], k) * free)
+        out[k] += (1.0 - fade) * (radiance - out[k])

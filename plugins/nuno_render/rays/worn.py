@@ -1,0 +1,142 @@
+"""Bodies and yarns as the caster takes them, checked once."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_render.light.lighting import unit
+from nuno_render.rays.hits import DEPTH, meet_triangle
+from nuno_render.rays.tree import RayTree, capsule_tree, triangle_tree
+from nuno_render.scene import check_mesh, vertex_normals
+from nuno_schemas.camera import axes
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.curves import YarnCurves
+from nuno_schemas.drawing import Camera, Mesh
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float, Int
+
+
+class Skin(NamedTuple):
+    """Bodies: a tree, vertices x (n, 3) [m] from the origin, faces (f, 3), unit normals and albedo (n, 3)."""
+
+    tree: RayTree
+    x: Float
+    faces: Int
+    normals: Float
+    albedo: Float
+
+
+class Threads(NamedTuple):
+    """Pieces of yarns: a tree, start, end, and tangents there first, last (i, 3) [m] from the origin, radius (i,) [m],
+    the yarn (i,) int64 that each is of, and the yarns' colour (y, 3) linear.
+    """
+
+    tree: RayTree
+    start: Float
+    end: Float
+    first: Float
+    last: Float
+    radius: Float
+    yarn: NDArray[np.int64]
+    colour: Float
+
+
+def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces: bool = False) -> Skin:
+    """All bodies as one, in `colour` where they bring none.
+
+    Faces with a vertex that is not finite are left out, or, to `keep_faces` as they are numbered, are points.
+    Raises BadInput for arrays of the wrong shape and for face indices out of range.
+    """
+    for number, mesh in enumerate(bodies):
+        check_mesh(mesh, f"bodies[{number}]")
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in bodies)])
+    x = np.concatenate([np.zeros((0, 3)), *(np.asarray(mesh.vertices, np.float64) for mesh in bodies)]) - origin
+    moved = [mesh.faces + start for mesh, start in zip(bodies, starts, strict=False)]
+    faces = np.concatenate([np.zeros((0, 3), np.int32), *moved]).astype(np.int32)
+    finite: Bool = np.logical_and.reduce(np.isfinite(x), axis=1)
+    drawn: Bool = np.logical_and.reduce(finite[faces], axis=1)
+    faces = np.where(drawn[:, None], faces, 0) if keep_faces else np.ascontiguousarray(faces[drawn])
+    x = np.where(finite[:, None], x, 0.0)
+    plain = parse_hex(colour)
+    own = [np.tile(plain, (len(m.vertices), 1)) if m.colours is None else np.asarray(m.colours) for m in bodies]
+    albedo = np.concatenate([np.zeros((0, 3)), *own]).astype(np.float64)
+    normals = vertex_normals(x, faces, np.arange(len(x), dtype=np.int32))
+    return Skin(triangle_tree(x, faces), np.ascontiguousarray(x), faces, normals, np.ascontiguousarray(albedo))
+
+
+def gather_threads(
+    yarns: YarnCurves, origin: Float, radius: float | tuple[float, ...] | None, colour: Float
+) -> Threads:
+    """Pieces of yarns between points that are finite; `radius` [m] of all or of each kind, else their own; colour
+    (y, 3) linear.
+
+    Raises BadInput for a yarn without thickness, and for radii of another number of kinds.
+    """
+    thick = _thickness(yarns, radius)
+    bad = ~((thick > 0.0) & np.isfinite(thick))
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise BadInput(
+            "a yarn without thickness cannot be seen", field=f"yarns.radius[{first}]", value=float(thick[first]),
+            limit="more than 0 m", remedy="give yarns a radius, or the picture one for all: radius: 0.1 mm",
+        )  # fmt: skip
+    points = np.asarray(yarns.points, np.float64) - origin
+    pieces = yarns.segments()
+    pieces = pieces[np.isfinite(points[pieces]).all(axis=1) & np.isfinite(points[pieces + 1]).all(axis=1)]
+    tangents, yarn = tangents_along(points, yarns), yarns.yarn()[pieces]
+    start, end = np.ascontiguousarray(points[pieces]), np.ascontiguousarray(points[pieces + 1])
+    tree = capsule_tree(start, end, thick[yarn])
+    first_tangent, last_tangent = (np.ascontiguousarray(tangents[pieces + k]) for k in (0, 1))
+    return Threads(
+        tree, start, end, first_tangent, last_tangent, np.ascontiguousarray(thick[yarn]), yarn.astype(np.int64),
+        np.ascontiguousarray(colour),
+    )  # fmt: skip
+
+
+def _thickness(yarns: YarnCurves, radius: float | tuple[float, ...] | None) -> Float:
+    """(y,) radii [m]. Raises BadInput for radii of another number of kinds."""
+    if radius is None:
+        return np.asarray(yarns.radius, np.float64)
+    if not isinstance(radius, tuple):
+        return np.full(yarns.number, radius)
+    if len(radius) != len(yarns.names):
+        kinds = f"{len(yarns.names)}: {', '.join(yarns.names)}"
+        raise BadInput(
+            "one radius for each kind of yarn, or one for all", field="yarns.radius", value=len(radius), limit=kinds
+        )
+    return np.array(radius)[yarns.kind]
+
+
+def tangents_along(points: Float, yarns: YarnCurves) -> Float:
+    """(n, 3) unit tangents at the points: of the chord between those beside; a ring goes on where it began."""
+    before, after = np.arange(-1, len(points) - 1), np.arange(1, len(points) + 1)
+    held = np.diff(yarns.ptr) > 1
+    first, last = yarns.ptr[:-1][held], yarns.ptr[1:][held] - 1
+    closed = (last > first + 1) & (yarns.points[first] == yarns.points[last]).all(axis=1)
+    before[first], after[last] = np.where(closed, last - 1, first), np.where(closed, first + 1, last)
+    lone = yarns.ptr[:-1][np.diff(yarns.ptr) == 1]
+    before[lone] = after[lone] = lone
+    chord = points[after] - points[before]
+    length = np.linalg.norm(chord, axis=1, keepdims=True)
+    return np.asarray(np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0))
+
+
+def check_eye(bodies: tuple[Mesh, ...], camera: Camera) -> None:
+    """Raises BadInput where the eye is inside of a closed body: what lies first ahead then shows its back."""
+    forward = np.asarray(axes(camera)[2])
+    closed = tuple(mesh for mesh in bodies if not mesh.two_sided)
+    eye = np.asarray(camera.eye, np.float64)
+    skin = gather_skin(closed, eye, "#000000")
+    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    face, _ = meet_triangle(0.0, 0.0, 0.0, *forward, 0.0, math.inf, skin.tree, waiting, bound)
+    if face >= 0:
+        a, b, c = skin.x[skin.faces[face]]
+        if float(unit(np.cross(b - a, c - a)) @ forward) > 0.0:
+            raise BadInput(
+                "the camera's eye is inside a body", field="camera.eye", value=[round(float(v), 4) for v in eye],
+                remedy="give a larger view.distance, or another target",
+            )  # fmt: skip
