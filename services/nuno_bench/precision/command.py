@@ -54,14 +54,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", metavar="TIME", help="simulated time, instead of the scene's")
     known = f"{', '.join(OBSERVABLES)}; of dye {', '.join(DYE_OBSERVABLES)}"
     parser.add_argument("--observable", metavar="A,B", help=f"what is plotted beside positions (default: all): {known}")
-    executor.add_arguments(parser, "1: what is timed runs alone; with more, errors of points too slow for the budget "
-                           "follow without their times")  # fmt: skip
+    executor.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     """Sweep each scene; 1 where a reference could judge nothing. A solver that diverges is a result."""
     loaded = _check(args)
-    with executor.opened(args, 1) as where:
+    with executor.opened(args) as where:
         return _sweep_all(loaded, args, where)
 
 

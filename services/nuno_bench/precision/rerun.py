@@ -12,7 +12,7 @@ from nuno.viewer.layout import TIMELINE, entity
 from nuno_bench.precision.findings import solvers_of
 from nuno_bench.precision.page import Findings
 from nuno_bench.precision.point import Point
-from nuno_bench.report.rerun import Plane, colour, decades, log_curve, logs, written
+from nuno_bench.report.planes import Plane, colour, decades, log_curve, logs, written
 
 WIDE = 3.0
 """Width of a decade of time, in heights of a decade of error: errors span more of them."""

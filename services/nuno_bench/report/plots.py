@@ -1,9 +1,14 @@
-"""Figures as inline SVG, by matplotlib, in one sober style; failures are marked, never left out."""
+"""Panels of curves as inline SVG, by matplotlib, in one sober style; failures are marked, never left out.
+
+nuno_bench.report.rerun draws the same panels into a rerun file.
+"""
 
 from __future__ import annotations
 
 import io
+import math
 import re
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +19,8 @@ from numpy.typing import NDArray
 from nuno_bench import extras
 
 COLOURS = ("#2f5d8a", "#b3541e", "#3b7d4f", "#7a4a8c", "#8a7a2f", "#555b66", "#2a9d9f", "#c2558f", "#7fa23a", "#5a3a22")
-BAD = "#a3262a"
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
+BAD, INK = "#a3262a", "#1b1d21"
 STYLE = {
     "svg.fonttype": "path",
     "font.family": "serif",
@@ -26,6 +32,9 @@ STYLE = {
     "axes.spines.right": False,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
+    "axes.axisbelow": True,
+    "grid.color": "#e6e8ec",
+    "grid.linewidth": 0.5,
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
     "xtick.color": "#3a3f47",
@@ -38,17 +47,50 @@ STYLE = {
 
 @dataclass(frozen=True)
 class Curve:
-    """A named series; `ended` says why it stops early, and is marked at its last finite point.
+    """A named series x, y (m,), or, where it is `loose`, points without a line.
 
-    colour is an index into COLOURS; a dashed curve pairs with the solid one of the same colour.
+    Where y is infinite, a cross stands above the panel: what happened at x has no place on its axis.
+
+    colour  an index into COLOURS, or #rrggbb; a dashed curve pairs with the solid one of the same colour
+    ended   why it stops early, which is marked at its last finite point
+    marker  matplotlib's mark of each point, of `size` [points]; hollow (m,) says which are not filled
+    spread  (m, 2) smallest and largest x of each point, drawn as a bar
+    labels  (m,) what is said of each point, for a viewer
     """
 
     name: str
     x: NDArray[np.float64]
     y: NDArray[np.float64]
-    colour: int
+    colour: int | str
     dashed: bool = False
     ended: str = ""
+    marker: str = ""
+    size: float = 4.2
+    loose: bool = False
+    hollow: Sequence[bool] = ()
+    spread: Sequence[tuple[float, float]] = ()
+    labels: Sequence[str] = ()
+
+    @property
+    def shade(self) -> str:
+        """Its colour as #rrggbb."""
+        return COLOURS[self.colour % len(COLOURS)] if isinstance(self.colour, int) else self.colour
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves over one pair of axes.
+
+    log   which axes are logarithmic: "", "x", "y" or "xy"
+    rows  names of rows instead of numbers on the y axis: row i is at y = i
+    """
+
+    title: str
+    curves: Sequence[Curve]
+    xlabel: str
+    ylabel: str = ""
+    log: str = ""
+    rows: Sequence[str] = ()
 
 
 def require_matplotlib() -> None:
@@ -56,34 +98,70 @@ def require_matplotlib() -> None:
     extras.require("pages with figures need", ["matplotlib"])
 
 
-def curves(panels: Mapping[str, Sequence[Curve]], xlabel: str, log: Sequence[str] = ()) -> str:
-    """Panels side by side, each named after its quantity; those in `log` have a logarithmic axis.
-
-    Why a curve ends is written in the first panel only, and marked in all.
-    """
+def draw(panels: Sequence[Panel], columns: int = 2, height: float = 3.0, shared: bool = False) -> str:
+    """SVG of panels, so many a row, each so many inches high, with one legend; axes alike where they are `shared`."""
     plt = pyplot()
+    columns = min(columns, len(panels))
+    rows = math.ceil(len(panels) / columns)
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(1, len(panels), figsize=(8.0, 3.1), layout="constrained", squeeze=False)
-        for axis, (name, series) in zip(axes[0], panels.items(), strict=True):
-            for curve in series:
-                _draw(axis, curve, label=axis is axes[0][0])
-            axis.set_title(name)
-            axis.set_xlabel(xlabel)
-            if name in log:
-                axis.set_yscale("log")
-        handles, names = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
-        return svg(figure, "-".join(panels))
+        size, share = (8.0, 0.7 + height * rows), {"sharex": shared, "sharey": shared}
+        figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **share)
+        for axis, panel in zip(axes.flat, panels, strict=False):
+            _draw_panel(axis, panel, first=axis is axes[0][0])
+        for axis in axes.flat[len(panels) :]:
+            axis.set_visible(False)
+        named: dict[str, Any] = {}
+        for axis in axes.flat:
+            handles, names = axis.get_legend_handles_labels()
+            named = dict(zip(names, handles, strict=True)) | named
+        if named:
+            figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=min(5, len(named)))
+        return svg(figure, "-".join(f"{panel.title}-{panel.xlabel}" for panel in panels))
 
 
-def _draw(axis: Any, curve: Curve, label: bool) -> None:
-    finite = np.isfinite(curve.x) & np.isfinite(curve.y)
-    x, y, colour = curve.x[finite], curve.y[finite], COLOURS[curve.colour % len(COLOURS)]
-    axis.plot(x, y, color=colour, linestyle=(0, (4, 2)) if curve.dashed else "-", label=curve.name)
-    if curve.ended and x.size:
-        axis.plot(x[-1:], y[-1:], marker="x", markersize=7, markeredgewidth=1.8, color=BAD, clip_on=False, zorder=5)
-        if label:
-            axis.annotate(curve.ended, (x[-1], y[-1]), (6, -3), textcoords="offset points", color=BAD, fontsize=7.5)
+def _draw_panel(axis: Any, panel: Panel, first: bool) -> None:
+    """Why a curve ends is written in the first panel only, and marked in all."""
+    axis.set_xscale("log" if "x" in panel.log else "linear")
+    axis.set_yscale("log" if "y" in panel.log else "linear")
+    for curve in panel.curves:
+        _draw_curve(axis, curve)
+        seen = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
+        if curve.ended and seen.size:
+            end = (curve.x[seen[-1]], curve.y[seen[-1]])
+            axis.plot(*end, marker="x", markersize=7, markeredgewidth=1.8, color=BAD, clip_on=False, zorder=5)
+            if first:
+                axis.annotate(curve.ended, end, (6, -3), textcoords="offset points", color=BAD, fontsize=7.5)
+    above = any(np.isinf(curve.y).any() for curve in panel.curves)
+    axis.set_title(panel.title, pad=20 if above else None)
+    axis.set_xlabel(panel.xlabel)
+    axis.set_ylabel(panel.ylabel)
+    if panel.rows:
+        axis.set_yticks(range(len(panel.rows)), panel.rows)
+    axis.grid(True, which="major")
+
+
+def _draw_curve(axis: Any, curve: Curve) -> None:
+    x, y, colour = np.asarray(curve.x, float), np.asarray(curve.y, float), curve.shade
+    line = "" if curve.loose else (0, (4, 2)) if curve.dashed else "-"
+    seen = np.isfinite(x) & np.isfinite(y)
+    look = {"color": colour, "marker": curve.marker, "markersize": curve.size}
+    axis.plot(x[seen], y[seen], linestyle=line, label=curve.name, zorder=3, **look)
+    if len(curve.spread):
+        low, high = np.array(curve.spread).T
+        axis.hlines(y[seen], low[seen], high[seen], color=colour, linewidth=0.8)
+    if any(curve.hollow):
+        hollow = seen & np.asarray(curve.hollow, bool)
+        axis.plot(x[hollow], y[hollow], linestyle="", markerfacecolor="white", zorder=4, **look)
+    if (above := np.isinf(y)).any():
+        place = {"transform": axis.get_xaxis_transform(), "clip_on": False, "linestyle": "", "zorder": 4}
+        axis.plot(x[above], np.full(above.sum(), 1.06), marker="x", markersize=5.5, color=colour, **place)
+
+
+def curves(panels: Mapping[str, Sequence[Curve]], xlabel: str, log: Sequence[str] = ()) -> str:
+    """Panels side by side, each named after its quantity; those in `log` have a logarithmic y axis."""
+    return draw(
+        [Panel(name, series, xlabel, log="y" if name in log else "") for name, series in panels.items()], len(panels)
+    )
 
 
 def bars(
@@ -106,10 +184,10 @@ def bars(
             median = float(np.median(values))
             missed = bar is not None and median < bar
             axis.barh(row, median, height=0.62, color=BAD if missed else COLOURS[0], alpha=0.85)
-            axis.plot([min(values), max(values)], [row, row], color="#1b1d21", linewidth=1.0)
+            axis.plot([min(values), max(values)], [row, row], color=INK, linewidth=1.0)
             for value, style in ((bar, "-"), (aim, ":")):
                 if value is not None:
-                    axis.plot([value, value], [row - 0.42, row + 0.42], color="#1b1d21", linestyle=style, linewidth=1.4)
+                    axis.plot([value, value], [row - 0.42, row + 0.42], color=INK, linestyle=style, linewidth=1.4)
         axis.set_yticks(range(len(names)), names)
         axis.set_xlabel(xlabel)
         axis.invert_yaxis()
@@ -137,5 +215,5 @@ def svg(figure: Any, salt: str) -> str:
     plt.close(figure)
     text = stream.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
-    prefix = "f" + re.sub(r"\W", "", salt)[:24]
+    prefix = f"f{zlib.crc32(salt.encode()):x}"
     return re.sub(r'(id="|href="#|url\(#)', lambda match: match[0] + prefix, text)

@@ -1,157 +1,120 @@
-"""Plots in a rerun file: planes with logarithmic axes, and curves.
+"""Panels of curves as a rerun file, the same that nuno_bench.report.plots draws as SVG.
 
-rerun has no logarithmic axes and no plots but over a timeline. So a plane's unit is a decade and it draws its own
-grid, and curves over a timeline are decimal logarithms.
+rerun has no logarithmic axes and no plots but over a timeline. So each panel is a plane of WIDTH by HEIGHT units that
+draws its own frame, and what a point stands for is said where it is pointed at.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nuno.viewer.layout import CURVES, TIMELINE, entity
+from nuno.viewer.layout import entity
 from nuno.viewer.require import part_of
+from nuno_bench.report.plots import Panel
+from nuno_bench.report.result import number
 from nuno_schemas.fabric import Float
 
+WIDTH, HEIGHT, MARGIN = 9.0, 6.0, 1.5
 GRID, INK = [205, 209, 215], [40, 43, 48]
 LEAST = 1e-17
-"""Values below it, such as 0, are drawn there."""
+"""On a logarithmic axis values below it, such as 0, are drawn there."""
 DOT, RULE, LETTER = -4.0, -1.0, -0.1
 """Radii; below 0 they are in points of the screen instead of the plane's units."""
 
 
-@contextmanager
-def written(path: Path, application: str, tabs: Sequence[Any], timeline: str = TIMELINE) -> Iterator[Any]:
-    """A recording to log into, which shows `tabs`; its file gets its name when it is whole."""
+def write(path: Path, application: str, tabs: Mapping[str, Sequence[Panel]]) -> Path:
+    """Log the panels of each tab, and the views that show them; the file gets its name when it is whole."""
     import rerun as rr
     import rerun.blueprint as rrb
 
+    views = [rrb.Grid(*(_view((name, panel.title), panel) for panel in panels), name=name)
+             for name, panels in tabs.items()]  # fmt: skip
     recording = rr.RecordingStream(application, send_properties=False)
-    panels = (rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"))
-    time = rrb.TimePanel(state="collapsed", timeline=timeline)
-    blueprint = rrb.Blueprint(rrb.Tabs(*tabs), *panels, time, auto_views=False, auto_layout=False)
+    closed = (panel(state="collapsed") for panel in (rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel))
+    blueprint = rrb.Blueprint(rrb.Tabs(*views), *closed, auto_views=False, auto_layout=False)
     recording.save(part_of(path), default_blueprint=blueprint)
-    yield recording
+    for name, panels in tabs.items():
+        for panel in panels:
+            _log_panel(recording, (name, panel.title), panel)
     recording.flush(timeout_sec=60.0)
     recording.disconnect()
     part_of(path).replace(path)
+    return path
 
 
-def colour(i: int) -> list[int]:
-    """Of the i-th solver."""
-    return CURVES[i % len(CURVES)]
+def _view(place: Sequence[str], panel: Panel) -> Any:
+    import rerun.blueprint as rrb
+
+    bounds = rrb.VisualBounds2D(x_range=[-MARGIN, WIDTH + 2.0 * MARGIN], y_range=[-HEIGHT - MARGIN, MARGIN])
+    name = f"{panel.title}: {panel.ylabel} over {panel.xlabel}" if panel.ylabel else f"{panel.title}, {panel.xlabel}"
+    return rrb.Spatial2DView(name=name, origin=entity(*place), visual_bounds=bounds, background=[255, 255, 255])
 
 
-def rgb(name: str) -> list[int]:
-    """Of a colour written as #rrggbb."""
-    return [int(name[i : i + 2], 16) for i in (1, 3, 5)]
+class Axis:
+    """Places the values of all curves of a panel between 0 and `length`, and names a few of them at `ticks`."""
+
+    def __init__(self, values: Sequence[float], log: bool, length: float, rows: Sequence[str] = ()) -> None:
+        """Whole decades around the values of a logarithmic axis; with `rows`, row i is at i."""
+        self.log, self.length = log, length
+        scaled = self._scaled(values)
+        scaled = scaled[np.isfinite(scaled)]
+        low, high = (float(scaled.min()), float(scaled.max())) if scaled.size else (0.0, 0.0)
+        if rows:
+            low, high = -0.5, len(rows) - 0.5
+        elif log:
+            low, high = math.floor(low), math.ceil(high)
+        self.low, self.high = (low, high) if high > low else (low - 0.5, low + 0.5)
+        step = max(1, round((high - low) / 8.0))
+        ticks = np.arange(float(len(rows))) if rows else np.linspace(low, high, 5)
+        ticks = np.arange(low, high + 0.5, step) if log and not rows else ticks
+        self.names = list(rows) or [f"1e{tick:g}" if log else number(float(tick)) for tick in ticks]
+        self.ticks = self._placed(ticks)
+
+    def at(self, values: Sequence[float] | Float) -> Float:
+        """Places (m,) of values (m,); what is infinite stands a little above the end."""
+        return self._placed(self._scaled(values))
+
+    def _scaled(self, values: Sequence[float] | Float) -> Float:
+        found = np.asarray(values, float)
+        return np.log10(np.maximum(found, LEAST)) if self.log else found
+
+    def _placed(self, scaled: Float) -> Float:
+        share: Float = (scaled - self.low) / (self.high - self.low)
+        return self.length * np.where(np.isposinf(share), 1.05, share)
 
 
-def decades(values: Iterable[float]) -> tuple[int, int]:
-    """Whole decades around positive values: exponents of ten; values that are not finite do not count."""
-    logs = [math.log10(max(value, LEAST)) for value in values if math.isfinite(value)] or [0.0]
-    return math.floor(min(logs)), math.ceil(max(logs))
+def axes_of(panel: Panel) -> tuple[Axis, Axis]:
+    """Of x and of y."""
+    x, y = np.concatenate([[np.asarray(curve.x, float), np.asarray(curve.y, float)] for curve in panel.curves], axis=1)
+    return Axis(x, "x" in panel.log, WIDTH), Axis(y, "y" in panel.log, HEIGHT, panel.rows)
 
 
-def logs(values: Sequence[float] | Float) -> Float:
-    """log10 of values (m,), none below LEAST."""
-    found: Float = np.log10(np.maximum(np.asarray(values, float), LEAST))
-    return found
-
-
-@dataclass(frozen=True)
-class Plane:
-    """A plane at an entity `place`: exponents of ten from x[0] to x[1] and from y[0] to y[1].
-
-    wide        width of a decade, in heights of one
-    unit        of x, written at its decades
-    rows        names of rows instead of decades of y: row i is at y = i
-    margin      left of the plane, for their names, and `room` right of it, in heights of a decade
-    """
-
-    place: tuple[str, ...]
-    x: tuple[int, int]
-    y: tuple[int, int]
-    wide: float = 1.0
-    unit: str = ""
-    rows: tuple[str, ...] = ()
-    margin: float = 1.2
-    room: float = 1.2
-
-    def at(self, x: Sequence[float] | Float, y: Sequence[float] | Float) -> Float:
-        """(m, 2) places of exponents x and y, (m,) each: rerun's second axis points down."""
-        return np.stack([self.wide * np.asarray(x, float), -np.asarray(y, float)], axis=1)
-
-    def view(self, name: str) -> Any:
-        import rerun.blueprint as rrb
-
-        across = [self.wide * self.x[0] - self.margin, self.wide * self.x[1] + self.room]
-        up = [-self.y[1] - 0.6, -self.y[0] + 0.9]
-        bounds = rrb.VisualBounds2D(x_range=across, y_range=up)
-        return rrb.Spatial2DView(name=name, origin=entity(*self.place), visual_bounds=bounds,
-                                 background=[255, 255, 255])  # fmt: skip
-
-    def draw_grid(self, recording: Any) -> None:
-        """Lines at decades, and what they stand for."""
-        import rerun as rr
-
-        (left, right), (low, high) = self.x, self.y
-        up = [self.at([x, x], [low, high]) for x in range(left, right + 1)]
-        across = [self.at([left, right], [y, y]) for y in range(low, high + 1)]
-        self._log(recording, ("grid",), rr.LineStrips2D(across + up, colors=GRID, radii=-0.5))
-        names = self.rows or [f"1e{y}" for y in range(low, high + 1)]
-        marks = [
-            (self.at([left], [low + i])[0] - [0.5 * self.margin - 0.25, 0.0], name) for i, name in enumerate(names)
-        ]
-        marks += [(self.at([x], [low])[0] + [0.0, 0.35], f"1e{x}{self.unit}") for x in range(left, right + 1)]
-        at, labels = zip(*marks, strict=True)
-        self.draw_words(recording, ("decades",), at, labels)
-
-    def draw_dots(self, recording: Any, what: Sequence[str], points: Float, shade: Sequence[int],
-                  labels: Sequence[str] = ()) -> None:  # fmt: skip
-        """Dots (m, 2), each with a label for when it is pointed at."""
-        import rerun as rr
-
-        dots = rr.Points2D(points, colors=shade, radii=DOT, labels=labels or None, show_labels=False)
-        self._log(recording, what, dots)
-
-    def draw_line(self, recording: Any, what: Sequence[str], points: Float, shade: Sequence[int], label: str = "",
-                  labels: Sequence[str] = ()) -> None:  # fmt: skip
-        """Dots (m, 2), the line through them and its name at its end."""
-        import rerun as rr
-
-        self.draw_dots(recording, what, points, shade, labels)
-        self._log(recording, (*what, "line"), rr.LineStrips2D([points], colors=shade, radii=RULE))
-        if label:
-            self.draw_words(recording, (*what, "name"), [points[-1] + [0.15, 0.15]], [label])
-
-    def draw_rule(self, recording: Any, what: Sequence[str], strips: Sequence[Float], label: str = "") -> None:
-        """Black lines, each (m, 2), the first with a name."""
-        import rerun as rr
-
-        labels = [label, *[""] * (len(strips) - 1)] if label else None
-        shown = rr.LineStrips2D(strips, colors=INK, radii=RULE, labels=labels, show_labels=bool(label))
-        self._log(recording, what, shown)
-
-    def draw_words(self, recording: Any, what: Sequence[str], at: Any, words: Sequence[str]) -> None:
-        import rerun as rr
-
-        shown = rr.Points2D(np.array(at), colors=INK, radii=LETTER, labels=list(words), show_labels=True)
-        self._log(recording, what, shown)
-
-    def _log(self, recording: Any, what: Sequence[str], shown: Any) -> None:
-        recording.log(entity(*self.place, *what), shown, static=True)
-
-
-def log_curve(recording: Any, place: str, label: str, shade: Sequence[int], at: Any, values: Float) -> None:
-    """A curve over a timeline: `at` is its rerun.TimeColumn, values (m,) what is drawn."""
+def _log_panel(recording: Any, place: Sequence[str], panel: Panel) -> None:
+    """A frame with lines at its ticks; dots and line of each curve; right of them its name, in its colour."""
     import rerun as rr
 
-    recording.log(place, rr.SeriesLines(names=label, colors=shade), static=True)
-    recording.send_columns(place, [at], rr.Scalars.columns(scalars=values))
+    def log(shown: Any, *what: str) -> None:
+        recording.log(entity(*place, *what), shown, static=True)
+
+    x, y = axes_of(panel)
+    grid = [[(t, 0.0), (t, -HEIGHT)] for t in x.ticks] + [[(0.0, -t), (WIDTH, -t)] for t in y.ticks]
+    log(rr.LineStrips2D(grid, colors=GRID, radii=-0.5), "grid")
+    marks = [*((t, 0.4) for t in x.ticks), *((-0.7, -t) for t in y.ticks), (0.5 * WIDTH, 1.0)]
+    names = [*x.names, *y.names, panel.xlabel]
+    log(rr.Points2D(marks, colors=INK, radii=LETTER, labels=names, show_labels=True), "ticks")
+    for i, curve in enumerate(panel.curves):
+        shade = [int(curve.shade[k : k + 2], 16) for k in (1, 3, 5)]
+        # rerun's second axis points down.
+        points = np.stack([x.at(curve.x), -y.at(curve.y)], axis=1)
+        seen = np.isfinite(points).all(axis=1)
+        labels = [curve.labels[k] for k in np.flatnonzero(seen).tolist()] if curve.labels else None
+        log(rr.Points2D(points[seen], colors=shade, radii=DOT, labels=labels, show_labels=False), "curves", curve.name)
+        if not curve.loose:
+            log(rr.LineStrips2D([points[seen]], colors=shade, radii=RULE), "curves", curve.name, "line")
+        at, name = [(WIDTH + 0.5, -HEIGHT + 0.4 * i)], curve.name + (f", {curve.ended}" if curve.ended else "")
+        log(rr.Points2D(at, colors=shade, radii=DOT, labels=[name], show_labels=True), "names", curve.name)

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from nuno_bench.report.page import Table
+
 
 @dataclass(frozen=True)
 class Result:
@@ -88,12 +90,4 @@ def number(value: float) -> str:
 
 def text_table(headings: Sequence[str], body: Sequence[Sequence[str]]) -> str:
     """Columns aligned for a screen, numbers to the right."""
-    table = [list(headings), *map(list, body)]
-    widths = [max(len(row[column]) for row in table) for column in range(len(headings))]
-    right = [all(not row[c] or row[c][0] in "-+<>=.0123456789" for row in body) for c in range(len(headings))]
-
-    def line(row: Sequence[str]) -> str:
-        cells = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)]
-        return "  ".join(cells).rstrip()
-
-    return "\n".join([line(table[0]), "  ".join("-" * width for width in widths), *map(line, table[1:])])
+    return Table(headings, body).text()

@@ -32,7 +32,7 @@ MODES_SHARE = 0.25
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
     options.add_seconds(parser, "--budget", 180.0, "wall time for each scene")
-    executor.add_arguments(parser, "all cores")
+    executor.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:

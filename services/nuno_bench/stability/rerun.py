@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nuno.viewer.layout import entity
-from nuno_bench.report.rerun import GRID, Plane, colour, decades, log_curve, logs, rgb, written
+from nuno_bench.report.planes import GRID, Plane, colour, decades, log_curve, logs, rgb, written
 from nuno_bench.stability.drift import Modes
 from nuno_bench.stability.page import AXES
 from nuno_bench.stability.plots import COLOURS, place_of

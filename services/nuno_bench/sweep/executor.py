@@ -1,17 +1,24 @@
-"""Where the points of a sweep are computed: in this process, in several here, or on a Dask cluster.
+"""Where the points of a sweep are computed: in this process, in several of this machine, or on a Dask cluster.
 
-A task is plain data, and what computes it a function of a module: both can be pickled, and neither
-needs a path of this machine. Results are the same bits wherever they come from; only times differ.
+A task is plain data, and what computes it a function of a module: both can be pickled, and neither needs a path of
+this machine. Results are the same bits wherever they come from; only times differ.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+import os
 import platform
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import islice
 from typing import Any, Protocol, TypeVar
 
 from nuno import registry
@@ -22,24 +29,24 @@ Task = TypeVar("Task")
 Found = TypeVar("Found")
 PACKAGES = ("nuno", "numpy", "numba", "llvmlite")
 """Those on which the bits of a result depend."""
+PATIENCE = 60.0
+"""How long nothing may be done before it is asked whether anybody is left who does it [s]."""
 
 
 @dataclass(frozen=True)
 class Lost:
-    """A task whose process was lost as often as it was tried."""
+    """A task whose process was lost whenever it was tried."""
 
     reason: str
 
 
 class Executor(Protocol):
-    """Computes tasks."""
+    """Computes tasks. `where` says in words where; `width` is how many tasks go on at once, now."""
 
     where: str
-    """In words, for a report."""
 
     @property
-    def width(self) -> int:
-        """How many tasks go on at once, now."""
+    def width(self) -> int: ...
 
     def run(
         self, call: Callable[[Task], Found], tasks: Iterable[Task]
@@ -64,6 +71,98 @@ class Here:
             yield task, attempt(call, task)
 
 
+class Processes:
+    """So many processes of this machine, started when there is work for them; they end with this one."""
+
+    def __init__(self, width: int) -> None:
+        self.width, self.where, self._pool = width, f"{width} processes", _start(width)
+
+    def run(
+        self, call: Callable[[Task], Found], tasks: Iterable[Task]
+    ) -> Iterator[tuple[Task, Found | BadInput | Lost]]:
+        def submit(task: Task) -> Future[Any]:
+            try:
+                return self._pool.submit(attempt, call, task)
+            except BrokenProcessPool:
+                self._pool = _start(self.width)
+                return self._pool.submit(attempt, call, task)
+
+        for task, future in as_completed(submit, tasks, lambda: self.width):
+            try:
+                found = future.result()
+            except BrokenProcessPool:
+                # A lost process takes all that its pool was at along, and whose it was is not said: each is
+                # tried again by itself.
+                found = _alone(call, task)
+            yield task, found
+
+    def close(self) -> None:
+        _kill(self._pool)
+
+
+def as_completed(
+    submit: Callable[[Task], Future[Any]],
+    tasks: Iterable[Task],
+    width: Callable[[], int],
+    check: Callable[[], None] = lambda: None,
+) -> Iterator[tuple[Task, Future[Any]]]:
+    """Each task with its future, which is done; at most `width()` go on at once.
+
+    `check` is called where nothing was done for PATIENCE seconds, and raises where nothing will be.
+    """
+    waiting, busy = iter(tasks), dict[Future[Any], Task]()
+    try:
+        while True:
+            for task in islice(waiting, max(0, width() - len(busy))):
+                busy[submit(task)] = task
+            if not busy:
+                return
+            done = wait(busy, PATIENCE, FIRST_COMPLETED).done
+            if not done:
+                check()
+            for future in done:
+                yield busy.pop(future), future
+    finally:
+        for future in busy:
+            future.cancel()
+
+
+def _alone(call: Callable[[Task], Found], task: Task) -> Found | BadInput | Lost:
+    pool = _start(1)
+    try:
+        return pool.submit(attempt, call, task).result()
+    except BrokenProcessPool:
+        return Lost("its process was lost twice, the second time with no other beside it (out of memory?)")
+    finally:
+        _kill(pool)
+
+
+def _start(width: int) -> ProcessPoolExecutor:
+    # Fresh interpreters: compiled kernels' threads do not survive a fork.
+    return ProcessPoolExecutor(width, multiprocessing.get_context("spawn"), _begin)
+
+
+def _begin() -> None:
+    """A process ends with the one that started it, whose part it is to handle an interrupt."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow, daemon=True).start()
+
+
+def _follow() -> None:
+    if (parent := multiprocessing.parent_process()) is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _kill(pool: ProcessPoolExecutor) -> None:
+    """End its processes, whatever they are at; a shutdown would wait for them (Python 3.14 has kill_workers)."""
+    processes = list((pool._processes or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.kill()
+        process.join()
+
+
 def attempt(call: Callable[[Task], Found], task: Task) -> Found | BadInput:
     """What `call` makes of a task, or why the task is refused."""
     try:
@@ -82,9 +181,8 @@ def versions() -> dict[str, str]:
     return found
 
 
-def add_arguments(parser: argparse.ArgumentParser, jobs: str) -> None:
-    """`jobs` says what the default is."""
-    parser.add_argument("--jobs", type=int, metavar="N", help=f"processes on this machine (default: {jobs})")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--jobs", type=int, metavar="N", help="processes on this machine (default: all cores)")
     parser.add_argument(
         "--dask", metavar="ADDRESS", help="a Dask scheduler whose workers compute the points: tcp://HOST:8786"
     )
@@ -99,8 +197,8 @@ def check(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def opened(args: argparse.Namespace, jobs: int = 0) -> Iterator[Executor]:
-    """The executor that the arguments ask for; `jobs` (0: all cores) where they ask for none.
+def opened(args: argparse.Namespace) -> Iterator[Executor]:
+    """The executor that the arguments ask for, all cores where they ask for none.
 
     Raises BadInput, within seconds, where a cluster cannot be reached or has another version of nuno.
     """
@@ -110,9 +208,7 @@ def opened(args: argparse.Namespace, jobs: int = 0) -> Iterator[Executor]:
         from nuno_bench.sweep.cluster import Cluster
 
         made = Cluster(args.dask)
-    elif (number := args.jobs or jobs or machine.cores()) > 1:
-        from nuno_bench.sweep.local import Processes
-
+    elif (number := args.jobs or machine.cores()) > 1:
         made = Processes(number)
     else:
         yield Here()

@@ -6,7 +6,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,22 +24,18 @@ class Kept:
 
         Raises BadInput where it is another sweep's, and where nothing can be written.
         """
-        self.path = path
-        self.lines: list[dict[str, Any]] = self._read(identity) if resume and path.is_file() else []
+        self.path, head, self.lines = path, dict(identity), list[dict[str, Any]]()
+        if resume and path.is_file():
+            for line in path.read_text(encoding="utf-8").split("\n"):
+                # The last line may be half written; what it held is measured again.
+                with suppress(ValueError):
+                    self.lines.append(json.loads(line))
+            before = self.lines.pop(0) if self.lines else {}
+            if other := [name for name, value in head.items() if before.get(name) != value]:
+                raise BadInput("what was kept belongs to another sweep", str(path), None, "--resume", ", ".join(other),
+                               remedy="leave --resume out, or give another --out")  # fmt: skip
         require_place(path)
-        text = [json.dumps(dict(identity)), *map(json.dumps, self.lines)]
-        path.write_text("\n".join(text) + "\n", encoding="utf-8")
-
-    def _read(self, identity: Mapping[str, Any]) -> list[dict[str, Any]]:
-        head, *lines = self.path.read_text(encoding="utf-8").split("\n")
-        before = _object(head) or {}
-        other = [name for name, value in identity.items() if before.get(name) != value]
-        if other:
-            remedy = "leave --resume out, or give another --out"
-            raise BadInput("what was kept belongs to another sweep", str(self.path), None, "--resume",
-                           ", ".join(other), remedy=remedy)  # fmt: skip
-        # The last line may be half written; what it held is measured again.
-        return [data for line in lines if (data := _object(line)) is not None]
+        path.write_text("".join(json.dumps(line) + "\n" for line in (head, *self.lines)), encoding="utf-8")
 
     def add(self, data: Mapping[str, Any]) -> None:
         with self.path.open("a", encoding="utf-8") as stream:
@@ -72,11 +68,3 @@ def hint(path: Path) -> Iterator[None]:
     except (KeyboardInterrupt, RunFailed):
         print(f"what is finished is kept in {path}; --resume goes on from there", file=sys.stderr)
         raise
-
-
-def _object(line: str) -> dict[str, Any] | None:
-    try:
-        data = json.loads(line)
-    except ValueError:
-        return None
-    return data if isinstance(data, dict) else None

@@ -30,25 +30,18 @@ class Packed:
     @property
     def digest(self) -> str:
         """Of everything but the name: what a sweep's results belong to."""
-        hasher = hashlib.blake2b(digest_size=16)
-        for part in (self.text.encode(), *(item.encode() for item in self.overrides)):
-            hasher.update(b"%d:" % len(part) + part)
-        for name, content in self.files:
-            hasher.update(b"%d:%d:" % (len(name.encode()), len(content)) + name.encode() + content)
-        return hasher.hexdigest()
+        return hashlib.blake2b(repr((self.text, self.overrides, self.files)).encode(), digest_size=16).hexdigest()
 
 
 def pack(path: Path, overrides: Sequence[str] = ()) -> Packed:
     """Read a scene and the files that it names. Raises BadInput for a scene that is refused."""
-    loaded = scene_file.read(path, overrides)
-    files = []
-    for name, place in sorted(assets(loaded).items()):
+    files = sorted(assets(scene_file.read(path, overrides)).items())
+    for name, _ in files:
         if Path(name).is_absolute():
             remedy = "name it from the scene's folder on"
             raise BadInput("a file is named by a path of this machine alone", str(path), value=name, remedy=remedy)
-        files.append((name, place.read_bytes()))
-    text = path.read_text(encoding="utf-8-sig")
-    return Packed(str(path), text, tuple(overrides), tuple(files))
+    content = tuple((name, place.read_bytes()) for name, place in files)
+    return Packed(str(path), path.read_text(encoding="utf-8-sig"), tuple(overrides), content)
 
 
 @contextmanager
@@ -58,10 +51,8 @@ def unpacked(packed: Packed, overrides: Sequence[str] = ()) -> Iterator[Loaded]:
     A name such as `../mesh.obj` was refused when the scene was packed: no file lands outside the folder.
     """
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-        for name, content in packed.files:
-            target = Path(folder) / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(content)
         scene = Path(folder) / "scene.yaml"
-        scene.write_text(packed.text, encoding="utf-8")
+        for name, content in (*packed.files, (scene.name, packed.text.encode())):
+            (target := Path(folder) / name).parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(content)
         yield scene_file.read(scene, [*packed.overrides, *overrides], named=packed.name)

@@ -23,7 +23,7 @@ from nuno_schemas.errors import BadInput
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="cases by name or its beginning (default: all)")
     options.add_shared(parser, "--solvers", "--resume", "--out", "--json", "--html", "--rrd", "--docs")
-    executor.add_arguments(parser, "all cores")
+    executor.add_arguments(parser)
     parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from nuno_bench.report.planes import Plane, colour, decades, logs, rgb, written
 from nuno_bench.report.plots import BAD
-from nuno_bench.report.rerun import Plane, colour, decades, logs, rgb, written
 from nuno_bench.validation.laws.base import Outcome
 from nuno_bench.validation.page import fitted, short
 from nuno_bench.validation.suite import Part
