@@ -64,6 +64,11 @@ def describe() -> dict[str, str]:
     }
 
 
+def about(others: Others, **more: str) -> dict[str, str]:
+    """What a report says of how it was made: the command, the machine, what else it was doing, and `more`."""
+    return {"command": command(), **more, **describe(), "load": others.describe()}
+
+
 def _layer() -> str:
     try:
         return f"threading layer {numba.threading_layer()}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,3 +57,9 @@ def require_repeats(repeats: int) -> None:
     """Raises BadInput for none."""
     if repeats < 1:
         raise BadInput("at least one repeat is needed", field="--repeats", value=repeats)
+
+
+def require_budget(seconds: float) -> None:
+    """Raises BadInput for a wall time [s] in which nothing can be done."""
+    if not (seconds > 0.0 and math.isfinite(seconds)):
+        raise BadInput("a sweep needs time", field="--budget", value=seconds, limit="more than 0 s")

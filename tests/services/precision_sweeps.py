@@ -8,7 +8,6 @@ from pathlib import Path
 from nuno_bench.precision import command as precision
 from nuno_bench.precision.page import Findings
 from nuno_bench.precision.point import Point
-from nuno_bench.sweep import executor
 
 FLAGS = ("--repeats", "1", "--budget", "600")
 
@@ -21,8 +20,7 @@ def arguments(path: Path, *flags: str) -> argparse.Namespace:
 
 def swept(path: Path, *flags: str) -> Findings:
     args = arguments(path, *flags)
-    with executor.opened(args, 1) as where:
-        return precision.sweep_scene(precision._check(args)[0], args, where)
+    return precision.sweep_scene(precision._check(args)[0], args)
 
 
 def points_of(found: Findings, solver: str) -> list[Point]:

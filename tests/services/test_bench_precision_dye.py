@@ -17,7 +17,7 @@ from nuno import registry
 from nuno.cli import main as nuno_main
 from nuno.scene import scene_file
 from nuno_bench.precision.findings import fit_order
-from nuno_bench.precision.page import orders_of
+from nuno_bench.precision.page import orders
 from nuno_bench.problem.dye import AMOUNTS, DyeProblem, make_dye_problem
 from nuno_bench.problem.dye_reference import make_dye_reference
 from nuno_bench.problem.observe import Series
@@ -119,7 +119,7 @@ def test_errors_fall_at_the_order_of_each_solver(tmp_path: Path) -> None:
         seen = fit_order(points_of(found, solver), AMOUNTS, found.floors[AMOUNTS].l2)
         assert seen == pytest.approx(order, abs=0.1), solver
     assert {point.order for point in points_of(found, "extrapolated")} == {2}
-    nominal = {row[0]: row[2] for row in orders_of(found)}
+    nominal = {row[0]: row[2] for row in orders(found).rows}
     assert nominal["extrapolated"] == "2" and nominal["explicit"] in ("1", "not stated")
 
 

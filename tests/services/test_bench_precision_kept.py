@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +12,11 @@ from precision_sweeps import FLAGS, arguments, swept
 
 from nuno.cli import main as nuno_main
 from nuno_bench.precision import command as precision
-from nuno_bench.precision.errors import POSITIONS, find_scales
-from nuno_bench.precision.findings import choice_rows
 from nuno_bench.precision.page import Findings
-from nuno_bench.precision.point import Kept, Point
+from nuno_bench.precision.point import Point
 from nuno_bench.precision.settings import choose_solvers
-from nuno_bench.precision.sweep import Runner, Sweep, run_sweep, start_sweep
-from nuno_bench.precision.untimed import UNTIMED, run_untimed
-from nuno_bench.sweep import executor
-from nuno_bench.sweep.packed import pack
+from nuno_bench.precision.sweep import Runner, Sweep, run_sweep
+from nuno_bench.sweep.kept import Kept
 from nuno_schemas.errors import BadInput
 
 SOLVERS = "rk4,leapfrog,tr_bdf2"
@@ -83,11 +78,12 @@ def test_a_slow_solver_takes_no_fast_ones_place(tmp_path: Path, monkeypatch: pyt
 
     def measure(self: Runner, solver: Any, setting: Any, *times: float) -> Point:
         order.append(solver.name)
-        return self._point(solver, setting, "done", "", (setting.work * costs[solver.name],))
+        seconds = (setting.work * {"rk4": 40.0, "leapfrog": 0.1}[solver.name],)
+        return Point(solver.name, setting.label, "", 0, setting.finer, setting.beyond, "done", "", seconds, {}, {})
 
     problem = problem_of(write_net(tmp_path))
     reference = reference_of(problem)
-    runner = Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
+    runner = Runner(problem, reference, problem.scales(reference.run.series), 21, 1)
     solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
     costs = {"rk4": 40.0, "leapfrog": 0.1}
     sweep = Sweep(costs=costs)
@@ -106,31 +102,6 @@ def test_a_budget_leaves_finer_points_out_by_name(tmp_path: Path, found: Finding
     assert dropped and all("budget" in one.reason for one in small.sweep.omitted)
     assert dropped.isdisjoint(kept)
     assert dropped | kept == {p.key for p in found.points}
-
-
-def test_points_too_slow_for_the_budget_are_computed_beside_each_other_without_times(
-    tmp_path: Path, found: Findings
-) -> None:
-    """With the same bits as alone, and no word on how fast they are."""
-    path = write_net(tmp_path)
-    args, told = arguments(path, "--jobs", "2"), list[str]()
-    problem = problem_of(path)
-    reference = reference_of(problem)
-    runner = Runner(problem, reference, find_scales(problem, reference.run.series), 21, 1)
-    solvers, _ = choose_solvers(problem, ["rk4", "leapfrog"])
-    sweep = start_sweep(problem, solvers, told.append)
-    kept = Kept(tmp_path / "kept", {}, False)
-    run_sweep(sweep, runner, solvers, kept, 1e-9, told.append)
-    assert sweep.points == [] and len(sweep.unaffordable) > 8
-    with executor.opened(args, 1) as where:
-        run_untimed(sweep, runner, pack(path, ["allow_unstable=true"]), kept, 60.0, where, told.append)
-    alone = {point.key: point for point in found.points}
-    assert {point.key for point in sweep.points} == {key for key in alone if key[0] in ("rk4", "leapfrog")}
-    assert all(point == replace(alone[point.key], seconds=()) for point in sweep.points)
-    assert all(UNTIMED in one.reason for one in sweep.omitted)
-    assert choice_rows(sweep.points, POSITIONS, 0.0) == []
-    page = precision.write(tmp_path / "page", replace(found, sweep=sweep))[0].read_text()
-    assert all(point.setting in page for point in sweep.points)
 
 
 def test_a_place_that_cannot_be_written_is_refused_before_a_reference_is_computed(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from nuno.cli import main as nuno_main
 from nuno_bench import machine
 from nuno_bench.precision.errors import POSITIONS
 from nuno_bench.precision.findings import fit_order
-from nuno_bench.precision.page import Findings, orders_of, own_sentence
+from nuno_bench.precision.page import Findings, orders, own_sentence
 from nuno_bench.precision.point import Point
 from nuno_bench.problem.dye import AMOUNTS
 from nuno_bench.report.result import number
@@ -94,7 +94,7 @@ def test_an_implicit_solver_keeps_its_own_residual(tmp_path: Path) -> None:
     without = [point for point in found.points if point.setting not in labels]
     slope = fit_order(without, POSITIONS, found.floors[POSITIONS].l2)
     assert slope == pytest.approx(1.0, abs=0.1)
-    assert orders_of(found)[0][3] == f"{slope:.2f}", "what the own residual leaves is no error of the step"
+    assert orders(found).rows[0][3] == f"{slope:.2f}", "what the own residual leaves is no error of the step"
 
 
 def test_a_solver_that_the_scene_leaves_open_is_the_one_that_is_chosen(tmp_path: Path) -> None:

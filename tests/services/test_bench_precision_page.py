@@ -16,9 +16,9 @@ from rrd import columns
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
 from nuno_bench.precision import command as precision
-from nuno_bench.precision.errors import POSITIONS, Error, find_scales, measure_errors
+from nuno_bench.precision.errors import POSITIONS, Error, measure_errors
 from nuno_bench.precision.findings import choice_rows, judge
-from nuno_bench.precision.page import Findings
+from nuno_bench.precision.page import Findings, over_frames, over_wall_time, tabs
 from nuno_bench.precision.point import Point
 
 SOLVERS = "rk4,leapfrog,tr_bdf2"
@@ -37,7 +37,7 @@ def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, 
     assert "Positions cannot be compared" in page and page.count("<svg") == 1
     problem = problem_of(write_net(tmp_path))
     run = reference_of(problem).run.series
-    assert set(measure_errors(run, run, find_scales(problem, run), 1)) == {"energy", "centre", "drop", "strain"}
+    assert set(measure_errors(run, run, problem.scales(run), 1)) == {"energy", "centre", "drop", "strain"}
 
 
 def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
@@ -54,22 +54,25 @@ def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
 
 def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="needs nuno[view]")
-    from nuno_bench.precision import rerun
+    from nuno_bench.report import rerun
 
     found = swept(write_net(tmp_path), "--solvers", "rk4,leapfrog")
-    path = rerun.write(tmp_path / "line.rrd", [found])
+    path = rerun.write(tmp_path / "line.rrd", "test", tabs([found]))
     assert not list(tmp_path.glob("*.part"))
-    curves = {place: [row[0] for row in rows] for place, rows in columns(path, "Scalars:scalars").items()}
-    dots = {place: rows[0] for place, rows in columns(path, "Points2D:positions").items()}
+    dots = {place: np.array(rows[0]) for place, rows in columns(path, "Points2D:positions").items()}
     done = [each for each in found.points if each.done]
-    assert len(curves) == sum(len(each.history) for each in done) == 5 * len(done)
+    tab, frames, wall = f"line, {POSITIONS}", over_frames(found, POSITIONS), over_wall_time(found, POSITIONS)
     for each in done:
-        curve = 10.0 ** np.array(curves[entity("line", POSITIONS, "frames", each.solver, each.setting)])
+        place = entity(tab, frames.title, "curves", f"{each.solver}, {each.setting}")
+        axis = rerun.axes_of(frames)[1]
+        curve = 10.0 ** (axis.low - dots[place][:, 1] / axis.length * (axis.high - axis.low))
         assert np.sqrt((curve**2).mean()) == pytest.approx(each.errors[POSITIONS].l2, rel=1e-3)
     rk4 = sorted((each for each in done if each.solver == "rk4"), key=lambda each: -each.finer)
-    drawn = np.array(dots[entity("line", POSITIONS, "wall time", "solvers", "rk4")])
-    expected = [[3.0 * np.log10(each.median), -np.log10(each.errors[POSITIONS].l2)] for each in rk4]
-    assert drawn == pytest.approx(np.array(expected), rel=1e-5)
+    expected = [np.log10([each.median, each.errors[POSITIONS].l2]) for each in rk4]
+    drawn = dots[entity(tab, wall.title, "curves", "rk4")]
+    for k, (axis, sign) in enumerate(zip(rerun.axes_of(wall), (1.0, -1.0), strict=True)):
+        values = axis.low + sign * drawn[:, k] / axis.length * (axis.high - axis.low)
+        assert values == pytest.approx(np.array(expected)[:, k], abs=1e-5)
 
 
 def point(error: float, solver: str = "rk4", seconds: float = 1.0, beyond: bool = False) -> Point:
@@ -102,9 +105,7 @@ def test_the_fastest_stable_solver_within_each_accuracy_is_named_once() -> None:
         (("--budget", "0"), "more than 0"),
         (("--budget", "nan"), "more than 0"),
         (("--repeats", "0"), "one repeat"),
-        (("--jobs", "0"), "at least one process"),
         (("--rrd", "series.txt"), "ends in .rrd"),
-        (("--jobs", "2", "--dask", "tcp://127.0.0.1:1"), "either --jobs or --dask"),
         (("--observable", "dropp"), "drop"),
         (("--docs", "nowhere.md"), "no section"),
     ],

@@ -9,7 +9,7 @@ import pytest
 from line_net import problem_of, reference_of, write_net
 from scenes import write_scene
 
-from nuno_bench.precision.errors import POSITIONS, find_scales, measure_errors
+from nuno_bench.precision.errors import POSITIONS, measure_errors
 from nuno_bench.problem.closed_form import exponential, find_linear
 from nuno_bench.problem.horizon import DISTURBANCE, LOST, find_horizon
 from nuno_bench.problem.stepped import stepped_reference
@@ -64,7 +64,7 @@ def test_a_flailing_chain_cannot(tmp_path: Path) -> None:
     assert not horizon.whole
     assert horizon.distance[0] == pytest.approx(DISTURBANCE, rel=1e-3)
     assert (horizon.distance[: horizon.frames] <= LOST).all() and horizon.distance[horizon.frames] > LOST
-    scales = find_scales(problem, reference.run.series)
+    scales = problem.scales(reference.run.series)
     floors = measure_errors(reference.check.series, reference.run.series, scales, horizon.frames)
     longer = measure_errors(reference.check.series, reference.run.series, scales, problem.frames + 1)
     assert floors[POSITIONS].linf < longer[POSITIONS].linf
@@ -84,7 +84,7 @@ def test_a_reference_by_fixed_steps_is_as_good_as_it_says(tmp_path: Path) -> Non
 def test_errors_are_the_stated_norms(tmp_path: Path) -> None:
     problem = problem_of(write_net(tmp_path))
     run = reference_of(problem).run.series
-    scales = find_scales(problem, run)
+    scales = problem.scales(run)
     moved = run.x.copy()
     moved[1:, 0] += np.array([0.0, 0.0, 3e-3])
     moved[-1, 1] += np.array([4e-3, 0.0, 0.0])

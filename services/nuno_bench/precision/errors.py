@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nuno_bench.problem.observe import Series
-from nuno_bench.problem.posing import AnyProblem
 from nuno_schemas.fabric import Float
 
 POSITIONS = "positions"
@@ -29,24 +28,9 @@ class Error:
     linf: float
 
 
-@dataclass(frozen=True)
-class Scales:
-    """What errors are divided by, per quantity."""
-
-    values: Mapping[str, float]
-
-    def __getitem__(self, name: str) -> float:
-        return self.values[name]
-
-
-def find_scales(problem: AnyProblem, reference: Series) -> Scales:
-    """The reference's own measures, so that all solvers are divided by the same numbers."""
-    return Scales(problem.scales(reference))
-
-
-def measure_errors(run: Series, reference: Series, scales: Scales, frames: int) -> dict[str, Error]:
-    """Errors by quantity; of the leading one over the first `frames` frames, and only where there are some beside
-    the start.
+def measure_errors(run: Series, reference: Series, scales: Mapping[str, float], frames: int) -> dict[str, Error]:
+    """Errors by quantity, divided by the reference's `scales`; of the leading one over the first `frames` frames, and
+    only where there are some beside the start.
 
     Nothing where a run did not reach the end: its errors would be those of another stretch of time.
     """
@@ -56,17 +40,16 @@ def measure_errors(run: Series, reference: Series, scales: Scales, frames: int) 
     found = {name: Error(float(e[-1]), float(np.sqrt((e**2).mean())), float(e.max())) for name, e in over.items()}
     leading = reference.leading
     if leading in found:
-        far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[leading]
-        found[leading] = replace(found[leading], linf=float(far.max()))
+        farthest = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2).max() / scales[leading]
+        found[leading] = replace(found[leading], linf=float(farthest))
     return found
 
 
-def errors_over_frames(run: Series, reference: Series, scales: Scales, frames: int) -> dict[str, Float]:
+def errors_over_frames(run: Series, reference: Series, scales: Mapping[str, float], frames: int) -> dict[str, Float]:
     """The error at every compared frame but the first, by quantity; of the leading one its root mean square."""
     found: dict[str, Float] = {}
     if frames > 1:
-        far = np.linalg.norm(run.x[1:frames] - reference.x[1:frames], axis=2) / scales[reference.leading]
-        found[reference.leading] = np.sqrt((far**2).mean(axis=1))
+        found[reference.leading] = _apart(run, reference)[1:frames] / scales[reference.leading]
     for name, values in reference.values.items():
         found[name] = np.linalg.norm(run.values[name][1:] - values[1:], axis=1) / scales[name]
     return found
@@ -74,6 +57,11 @@ def errors_over_frames(run: Series, reference: Series, scales: Scales, frames: i
 
 def ran_away(run: Series, reference: Series, size: float) -> float | None:
     """When a run was first RAN_AWAY times `size` from the reference [s], or None."""
-    apart: Float = np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1)) / size
-    frames = np.flatnonzero(~(apart <= RAN_AWAY))
+    frames = np.flatnonzero(~(_apart(run, reference) <= RAN_AWAY * size))
     return float(run.t[frames[0]]) if frames.size else None
+
+
+def _apart(run: Series, reference: Series) -> Float:
+    """Root mean square distance at each of the run's frames (f,)."""
+    apart: Float = np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1))
+    return apart

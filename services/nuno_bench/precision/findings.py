@@ -18,9 +18,9 @@ ASYMPTOTIC = 0.1
 """Orders are fitted below this share of the scale: a run that is wholly off has no order."""
 FITTED = 4
 """Of the finest resolved points an order is fitted over, at most."""
-
-
 FLOOR_HEADINGS = ("in", "floor", "errors above it", "verdict")
+ORDER_HEADINGS = ("solver", "kind", "nominal order", "seen", "first call [s]", "points", "not done")
+CHOICE_HEADINGS = ("error at most", "fastest", "setting", "time [s]", "next ones [s]")
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class Judgement:
 
     @property
     def verdict(self) -> str:
+        """judged, where all errors are known; in part, where some are too near the floor; failed, where all are."""
         if self.total == 0:
             return "no point"
         return "judged" if self.resolved == self.total else "in part" if self.resolved else "failed"
@@ -41,12 +42,6 @@ class Judgement:
     def row(self) -> list[str]:
         """Its line under FLOOR_HEADINGS."""
         return [self.quantity, f"{self.floor:.1e}", f"{self.resolved} of {self.total}", self.verdict]
-
-    def describe(self) -> str:
-        said = f"{self.quantity}: the reference disagrees with itself by {self.floor:.1e}"
-        if self.verdict == "failed":
-            return f"{said}, as much as all errors it should judge: nothing is known of them"
-        return f"{said}; {self.resolved} of {self.total} errors are at least {ABOVE:g} times that"
 
 
 def judge(points: Sequence[Point], floors: Mapping[str, Error]) -> list[Judgement]:
@@ -74,12 +69,12 @@ def fit_order(points: Sequence[Point], quantity: str, floor: float) -> float | N
     return float(np.polyfit(steps, errors, 1)[0])
 
 
-def solvers_of(points: Sequence[Point]) -> list[str]:
-    """Solvers in the order of their first point."""
-    return list(dict.fromkeys(point.solver for point in points))
-
-
-ORDER_HEADINGS = ("solver", "kind", "nominal order", "seen", "first call [s]", "points", "not done")
+def by_solver(points: Sequence[Point]) -> dict[str, list[Point]]:
+    """Points of each solver from coarse to fine, solvers in the order of their first point."""
+    found: dict[str, list[Point]] = {}
+    for point in points:
+        found.setdefault(point.solver, []).append(point)
+    return {name: sorted(own, key=lambda point: -point.finer) for name, own in found.items()}
 
 
 def order_rows(
@@ -91,44 +86,32 @@ def order_rows(
 ) -> list[list[str]]:
     """A line per solver, under ORDER_HEADINGS; no order is fitted to points with keys in `unfitted`."""
     rows = []
-    for name in solvers_of(points):
-        own = [point for point in points if point.solver == name]
+    for name, own in by_solver(points).items():
         slope = fit_order([point for point in own if point.key not in unfitted], quantity, floor)
-        adaptive = own[0].kind == "adaptive"
-        seen = "" if slope is None else f"{slope:.2f}" + (" of the tolerance" if adaptive else "")
+        seen = "" if slope is None else f"{slope:.2f}" + " of the tolerance" * (own[0].kind == "adaptive")
         failed = sum(not point.done for point in own)
         first = number(first_calls[name]) if name in first_calls else ""
-        nominal = str(own[0].order or "not stated")
-        rows.append([name, own[0].kind, nominal, seen, first, str(len(own)), str(failed) if failed else ""])
+        rows.append([name, own[0].kind, str(own[0].order or "not stated"), seen, first, str(len(own)),
+                     str(failed or "")])  # fmt: skip
     return rows
-
-
-def fastest(points: Sequence[Point], quantity: str, target: float) -> list[Point]:
-    """Each solver's fastest point within a target, fastest first; what is stable only by luck is no choice."""
-    best: dict[str, Point] = {}
-    for point in points:
-        error = point.error(quantity)
-        if error is None or not error <= target or point.beyond or not point.seconds:
-            continue
-        if point.solver not in best or point.median < best[point.solver].median:
-            best[point.solver] = point
-    return sorted(best.values(), key=lambda point: point.median)
-
-
-CHOICE_HEADINGS = ("error at most", "fastest", "setting", "time [s]", "next ones [s]")
 
 
 def choice_rows(points: Sequence[Point], quantity: str, floor: float) -> list[list[str]]:
     """Which solver is fastest within each target that the floor allows to judge, under CHOICE_HEADINGS.
 
-    A point that is fastest for several targets stands at the tightest of them.
+    A point that is fastest for several targets stands at the tightest of them. What is stable only by luck is no
+    choice.
     """
     rows: list[list[str]] = []
+    known = [(p, e) for p in points if (e := p.error(quantity)) is not None and p.seconds and not p.beyond]
     tighter: tuple[str, str] | None = None
     for target in sorted(target for target in TARGETS if target >= ABOVE * floor):
-        best = fastest(points, quantity, target)
-        if best and best[0].key != tighter:
-            rest = ", ".join(f"{point.solver} {number(point.median)}" for point in best[1:3])
-            rows.append([f"{target:g}", best[0].solver, best[0].setting, number(best[0].median), rest])
-            tighter = best[0].key
+        best: dict[str, Point] = {}
+        for point in sorted((p for p, error in known if error <= target), key=lambda p: p.median):
+            best.setdefault(point.solver, point)
+        ranked = list(best.values())
+        if ranked and (first := ranked[0]).key != tighter:
+            rest = ", ".join(f"{point.solver} {number(point.median)}" for point in ranked[1:3])
+            rows.append([f"{target:g}", first.solver, first.setting, number(first.median), rest])
+            tighter = first.key
     return rows[::-1]

@@ -1,9 +1,13 @@
-"""The page of `nuno bench precision`, and the same tables for the screen and for documentation."""
+"""What `nuno bench precision` shows: one set of tables and panels for page, screen, documentation and rerun file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from nuno_bench.precision.errors import POSITIONS, Error
 from nuno_bench.precision.findings import (
@@ -11,22 +15,20 @@ from nuno_bench.precision.findings import (
     CHOICE_HEADINGS,
     FLOOR_HEADINGS,
     ORDER_HEADINGS,
+    by_solver,
     choice_rows,
     judge,
     order_rows,
-    solvers_of,
 )
 from nuno_bench.precision.own import Own, describe
-from nuno_bench.precision.plots import Panel, error_over_time
 from nuno_bench.precision.point import Point
 from nuno_bench.precision.sweep import Sweep
 from nuno_bench.problem.dye import AMOUNTS, DYE_OBSERVABLES
 from nuno_bench.problem.horizon import LOST, Horizon
 from nuno_bench.problem.observe import OBSERVABLES
-from nuno_bench.report import markdown, page
+from nuno_bench.report.page import Facts, Figure, Part, Table
+from nuno_bench.report.plots import INK, MARKERS, Curve, Panel, draw
 from nuno_bench.report.result import number
-
-LEAD = "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "
 
 
 @dataclass(frozen=True)
@@ -60,15 +62,24 @@ DYE = Kind(
     "cell), of all dye (mobile, fixed), or of the largest spread (spread); each is the root mean square over the "
     "frames.",
 )
+LEAD = "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "
 FLOOR = (
-    "Dotted, the floor: how far the reference and the independent run that checks it are apart; an error near it may "
+    "Dashed, the floor: how far the reference and the independent run that checks it are apart; an error near it may "
     "be the reference's own."
 )
 VERDICTS = (
     "Verdict: judged, where all errors are known; in part, where some are too near the floor to be; failed, where all "
     "are."
 )
-FAILURES = "Crosses above the figures stand for these, at the time they took."
+MARKED = (
+    "Bars: all repeats. Hollow: beyond the stability limit, and finished all the same. Crosses above: not finished. "
+    "Plus: the scene as it is."
+)
+ERRORS = (
+    "Final: at the last frame of the predictable time; l2: root mean square over its frames; beside it the farthest "
+    "vertex or cell of any of them. Observables: root mean square over all frames. Time is the median over repeats, "
+    "in the solver's own calls, without compiling; counts are sums over the run."
+)
 COUNTED = ("steps", "stages", "rejected_steps", "newton_steps", "linear_iterations", "evaluations")
 
 
@@ -99,186 +110,190 @@ class Findings:
 
     @property
     def quantities(self) -> list[str]:
-        """That of every vertex or cell where it can be compared, then the observables shown."""
+        """That of every vertex or cell where it can be compared, then the observables shown.
+
+        Orders are fitted in the first.
+        """
         return [name for name in (self.kind.leading, *self.shown) if name in self.floors]
-
-    @property
-    def leading(self) -> str:
-        """The quantity that orders are fitted in."""
-        return self.quantities[0]
-
-
-def render(found: Findings) -> str:
-    """The whole page."""
-    order = solvers_of(found.points)
-    sections: list[tuple[str, Sequence[page.Part]]] = [
-        ("", [own_sentence(found)]),
-        ("Which solver for which accuracy", [_choices(found), _verdicts(found)]),
-        (f"{found.kind.leading.capitalize()}, inside the predictable time", _leading(found, order)),
-    ]
-    panels = [_panel(found, name) for name in found.shown if name in found.floors]
-    if panels:
-        figure = page.Figure(
-            error_over_time(found.points, panels, order, _own(found)),
-            "Beyond the predictable time too. Marks as above.",
-        )
-        sections.append(("What is observed, over the whole run", [figure]))
-    failed = [[p.solver, p.setting, p.outcome, p.message, _time(p)] for p in found.points if not p.done]
-    if failed:
-        table = page.Table(("solver", "setting", "outcome", "why", "time [s]"), failed, FAILURES, prose=True)
-        sections.append(("Failures and divergences", [table]))
-    if found.sweep.omitted:
-        table = page.Table(("solver", "settings", "reason"), left_out(found), "Not run, coarsest first.", prose=True)
-        sections.append(("Left out", [table]))
-    errors, costs = page.Table(*error_table(found), _ERRORS), page.Table(*cost_table(found), _COSTS)
-    sections.append(("All points", [errors, costs]))
-    sections.append(("Made by", [page.Facts(found.about)]))
-    return page.render(f"Error over wall time: {found.scene}", LEAD + found.kind.scales, sections)
 
 
 def own_sentence(found: Findings) -> str:
     """What the scene as it is costs and delivers, and what it would with a step twice as large."""
-    return describe(found.own, found.sweep, found.leading, found.floors[found.leading].l2)
+    leading = found.quantities[0]
+    return describe(found.own, found.sweep, leading, found.floors[leading].l2)
 
 
-_ERRORS = (
-    "Final: at the last frame of the predictable time; l2: root mean square over its frames; beside it the farthest "
-    "vertex or cell of any of them. Observables: root mean square over all frames."
-)
-_COSTS = "Time is the median over repeats, in the solver's own calls, without compiling."
-
-
-def left_out(found: Findings) -> list[list[str]]:
-    """A line per solver: which settings were not run, and why the first of them was not."""
-    rows: dict[str, list[str]] = {}
-    for one in found.sweep.omitted:
-        known = rows.setdefault(one.solver, [one.solver, one.setting or "all", one.reason])
-        if one.setting and known[1] != one.setting:
-            known[1] += f"; {one.setting}"
-    return list(rows.values())
-
-
-def _verdicts(found: Findings) -> page.Table:
-    rows = [judgement.row() for judgement in judge(found.points, found.floors)]
-    said = f"Reference: {found.how}. Floor: how far the two are apart; errors above {ABOVE:g} times that are known. "
-    return page.Table(FLOOR_HEADINGS, rows, said + VERDICTS)
-
-
-def _choices(found: Findings) -> page.Table:
-    headings, rows = choices(found)
-    said = "The fastest solver whose error is within each accuracy, and the next ones. Of the times: "
-    return page.Table(headings, rows, f"{said}{found.about['load']}.")
-
-
-def choices(found: Findings) -> tuple[Sequence[str], list[list[str]]]:
-    """Headings and rows of the fastest solver by quantity and accuracy."""
+def choices(found: Findings) -> Table:
+    """The fastest solver by quantity and accuracy."""
     rows = [[name, *row] for name in found.quantities for row in choice_rows(found.points, name, found.floors[name].l2)]
-    return ("in", *CHOICE_HEADINGS), rows
+    said = "The fastest solver whose error is within each accuracy, and the next ones. Of the times: "
+    return Table(("in", *CHOICE_HEADINGS), rows, f"{said}{found.about['load']}.")
 
 
-def _leading(found: Findings, order: Sequence[str]) -> list[page.Part]:
-    orders = page.Table(ORDER_HEADINGS, orders_of(found), f"Order seen: slope of the error in {found.leading}.")
-    name = found.kind.leading
-    if name not in found.floors:
-        gone = f"Positions cannot be compared: a disturbance passes {LOST:g} of the size in the first frame."
-        return [gone, orders]
-    caption = (
-        f"{name.capitalize()} are compared over {found.horizon.describe()}. Bars: all repeats. Hollow: beyond the "
-    )
-    caption += (
-        "stability limit, and finished all the same. Crosses: not finished, see below. Ring: the scene as it is. "
-    )
-    caption += FLOOR
-    return [page.Figure(error_over_time(found.points, [_panel(found, name)], order, _own(found)), caption), orders]
+def verdicts(found: Findings) -> Table:
+    """Whether the reference can judge each quantity."""
+    said = f"Reference: {found.how}. Floor: how far the two are apart; errors above {ABOVE:g} times that are known. "
+    return Table(FLOOR_HEADINGS, [one.row() for one in judge(found.points, found.floors)], said + VERDICTS)
 
 
-def orders_of(found: Findings) -> list[list[str]]:
-    """Rows under ORDER_HEADINGS."""
-    floor = found.floors[found.leading].l2
-    return order_rows(found.points, found.leading, floor, found.sweep.first_calls, found.own.loose)
+def orders(found: Findings) -> Table:
+    """The order that each solver shows."""
+    name, sweep = found.quantities[0], found.sweep
+    rows = order_rows(found.points, name, found.floors[name].l2, sweep.first_calls, found.own.loose)
+    return Table(ORDER_HEADINGS, rows, f"Order seen: slope of the error in {name}.")
 
 
-def _own(found: Findings) -> tuple[str, str]:
-    """Key of the scene's own point; that of none where it has none."""
-    return found.own.solver, found.own.setting
+def failures(found: Findings) -> Table:
+    """A line for each point that did not reach its end."""
+    rows = [[p.solver, p.setting, p.outcome, p.message, _time(p)] for p in found.points if not p.done]
+    said = "Crosses above the figures stand for these, at the time they took."
+    return Table(("solver", "setting", "outcome", "why", "time [s]"), rows, said, prose=True)
 
 
-def _panel(found: Findings, name: str) -> Panel:
-    return Panel(name, found.kind.titles[name], found.floors[name].l2)
+def left_out(found: Findings) -> Table:
+    """A line per solver: the coarsest setting that was not run, how many finer ones were not either, and why."""
+    rows: dict[str, list[str]] = {}
+    finer: dict[str, int] = {}
+    for one in found.sweep.omitted:
+        if one.solver in rows:
+            finer[one.solver] = finer.get(one.solver, 0) + 1
+        rows.setdefault(one.solver, [one.solver, one.setting or "all", one.reason])
+    for solver, count in finer.items():
+        rows[solver][1] += f" and {count} finer"
+    return Table(("left out", "settings", "why"), list(rows.values()), "Not run.", prose=True)
 
 
-def error_table(found: Findings) -> tuple[list[str], list[list[str]]]:
-    """Headings, and a line per point with its errors, solver by solver."""
-    leading = ["final", "l2", found.kind.farthest] if found.kind.leading in found.floors else []
-    observed = [name for name in found.floors if name != found.kind.leading]
-    headings = ["solver", "setting", "outcome", "time [s]", *leading, *observed]
-    return headings, [_errors(found, point) for point in _ordered(found)]
-
-
-def cost_table(found: Findings) -> tuple[list[str], list[list[str]]]:
-    """Headings, and a line per point with its times and what it counted, solver by solver."""
+def every_point(found: Findings) -> Table:
+    """A line per point with its errors, its times and what it counted, solver by solver from coarse to fine."""
+    leading = found.kind.leading if found.kind.leading in found.floors else ""
+    observed = [name for name in found.floors if name != leading]
     counted = [name for name in COUNTED if any(name in point.totals for point in found.points)]
     rows = []
-    for point in _ordered(found):
+    for point in (point for own in by_solver(found.points).values() for point in own):
+        errors = [point.error(name) for name in observed]
+        if leading:
+            error = point.errors.get(leading)
+            errors[:0] = [error.final, error.l2, error.linf] if error else [None] * 3
         spread = f"{number(min(point.seconds))} - {number(max(point.seconds))}" if len(point.seconds) > 1 else ""
         counts = [f"{point.totals[name]:,}" if name in point.totals else "" for name in counted]
-        rows.append([point.solver, point.setting, _time(point), spread, *counts])
-    return ["solver", "setting", "time [s]", "min - max", *(name.replace("_", " ") for name in counted)], rows
-
-
-def _ordered(found: Findings) -> list[Point]:
-    """Points solver by solver, from coarse to fine."""
-    order = solvers_of(found.points)
-    return sorted(found.points, key=lambda point: (order.index(point.solver), -point.finer))
-
-
-def _errors(found: Findings, point: Point) -> list[str]:
-    errors: list[float | None] = []
-    if found.kind.leading in found.floors:
-        own = point.errors.get(found.kind.leading)
-        errors += [own.final, own.l2, own.linf] if own else [None] * 3
-    errors += [point.error(name) for name in found.floors if name != found.kind.leading]
-    shown = [f"{error:.2e}" if error is not None else "" for error in errors]
-    return [point.solver, point.setting, point.outcome, _time(point), *shown]
+        shown = [f"{error:.2e}" if error is not None else "" for error in errors]
+        rows.append([point.solver, point.setting, point.outcome, _time(point), spread, *shown, *counts])
+    names = ["final", "l2", found.kind.farthest] if leading else []
+    names += [*observed, *(name.replace("_", " ") for name in counted)]
+    return Table(["solver", "setting", "outcome", "time [s]", "min - max", *names], rows, ERRORS)
 
 
 def _time(point: Point) -> str:
     return number(point.median) if point.seconds else ""
 
 
-def docs_picture(found: Findings) -> str:
-    """A file of SVG: errors in the leading quantity, on white because pages may be dark."""
-    figure = error_over_time(found.points, [_panel(found, found.leading)], solvers_of(found.points), _own(found))
-    return figure.replace("<svg ", '<svg style="background: #fff" ', 1)
+def figure(found: Findings, names: Sequence[str], caption: str) -> Figure:
+    """Errors in some quantities over wall time."""
+    return Figure(
+        draw([over_wall_time(found, name) for name in names], height=3.9 if len(names) == 1 else 3.0), caption
+    )
 
 
-def docs_parts(found: Findings, picture: str) -> list[str]:
-    """What goes into a documentation page's section: the leading quantity, and what is named once a solver.
+def over_wall_time(found: Findings, name: str) -> Panel:
+    """A curve per solver; a point that did not reach its end has no error, and stands above the panel."""
+    timed = [point for point in found.points if point.seconds]
+    curves = []
+    for i, (solver, own) in enumerate(by_solver(timed).items()):
+        errors = [math.inf if not point.done else _or_nan(point.error(name)) for point in own]
+        curves.append(
+            Curve(solver, np.array([point.median for point in own]), np.array(errors), i,
+                  marker=MARKERS[i % len(MARKERS)], hollow=[point.beyond for point in own],
+                  spread=[(min(point.seconds), max(point.seconds)) for point in own],
+                  labels=[point.setting for point in own])
+        )  # fmt: skip
+    for point in timed:
+        if point.key == (found.own.solver, found.own.setting) and point.done:
+            at = np.array([point.median]), np.array([_or_nan(point.error(name))])
+            curves.append(Curve("this scene as it is", *at, INK, marker="+", size=13.0, loose=True))
+    if timed:
+        ends = np.array([min(point.median for point in timed), max(point.median for point in timed)])
+        curves.append(Curve("floor", ends, np.full(2, found.floors[name].l2), INK, dashed=True))
+    return Panel(found.kind.titles[name], curves, "wall time [s]", log="xy")
 
-    `picture` is where the page finds its figure.
-    """
-    name = found.leading
-    floor = found.floors[name].l2
-    failed: dict[str, list[str]] = {}
-    for point in found.points:
-        if not point.done:
-            failed.setdefault(point.solver, [point.solver, point.setting, point.outcome, point.message])
-    said = f"Reference: {found.how}, {floor:.1e} apart in {name}. Predictable: {found.horizon.describe()}."
-    parts = [
-        said,
-        f"![Error in {name} over wall time]({picture})",
-        markdown.table((f"error in {name} at most", *CHOICE_HEADINGS[1:]), choice_rows(found.points, name, floor)),
-        markdown.table(ORDER_HEADINGS, orders_of(found)),
+
+def _or_nan(error: float | None) -> float:
+    return math.nan if error is None else error
+
+
+def over_frames(found: Findings, name: str) -> Panel:
+    """The error of every run at each compared frame but the first."""
+    curves = []
+    for i, own in enumerate(by_solver(found.points).values()):
+        for point in (point for point in own if point.history.get(name)):
+            t = found.frame * np.arange(1.0, len(point.history[name]) + 1.0)
+            curves.append(Curve(f"{point.solver}, {point.setting}", t, np.array(point.history[name]), i))
+    return Panel(f"{name} over simulated time", curves, "simulated time [s]", "error", log="y")
+
+
+def tabs(found: Sequence[Findings]) -> dict[str, list[Panel]]:
+    """All panels by scene and quantity."""
+    return {
+        f"{one.scene}, {name}": [over_wall_time(one, name), over_frames(one, name)]
+        for one in found
+        for name in one.quantities
+    }
+
+
+def sections(found: Findings) -> Iterator[tuple[str, list[Part]]]:
+    """The page's."""
+    name = found.kind.leading
+    yield "", [own_sentence(found)]
+    yield "Which solver for which accuracy", [choices(found), verdicts(found)]
+    caption = f"{name.capitalize()} are compared over {found.horizon.describe()}. {MARKED} {FLOOR}"
+    shown: Part = f"Positions cannot be compared: a disturbance passes {LOST:g} of the size in the first frame."
+    if name in found.floors:
+        shown = figure(found, [name], caption)
+    yield f"{name.capitalize()}, inside the predictable time", [shown, orders(found)]
+    if observed := [name for name in found.quantities if name != found.kind.leading]:
+        observables = figure(found, observed, "Beyond the predictable time too. Marks as above.")
+        yield "What is observed, over the whole run", [observables]
+    for heading, table in (("Failures and divergences", failures(found)), ("Left out", left_out(found))):
+        if table.rows:
+            yield heading, [table]
+    yield "All points", [every_point(found)]
+    yield "Made by", [Facts(found.about)]
+
+
+def document(found: Findings) -> list[Part]:
+    """What goes into a documentation page's section: the leading quantity, and what is named once a solver."""
+    name = found.quantities[0]
+    chosen, failed = choices(found), failures(found)
+    chosen = replace(chosen, rows=[row for row in chosen.rows if row[0] == name])
+    failed = replace(failed, rows=list({row[0]: row for row in reversed(failed.rows)}.values())[::-1])
+    return [
+        f"Reference: {found.how}, {found.floors[name].l2:.1e} apart in {name}. "
+        f"Predictable: {found.horizon.describe()}.",
+        figure(found, [name], f"Error in {name} over wall time"),
+        *(table for table in (chosen, orders(found), failed, left_out(found)) if table.rows),
+        Facts(found.about),
     ]
-    if failed:
-        parts.append(markdown.table(("first failure", "setting", "outcome", "why"), list(failed.values())))
-    if found.sweep.omitted:
-        parts.append(markdown.table(("left out", "settings", "why"), [_shortened(row) for row in left_out(found)]))
-    return [*parts, markdown.facts(found.about)]
 
 
-def _shortened(row: list[str]) -> list[str]:
-    """A line of what was left out, its finer settings counted."""
-    solver, settings, why = row
-    first, *finer = settings.split("; ")
-    return [solver, f"{first} and {len(finer)} finer" if finer else first, why]
+def lines(found: Findings) -> Table:
+    """The CSV's: a line per point and quantity."""
+    rows = []
+    for p in found.points:
+        start = [p.solver, p.setting, p.outcome, f"{p.median:.6g}" if p.seconds else ""]
+        errors = [[name, *(f"{v:.9g}" for v in (e.final, e.l2, e.linf))] for name, e in p.errors.items()]
+        rows += [[*start, *rest] for rest in errors or [[""] * 4]]
+    return Table(("solver", "setting", "outcome", "seconds", "quantity", "final", "l2", "linf"), rows)
+
+
+def data(found: Findings) -> dict[str, Any]:
+    """All that was found, for JSON; nuno_bench.precision.compare reads it."""
+    horizon = {name: value for name, value in vars(found.horizon).items() if name != "fades"}
+    return {
+        "about": dict(found.about),
+        "scene": found.scene,
+        "reference": {"how": found.how, "floors": {name: asdict(floor) for name, floor in found.floors.items()}},
+        "horizon": horizon,
+        "points": [asdict(point) for point in found.points],
+        "own": asdict(found.own) | {"said": own_sentence(found)},
+        "omitted": [asdict(one) for one in found.sweep.omitted],
+        "first_calls": found.sweep.first_calls,
+    }

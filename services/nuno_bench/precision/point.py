@@ -1,15 +1,13 @@
-"""One measured setting of one solver, and those that a sweep has finished."""
+"""One measured setting of one solver."""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 from nuno_bench.precision.errors import Error
-from nuno_bench.sweep import kept
 
 DONE = "done"
 
@@ -55,22 +53,7 @@ class Point:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Point:
-        errors = {name: Error(**values) for name, values in data["errors"].items()}
-        history = {name: tuple(values) for name, values in data.get("history", {}).items()}
+        """Of what dataclasses.asdict made, in which a number that is not finite may be text."""
+        errors = {name: Error(**{k: float(v) for k, v in one.items()}) for name, one in data["errors"].items()}
+        history = {name: tuple(map(float, values)) for name, values in data.get("history", {}).items()}
         return Point(**{**data, "seconds": tuple(data["seconds"]), "errors": errors, "history": history})
-
-
-class Kept:
-    """The finished points of a sweep, on disk as they come."""
-
-    def __init__(self, path: Path, identity: Mapping[str, Any], resume: bool) -> None:
-        """See nuno_bench.sweep.kept.Kept; a point that was measured again counts as it was last."""
-        self._lines = kept.Kept(path, identity, resume)
-        self.points = {point.key: point for point in map(Point.from_json, self._lines.lines)}
-
-    @property
-    def path(self) -> Path:
-        return self._lines.path
-
-    def add(self, point: Point) -> None:
-        self._lines.add(asdict(point))

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 from nuno.words import duration, roughly
-from nuno_bench.precision.errors import RAN_AWAY, Scales, errors_over_frames, measure_errors, ran_away
-from nuno_bench.precision.point import DONE, Kept, Point
+from nuno_bench.precision.errors import RAN_AWAY, errors_over_frames, measure_errors, ran_away
+from nuno_bench.precision.point import DONE, Point
 from nuno_bench.precision.settings import Omission, Setting, Solver
 from nuno_bench.problem.observe import Run
 from nuno_bench.problem.posing import AnyProblem
 from nuno_bench.problem.reference import Compared
+from nuno_bench.sweep.kept import Kept
 from nuno_schemas.errors import BadInput
 
 FIRST_STEPS = 20
@@ -36,17 +37,15 @@ class Sweep:
     omitted: list[Omission] = field(default_factory=list)
     first_calls: dict[str, float] = field(default_factory=dict)
     costs: dict[str, float] = field(default_factory=dict)
-    unaffordable: list[tuple[Solver, Setting]] = field(default_factory=list)
-    """What the budget left out; `omitted` says so, too."""
 
 
 @dataclass
 class Runner:
-    """Everything that one point needs."""
+    """Everything that one point needs: errors are shares of `scales`, leading ones over the first `frames`."""
 
     problem: AnyProblem
     reference: Compared
-    scales: Scales
+    scales: Mapping[str, float]
     frames: int
     repeats: int
 
@@ -55,23 +54,19 @@ class Runner:
 
         A run of milliseconds is repeated more often, since whatever else the machine does disturbs it more.
         """
+        point = Point(solver.name, setting.label, solver.kind, solver.order, setting.finer, setting.beyond,
+                      "refused", "", (), {}, {})  # fmt: skip
         try:
             config = solver.config(setting)
             run = self.problem.run(solver.plugin, config, setting.steps, most_seconds)
         except (BadInput, ValueError) as error:
-            message = error.problem if isinstance(error, BadInput) else str(error)
-            return self.failed(solver, setting, "refused", message)
-        outcome, _ = self._judge(run)
+            return replace(point, message=error.problem if isinstance(error, BadInput) else str(error))
+        outcome, message = self._judge(run)
         seconds = [run.seconds]
         wanted = self.repeats * max(1, min(MORE, int(SHORT / max(run.seconds, 1e-9))))
         while outcome == DONE and len(seconds) < wanted and sum(seconds) + seconds[-1] <= share:
             seconds.append(self.problem.run(solver.plugin, config, setting.steps).seconds)
-        return self.point_of(solver, setting, run, tuple(seconds))
-
-    def point_of(self, solver: Solver, setting: Setting, run: Run, seconds: tuple[float, ...]) -> Point:
-        """What a run says of a setting, with the times of its repeats; none where it was not run alone."""
-        outcome, message = self._judge(run)
-        point = self._point(solver, setting, outcome, message, seconds, run.totals)
+        point = replace(point, outcome=outcome, message=message, seconds=tuple(seconds), totals=dict(run.totals))
         if outcome != DONE:
             return point
         compared = (run.series, self.reference.run.series, self.scales, self.frames)
@@ -79,11 +74,8 @@ class Runner:
         history = {name: tuple(float(f"{value:.4g}") for value in values) for name, values in over.items()}
         return replace(point, errors=measure_errors(*compared), history=history)
 
-    def failed(self, solver: Solver, setting: Setting, outcome: str, message: str) -> Point:
-        """A point without a run."""
-        return self._point(solver, setting, outcome, message)
-
     def _judge(self, run: Run) -> tuple[str, str]:
+        """Outcome and message of a run."""
         if run.status != "ok":
             return run.status, run.message
         leading = self.reference.run.series.leading
@@ -91,19 +83,6 @@ class Runner:
         if lost is None:
             return DONE, ""
         return "ran away", f"at {lost:.3g} s its {leading} are {RAN_AWAY:g} times their scale from the reference"
-
-    def _point(
-        self,
-        solver: Solver,
-        setting: Setting,
-        outcome: str,
-        message: str,
-        seconds: tuple[float, ...] = (),
-        totals: Mapping[str, int] | None = None,
-    ) -> Point:
-        order, finer = solver.order, setting.finer
-        what = (solver.name, setting.label, solver.kind, order, finer, setting.beyond, outcome, message, seconds)
-        return Point(*what, dict(totals or {}), {})
 
 
 def start_sweep(problem: AnyProblem, solvers: list[Solver], told: Callable[[str], None]) -> Sweep:
@@ -114,10 +93,16 @@ def start_sweep(problem: AnyProblem, solvers: list[Solver], told: Callable[[str]
     sweep = Sweep()
     for solver in solvers:
         told(f"{solver.name}: first call")
+        setting = min(solver.settings, key=lambda one: abs(one.work - 1.0))
+        taken = min(setting.steps, FIRST_STEPS)
         try:
-            sweep.first_calls[solver.name], sweep.costs[solver.name] = _first_call(problem, solver)
+            config = solver.config(setting)
+            first, seconds = problem.first_call(solver.plugin, config, setting.steps, taken)
         except BadInput as error:
             sweep.omitted.append(Omission(solver.name, "", error.problem))
+            continue
+        sweep.first_calls[solver.name] = first
+        sweep.costs[solver.name] = seconds * setting.steps / taken * problem.frames / setting.work
     return sweep
 
 
@@ -130,7 +115,8 @@ def run_sweep(
     done, and never their place. A solver ends where the estimate for its next point exceeds what is left of
     `budget` [s].
     """
-    started, costs = time.perf_counter(), dict(sweep.costs)
+    started, costs = time.perf_counter(), sweep.costs
+    known = {point.key: point for point in map(Point.from_json, kept.lines)}
     waiting = {
         solver.name: [(solver, one) for one in sorted(solver.settings, key=lambda one: not one.first)]
         for solver in solvers
@@ -147,19 +133,18 @@ def run_sweep(
     while any(waiting.values()):
         name = min((name for name in waiting if waiting[name]), key=estimate)
         solver, setting = waiting[name].pop(0)
-        point = kept.points.get((name, setting.label))
-        if point is None or (point.done and not point.seconds):
+        point = known.get((name, setting.label))
+        if point is None:
             left = max(0.0, budget - (time.perf_counter() - started))
             once = setting.work * costs[name]
             if once > left:
                 reason = f"estimated at {once:.2g} s, and {left:.2g} s of the budget were left"
                 sweep.omitted.append(Omission(name, setting.label, reason))
-                sweep.unaffordable.append((solver, setting))
                 continue
             told(f"{name}, {setting.label} ({left:.0f} s left)")
             most = max(1.0, min(1.5 * left, max(MISJUDGED * once, budget / len(costs))))
             point = runner.measure(solver, setting, min(share, left), most)
-            kept.add(point)
+            kept.add(asdict(point))
         if point.done or point.outcome == "cut":
             costs[name] = point.median / setting.work
         sweep.points.append(point)
@@ -167,11 +152,3 @@ def run_sweep(
         (solver.name, one.label): (i, k) for i, solver in enumerate(solvers) for k, one in enumerate(solver.settings)
     }
     sweep.points.sort(key=lambda point: place[point.key])
-
-
-def _first_call(problem: AnyProblem, solver: Solver) -> tuple[float, float]:
-    """Seconds of a solver's first call, and an estimate of what a run of work 1 takes [s]."""
-    setting = min(solver.settings, key=lambda one: abs(one.work - 1.0))
-    taken = min(setting.steps, FIRST_STEPS)
-    first, seconds = problem.first_call(solver.plugin, solver.config(setting), setting.steps, taken)
-    return first, seconds * setting.steps / taken * problem.frames / setting.work

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,14 @@ def require(paths: Iterable[Path]) -> None:
     if not any(path.is_file() for path in known):
         raise BadInput("there is no sweep to go on with", field="--resume", value=", ".join(map(str, known)),
                        remedy="leave --resume out, or name the --out that it was started with")  # fmt: skip
+
+
+def check(paths: Sequence[Path], resume: bool) -> None:
+    """Raises BadInput, before anything runs, where files cannot be written, or none of them is there to go on with."""
+    if resume:
+        require(paths)
+    for path in paths:
+        require_place(path)
 
 
 @contextmanager
