@@ -12,7 +12,7 @@ import pytest
 
 from nuno.scene import scene_file
 from nuno_bench.integrators import findings
-from nuno_bench.integrators.command import render, write
+from nuno_bench.integrators.command import write
 from nuno_bench.integrators.experiment import SERIES, SPLIT, Trace, run_variant
 
 SMALL = ("duration=0.2", "objects.0.model.columns=12", "objects.0.model.rows=5")
@@ -107,4 +107,6 @@ def test_files_hold_every_frame(tmp_path: Path) -> None:
     assert len(rows) == 4 * 11
     assert float(rows[11]["energy"]) == 2.0
     assert [run["name"] for run in json.loads(data.read_text())["runs"]] == [one.name for one in traces]
-    assert html.read_text() == render("small", traces, found, {"command": "nuno"})
+    said = html.read_text()
+    assert said.count("<svg") == 2
+    assert all(one.seen.split(",")[0] in said for one in found)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,33 @@ import pytest
 from rrd import columns
 
 from nuno.viewer.layout import entity
+from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.stability.case import Point
 from nuno_bench.stability.drift import Amplification, Drift, Modes
+from nuno_bench.stability.page import tabs
 from nuno_bench.stability.sweep import Mapped, Row, Sweep
+from nuno_bench.validation import page as laws
 from nuno_bench.validation.laws.base import Case, Found, Outcome
 from nuno_bench.validation.suite import Part
 
 pytest.importorskip("rerun", reason="needs nuno[view]")
+
+
+def drawn(path: Path, tab: str, panel: Panel) -> dict[str, np.ndarray]:
+    """(m, 2) values of each curve's points, read back from where they stand in the file."""
+    from nuno_bench.report import rerun
+
+    rerun.write(path, "test", {tab: [panel]})
+    assert not list(path.parent.glob("*.part"))
+    dots, found = columns(path, "Points2D:positions"), {}
+    for curve in panel.curves:
+        points = np.array(dots[entity(tab, panel.title, "curves", curve.name)][0]).reshape(-1, 2)
+        sides = []
+        for axis, places in zip(rerun.axes_of(panel), (points[:, 0], -points[:, 1]), strict=True):
+            values = axis.low + places / axis.length * (axis.high - axis.low)
+            sides.append(10.0**values if axis.log else values)
+        found[curve.name] = np.stack(sides, axis=1)
+    return found
 
 
 def mapped() -> Mapped:
@@ -31,47 +50,41 @@ def mapped() -> Mapped:
 
 
 def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> None:
-    from nuno_bench.stability import rerun as stability_rerun
-
-    path = stability_rerun.write(tmp_path / "maps.rrd", [mapped()])
-    assert not list(tmp_path.glob("*.part"))
-    place = ("small", "stiffness", "rk4")
-    dots = columns(path, "Points2D:positions")
-    drawn = {name: dots[entity(*place, "classes", name)][0] for name in ("diverged", "drifting", "exact", "left out")}
-    assert {name: [round(-y) for _, y in points] for name, points in drawn.items()} == {
-        "diverged": [0, 0], "drifting": [-1, -1], "exact": [-2, -2], "left out": [-3, -3],
-    }  # fmt: skip
-    assert [round(x) for x, _ in drawn["exact"]] == [0, 1]
-    (strips,) = columns(path, "LineStrips2D:strips")[entity(*place, "stated limit")]
-    assert [end[1] for strip in strips for end in strip] == pytest.approx([-math.log10(0.03)] * 4)
+    (panel,) = tabs([mapped()])["small, stiffness"]
+    found = drawn(tmp_path / "maps.rrd", "small, stiffness", panel)
+    for i, name in enumerate(("diverged", "drifting", "exact", "left out")):
+        assert found[name] == pytest.approx(np.array([[1.0, 10.0**-i], [10.0, 10.0**-i]]), rel=1e-4)
+    assert len(found["accurate"]) == 0
+    assert found["stated limit"] == pytest.approx(np.array([[1.0, 0.03], [10.0, 0.03]]), rel=1e-4)
 
 
 def test_modes_and_the_energy_over_many_steps_are_curves(tmp_path: Path) -> None:
-    from nuno_bench.stability import rerun as stability_rerun
+    growth, _, energy = tabs([mapped()])["small, a mode"]
+    assert drawn(tmp_path / "g.rrd", "t", growth)["rk4"] == pytest.approx(np.array([[0.1, 1.0], [1.0, 0.9]]), rel=1e-4)
+    assert drawn(tmp_path / "e.rrd", "t", energy)["rk4"] == pytest.approx(np.array([[1.0, 0.01], [2.0, 0.1]]), rel=1e-4)
 
-    path = stability_rerun.write(tmp_path / "maps.rrd", [mapped()])
-    energy = columns(path, "Scalars:scalars")[entity("small", "drift", "rk4")]
-    assert [row[0] for row in energy] == pytest.approx([-2.0, -1.0])
-    growth = np.array(columns(path, "Points2D:positions")[entity("small", "mode", "growth", "rk4")][0])
-    assert growth == pytest.approx(np.array([[-2.0, 0.0], [0.0, -math.log10(0.9)]]), abs=1e-6)
+
+def test_what_has_no_place_on_an_axis_stands_above_it_and_what_is_no_number_nowhere(tmp_path: Path) -> None:
+    x, y = np.array([1.0, 2.0, 3.0]), np.array([0.5, np.inf, np.nan])
+    panel = Panel("p", [Curve("a", x, y, 0), Curve("b", x, x, 1)], "x")
+    found = drawn(tmp_path / "p.rrd", "t", panel)
+    assert found["a"][0] == pytest.approx([1.0, 0.5], rel=1e-4)
+    assert len(found["a"]) == 2 and found["a"][1, 1] > found["b"][:, 1].max()
 
 
 def test_laws_stand_in_rows_and_failures_right_of_what_is_allowed(tmp_path: Path) -> None:
-    from nuno_bench.validation import rerun as validation_rerun
-
     cases = [Case(name, "law", "source", lambda plugin: Found(0, 0, 0, 0)) for name in ("order, net", "momentum")]
     series = {"dt": (0.1, 0.01), "error": (1e-2, 1e-4)}
-    found = [
+    outcomes = [
         Outcome("order, net", "rk4", "passed", "", Found(2.0, 2.0, 1e-3, 0.1, series)),
         Outcome("order, net", "euler", "failed", "", Found(1.0, 2.0, 1.0, 0.1, series)),
         Outcome("momentum", "rk4", "passed", "", Found(0.0, 0.0, 0.0, 1e-10)),
         Outcome("momentum", "euler", "unsupported", "no"),
     ]
-    path = validation_rerun.write(tmp_path / "laws.rrd", [Part("cloth", tuple(cases), ("rk4", "euler"))], found)
-    dots = columns(path, "Points2D:positions")
-    wide, (rk4,), (euler,) = 3.0, dots[entity("laws", "cloth", "rk4")], dots[entity("laws", "cloth", "euler", "failed")]
-    assert [x / wide for x, _ in rk4] == pytest.approx([-2.0, validation_rerun.SHORTEST], abs=1e-5)
-    assert [round(-y) for _, y in rk4] == [1, 0]
-    assert [x / wide for x, _ in euler] == pytest.approx([1.0], abs=1e-5)
-    (line,) = dots[entity("order, net", "rk4")]
-    assert np.array(line) == pytest.approx(np.array([[-2.0, 2.0], [-4.0, 4.0]]), abs=1e-5)
+    made = laws.tabs([Part("cloth", tuple(cases), ("rk4", "euler"))], outcomes)
+    found = drawn(tmp_path / "laws.rrd", "laws", made["laws of cloth"][0])
+    assert found["rk4"][:, 0] == pytest.approx([1e-2, laws.LEAST], rel=1e-3)
+    assert [round(y) for y in found["rk4"][:, 1]] == [1, 0]
+    assert found["euler"][:, 0] == pytest.approx([10.0], rel=1e-3)
+    line = drawn(tmp_path / "order.rrd", "order", made["order, net"][0])["rk4: 2.00"]
+    assert line == pytest.approx(np.array([[0.1, 1e-2], [0.01, 1e-4]]), rel=1e-3)

@@ -16,10 +16,9 @@ import pytest
 from nuno import registry
 from nuno.cli import main
 from nuno_bench.stability import page as stability_page
-from nuno_bench.stability import plots as stability_plots
-from nuno_bench.stability.case import Motion, Point, Setting, classify, measure_row, pose, run, stiffen
+from nuno_bench.stability.case import Motion, Point, Setting, classify, pose, stiffen
 from nuno_bench.stability.drift import SHARE, measure_amplification, measure_drift
-from nuno_bench.stability.sweep import Row, Sweep, measure_all, mesh_overrides, settings_of, step_counts
+from nuno_bench.stability.sweep import Row, Sweep, measure_all, measure_row, mesh_overrides, settings_of, step_counts
 from nuno_bench.sweep.executor import Here
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.sweep.packed import pack
@@ -77,7 +76,7 @@ def row_of(scene: Path, solver: str, value: float = 1.0) -> tuple[float, list[Po
     setting = Setting(pack(scene), (), "stiffness", value)
     posed = pose(setting)
     tight = registry.load("nuno.integrators", "dop853")
-    reference = run(posed, tight, tight.Config(tolerance=1e-9), 1)[0]
+    reference = posed.run(tight, tight.Config(tolerance=1e-9), 1)[0]
     assert reference is not None
     limit = registry.load("nuno.integrators", solver).limit(None, posed.system, posed.start).dt
     around = sorted({max(1, math.ceil(posed.frame / (limit * share))) for share in (0.25, 0.9, 1.5, 2.0)})
@@ -115,7 +114,7 @@ def test_implicit_points_are_never_diverged(scene: Path) -> None:
     setting = Setting(pack(scene), (), "stiffness", 1e4)
     posed = pose(setting)
     tight = registry.load("nuno.integrators", "dop853")
-    reference = run(posed, tight, tight.Config(tolerance=1e-8), 1)[0]
+    reference = posed.run(tight, tight.Config(tolerance=1e-8), 1)[0]
     assert reference is not None
     limit, points = measure_row(posed, setting, "implicit_euler", [1, 8], reference, 1e9, math.inf)
     assert math.isinf(limit)
@@ -201,10 +200,10 @@ def rows() -> list[Row]:
 
 
 def test_tables_count_points_on_either_side_of_the_limit() -> None:
-    assert stability_page.counts(rows()) == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
-    assert stability_page.beyond(rows()) == [["rk4", "0 of 2", "2 of 4"]]
+    assert stability_page.counts(rows()).rows == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
+    assert stability_page.beyond(rows()).rows == [["rk4", "0 of 2", "2 of 4"]]
     dyed = [replace(row, axis="diffusion") for row in rows()]
-    assert stability_page.beyond(dyed) == [["rk4", "0 of 2", "4 of 4"]], "drifting is as far as dye goes"
+    assert stability_page.beyond(dyed).rows == [["rk4", "0 of 2", "4 of 4"]], "drifting is as far as dye goes"
 
 
 def test_every_class_has_a_colour_of_its_own_lightness() -> None:
@@ -212,7 +211,7 @@ def test_every_class_has_a_colour_of_its_own_lightness() -> None:
         red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
         return 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2
 
-    known = sorted(lightness(colour) for colour in stability_plots.COLOURS.values())
+    known = sorted(lightness(colour) for colour in stability_page.COLOURS.values())
     assert np.diff(known).min() > 0.02
 
 

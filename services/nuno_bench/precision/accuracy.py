@@ -8,7 +8,6 @@ forms (nuno_bench.precision.accuracy_dye).
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import math
 import sys
@@ -30,7 +29,7 @@ from nuno_bench.problem.observe import Problem, Run, make_problem, simulate
 from nuno_bench.problem.random_scenes import random_scene
 from nuno_bench.problem.reference import Reference, make_reference
 from nuno_bench.report import markdown, page
-from nuno_bench.report.result import text_table
+from nuno_bench.report.page import Facts, Table
 from nuno_schemas.errors import BadInput
 from nuno_schemas.solver import Accuracy
 
@@ -39,6 +38,10 @@ SCENES = (
     "extreme/mass-ratio", "extreme/far-away", "extreme/millimetres",
 )  # fmt: skip
 """Shipped scenes in which something moves, by name or path below scenes/."""
+CAPTION = (
+    "Of cloth, root mean square distance to a converged run as a share of its size, up to the time given; of dye, "
+    "largest distance of any cell's amount to the exact one, as a share of the largest amount."
+)
 SCENES_HELP = f"a scene, or dye of closed form: {', '.join(CASES)}; default: ten shipped scenes, random ones, and these"
 
 
@@ -58,8 +61,7 @@ def main(args: argparse.Namespace) -> int:
     options.require_known(levels, PROMISE, "level", "--levels")
     if not levels or (not args.scenes and args.random < 0) or not args.budget > 0.0:
         raise BadInput("nothing to measure", remedy="name a level and a scene, and a budget of more than 0 s")
-    if args.docs is not None:
-        markdown.check_section(args.docs, "accuracy")
+    markdown.check_section(args.docs, "accuracy")
     others, found = machine.Others(), list[Delivered]()
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         for path in _paths(args, Path(folder)):
@@ -67,17 +69,24 @@ def main(args: argparse.Namespace) -> int:
         for name in CASES if not args.scenes else [name for name in args.scenes if name in CASES]:
             for length in LENGTHS:
                 found += measure_case(name, length, FRAMES, levels, Path(folder))
-    rows = [one.row() for one in found]
     kept = sum(one.verdict == "agrees" for one in found)
     summary = f"{kept} of {len(found)} within what was promised, of cloth within {WITHIN:g} times of it"
-    print(text_table(HEADINGS, rows))
+    table, about = Table(HEADINGS, [one.row() for one in found], CAPTION), machine.about(others)
+    print(table.text())
     print(summary)
-    about = {"command": machine.command(), **machine.describe(), "load": others.describe()}
-    for file in write(args.out, found, summary, about):
+    reasons = Table(("scene", "accuracy", "reason"), [[one.scene, one.accuracy, one.why] for one in found],
+                    "What was tried.", prose=True)  # fmt: skip
+    sections: page.Sections = [
+        ("", [summary + ".", table]),
+        ("Why", [reasons]),
+        ("Made by", [Facts(about)]),
+    ]
+    data = {"about": about, "results": [asdict(one) | {"verdict": one.verdict} for one in found]}
+    lead = "What the solver and the step that are chosen for a scene deliver, against what the level promises."
+    for file in page.write(args.out / "accuracy", "Accuracy promised and delivered", lead, sections, data, table):
         print(f"written {file}")
     if args.docs is not None:
-        parts = [f"{summary}.", markdown.table(HEADINGS, rows), markdown.facts(about)]
-        markdown.replace_section(args.docs, "accuracy", parts)
+        markdown.replace_section(args.docs, "accuracy", [f"{summary}.", table, Facts(about)])
     return int(kept < len(found))
 
 
@@ -132,28 +141,3 @@ def _apart(problem: Problem, run: Run, exact: Run, frames: int) -> float:
         return math.nan
     difference = run.series.x[1:frames] - exact.series.x[1:frames]
     return float(np.sqrt((difference**2).sum(axis=2).mean())) / problem.size
-
-
-def write(folder: Path, found: Sequence[Delivered], summary: str, about: dict[str, str]) -> list[Path]:
-    """The page, and the same as JSON and CSV."""
-    folder.mkdir(parents=True, exist_ok=True)
-    lead = "What the solver and the step that are chosen for a scene deliver, against what the level promises."
-    caption = (
-        "Of cloth, root mean square distance to a converged run as a share of its size, up to the time given; of dye, "
-        "largest distance of any cell's amount to the exact one, as a share of the largest amount."
-    )
-    reasons = [[one.scene, one.accuracy, one.why] for one in found]
-    sections: list[tuple[str, Sequence[page.Part]]] = [
-        ("", [summary + ".", page.Table(HEADINGS, [one.row() for one in found], caption)]),
-        ("Why", [page.Table(("scene", "accuracy", "reason"), reasons, "What was tried.", prose=True)]),
-        ("Made by", [page.Facts(about)]),
-    ]
-    html, data, table = (folder / f"accuracy.{ending}" for ending in ("html", "json", "csv"))
-    html.write_text(page.render("Accuracy promised and delivered", lead, sections), encoding="utf-8")
-    results = [asdict(one) | {"verdict": one.verdict} for one in found]
-    data.write_text(json.dumps({"about": about, "results": results}, indent=1) + "\n", encoding="utf-8")
-    with table.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(HEADINGS)
-        writer.writerows(one.row() for one in found)
-    return [html, data, table]

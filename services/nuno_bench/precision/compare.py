@@ -14,7 +14,8 @@ from nuno_bench import machine
 from nuno_bench.precision.findings import ABOVE
 from nuno_bench.precision.point import Point
 from nuno_bench.report import page
-from nuno_bench.report.result import number, text_table
+from nuno_bench.report.page import Facts, Table
+from nuno_bench.report.result import number
 from nuno_schemas.errors import BadInput
 
 SAME_TIME = 1.1
@@ -22,17 +23,8 @@ SAME_TIME = 1.1
 SAME_ERROR = 1.01
 """The same solver repeats its errors to the bit; another machine's rounding may move them less than this."""
 HEADINGS = (
-    "solver",
-    "setting",
-    "changed",
-    "quantity",
-    "error A",
-    "error B",
-    "B / A",
-    "time A [s]",
-    "time B [s]",
-    "B / A",
-)
+    "solver", "setting", "changed", "quantity", "error A", "error B", "B / A", "time A [s]", "time B [s]", "B / A",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -76,16 +68,15 @@ def main(args: argparse.Namespace) -> int:
     changes = compare(first, second)
     if not changes:
         raise BadInput("the results have no point in common", value=f"{args.first}, {args.second}")
-    differing = [change for change in changes if change.changed]
+    differing = [row(change) for change in changes if change.changed]
     if differing:
-        print(text_table(HEADINGS, [row(change) for change in differing]))
+        print(Table(HEADINGS, differing).text())
     said = summary(first, second, changes)
     print("\n".join(said))
     if args.html is not None:
-        table = page.Table(HEADINGS, [row(change) for change in changes], "All points that both have.")
-        about = {"command": machine.command(), **{f"A, {k}": v for k, v in first.about.items()}}
-        about |= {f"B, {k}": v for k, v in second.about.items()}
-        parts: list[tuple[str, Sequence[page.Part]]] = [("Points", [table]), ("Made by", [page.Facts(about)])]
+        table = Table(HEADINGS, [row(change) for change in changes], "All points that both have.")
+        both = {f"{name}, {k}": v for name, one in (("A", first), ("B", second)) for k, v in one.about.items()}
+        parts: page.Sections = [("Points", [table]), ("Made by", [Facts({"command": machine.command(), **both})])]
         args.html.parent.mkdir(parents=True, exist_ok=True)
         args.html.write_text(page.render(f"Two sweeps of {first.scene}", " ".join(said), parts), encoding="utf-8")
         print(f"written {args.html}")

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
 from nuno import registry
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
-from nuno.scene.scene_file import Loaded
 from nuno_bench.sweep.packed import Packed, unpacked
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
@@ -70,8 +68,24 @@ class Posed:
         return limit
 
     def run(self, plugin: Any, config: Any, steps: int, most: float = math.inf) -> tuple[Motion | None, str, str]:
-        """See run."""
-        return run(self, plugin, config, steps, most)
+        """The path with so many steps a frame; or None with how it ended (diverged, refused, left out) and why."""
+        system, state = self.system, self.start.copy()
+        with np.errstate(all="ignore"):
+            memory = plugin.prepare(config, system, state)
+            # An interval without steps compiles what the others need, and measures the start.
+            first = plugin.advance(system, state, memory, self.pair(0), 0, self.frame)
+            x, energy, begin = [state.x.copy()], [first.energy], time.perf_counter()
+            for frame in range(len(self.poses) - 1):
+                state.t = frame * self.frame
+                report = plugin.advance(system, state, memory, self.pair(frame), steps, self.frame / steps)
+                if report.status != "ok":
+                    return None, "diverged" if report.status == "diverged" else "refused", report.message
+                x.append(state.x.copy())
+                energy.append(report.energy)
+                if time.perf_counter() - begin > most:
+                    return None, "left out", f"takes more than {most:.2g} s"
+        kinetic = np.array([e.get("kinetic", 0.0) for e in energy])
+        return Motion(np.array(x), kinetic, np.array([sum(e.values()) for e in energy])), "", ""
 
     def pair(self, frame: int) -> tuple[Poses, Poses] | None:
         before, after = self.poses[frame], self.poses[frame + 1]
@@ -108,20 +122,17 @@ class Point:
 def pose(setting: Setting) -> Posed:
     """Build the scene at its stiffness or mesh. Raises BadInput."""
     with unpacked(setting.scene, [*setting.overrides, "allow_unstable=true"]) as loaded:
-        return _build(loaded, setting)
-
-
-def _build(loaded: Loaded, setting: Setting) -> Posed:
-    fabric, pieces = build.build_fabric(loaded)
-    if fabric.number == 0 or fabric.pinned.all():
-        raise BadInput("nothing in the scene can move", loaded.file, field="objects", remedy="add cloth that is free")
-    if setting.axis == "stiffness":
-        fabric = stiffen(fabric, setting.value)
-    bodies = build_bodies(loaded) if loaded.scene.bodies else None
-    rate = float(loaded.scene.frame_rate)
-    frames = max(1, min(loaded.scene.frames, round(LONGEST * rate)))
-    poses = [bodies.poses(i / rate) if bodies else None for i in range(frames + 1)]
-    system = build.build_system(loaded, fabric, pieces, bodies.geometry if bodies else None, poses[0], 1)
+        fabric, pieces = build.build_fabric(loaded)
+        if fabric.number == 0 or fabric.pinned.all():
+            problem, remedy = "nothing in the scene can move", "add cloth that is free"
+            raise BadInput(problem, loaded.file, field="objects", remedy=remedy)
+        if setting.axis == "stiffness":
+            fabric = stiffen(fabric, setting.value)
+        bodies = build_bodies(loaded) if loaded.scene.bodies else None
+        rate = float(loaded.scene.frame_rate)
+        frames = max(1, min(loaded.scene.frames, round(LONGEST * rate)))
+        poses = [bodies.poses(i / rate) if bodies else None for i in range(frames + 1)]
+        system = build.build_system(loaded, fabric, pieces, bodies.geometry if bodies else None, poses[0], 1)
     start, edge = build.start_state(fabric), shortest(fabric)
     free = ~fabric.pinned
     start.x[free] += ROUGHNESS * edge * np.random.default_rng(1).uniform(-1.0, 1.0, (int(free.sum()), 3))
@@ -143,27 +154,6 @@ def shortest(fabric: Fabric) -> float:
     return float(rest.min()) if rest.size else 0.0
 
 
-def run(posed: Posed, plugin: Any, config: Any, steps: int, most: float = math.inf) -> tuple[Motion | None, str, str]:
-    """The path with so many steps a frame; or None with how it ended (diverged, refused, left out) and why."""
-    system, state = posed.system, posed.start.copy()
-    with np.errstate(all="ignore"):
-        memory = plugin.prepare(config, system, state)
-        # An interval without steps compiles what the others need, and measures the start.
-        first = plugin.advance(system, state, memory, posed.pair(0), 0, posed.frame)
-        x, energy, begin = [state.x.copy()], [first.energy], time.perf_counter()
-        for frame in range(len(posed.poses) - 1):
-            state.t = frame * posed.frame
-            report = plugin.advance(system, state, memory, posed.pair(frame), steps, posed.frame / steps)
-            if report.status != "ok":
-                return None, "diverged" if report.status == "diverged" else "refused", report.message
-            x.append(state.x.copy())
-            energy.append(report.energy)
-            if time.perf_counter() - begin > most:
-                return None, "left out", f"takes more than {most:.2g} s"
-    kinetic = np.array([e.get("kinetic", 0.0) for e in energy])
-    return Motion(np.array(x), kinetic, np.array([sum(e.values()) for e in energy])), "", ""
-
-
 def reference_plugin() -> Any:
     """The adaptive solver of highest order that is installed. Raises BadInput where there is none."""
     plugins = [registry.load("nuno.integrators", name) for name in registry.installed("nuno.integrators")]
@@ -176,7 +166,7 @@ def reference_plugin() -> Any:
 def make_reference(posed: Posed) -> Motion:
     """The same, by an adaptive solver at a tight tolerance. Raises BadInput where it cannot be made."""
     plugin = reference_plugin()
-    path, ended, why = run(posed, plugin, plugin.Config(tolerance=TIGHT), 1)
+    path, ended, why = posed.run(plugin, plugin.Config(tolerance=TIGHT), 1)
     if path is None:
         raise BadInput(f"the reference run by {plugin.name} {ended}: {why}", remedy="look at the scene with nuno plan")
     return path
@@ -194,61 +184,3 @@ def classify(path: Motion, reference: Motion) -> tuple[str, float, float]:
     if error <= ACCURATE and abs(gained) <= HIDDEN:
         return "exact" if error <= EXACT else "accurate", error, gained
     return "damped away" if gained < -LOST else "drifting", error, gained
-
-
-class Runnable(Protocol):
-    """A setting that a solver can be run on: cloth (Posed) or dye."""
-
-    group: ClassVar[str]
-
-    @property
-    def frame(self) -> float: ...
-
-    @property
-    def edge(self) -> float: ...
-
-    def limit(self, plugin: Any, config: Any) -> float: ...
-
-    def run(self, plugin: Any, config: Any, steps: int, most: float = ...) -> tuple[Motion | None, str, str]: ...
-
-
-def measure_row(
-    posed: Runnable,
-    setting: Setting,
-    solver: str,
-    counts: Sequence[int],
-    reference: Motion,
-    most: float,
-    deadline: float,
-) -> tuple[float, list[Point]]:
-    """The solver's own limit [s], and a point for each number of steps a frame, from long steps to short ones.
-
-    A point that would take more than `most` seconds, or start after `deadline` (time.monotonic), is left out.
-    """
-    plugin = registry.load(posed.group, solver)
-    config = plugin.Config()
-    points: list[Point] = []
-    try:
-        limit = posed.limit(plugin, config)
-    except BadInput:
-        limit = math.nan
-    each = 0.0
-    for count in sorted(counts):
-        made = (setting.axis, setting.value, solver, posed.frame / count)
-        if 2.0 * each > most or time.monotonic() > deadline:
-            points.append(Point(*made, "left out", why="the budget of time"))
-            continue
-        begin = time.perf_counter()
-        try:
-            path, outcome, why = posed.run(plugin, config, count, 2.0 * most)
-        except BadInput as refused:
-            path, outcome, why = None, "refused", refused.problem
-        seconds = time.perf_counter() - begin
-        # What ends early says nothing of the next point's cost.
-        each = seconds if path is not None or outcome == "left out" else each
-        figures = (math.nan, math.nan)
-        if path is not None:
-            outcome, *found = classify(path, reference)
-            figures = (found[0], found[1])
-        points.append(Point(*made, outcome, *figures, seconds, why))
-    return limit, points

@@ -104,18 +104,16 @@ class Modes:
     drift: Drift
 
     def json(self) -> dict[str, Any]:
-        return {name: _lists(vars(value)) for name, value in vars(self).items()}
+        """Arrays as lists."""
+        return {name: {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(part).items()}
+                for name, part in vars(self).items()}  # fmt: skip
 
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Modes:
+        def arrays(name: str) -> dict[str, Any]:
+            return {k: np.array(v, float) if isinstance(v, list) else v for k, v in data[name].items()}
 
-def _lists(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
-
-
-def _modes(data: Mapping[str, Any]) -> Modes:
-    def arrays(values: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: np.array(value, float) if isinstance(value, list) else value for name, value in values.items()}
-
-    return Modes(Amplification(**arrays(data["amplification"])), Drift(**arrays(data["drift"])))
+        return Modes(Amplification(**arrays("amplification")), Drift(**arrays("drift")))
 
 
 def measure_mode(task: tuple[str, float]) -> Modes:
@@ -131,7 +129,8 @@ def measure_modes(
 
     The long runs share `seconds`, the cheap ones first, so that others have what is left.
     """
-    found = {modes.drift.solver: modes for line in kept.lines if "modes" in line for modes in (_modes(line["modes"]),)}
+    known = [Modes.from_json(line["modes"]) for line in kept.lines if "modes" in line]
+    found = {modes.drift.solver: modes for modes in known}
     wanted = sorted(
         (name for name in solvers if name not in found),
         key=lambda name: not registry.load("nuno.integrators", name).explicit,

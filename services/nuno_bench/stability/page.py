@@ -1,21 +1,20 @@
-"""Page, CSV and JSON of the stability maps."""
+"""What `nuno bench stability` shows: one set of tables and panels for page, screen, documentation and rerun file."""
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from nuno_bench.report import page
+import numpy as np
+
+from nuno_bench.report.page import Facts, Figure, Part, Table
+from nuno_bench.report.plots import INK, Curve, Panel, draw
 from nuno_bench.report.result import number
-from nuno_bench.stability import plots
 from nuno_bench.stability.case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY
-from nuno_bench.stability.drift import STEPS, Amplification, Drift
-from nuno_bench.stability.sweep import Row, Sweep
+from nuno_bench.stability.drift import STEPS
+from nuno_bench.stability.sweep import Mapped, Row, Sweep
 
 LEAD = "What each solver makes of the scene at every step and stiffness, above its limit too."
 HOW = (
@@ -34,25 +33,44 @@ HOW_DYE = (
     "unstable steps bounded. Refused: the solver itself declined, or did not converge. A scene's own run refuses steps "
     "above the line."
 )
-FIELDS = ("axis", "value", "edge", "solver", "limit", "dt", "outcome", "error", "gained", "seconds", "why")
 AXES = {
     "stiffness": "stiffness, as a multiple of the scene's",
     "mesh": "shortest spring [mm]",
     "diffusion": "coefficient of diffusion, as a multiple of the scene's",
 }
+LOST_BY = {"diffusion": ("damped away", "drifting", "diverged")}
+"""Classes in which a point counts as lost, by kind of map: dye is bounded, and never diverges."""
+COLOURS = {
+    "exact": "#0072b2",
+    "accurate": "#7fc4ee",
+    "damped away": "#f0e442",
+    "drifting": "#e69f00",
+    "diverged": "#b03a00",
+    "refused": "#8a8f98",
+    "left out": "#c9cdd3",
+}
+"""After Okabe & Ito 2008; classes also differ in lightness."""
+MARKS = {"damped away": "v", "drifting": "o", "diverged": "X", "refused": "_", "left out": "."}
+"""Of classes that are not square."""
 
 
-def counts(rows: Sequence[Row]) -> list[list[str]]:
-    """Rows of axis, solver, and how many points fell into each class."""
+def summary(sweep: Sweep) -> str:
+    """Points in all, and of each class that occurs."""
+    found = Counter(point.outcome for row in sweep.rows for point in row.points)
+    kinds = ", ".join(f"{found[name]} {name}" for name in CLASSES if found[name])
+    return f"{number(sum(found.values()))} points: {kinds}" if found else "no points"
+
+
+def counts(rows: Sequence[Row]) -> Table:
+    """How many points fell into each class, by map and solver."""
     found: dict[tuple[str, str], Counter[str]] = {}
     for row in rows:
         found.setdefault((row.axis, row.solver), Counter()).update(point.outcome for point in row.points)
-    return [
-        [axis, solver, *(str(classes[name]) for name in CLASSES)] for (axis, solver), classes in sorted(found.items())
-    ]
+    lines = [[*key, *(str(classes[name]) for name in CLASSES)] for key, classes in sorted(found.items())]
+    return Table(("map", "solver", *CLASSES), lines, "Points of each class.")
 
 
-def beyond(rows: Sequence[Row]) -> list[list[str]]:
+def beyond(rows: Sequence[Row]) -> Table:
     """How the stated limits compare with the maps: points that were lost below, and above, out of all."""
     found: dict[str, list[int]] = {}
     for row in rows:
@@ -65,113 +83,129 @@ def beyond(rows: Sequence[Row]) -> list[list[str]]:
             above, lost = point.dt > row.limit, point.outcome in LOST_BY.get(row.axis, ("diverged",))
             tally[2 * above] += 1
             tally[2 * above + 1] += lost
-    return [[solver, f"{b} of {a}", f"{d} of {c}"] for solver, (a, b, c, d) in sorted(found.items())]
+    lines = [[solver, f"{b} of {a}", f"{d} of {c}"] for solver, (a, b, c, d) in sorted(found.items())]
+    caption = "Points of all maps. Lost: diverged; of dye, which is bounded, drifting or damped away, too."
+    return Table(("solver", "lost below its limit", "lost above it"), lines, caption)
 
 
-def modes(sizes: Sequence[Amplification], drifts: Sequence[Drift]) -> list[list[str]]:
-    """Rows of solver, measured against stated matrix, steps, energy at the end."""
-    runs = {drift.solver: drift for drift in drifts}
+def modes(found: Mapped) -> Table:
+    """Measured against stated matrix of a step, and the energy at the end of the long run."""
     rows = []
-    for found in sizes:
-        drift = runs[found.solver]
+    for each in found.modes:
+        drift = each.drift
         last = f"{drift.steps[-1]:,.0f}" + (f" ({drift.ended})" if drift.ended else "")
         largest = max(abs(float(value)) for value in drift.change)
-        rows.append([found.solver, f"{found.stated:.1g}", last, f"{drift.change[-1]:+.2g}", f"{largest:.2g}"])
-    return rows
+        rows.append([drift.solver, f"{each.amplification.stated:.1g}", last, f"{drift.change[-1]:+.2g}",
+                     f"{largest:.2g}"])  # fmt: skip
+    headings = ("solver", "matrix off", "steps", "energy at the end, change", "largest")
+    return Table(headings, rows, "Matrix off: largest difference from the one that is stated.")
 
 
-COUNTS = ("map", "solver", *CLASSES)
-LOST_BY = {"diffusion": ("damped away", "drifting", "diverged")}
-"""Classes in which a point counts as lost, by kind of map: dye is bounded, and never diverges."""
-BEYOND = ("solver", "lost below its limit", "lost above it")
-MODES = ("solver", "matrix off", "steps", "energy at the end, change", "largest")
+def place_of(row: Row) -> float:
+    """Where a row stands: its factor, or the shortest spring [mm]."""
+    return 1e3 * row.edge if row.axis == "mesh" else row.value
 
 
-def render(
-    scene: str, sweep: Sweep, sizes: Sequence[Amplification], drifts: Sequence[Drift], about: Mapping[str, str]
-) -> str:
-    """The page."""
-    sections: list[tuple[str, list[page.Part]]] = []
-    for axis, name in AXES.items():
-        rows = [row for row in sweep.rows if row.axis == axis]
-        if rows:
-            caption = f"Classes over {name} and the step. The black line is the limit that each solver states."
-            parts: list[page.Part] = [page.Figure(plots.maps(rows, axis, name), caption)]
-            sections.append((f"{axis.capitalize()} and step", parts))
-    if sections:
-        sections[0][1].insert(0, HOW_DYE if sweep.rows[0].axis == "diffusion" else HOW)
-        sections.append(
-            (
-                "Limits",
-                [
-                    page.Table(
-                        BEYOND,
-                        beyond(sweep.rows),
-                        "Points of all maps. Lost: diverged; of dye, which is bounded, drifting or damped away, too.",
-                    )
-                ],
-            )
-        )
-        sections.append(("Points", [page.Table(COUNTS, counts(sweep.rows), "Points of each class.")]))
-    if sizes:
+def maps(rows: Sequence[Row], axis: str) -> list[Panel]:
+    """A panel a solver: its points over axis and step, each class a curve, and the limit that it states."""
+    panels = []
+    for solver in sorted({row.solver for row in rows if row.axis == axis}):
+        own = sorted((row for row in rows if (row.axis, row.solver) == (axis, solver)), key=place_of)
+        curves = []
+        for name, colour in COLOURS.items():
+            points = [(place_of(row), point) for row in own for point in row.points if point.outcome == name]
+            x, dt = np.array([place for place, _ in points]), np.array([point.dt for _, point in points])
+            said = [f"{name}: step {p.dt:.3g} s at {place:.3g}, error {p.error:.2g}" for place, p in points]
+            curves.append(Curve(name, x, dt, colour, marker=MARKS.get(name, "s"), size=6.0, loose=True, labels=said))
+        limits = np.array([row.limit if row.limit > 0.0 else math.nan for row in own])
+        if np.isfinite(limits).any():
+            curves.append(Curve("stated limit", np.array([*map(place_of, own)]), limits, INK))
+        none = "" if np.isfinite(limits).any() else ", no limit"
+        none = ", no stable step" if all(row.limit == 0.0 for row in own) else none
+        panels.append(Panel(solver + none, curves, AXES[axis], "step [s]", log="xy"))
+    return panels
+
+
+def growth(found: Mapped) -> list[Panel]:
+    """What a step does to one mode, over omega dt; both are 1 for the exact solution. Growth above 2 is drawn there."""
+    sizes, waves = [], []
+    for i, one in enumerate(each.amplification for each in found.modes):
+        sizes.append(Curve(one.solver, one.h, np.clip(one.size, 0.0, 2.0), i, i % 2 == 1))
+        waves.append(Curve(one.solver, one.h, one.frequency, i, i % 2 == 1))
+    named = {"growth of a step (exact: 1)": sizes, "frequency over the exact one": waves}
+    return [Panel(name, curves, "omega dt", log="x") for name, curves in named.items()]
+
+
+def energies(found: Mapped) -> list[Panel]:
+    """|Energy / start - 1| over the steps."""
+    curves = []
+    for i, drift in enumerate(each.drift for each in found.modes):
+        off = np.clip(np.abs(drift.change[1:]), 1e-17, 1e3)
+        curves.append(Curve(drift.solver, drift.steps[1:] / 1000, off, i, i % 2 == 1, drift.ended))
+    return [Panel("energy off its start, as a share", curves, "thousand steps", log="y")]
+
+
+def tabs(found: Sequence[Mapped]) -> dict[str, list[Panel]]:
+    """All panels by scene and kind of map."""
+    made = {f"{one.scene}, {axis}": maps(one.sweep.rows, axis) for one in found for axis in AXES}
+    made |= {f"{one.scene}, a mode": [*growth(one), *energies(one)] for one in found if one.modes}
+    return {name: panels for name, panels in made.items() if panels}
+
+
+def figures(found: Mapped) -> list[Figure]:
+    """The maps, one for each kind."""
+    made = {axis: maps(found.sweep.rows, axis) for axis in AXES}
+    said = "Classes over {} and the step. The black line is the limit that each solver states."
+    return [Figure(draw(panels, 3, 2.0, shared=True), said.format(AXES[axis]), axis)
+            for axis, panels in made.items() if panels]  # fmt: skip
+
+
+def sections(found: Mapped, about: dict[str, str]) -> Iterator[tuple[str, list[Part]]]:
+    """The page's."""
+    if found.sweep.rows:
+        yield "", [HOW_DYE if found.sweep.rows[0].axis == "diffusion" else HOW]
+        for one in figures(found):
+            yield f"{one.name.capitalize()} and step", [one]
+        yield "Limits", [beyond(found.sweep.rows)]
+        yield "Points", [counts(found.sweep.rows)]
+    if found.modes:
         text = "Measured by single steps of an undamped oscillator; 1 is exact. Adaptive solvers take the step given."
-        figure = page.Figure(plots.amplifications(sizes), text)
-        sections.append(("One mode", [figure]))
+        yield "One mode", [Figure(draw(growth(found)), text)]
         text = f"A free net of twelve vertices, undamped, at omega dt = 0.5, over up to {STEPS:,} steps."
-        shown = page.Table(MODES, modes(sizes, drifts), "Matrix off: largest difference from the one that is stated.")
-        sections.append(("Energy over many steps", [page.Figure(plots.drifts(drifts), text), shown]))
-    left: list[page.Part] = [*(sweep.omissions or ["Nothing."])]
-    return page.render(f"Stability of {scene}", LEAD, [*sections, ("Left out", left), ("Made by", [page.Facts(about)])])
+        yield "Energy over many steps", [Figure(draw(energies(found)), text), modes(found)]
+    yield "Left out", [*(found.sweep.omissions or ["Nothing."])]
+    yield "Made by", [Facts(about)]
 
 
-def write(
-    base: Path,
-    scene: str,
-    sweep: Sweep,
-    modes_found: tuple[Sequence[Amplification], Sequence[Drift]],
-    about: Mapping[str, str],
-) -> list[Path]:
-    """Write page, CSV and JSON beside each other."""
-    html, table, data = (base.with_name(base.name + ending) for ending in (".html", ".csv", ".json"))
-    sizes, drifts = modes_found
-    html.write_text(render(scene, sweep, sizes, drifts, about), encoding="utf-8")
-    with table.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(FIELDS)
-        for row in sweep.rows:
-            for point in row.points:
-                own = vars(point) | {"edge": row.edge, "limit": row.limit}
-                writer.writerow([_written(own[name]) for name in FIELDS])
-    content: dict[str, Any] = {
-        "about": dict(about),
-        "omissions": sweep.omissions,
-        "rows": [row.json() for row in sweep.rows],
-        "amplification": [_lists(vars(found)) for found in sizes],
-        "drift": [_lists(vars(found)) for found in drifts],
-    }
-    data.write_text(json.dumps(_finite(content), indent=1) + "\n", encoding="utf-8")
-    return [html, table, data]
+def document(found: Mapped, about: dict[str, str]) -> list[Part]:
+    """What goes into a documentation page's section."""
+    tables = (counts(found.sweep.rows), beyond(found.sweep.rows), modes(found))
+    return [
+        f"{summary(found.sweep)}.",
+        *figures(found),
+        *(table for table in tables if table.rows),
+        *(f"Left out: {text}." for text in found.sweep.omissions),
+        Facts(about),
+    ]
+
+
+def lines(found: Mapped) -> Table:
+    """The CSV's: a line per point."""
+    headings = ("axis", "value", "edge", "solver", "limit", "dt", "outcome", "error", "gained", "seconds", "why")
+    points = [vars(point) | {"edge": row.edge, "limit": row.limit} for row in found.sweep.rows for point in row.points]
+    return Table(headings, [[_written(point[name]) for name in headings] for point in points])
 
 
 def _written(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _lists(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value.tolist() if hasattr(value, "tolist") else value for name, value in values.items()}
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinity and no NaN: they are written as text."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def summary(sweep: Sweep) -> str:
-    """Points in all, and of each class that occurs."""
-    found = Counter(point.outcome for row in sweep.rows for point in row.points)
-    kinds = ", ".join(f"{found[name]} {name}" for name in CLASSES if found[name])
-    return f"{number(sum(found.values()))} points: {kinds}" if found else "no points"
+def data(found: Mapped, about: dict[str, str]) -> dict[str, Any]:
+    """All that was found, for JSON."""
+    return {
+        "about": about,
+        "omissions": found.sweep.omissions,
+        "rows": [row.json() for row in found.sweep.rows],
+        "amplification": [vars(each.amplification) for each in found.modes],
+        "drift": [vars(each.drift) for each in found.modes],
+    }

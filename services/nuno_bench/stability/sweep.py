@@ -17,13 +17,13 @@ from nuno_bench.stability.case import (
     Point,
     Posed,
     Setting,
+    classify,
     make_reference,
-    measure_row,
     pose,
     reference_plugin,
 )
 from nuno_bench.stability.drift import Modes
-from nuno_bench.stability.dye import AXIS, DyePosed, dye_settings, pose_dye, prepare_dye
+from nuno_bench.stability.dye import AXIS, MOST_HALVINGS, DyePosed, dye_settings, pose_dye, prepare_dye
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.sweep.packed import pack
@@ -33,8 +33,6 @@ FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
 """Of the scene's stiffness."""
 MESHES = (0.25, 0.5, 1.5)
 """Of the scene's numbers of vertices along each side; 1 is the stiffness map's middle."""
-MOST_HALVINGS = 11
-"""Of a frame, to the shortest step."""
 
 
 @dataclass
@@ -186,6 +184,48 @@ def measure_setting(task: Task) -> list[Row]:
             limit, points = measure_row(posed, setting, name, counts, reference, task.most, deadline)
             rows.append(Row(setting.axis, setting.value, name, posed.edge, limit, points))
     return rows
+
+
+def measure_row(
+    posed: Posed | DyePosed,
+    setting: Setting,
+    solver: str,
+    counts: Sequence[int],
+    reference: Motion,
+    most: float,
+    deadline: float,
+) -> tuple[float, list[Point]]:
+    """The solver's own limit [s], and a point for each number of steps a frame, from long steps to short ones.
+
+    A point that would take more than `most` seconds, or start after `deadline` (time.monotonic), is left out.
+    """
+    plugin = registry.load(posed.group, solver)
+    config = plugin.Config()
+    points: list[Point] = []
+    try:
+        limit = posed.limit(plugin, config)
+    except BadInput:
+        limit = math.nan
+    each = 0.0
+    for count in sorted(counts):
+        made = (setting.axis, setting.value, solver, posed.frame / count)
+        if 2.0 * each > most or time.monotonic() > deadline:
+            points.append(Point(*made, "left out", why="the budget of time"))
+            continue
+        begin = time.perf_counter()
+        try:
+            path, outcome, why = posed.run(plugin, config, count, 2.0 * most)
+        except BadInput as refused:
+            path, outcome, why = None, "refused", refused.problem
+        seconds = time.perf_counter() - begin
+        # What ends early says nothing of the next point's cost.
+        each = seconds if path is not None or outcome == "left out" else each
+        figures = (math.nan, math.nan)
+        if path is not None:
+            outcome, *found = classify(path, reference)
+            figures = (found[0], found[1])
+        points.append(Point(*made, outcome, *figures, seconds, why))
+    return limit, points
 
 
 @contextlib.contextmanager

@@ -78,9 +78,9 @@ def _write(args: argparse.Namespace, parts: Sequence[Part], outcomes: Sequence[O
     if args.docs is not None:
         markdown.replace_section(args.docs, "validate", shown.document(parts, outcomes, said, about))
     if args.rrd is not None:
-        from nuno_bench.validation import rerun
+        from nuno_bench.report import rerun
 
-        rerun.write(args.rrd, parts, outcomes)
+        rerun.write(args.rrd, "nuno validate", shown.tabs(parts, outcomes))
     for path in (args.json, args.html, args.rrd, args.docs):
         if path is not None:
             print(f"written {path}")

@@ -13,6 +13,8 @@ from nuno_bench.report.result import number
 from nuno_bench.validation.laws.base import Case, Found, Outcome
 from nuno_bench.validation.suite import Part
 
+LEAST, MOST = 1e-12, 1e3
+"""Shares of what is allowed beyond these, such as 0, are drawn there."""
 WIDTH = 120
 """Columns of a screen."""
 LEAD = (
@@ -131,9 +133,14 @@ def render(parts: Sequence[Part], outcomes: Sequence[Outcome], said: str, about:
         table = page.Table(("solver", "reason", "cases"), rows, "Cases that a solver cannot pose.", prose=True)
         sections.append(("Unsupported", [table]))
     cases = [case for part in parts for case in part.cases]
-    sections += [(case.name.capitalize(), [part]) for case in cases if (part := convergence(case.name, outcomes))]
-    laws = [[case.name, case.law, case.source] for case in cases]
-    sections.append(("Laws", [page.Table(("case", "law", "from"), laws, "What is measured.", prose=True)]))
+    text = "Error over step, with the fitted order of each solver."
+    sections += [
+        (case.name.capitalize(), [page.Figure(plots.draw([panel]), text)])
+        for case in cases
+        if (panel := convergence(case.name, outcomes))
+    ]
+    sources = [[case.name, case.law, case.source] for case in cases]
+    sections.append(("Laws", [page.Table(("case", "law", "from"), sources, "What is measured.", prose=True)]))
     figures = [
         [o.case, o.solver, number(o.found.measured), number(o.found.expected), short(o.found.error),
          short(o.found.allowed), f"{o.seconds:.2f}"]
@@ -150,17 +157,35 @@ def fitted(case: str, outcomes: Sequence[Outcome]) -> list[tuple[str, Found]]:
     return [(o.solver, o.found) for o in own if o.found and o.found.series]
 
 
-def convergence(case: str, outcomes: Sequence[Outcome]) -> page.Figure | None:
+def convergence(case: str, outcomes: Sequence[Outcome]) -> plots.Panel | None:
     """Error over step of every solver, for a case that fits an order to them; None for any other."""
-    found = fitted(case, outcomes)
-    if not found:
-        return None
     lines = [
-        Curve(f"{solver}: {f.measured:.2f}", np.log10(f.series["dt"]), np.array(f.series["error"]), i, i % 2 == 1)
-        for i, (solver, f) in enumerate(found)
+        Curve(f"{solver}: {f.measured:.2f}", np.array(f.series["dt"]), np.array(f.series["error"]), i, i % 2 == 1)
+        for i, (solver, f) in enumerate(fitted(case, outcomes))
     ]
-    text = "Error over step, with the fitted order of each solver."
-    return page.Figure(plots.curves({"error [m, m/s]": lines}, "log10 of the step [s]", ("error [m, m/s]",)), text)
+    return plots.Panel("error [m, m/s]", lines, "step [s]", log="xy") if lines else None
+
+
+def laws(part: Part, outcomes: Sequence[Outcome]) -> plots.Panel:
+    """A row a law, a dot a solver at its error as a share of what is allowed: right of 1 a law is broken."""
+    rows = [case.name for case in reversed(part.cases)]
+    curves = [Curve("allowed", np.ones(2), np.array([-0.5, len(rows) - 0.5]), plots.INK)]
+    for i, solver in enumerate(part.solvers):
+        own = [o for o in outcomes if o.solver == solver and o.verdict != "unsupported"]
+        shares = [o.found.error / o.found.allowed if o.found else math.inf for o in own]
+        x = np.clip(np.nan_to_num(shares, nan=MOST), LEAST, MOST)
+        # Solvers stand a little apart in a law's row, so that equal errors do not hide each other.
+        y = np.array([rows.index(o.case) for o in own]) + 0.25 - 0.5 * (i + 0.5) / len(part.solvers)
+        said = [f"{o.case}: {o.verdict}, {short(o.found.error) if o.found else o.reason}" for o in own]
+        curves.append(Curve(solver, x, y, i, marker="o", loose=True, labels=said))
+    return plots.Panel("laws", curves, "error over what is allowed", log="x", rows=rows)
+
+
+def tabs(parts: Sequence[Part], outcomes: Sequence[Outcome]) -> dict[str, list[plots.Panel]]:
+    """The laws of each part, and each case that fits an order."""
+    made = {f"laws of {part.of}": [laws(part, part.own(outcomes))] for part in parts}
+    names = [case.name for part in parts for case in part.cases]
+    return made | {name: [panel] for name in names if (panel := convergence(name, outcomes))}
 
 
 def document(parts: Sequence[Part], outcomes: Sequence[Outcome], said: str, about: dict[str, str]) -> list[str]:
