@@ -11,9 +11,8 @@ from rrd import columns
 from nuno.viewer.layout import entity
 from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.stability.case import Point
-from nuno_bench.stability.drift import Amplification, Drift, Modes
 from nuno_bench.stability.page import tabs
-from nuno_bench.stability.sweep import Mapped, Row, Sweep
+from nuno_bench.stability.sweep import Mapped, Row
 from nuno_bench.validation import page as laws
 from nuno_bench.validation.laws.base import Case, Found, Outcome
 from nuno_bench.validation.suite import Part
@@ -43,10 +42,7 @@ def mapped() -> Mapped:
     outcomes = ("diverged", "drifting", "exact", "left out")
     points = [Point("stiffness", 1.0, "rk4", 10.0**-i, outcome, 0.1, 0.1, 0.1) for i, outcome in enumerate(outcomes)]
     rows = [Row("stiffness", value, "rk4", 0.1, 0.03, points) for value in (1.0, 10.0)]
-    h = np.array([0.1, 1.0, 3.0])
-    mode = Amplification("rk4", h, np.array([1.0, 0.9, np.nan]), np.array([1.0, 0.99, np.nan]), 0.0)
-    drift = Drift("rk4", np.array([0.0, 1000.0, 2000.0]), np.array([0.0, -0.01, -0.1]), "")
-    return Mapped("small", Sweep(rows), [Modes(mode, drift)])
+    return Mapped("small", rows, [])
 
 
 def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> None:
@@ -56,12 +52,6 @@ def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> Non
         assert found[name] == pytest.approx(np.array([[1.0, 10.0**-i], [10.0, 10.0**-i]]), rel=1e-4)
     assert len(found["accurate"]) == 0
     assert found["stated limit"] == pytest.approx(np.array([[1.0, 0.03], [10.0, 0.03]]), rel=1e-4)
-
-
-def test_modes_and_the_energy_over_many_steps_are_curves(tmp_path: Path) -> None:
-    growth, _, energy = tabs([mapped()])["small, a mode"]
-    assert drawn(tmp_path / "g.rrd", "t", growth)["rk4"] == pytest.approx(np.array([[0.1, 1.0], [1.0, 0.9]]), rel=1e-4)
-    assert drawn(tmp_path / "e.rrd", "t", energy)["rk4"] == pytest.approx(np.array([[1.0, 0.01], [2.0, 0.1]]), rel=1e-4)
 
 
 def test_what_has_no_place_on_an_axis_stands_above_it_and_what_is_no_number_nowhere(tmp_path: Path) -> None:

@@ -17,8 +17,7 @@ from nuno import registry
 from nuno.cli import main
 from nuno_bench.stability import page as stability_page
 from nuno_bench.stability.case import Motion, Point, Setting, classify, pose, stiffen
-from nuno_bench.stability.drift import SHARE, measure_amplification, measure_drift
-from nuno_bench.stability.sweep import Row, Sweep, measure_all, measure_row, mesh_overrides, settings_of, step_counts
+from nuno_bench.stability.sweep import Row, measure_all, measure_row, mesh_overrides, settings_of, step_counts
 from nuno_bench.sweep.executor import Here
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.sweep.packed import pack
@@ -138,18 +137,19 @@ def test_meshes_follow_the_models_own_numbers(scene: Path, tmp_path: Path) -> No
     settings, omissions = settings_of(net, [])
     assert {setting.axis for setting in settings} == {"stiffness"}
     assert omissions == ["the map over mesh sizes: the model net has no resolution"]
-    sweep = measure_all(settings[:1], ["rk4"], Kept(tmp_path / "rows.jsonl", {}, False), 9.0, Here(), lambda text: None)
-    assert {row.axis for row in sweep.rows} == {"stiffness"}
+    kept = Kept(tmp_path / "rows.jsonl", {}, False)
+    rows, _ = measure_all(settings[:1], ["rk4"], kept, 9.0, Here(), lambda text: None)
+    assert {row.axis for row in rows} == {"stiffness"}
 
 
 def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) -> None:
     settings = [s for s in settings_of(scene, [])[0] if s.value in (1.0, 0.1)]
     told: list[str] = []
 
-    def sweep(resume: bool, identity: str = "a") -> Sweep:
+    def sweep(resume: bool, identity: str = "a") -> list[Row]:
         told.clear()
         kept = Kept(tmp_path / "rows.jsonl", {"of": identity}, resume)
-        return measure_all(settings, ["leapfrog"], kept, 60.0, Here(), told.append)
+        return measure_all(settings, ["leapfrog"], kept, 60.0, Here(), told.append)[0]
 
     whole = sweep(False)
     assert len(told) == 3, "compiling, and two rows"
@@ -157,7 +157,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
     (tmp_path / "rows.jsonl").write_text("\n".join(lines[:2]) + "\n" + lines[2][:50])
     again = sweep(True)
     assert len(told) == 2, "the row that was whole is not measured again"
-    outcomes = [sorted((r.axis, r.value, p.dt, p.outcome) for r in s.rows for p in r.points) for s in (whole, again)]
+    outcomes = [sorted((r.axis, r.value, p.dt, p.outcome) for r in rows for p in r.points) for rows in (whole, again)]
     assert outcomes[0] == outcomes[1]
     with pytest.raises(BadInput, match="another sweep"):
         sweep(True, "b")
@@ -166,31 +166,9 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
 def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> None:
     settings = settings_of(scene, [])[0][:1]
     kept = Kept(tmp_path / "rows.jsonl", {}, False)
-    sweep = measure_all(settings, ["leapfrog"], kept, 1e-9, Here(), lambda text: None)
-    assert sweep.rows == []
-    assert sweep.omissions == ["stiffness x 1, leapfrog: the budget of time"]
-
-
-@pytest.mark.parametrize("solver", ["leapfrog", "rk4", "implicit_euler", "dopri5"])
-def test_amplification_is_measured_and_is_the_stated_one(solver: str) -> None:
-    found = measure_amplification(registry.load("nuno.integrators", solver))
-    assert found.stated < 1e-9
-    small = found.h < 0.05
-    assert np.abs(found.size[small] - 1.0).max() < 2e-3
-    assert np.abs(found.frequency[small] - 1.0).max() < 2e-3
-    beyond = found.size[found.h > 3.0]
-    assert (beyond > 1.5).all() if solver in ("leapfrog", "rk4") else True
-    assert (beyond < 0.4).all() if solver == "implicit_euler" else True
-
-
-def test_energy_stays_or_leaves_as_the_method_has_it() -> None:
-    """Leapfrog's wavers within h^2 / 4 of the elastic part; rk4 loses h^6 / 72 a step of the fastest mode alone."""
-    runs = {name: measure_drift(registry.load("nuno.integrators", name), 20.0) for name in ("leapfrog", "rk4", "euler")}
-    assert runs["leapfrog"].steps[-1] == 100_000
-    assert np.abs(runs["leapfrog"].change).max() < SHARE**2 / 4.0
-    assert np.abs(runs["leapfrog"].change[-10:].mean() - runs["leapfrog"].change[1:11].mean()) < 0.01
-    assert -1.0 < runs["rk4"].change[-1] < -0.05
-    assert runs["euler"].ended == "diverged"
+    rows, omissions = measure_all(settings, ["leapfrog"], kept, 1e-9, Here(), lambda text: None)
+    assert rows == []
+    assert omissions == ["stiffness x 1, leapfrog: the budget of time"]
 
 
 def rows() -> list[Row]:
@@ -227,11 +205,8 @@ def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, cap
     assert len(lines) == sum(len(row["points"]) for row in data["rows"])
     assert {line["solver"] for line in lines} == {"leapfrog", "tr_bdf2"}
     page = (tmp_path / "out" / "stability-small.html").read_text()
-    assert page.count("<svg") >= 3
+    assert page.count("<svg") == 2
     assert "http://" not in page.replace("http://www.w3.org", "")
-    again = (tmp_path / "out" / "stability-small.json").read_text
-    assert main(["bench", "stability", str(scene), *flags, "--resume"]) == 0
-    assert json.loads(again())["drift"][0] == data["drift"][0], "what was whole is not measured again"
 
 
 def test_bad_arguments_are_refused_before_anything_runs(scene: Path, tmp_path: Path, capsys: Any) -> None:

@@ -1,1 +1,1 @@
-"""`nuno bench stability`: what solvers make of a scene over stiffness, mesh and step, and of one mode in time."""
+"""`nuno bench stability`: what solvers make of a scene over stiffness, mesh and step."""

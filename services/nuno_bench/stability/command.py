@@ -1,4 +1,4 @@
-"""`nuno bench stability SCENE…`: maps over stiffness or mesh and step, energy drift, amplification."""
+"""`nuno bench stability SCENE…`: maps over stiffness or mesh, and step."""
 
 from __future__ import annotations
 
@@ -15,14 +15,10 @@ from nuno_bench import machine, options
 from nuno_bench.report import markdown, page, plots
 from nuno_bench.stability import page as shown
 from nuno_bench.stability.case import Posed
-from nuno_bench.stability.drift import measure_modes
-from nuno_bench.stability.dye import AXIS, DyePosed
+from nuno_bench.stability.dye import DyePosed
 from nuno_bench.stability.sweep import Mapped, measure_all, settings_of
 from nuno_bench.sweep import executor, kept
 from nuno_schemas.errors import BadInput
-
-MODES_SHARE = 0.25
-"""Of the budget that goes to the long runs of a small net."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,14 +79,11 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: execut
     identity = {"scene": settings[0].scene.digest, "solvers": solvers, "versions": executor.versions()}
     finished = kept.Kept(_rows(args, path), identity, args.resume)
     with kept.hint(finished.path):
-        share = 0.0 if settings[0].axis == AXIS else MODES_SHARE
-        modes, lost = measure_modes(solvers, finished, share * args.budget, where, told) if share else ([], [])
-        sweep = measure_all(settings, solvers, finished, (1.0 - share) * args.budget, where, told)
-    sweep.omissions[:0] = [*omissions, *lost]
-    about, found = machine.about(others, points=where.where), Mapped(path.stem, sweep, modes)
-    print(f"{path.stem}: {shown.summary(sweep)}")
-    print(shown.counts(sweep.rows).text())
-    for text in sweep.omissions:
+        rows, lost = measure_all(settings, solvers, finished, args.budget, where, told)
+    about, found = machine.about(others, points=where.where), Mapped(path.stem, rows, [*omissions, *lost])
+    print(f"{path.stem}: {shown.summary(found)}")
+    print(shown.counts(rows).text())
+    for text in found.omissions:
         print(f"left out: {text}")
     base, parts = args.out / f"stability-{path.stem}", list(shown.sections(found, about))
     data, lines = shown.data(found, about), shown.lines(found)

@@ -13,8 +13,7 @@ from nuno_bench.report.page import Facts, Figure, Part, Table
 from nuno_bench.report.plots import INK, Curve, Panel, draw
 from nuno_bench.report.result import number
 from nuno_bench.stability.case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY
-from nuno_bench.stability.drift import STEPS
-from nuno_bench.stability.sweep import Mapped, Row, Sweep
+from nuno_bench.stability.sweep import Mapped, Row
 
 LEAD = "What each solver makes of the scene at every step and stiffness, above its limit too."
 HOW = (
@@ -54,11 +53,11 @@ MARKS = {"damped away": "v", "drifting": "o", "diverged": "X", "refused": "_", "
 """Of classes that are not square."""
 
 
-def summary(sweep: Sweep) -> str:
+def summary(found: Mapped) -> str:
     """Points in all, and of each class that occurs."""
-    found = Counter(point.outcome for row in sweep.rows for point in row.points)
-    kinds = ", ".join(f"{found[name]} {name}" for name in CLASSES if found[name])
-    return f"{number(sum(found.values()))} points: {kinds}" if found else "no points"
+    tally = Counter(point.outcome for row in found.rows for point in row.points)
+    kinds = ", ".join(f"{tally[name]} {name}" for name in CLASSES if tally[name])
+    return f"{number(sum(tally.values()))} points: {kinds}" if tally else "no points"
 
 
 def counts(rows: Sequence[Row]) -> Table:
@@ -88,19 +87,6 @@ def beyond(rows: Sequence[Row]) -> Table:
     return Table(("solver", "lost below its limit", "lost above it"), lines, caption)
 
 
-def modes(found: Mapped) -> Table:
-    """Measured against stated matrix of a step, and the energy at the end of the long run."""
-    rows = []
-    for each in found.modes:
-        drift = each.drift
-        last = f"{drift.steps[-1]:,.0f}" + (f" ({drift.ended})" if drift.ended else "")
-        largest = max(abs(float(value)) for value in drift.change)
-        rows.append([drift.solver, f"{each.amplification.stated:.1g}", last, f"{drift.change[-1]:+.2g}",
-                     f"{largest:.2g}"])  # fmt: skip
-    headings = ("solver", "matrix off", "steps", "energy at the end, change", "largest")
-    return Table(headings, rows, "Matrix off: largest difference from the one that is stated.")
-
-
 def place_of(row: Row) -> float:
     """Where a row stands: its factor, or the shortest spring [mm]."""
     return 1e3 * row.edge if row.axis == "mesh" else row.value
@@ -126,35 +112,15 @@ def maps(rows: Sequence[Row], axis: str) -> list[Panel]:
     return panels
 
 
-def growth(found: Mapped) -> list[Panel]:
-    """What a step does to one mode, over omega dt; both are 1 for the exact solution. Growth above 2 is drawn there."""
-    sizes, waves = [], []
-    for i, one in enumerate(each.amplification for each in found.modes):
-        sizes.append(Curve(one.solver, one.h, np.clip(one.size, 0.0, 2.0), i, i % 2 == 1))
-        waves.append(Curve(one.solver, one.h, one.frequency, i, i % 2 == 1))
-    named = {"growth of a step (exact: 1)": sizes, "frequency over the exact one": waves}
-    return [Panel(name, curves, "omega dt", log="x") for name, curves in named.items()]
-
-
-def energies(found: Mapped) -> list[Panel]:
-    """|Energy / start - 1| over the steps."""
-    curves = []
-    for i, drift in enumerate(each.drift for each in found.modes):
-        off = np.clip(np.abs(drift.change[1:]), 1e-17, 1e3)
-        curves.append(Curve(drift.solver, drift.steps[1:] / 1000, off, i, i % 2 == 1, drift.ended))
-    return [Panel("energy off its start, as a share", curves, "thousand steps", log="y")]
-
-
 def tabs(found: Sequence[Mapped]) -> dict[str, list[Panel]]:
     """All panels by scene and kind of map."""
-    made = {f"{one.scene}, {axis}": maps(one.sweep.rows, axis) for one in found for axis in AXES}
-    made |= {f"{one.scene}, a mode": [*growth(one), *energies(one)] for one in found if one.modes}
+    made = {f"{one.scene}, {axis}": maps(one.rows, axis) for one in found for axis in AXES}
     return {name: panels for name, panels in made.items() if panels}
 
 
 def figures(found: Mapped) -> list[Figure]:
     """The maps, one for each kind."""
-    made = {axis: maps(found.sweep.rows, axis) for axis in AXES}
+    made = {axis: maps(found.rows, axis) for axis in AXES}
     said = "Classes over {} and the step. The black line is the limit that each solver states."
     return [Figure(draw(panels, 3, 2.0, shared=True), said.format(AXES[axis]), axis)
             for axis, panels in made.items() if panels]  # fmt: skip
@@ -162,29 +128,24 @@ def figures(found: Mapped) -> list[Figure]:
 
 def sections(found: Mapped, about: dict[str, str]) -> Iterator[tuple[str, list[Part]]]:
     """The page's."""
-    if found.sweep.rows:
-        yield "", [HOW_DYE if found.sweep.rows[0].axis == "diffusion" else HOW]
+    if found.rows:
+        yield "", [HOW_DYE if found.rows[0].axis == "diffusion" else HOW]
         for one in figures(found):
             yield f"{one.name.capitalize()} and step", [one]
-        yield "Limits", [beyond(found.sweep.rows)]
-        yield "Points", [counts(found.sweep.rows)]
-    if found.modes:
-        text = "Measured by single steps of an undamped oscillator; 1 is exact. Adaptive solvers take the step given."
-        yield "One mode", [Figure(draw(growth(found)), text)]
-        text = f"A free net of twelve vertices, undamped, at omega dt = 0.5, over up to {STEPS:,} steps."
-        yield "Energy over many steps", [Figure(draw(energies(found)), text), modes(found)]
-    yield "Left out", [*(found.sweep.omissions or ["Nothing."])]
+        yield "Limits", [beyond(found.rows)]
+        yield "Points", [counts(found.rows)]
+    yield "Left out", [*(found.omissions or ["Nothing."])]
     yield "Made by", [Facts(about)]
 
 
 def document(found: Mapped, about: dict[str, str]) -> list[Part]:
     """What goes into a documentation page's section."""
-    tables = (counts(found.sweep.rows), beyond(found.sweep.rows), modes(found))
+    tables = (counts(found.rows), beyond(found.rows))
     return [
-        f"{summary(found.sweep)}.",
+        f"{summary(found)}.",
         *figures(found),
         *(table for table in tables if table.rows),
-        *(f"Left out: {text}." for text in found.sweep.omissions),
+        *(f"Left out: {text}." for text in found.omissions),
         Facts(about),
     ]
 
@@ -192,7 +153,7 @@ def document(found: Mapped, about: dict[str, str]) -> list[Part]:
 def lines(found: Mapped) -> Table:
     """The CSV's: a line per point."""
     headings = ("axis", "value", "edge", "solver", "limit", "dt", "outcome", "error", "gained", "seconds", "why")
-    points = [vars(point) | {"edge": row.edge, "limit": row.limit} for row in found.sweep.rows for point in row.points]
+    points = [vars(point) | {"edge": row.edge, "limit": row.limit} for row in found.rows for point in row.points]
     return Table(headings, [[_written(point[name]) for name in headings] for point in points])
 
 
@@ -204,8 +165,6 @@ def data(found: Mapped, about: dict[str, str]) -> dict[str, Any]:
     """All that was found, for JSON."""
     return {
         "about": about,
-        "omissions": found.sweep.omissions,
-        "rows": [row.json() for row in found.sweep.rows],
-        "amplification": [vars(each.amplification) for each in found.modes],
-        "drift": [vars(each.drift) for each in found.modes],
+        "omissions": found.omissions,
+        "rows": [row.json() for row in found.rows],
     }

@@ -6,7 +6,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from nuno_bench.stability.case import (
     pose,
     reference_plugin,
 )
-from nuno_bench.stability.drift import Modes
 from nuno_bench.stability.dye import AXIS, MOST_HALVINGS, DyePosed, dye_settings, pose_dye, prepare_dye
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_bench.sweep.kept import Kept
@@ -50,21 +49,13 @@ class Row:
         return vars(self) | {"points": [vars(point) for point in self.points]}
 
 
-@dataclass
-class Sweep:
-    """Rows in the order in which they came, and what was left out, by name."""
-
-    rows: list[Row] = field(default_factory=list)
-    omissions: list[str] = field(default_factory=list)
-
-
 @dataclass(frozen=True)
 class Mapped:
-    """A scene with its maps, and what each solver does to a mode."""
+    """A scene with its maps: rows in the order of settings and solvers, and what was left out, in words."""
 
     scene: str
-    sweep: Sweep
-    modes: Sequence[Modes]
+    rows: Sequence[Row]
+    omissions: Sequence[str]
 
 
 def mesh_overrides(path: Path, overrides: Sequence[str], factor: float) -> list[str]:
@@ -131,9 +122,9 @@ def measure_all(
     budget: float,
     executor: Executor,
     told: Callable[[str], None],
-) -> Sweep:
-    """All rows, in the order of the settings and solvers; whole ones are kept as they come."""
-    sweep, rows = Sweep(), [_row(line["row"]) for line in kept.lines if "row" in line]
+) -> tuple[list[Row], list[str]]:
+    """All rows, in the order of the settings and solvers, and what was left out; whole ones are kept as they come."""
+    omissions, rows = list[str](), [_row(line) for line in kept.lines]
     known = {(row.axis, row.value, row.solver) for row in rows}
     wanted = {s: tuple(name for name in solvers if (s.axis, s.value, name) not in known) for s in settings}
     if any(wanted.values()):
@@ -147,21 +138,20 @@ def measure_all(
         told(f"{task.describe()} ({max(0.0, deadline - time.monotonic()):.0f} s left at most)")
         if isinstance(found, BadInput | Lost):
             why = found.problem if isinstance(found, BadInput) else found.reason
-            sweep.omissions.append(f"{task.describe()}, {', '.join(task.solvers)}: {why}")
+            omissions.append(f"{task.describe()}, {', '.join(task.solvers)}: {why}")
             continue
         rows += found
         for row in found:
             if all(point.outcome != "left out" for point in row.points):
-                kept.add({"row": row.json()})
+                kept.add(row.json())
     places = {(s.axis, s.value): i for i, s in enumerate(settings)}
-    sweep.rows = sorted(rows, key=lambda row: (places[row.axis, row.value], solvers.index(row.solver)))
-    middle = [row for row in sweep.rows if row.axis == "stiffness" and row.value == 1.0]
+    rows.sort(key=lambda row: (places[row.axis, row.value], solvers.index(row.solver)))
     if any(setting.axis == "mesh" for setting in settings):
-        sweep.rows += [replace(row, axis="mesh") for row in middle]
-    missing = sum(point.outcome == "left out" for row in sweep.rows for point in row.points)
+        rows += [replace(row, axis="mesh") for row in rows if (row.axis, row.value) == ("stiffness", 1.0)]
+    missing = sum(point.outcome == "left out" for row in rows for point in row.points)
     if missing:
-        sweep.omissions.append(f"{missing} points that would have taken too long (left out on the maps)")
-    return sweep
+        omissions.append(f"{missing} points that would have taken too long (left out on the maps)")
+    return rows, omissions
 
 
 def compile_all(setting: Setting, solvers: Sequence[str]) -> None:

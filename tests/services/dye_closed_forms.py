@@ -1,4 +1,4 @@
-"""Whether the choice for dye keeps its promise: against closed forms of cells, and for a scene against a converged run.
+"""Whether the choice for dye keeps its promise: against closed forms of cells.
 
 What is promised is the error in time, against the exact evolution of the cells, each a number that changes by what its
 faces let through. So the closed forms are those of cells, not of the plane that they stand for.
@@ -7,27 +7,18 @@ faces let through. So the closed forms are those of cells, not of the plane that
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import yaml
 
-from nuno.dye.choose import PROMISE
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno.scene.choose import decide
-from nuno.scene.scene_file import Loaded
-from nuno_bench.precision.delivered import Delivered
-from nuno_bench.problem.dye import DyeProblem, make_dye_problem
-from nuno_bench.problem.dye_reference import make_dye_reference
-from nuno_bench.problem.observe import Run
+from nuno_bench.problem.dye import DyeProblem
 from nuno_schemas.fabric import Float
-from nuno_schemas.solver import Accuracy
 
-LENGTHS, FRAMES = (9.0, 90.0, 900.0), 10
-"""Frames [s], and how many. Cells by themselves exchange dye within some seconds."""
 CELL, D0, POROSITY = 5e-5, 5e-10, 0.5
 """[m], [m^2/s]: what passes a face between cells in a second is 0.1 of their difference."""
 RATE = D0 * POROSITY / CELL**2
@@ -88,41 +79,17 @@ def write_case(name: str, frame: float, frames: int, folder: Path) -> Path:
     return path
 
 
-def measure_case(name: str, length: float, frames: int, levels: Sequence[str], folder: Path) -> list[Delivered]:
-    """A case of closed form with so many frames of `length` [s], at all levels."""
-    path = write_case(name, length, frames, folder)
-    start = make_dye_problem(scene_file.read(path)).start.state.phi[0]
+def promised_error(name: str, length: float, frames: int, level: str, folder: Path) -> float:
+    """Largest distance of any amount after the start from the exact one, as a share of the largest there is.
+
+    Of a case with so many frames of `length` [s], run by the solver and the step that are chosen for a level.
+    """
+    decided = decide(scene_file.read(write_case(name, length, frames, folder), [f"accuracy={level}"]))
+    assert decided.dye is not None
+    problem, solver = DyeProblem(decided, 1), decided.dye.solver
+    run = problem.run(solver.plugin, solver.config, DyeRun(decided, 1).steps)
+    assert run.status == "ok"
+    start = problem.start.state.phi[0]
     mobile = np.stack([CASES[name](frame * length, start).ravel() for frame in range(frames + 1)])
     exact = np.stack([mobile, start.ravel() - mobile if name == "fibre" else 0.0 * mobile], axis=2)
-    return [_level(decide(scene_file.read(path, [f"accuracy={level}"])), level, exact) for level in levels]
-
-
-def measure_dye(path: Path, duration: str, levels: Sequence[str], budget: float) -> list[Delivered]:
-    """A scene of dye at all levels, against one converged run. Raises BadInput where there is none."""
-    chosen = ["dye.solver=auto", f"duration={duration}"]
-    problem = make_dye_problem(scene_file.read(path, chosen))
-    name = problem.loaded.scene.name
-    reference = make_dye_reference(problem, budget, lambda text: print(f"{name}: {text}", file=sys.stderr))
-    exact = reference.run.series.x
-    floor = _apart(reference.check, exact)
-    decided = [decide(scene_file.read(path, [*chosen, f"accuracy={level}"])) for level in levels]
-    return [_level(one, level, exact, floor) for one, level in zip(decided, levels, strict=True)]
-
-
-def _level(decided: Loaded, level: str, exact: Float, floor: float = 0.0) -> Delivered:
-    accuracy: Accuracy = next(known for known in PROMISE if known == level)
-    problem = DyeProblem(decided, 1)
-    assert decided.dye is not None
-    solver, steps = decided.dye.solver, DyeRun(decided, 1).steps
-    problem.run(solver.plugin, solver.config, steps)  # compiles
-    run = problem.run(solver.plugin, solver.config, steps)
-    error, until = _apart(run, exact), decided.scene.frames * problem.frame
-    return Delivered(decided.scene.name, accuracy, solver.name, steps, PROMISE[accuracy], error, floor, until,
-                     run.seconds, decided.why, within=1.0)  # fmt: skip
-
-
-def _apart(run: Run, exact: Float) -> float:
-    """Largest distance of any amount after the start, as a share of the largest there is."""
-    if run.status != "ok":
-        return math.nan
     return float(np.abs(run.series.x - exact)[1:].max() / np.abs(exact[1:]).max())
