@@ -1,29 +1,25 @@
-"""One point of a stability map: a scene at one stiffness or mesh, one solver, one step, and its class."""
+"""A scene at one stiffness or mesh, run at any step by any solver, and the class of what comes out."""
 
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from nuno import registry
-from nuno.cloth import build
-from nuno.collision.bodies import build_bodies
+from nuno_bench.problem.observe import Problem, Run, Series, make_problem, simulate
 from nuno_bench.sweep.packed import Packed, unpacked
-from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.system import System
+from nuno_schemas.fabric import Fabric
 
 CLASSES = ("exact", "accurate", "damped away", "drifting", "diverged", "refused", "left out")
 EXACT, ACCURATE = 1e-3, 5e-2
 """Largest distance from the reference, as a share of how far the reference moves."""
 HIDDEN = 1.0
 """Energy, as a multiple of the motion's, that may be off while positions are right: symplectic methods' wavers by
-omega dt of what their stiffest modes hold."""
+omega dt of what their stiffest modes hold. The motion's is the reference's largest change of any kind of energy."""
 LOST = 5e-2
 """Share of the motion's energy that must be missing for it to count as damped away."""
 RUNAWAY = 100.0
@@ -47,66 +43,13 @@ class Setting:
     value: float
 
 
-@dataclass
-class Posed:
-    """A setting, built: poses are those of all frames, or None where nothing is met."""
-
-    system: System
-    start: State
-    poses: list[Poses | None]
-    frame: float
-    edge: float
-    group: ClassVar[str] = "nuno.integrators"
-
-    def limit(self, plugin: Any, config: Any) -> float:
-        """The solver's own limit [s], once it is compiled. Raises BadInput where it refuses the scene."""
-        with np.errstate(all="ignore"):
-            limit = float(plugin.limit(config, self.system, self.start).dt)
-            state = self.start.copy()
-            memory = plugin.prepare(config, self.system, state)
-            plugin.advance(self.system, state, memory, self.pair(0), 0, self.frame)
-        return limit
-
-    def run(self, plugin: Any, config: Any, steps: int, most: float = math.inf) -> tuple[Motion | None, str, str]:
-        """The path with so many steps a frame; or None with how it ended (diverged, refused, left out) and why."""
-        system, state = self.system, self.start.copy()
-        with np.errstate(all="ignore"):
-            memory = plugin.prepare(config, system, state)
-            # An interval without steps compiles what the others need, and measures the start.
-            first = plugin.advance(system, state, memory, self.pair(0), 0, self.frame)
-            x, energy, begin = [state.x.copy()], [first.energy], time.perf_counter()
-            for frame in range(len(self.poses) - 1):
-                state.t = frame * self.frame
-                report = plugin.advance(system, state, memory, self.pair(frame), steps, self.frame / steps)
-                if report.status != "ok":
-                    return None, "diverged" if report.status == "diverged" else "refused", report.message
-                x.append(state.x.copy())
-                energy.append(report.energy)
-                if time.perf_counter() - begin > most:
-                    return None, "left out", f"takes more than {most:.2g} s"
-        kinetic = np.array([e.get("kinetic", 0.0) for e in energy])
-        return Motion(np.array(x), kinetic, np.array([sum(e.values()) for e in energy])), "", ""
-
-    def pair(self, frame: int) -> tuple[Poses, Poses] | None:
-        before, after = self.poses[frame], self.poses[frame + 1]
-        return (before, after) if before is not None and after is not None else None
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What a run did: x (frames + 1, n, 3), energies of the motion and in all (frames + 1,) [J].
-
-    Of dye x are amounts (frames + 1, dyes * cells, 2), and both energies are all dye.
-    """
-
-    x: Float
-    kinetic: Float
-    total: Float
-
-
 @dataclass(frozen=True)
 class Point:
-    """A point's class, and the figures behind it."""
+    """A point's class, and the figures behind it.
+
+    error, gained  farthest from the reference, and energy more than it has, as shares of the reference's motion
+    seconds        of the run [s]
+    """
 
     axis: str
     value: float
@@ -119,24 +62,15 @@ class Point:
     why: str = ""
 
 
-def pose(setting: Setting) -> Posed:
-    """Build the scene at its stiffness or mesh. Raises BadInput."""
+def pose(setting: Setting) -> Problem:
+    """The beginning of the scene at its stiffness or mesh. Raises BadInput."""
     with unpacked(setting.scene, [*setting.overrides, "allow_unstable=true"]) as loaded:
-        fabric, pieces = build.build_fabric(loaded)
-        if fabric.number == 0 or fabric.pinned.all():
-            problem, remedy = "nothing in the scene can move", "add cloth that is free"
-            raise BadInput(problem, loaded.file, field="objects", remedy=remedy)
-        if setting.axis == "stiffness":
-            fabric = stiffen(fabric, setting.value)
-        bodies = build_bodies(loaded) if loaded.scene.bodies else None
-        rate = float(loaded.scene.frame_rate)
-        frames = max(1, min(loaded.scene.frames, round(LONGEST * rate)))
-        poses = [bodies.poses(i / rate) if bodies else None for i in range(frames + 1)]
-        system = build.build_system(loaded, fabric, pieces, bodies.geometry if bodies else None, poses[0], 1)
-    start, edge = build.start_state(fabric), shortest(fabric)
-    free = ~fabric.pinned
-    start.x[free] += ROUGHNESS * edge * np.random.default_rng(1).uniform(-1.0, 1.0, (int(free.sum()), 3))
-    return Posed(system, start, poses, 1.0 / rate, edge)
+        problem = make_problem(loaded, threads=1)
+    frames = max(1, min(problem.frames, round(LONGEST / problem.frame)))
+    problem = replace(problem, poses=problem.poses[: frames + 1])
+    if setting.axis != "stiffness":
+        return problem
+    return replace(problem, system=replace(problem.system, fabric=stiffen(problem.fabric, setting.value)))
 
 
 def stiffen(fabric: Fabric, factor: float) -> Fabric:
@@ -154,31 +88,41 @@ def shortest(fabric: Fabric) -> float:
     return float(rest.min()) if rest.size else 0.0
 
 
+def run(problem: Problem, plugin: Any, config: Any, steps: int, most: float = math.inf) -> Run:
+    """The path with so many steps a frame, of at most so many seconds, from a start that is a little rough."""
+    rough = np.zeros((problem.fabric.number, 3))
+    random = np.random.default_rng(1).uniform(-1.0, 1.0, (int(problem.free.sum()), 3))
+    rough[problem.free] = ROUGHNESS * shortest(problem.fabric) * random
+    return simulate(problem, plugin, config, steps, rough, most)
+
+
 def reference_plugin() -> Any:
     """The adaptive solver of highest order that is installed. Raises BadInput where there is none."""
-    plugins = [registry.load("nuno.integrators", name) for name in registry.installed("nuno.integrators")]
+    plugins = [registry.load(Problem.group, name) for name in registry.installed(Problem.group)]
     adaptive = [p for p in plugins if p.adaptive and "tolerance" in p.Config.model_fields]
     if not adaptive:
         raise BadInput("no adaptive solver is installed to compare with", remedy="install one with a tolerance")
     return max(adaptive, key=lambda p: p.order)
 
 
-def make_reference(posed: Posed) -> Motion:
+def make_reference(problem: Problem) -> Series:
     """The same, by an adaptive solver at a tight tolerance. Raises BadInput where it cannot be made."""
     plugin = reference_plugin()
-    path, ended, why = posed.run(plugin, plugin.Config(tolerance=TIGHT), 1)
-    if path is None:
-        raise BadInput(f"the reference run by {plugin.name} {ended}: {why}", remedy="look at the scene with nuno plan")
-    return path
+    found = run(problem, plugin, plugin.Config(tolerance=TIGHT), 1)
+    if found.status != "ok":
+        why = f"the reference run by {plugin.name} {found.status}: {found.message}"
+        raise BadInput(why, remedy="look at the scene with nuno plan")
+    return found.series
 
 
-def classify(path: Motion, reference: Motion) -> tuple[str, float, float]:
+def classify(path: Series, reference: Series) -> tuple[str, float, float]:
     """Class, error and energy gained, both as shares of the reference's motion."""
     moved = float(np.abs(reference.x - reference.x[0]).max()) or 1.0
-    motion = float(reference.kinetic.max()) or 1.0
+    motion = float(np.abs(reference.parts - reference.parts[0]).max()) or 1.0
     error = float(np.abs(path.x - reference.x).max()) / moved
     # Where the reference rests in between, only its own scale makes sense.
-    gained = float((path.total - reference.total)[np.argmax(np.abs(path.total - reference.total))]) / motion
+    apart = (path.parts - reference.parts).sum(axis=1)
+    gained = float(apart[np.argmax(np.abs(apart))]) / motion
     if not (np.isfinite(error) and np.isfinite(gained)) or gained > RUNAWAY or error > RUNAWAY:
         return "diverged", error, gained
     if error <= ACCURATE and abs(gained) <= HIDDEN:

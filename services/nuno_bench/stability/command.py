@@ -12,10 +12,9 @@ from nuno.scene import scene_file
 from nuno.viewer.require import require as require_viewer
 from nuno.words import duration
 from nuno_bench import machine, options
+from nuno_bench.problem.observe import Problem
 from nuno_bench.report import markdown, page, plots
 from nuno_bench.stability import page as shown
-from nuno_bench.stability.case import Posed
-from nuno_bench.stability.dye import DyePosed
 from nuno_bench.stability.sweep import Mapped, measure_all, settings_of
 from nuno_bench.sweep import executor, kept
 from nuno_schemas.errors import BadInput
@@ -37,7 +36,7 @@ def main(args: argparse.Namespace) -> int:
         markdown.check_section(args.docs, f"stability {path.stem}")
     kept.check([_rows(args, path) for path in paths], args.resume)
     with executor.opened(args) as where:
-        mapped = [_map(args, path, solvers[path], where) for path in paths]
+        mapped = [_map(args, path, solvers, where) for path in paths]
     if args.rrd is not None:
         from nuno_bench.report import rerun
 
@@ -45,21 +44,17 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _choose(args: argparse.Namespace, paths: Sequence[Path]) -> dict[Path, list[str]]:
-    """Names of the solvers of each scene. Raises BadInput before anything runs."""
+def _choose(args: argparse.Namespace, paths: Sequence[Path]) -> list[str]:
+    """Names of the solvers. Raises BadInput before anything runs."""
     options.require_budget(args.budget)
     executor.check(args)
-    loaded = {path: scene_file.read(path, args.overrides) for path in paths}
-    groups = {path: DyePosed.group if one.solver is None else Posed.group for path, one in loaded.items()}
-    installed = {group: sorted(registry.installed(group)) for group in groups.values()}
-    names = options.names_of(args.solvers)
-    options.require_known(names, [name for own in installed.values() for name in own], "solver", "--solvers")
-    chosen = {path: [n for n in names or installed[group] if n in installed[group]] for path, group in groups.items()}
-    for path, own in chosen.items():
-        if not own:
-            remedy, problem = f"known: {', '.join(installed[groups[path]])}", "none of these solvers can run the scene"
-            raise BadInput(problem, str(path), field="--solvers", value=", ".join(names), remedy=remedy)
-    return chosen
+    for path in paths:
+        if scene_file.read(path, args.overrides).solver is None:
+            remedy = "nuno bench precision holds solvers of dye against each other"
+            raise BadInput("the maps are of cloth that moves, and here none does", str(path), remedy=remedy)
+    names, installed = options.names_of(args.solvers), sorted(registry.installed(Problem.group))
+    options.require_known(names, installed, "solver", "--solvers")
+    return names or installed
 
 
 def _rows(args: argparse.Namespace, path: Path) -> Path:

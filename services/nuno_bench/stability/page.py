@@ -24,21 +24,10 @@ HOW = (
     f"where it is not finite or has gained {RUNAWAY:g} times as much, and drifting otherwise. Refused: the solver "
     "itself declined, or did not converge. A scene's own run refuses steps above the line."
 )
-HOW_DYE = (
-    "A point is the beginning of the scene, held against the explicit scheme at fine steps, extrapolated. It is exact "
-    f"up to a distance of {EXACT:g} of how far amounts change at most in any cell, and accurate up to {ACCURATE:g}, "
-    f"unless more than that of all dye has come or gone. Beyond, it is damped away where {LOST:.0%} of the dye is "
-    "missing, diverged where it is not finite, and drifting otherwise: limits on what a cell may hold keep even "
-    "unstable steps bounded. Refused: the solver itself declined, or did not converge. A scene's own run refuses steps "
-    "above the line."
-)
 AXES = {
     "stiffness": "stiffness, as a multiple of the scene's",
     "mesh": "shortest spring [mm]",
-    "diffusion": "coefficient of diffusion, as a multiple of the scene's",
 }
-LOST_BY = {"diffusion": ("damped away", "drifting", "diverged")}
-"""Classes in which a point counts as lost, by kind of map: dye is bounded, and never diverges."""
 COLOURS = {
     "exact": "#0072b2",
     "accurate": "#7fc4ee",
@@ -79,12 +68,11 @@ def beyond(rows: Sequence[Row]) -> Table:
         for point in row.points:
             if point.outcome in ("left out", "refused"):
                 continue
-            above, lost = point.dt > row.limit, point.outcome in LOST_BY.get(row.axis, ("diverged",))
+            above, lost = point.dt > row.limit, point.outcome == "diverged"
             tally[2 * above] += 1
             tally[2 * above + 1] += lost
     lines = [[solver, f"{b} of {a}", f"{d} of {c}"] for solver, (a, b, c, d) in sorted(found.items())]
-    caption = "Points of all maps. Lost: diverged; of dye, which is bounded, drifting or damped away, too."
-    return Table(("solver", "lost below its limit", "lost above it"), lines, caption)
+    return Table(("solver", "lost below its limit", "lost above it"), lines, "Points of all maps. Lost: diverged.")
 
 
 def place_of(row: Row) -> float:
@@ -129,7 +117,7 @@ def figures(found: Mapped) -> list[Figure]:
 def sections(found: Mapped, about: dict[str, str]) -> Iterator[tuple[str, list[Part]]]:
     """The page's."""
     if found.rows:
-        yield "", [HOW_DYE if found.rows[0].axis == "diffusion" else HOW]
+        yield "", [HOW]
         for one in figures(found):
             yield f"{one.name.capitalize()} and step", [one]
         yield "Limits", [beyond(found.rows)]

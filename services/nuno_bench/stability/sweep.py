@@ -5,24 +5,24 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from nuno import registry
 from nuno.scene import scene_file
+from nuno_bench.problem.observe import Problem, Series
 from nuno_bench.stability.case import (
-    Motion,
     Point,
-    Posed,
     Setting,
     classify,
     make_reference,
     pose,
     reference_plugin,
+    run,
+    shortest,
 )
-from nuno_bench.stability.dye import AXIS, MOST_HALVINGS, DyePosed, dye_settings, pose_dye, prepare_dye
 from nuno_bench.sweep.executor import Executor, Lost
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.sweep.packed import pack
@@ -33,10 +33,13 @@ FACTORS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)
 MESHES = (0.25, 0.5, 1.5)
 """Of the scene's numbers of vertices along each side; 1 is the stiffness map's middle."""
 
+MOST_HALVINGS = 11
+"""Of a frame, to the shortest step."""
+
 
 @dataclass
 class Row:
-    """Points of one solver at one setting; limit [s] by the solver itself; edge [m] of its shortest spring or cell."""
+    """Points of one solver at one setting; limit [s] by the solver itself; edge [m] of its shortest spring."""
 
     axis: str
     value: float
@@ -79,8 +82,6 @@ def mesh_overrides(path: Path, overrides: Sequence[str], factor: float) -> list[
 
 def settings_of(path: Path, overrides: Sequence[str]) -> tuple[list[Setting], list[str]]:
     """All settings of a scene, the middle ones first, and the names of what cannot be varied."""
-    if scene_file.read(path, overrides).solver is None:
-        return dye_settings(path, overrides), []
     scene = pack(path, overrides)
     found = [Setting(scene, (), "stiffness", value) for value in FACTORS]
     omissions = []
@@ -155,33 +156,34 @@ def measure_all(
 
 
 def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
-    """One frame without steps by every solver: processes of this machine then load what this one compiled."""
-    with _posed(setting) as posed:
-        own = [] if isinstance(posed, DyePosed) else [reference_plugin()]
-        for plugin in (*own, *(registry.load(posed.group, name) for name in solvers)):
-            with contextlib.suppress(BadInput):
-                posed.limit(plugin, plugin.Config())
+    """One call of every solver: processes of this machine then load what this one compiled."""
+    problem = pose(setting)
+    for plugin in (reference_plugin(), *(registry.load(Problem.group, name) for name in solvers)):
+        with contextlib.suppress(BadInput):
+            problem.first_call(plugin, plugin.Config(), 1, 0)
 
 
 def measure_setting(task: Task) -> list[Row]:
     """The rows of a task. Raises BadInput where its setting cannot be posed, or no time is left."""
     if task.left <= 0.0:
         raise BadInput("the budget of time")
-    deadline, setting, rows = time.monotonic() + task.left, task.setting, []
-    with _posed(setting) as posed:
-        counts, reference = prepare_dye(posed, setting) if isinstance(posed, DyePosed) else _prepare(posed, setting)
-        for name in task.solvers:
-            limit, points = measure_row(posed, setting, name, counts, reference, task.most, deadline)
-            rows.append(Row(setting.axis, setting.value, name, posed.edge, limit, points))
+    deadline, setting = time.monotonic() + task.left, task.setting
+    problem, plugin = pose(setting), reference_plugin()
+    # The same steps for every stiffness: those of the scene's own.
+    omega = pose(replace(setting, axis="mesh")).limit(plugin, plugin.Config()).omega
+    counts, reference, rows = step_counts(problem.frame, float(omega)), make_reference(problem), []
+    for name in task.solvers:
+        limit, points = measure_row(problem, setting, name, counts, reference, task.most, deadline)
+        rows.append(Row(setting.axis, setting.value, name, shortest(problem.fabric), limit, points))
     return rows
 
 
 def measure_row(
-    posed: Posed | DyePosed,
+    problem: Problem,
     setting: Setting,
     solver: str,
     counts: Sequence[int],
-    reference: Motion,
+    reference: Series,
     most: float,
     deadline: float,
 ) -> tuple[float, list[Point]]:
@@ -189,47 +191,29 @@ def measure_row(
 
     A point that would take more than `most` seconds, or start after `deadline` (time.monotonic), is left out.
     """
-    plugin = registry.load(posed.group, solver)
-    config = plugin.Config()
-    points: list[Point] = []
+    plugin = registry.load(Problem.group, solver)
+    config, points, each = plugin.Config(), list[Point](), 0.0
     try:
-        limit = posed.limit(plugin, config)
+        limit = problem.limit(plugin, config).dt
+        problem.first_call(plugin, config, 1, 0)  # compiles
     except BadInput:
         limit = math.nan
-    each = 0.0
     for count in sorted(counts):
-        made = (setting.axis, setting.value, solver, posed.frame / count)
+        point = Point(setting.axis, setting.value, solver, problem.frame / count, "refused")
         if 2.0 * each > most or time.monotonic() > deadline:
-            points.append(Point(*made, "left out", why="the budget of time"))
+            points.append(replace(point, outcome="left out", why="the budget of time"))
             continue
-        begin = time.perf_counter()
         try:
-            path, outcome, why = posed.run(plugin, config, count, 2.0 * most)
+            found = run(problem, plugin, config, count, 2.0 * most)
         except BadInput as refused:
-            path, outcome, why = None, "refused", refused.problem
-        seconds = time.perf_counter() - begin
+            points.append(replace(point, why=refused.problem))
+            continue
+        if found.status == "ok":
+            outcome, error, gained = classify(found.series, reference)
+            point = replace(point, error=error, gained=gained)
+        else:
+            outcome = {"cut": "left out", "diverged": "diverged"}.get(found.status, "refused")
         # What ends early says nothing of the next point's cost.
-        each = seconds if path is not None or outcome == "left out" else each
-        figures = (math.nan, math.nan)
-        if path is not None:
-            outcome, *found = classify(path, reference)
-            figures = (found[0], found[1])
-        points.append(Point(*made, outcome, *figures, seconds, why))
+        each = found.seconds if found.status in ("ok", "cut") else each
+        points.append(replace(point, outcome=outcome, seconds=found.seconds, why=found.message))
     return limit, points
-
-
-@contextlib.contextmanager
-def _posed(setting: Setting) -> Iterator[Posed | DyePosed]:
-    """Raises BadInput."""
-    if setting.axis != AXIS:
-        yield pose(setting)
-        return
-    with pose_dye(setting) as posed:
-        yield posed
-
-
-def _prepare(posed: Posed, setting: Setting) -> tuple[list[int], Motion]:
-    """Numbers of steps a frame, the same for every stiffness, and the setting's reference."""
-    plugin, unscaled = reference_plugin(), pose(replace(setting, axis="mesh"))
-    omega = float(plugin.limit(plugin.Config(), unscaled.system, unscaled.start).omega)
-    return step_counts(posed.frame, omega), make_reference(posed)
