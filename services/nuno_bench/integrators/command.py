@@ -81,7 +81,8 @@ def runs(traces: Sequence[Trace]) -> Table:
     """A line per run."""
     rows = []
     for trace in traces:
-        energies = [float(trace.series["energy"][0]), trace.peak("energy"), trace.last("energy")]
+        energy = trace.finite("energy")
+        energies = [float(energy[0]), float(energy.max()), float(energy[-1])]
         stretch = trace.peak("stretch")
         rows.append([
             trace.integrator,

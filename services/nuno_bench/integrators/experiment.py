@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.collision.bodies import Bodies, build_bodies
+from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
@@ -44,7 +44,7 @@ class Trace:
              mean distance of free vertices from the bodies [m], largest stretch (1 = twice as long)
     ended    [s] when the state stopped being finite, or None
     seconds  time of all steps, per repeat; steps taken; limit: largest stable step [s]
-    lift     work that lifts the garment by its own size [J]; 0 without gravity
+    lift     work that lifts the garment by its own size, the diagonal of its box at the start [J]; 0 without gravity
     """
 
     integrator: str
@@ -80,43 +80,39 @@ class Trace:
         return self.first(energy - energy[0] > most)
 
     def first(self, happened: NDArray[np.bool_]) -> float | None:
-        """Time of the first frame in which something happened [s]."""
+        """Time of the first frame in which something happened, or the energy was not finite [s]."""
         frames = np.flatnonzero(happened | ~np.isfinite(self.series["energy"]))
         return float(self.series["t"][frames[0]]) if frames.size else None
 
     @property
-    def microseconds(self) -> float:
-        """Median time of a step [us]; runs that end early take fewer."""
-        return statistics.median(self.rounds)
+    def rounds(self) -> tuple[float, ...]:
+        """Time of a step in each repeat [us]; runs that end early take fewer steps."""
+        return tuple(seconds / max(1, self.steps) * 1e6 for seconds in self.seconds)
 
     @property
-    def rounds(self) -> tuple[float, ...]:
-        """Time of a step in each repeat [us]."""
-        return tuple(seconds / max(1, self.steps) * 1e6 for seconds in self.seconds)
+    def microseconds(self) -> float:
+        """Median time of a step [us]."""
+        return statistics.median(self.rounds)
+
+    def finite(self, name: str) -> Float:
+        """The finite values of a series."""
+        values = self.series[name]
+        return values[np.isfinite(values)]
 
     def peak(self, name: str) -> float:
         """Largest finite value of a series."""
-        values = self.series[name]
-        return float(values[np.isfinite(values)].max())
-
-    def last(self, name: str) -> float:
-        """Last finite value of a series."""
-        values = self.series[name]
-        return float(values[np.isfinite(values)][-1])
+        return float(self.finite(name).max())
 
     def json(self) -> dict[str, Any]:
         """All figures but the series."""
-        kept = {name: value for name, value in vars(self).items() if name != "series"}
-        kept["limit"] = self.limit if np.isfinite(self.limit) else None
-        energy = {"start": float(self.series["energy"][0]), "max": self.peak("energy"), "end": self.last("energy")}
-        peaks = {name: self.peak(name) for name in ("penetration", "distance", "stretch")}
-        return kept | {
+        energy = self.finite("energy")
+        return {name: value for name, value in vars(self).items() if name != "series"} | {
             "name": self.name,
             "outcome": self.outcome,
             "runaway": self.runaway,
             "microseconds_per_step": self.microseconds,
-            "energy": energy,
-            "peaks": peaks,
+            "energy": {"start": energy[0], "max": energy.max(), "end": energy[-1]},
+            "peaks": {name: self.peak(name) for name in ("penetration", "distance", "stretch")},
         }
 
 
@@ -135,13 +131,13 @@ def run_experiment(
         for name, split in variants
     ]
     traces: list[Trace] = []
-    for (name, split), loaded in zip(variants, scenes, strict=True):
-        told(f"{name}, {'split' if split else 'unsplit'} bones")
-        traces.append(run_variant(loaded, name, split))
+    for variant, loaded in zip(variants, scenes, strict=True):
+        told(f"{variant[0]}, {'split' if variant[1] else 'unsplit'} bones")
+        traces.append(run_variant(loaded, *variant))
     for turn in range(1, repeats):
         told(f"times, round {turn + 1} of {repeats}")
-        for i, loaded in enumerate(scenes):
-            again = run_variant(loaded, *variants[i], measured=False)
+        for i, (variant, loaded) in enumerate(zip(variants, scenes, strict=True)):
+            again = run_variant(loaded, *variant, measured=False)
             traces[i] = replace(traces[i], seconds=traces[i].seconds + again.seconds)
     return traces
 
@@ -151,67 +147,44 @@ def run_variant(loaded: Loaded, name: str, split: bool, measured: bool = True) -
     bodies = build_bodies(loaded)
     poses = [bodies.poses(frame / loaded.scene.frame_rate) for frame in range(loaded.scene.frames + 1)]
     simulation = Simulation(loaded, bodies.geometry, poses[0], cores())
-    first = _timed(lambda: simulation.measure(poses[0]))
-    record = _Recorder(simulation, bodies) if measured else None
-    if record:
-        record.add(first[1], poses[0])
+    fabric, began = simulation.fabric, time.perf_counter()
+    report = simulation.measure(poses[0])
+    compiled, rows = time.perf_counter() - began, list[tuple[float, ...]]()
+
+    def record(report: StepReport, poses: Poses) -> None:
+        if measured:
+            distance = signed_distance(simulation.state.x[~fabric.pinned], bodies.geometry, poses)
+            finite = distance[np.isfinite(distance)]
+            inside = max(0.0, -float(finite.min())) if finite.size else np.nan
+            mean = float(finite.mean()) if finite.size else np.nan
+            energy = [float(report.energy.get(kind, 0.0)) for kind in SERIES[1:5]]
+            rows.append((simulation.t, *energy, sum(energy), inside, mean, report.stretch))
+
+    record(report, poses[0])
     seconds, ended, message = 0.0, None, ""
     # What a diverging run overflows is its result, not a mistake to warn of.
     with np.errstate(over="ignore", invalid="ignore"):
         for start, end in itertools.pairwise(poses):
             frame = simulation.advance(start, end)
             seconds += frame.seconds
-            if record:
-                record.add(frame.report, end)
+            record(frame.report, end)
             if frame.report.status != "ok":
                 ended, message = simulation.t, frame.report.message
                 break
-    facts = [term.facts["rest_depth"] for term in simulation.system.terms if "rest_depth" in term.facts]
+    depths = [term.facts["rest_depth"] for term in simulation.system.terms if "rest_depth" in term.facts]
+    size = float(np.linalg.norm(np.ptp(fabric.position, axis=0)))
     return Trace(
         name,
         split,
-        record.arrays() if record else {},
+        dict(zip(SERIES, np.array(rows).T, strict=True)) if measured else {},
         ended,
         message,
         (seconds,),
-        first[0],
+        compiled,
         simulation.frame * simulation.steps,
         simulation.dt,
         simulation.limit.dt,
-        facts[0] if facts else None,
+        depths[0] if depths else None,
         len(bodies.geometry.kind),
-        _lift(simulation),
+        float(fabric.mass.sum()) * float(np.linalg.norm(simulation.system.gravity)) * size,
     )
-
-
-def _lift(simulation: Simulation) -> float:
-    """Work that lifts the cloth by its own size, the diagonal of its box at the start [J]."""
-    fabric = simulation.fabric
-    size = float(np.linalg.norm(np.ptp(fabric.position, axis=0)))
-    return float(fabric.mass.sum()) * float(np.linalg.norm(simulation.system.gravity)) * size
-
-
-def _timed(call: Callable[[], StepReport]) -> tuple[float, StepReport]:
-    start = time.perf_counter()
-    report = call()
-    return time.perf_counter() - start, report
-
-
-class _Recorder:
-    """Collects the series of a run."""
-
-    def __init__(self, simulation: Simulation, bodies: Bodies) -> None:
-        self.simulation, self.bodies = simulation, bodies
-        self.free = ~simulation.fabric.pinned
-        self.rows: list[tuple[float, ...]] = []
-
-    def add(self, report: StepReport, poses: Poses) -> None:
-        distance = signed_distance(self.simulation.state.x[self.free], self.bodies.geometry, poses)
-        finite = distance[np.isfinite(distance)]
-        inside = max(0.0, -float(finite.min())) if finite.size else np.nan
-        mean = float(finite.mean()) if finite.size else np.nan
-        energy = {kind: float(report.energy.get(kind, 0.0)) for kind in SERIES[1:5]}
-        self.rows.append((self.simulation.t, *energy.values(), sum(energy.values()), inside, mean, report.stretch))
-
-    def arrays(self) -> dict[str, Float]:
-        return dict(zip(SERIES, np.array(self.rows).T, strict=True))

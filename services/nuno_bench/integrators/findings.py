@@ -53,12 +53,10 @@ def compare(traces: Sequence[Trace]) -> list[Finding]:
 
 
 def _stable(trace: Trace) -> Finding:
-    low, high, end = (number(x) for x in (trace.series["energy"][0], trace.peak("energy"), trace.last("energy")))
-    ratio = (
-        f"; its step is {trace.dt / trace.limit:.0%} of its limit"
-        if np.isfinite(trace.limit) and trace.limit > 0
-        else ""
-    )
+    energy = trace.finite("energy")
+    low, high, end = number(float(energy[0])), number(float(energy.max())), number(float(energy[-1]))
+    known = 0.0 < trace.limit < np.inf
+    ratio = f"; its step is {trace.dt / trace.limit:.0%} of its limit" if known else ""
     seen = f"{_ending(trace)}, energy {low} J at the start, at most {high} J, {end} J at the end{ratio}"
     return Finding(f"symplectic Euler is stable at a step of {number(trace.dt * 1e3)} ms", seen, trace.ended is None)
 

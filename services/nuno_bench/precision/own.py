@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from nuno_bench.precision.findings import ABOVE
 from nuno_bench.precision.point import Point
-from nuno_bench.precision.settings import RESIDUAL, Setting, Solver, at_steps, at_tolerance
+from nuno_bench.precision.settings import RESIDUAL, Setting, Solver, at_steps, at_tolerance, has_residual
 from nuno_bench.precision.sweep import Sweep
 from nuno_bench.problem.posing import AnyProblem
 from nuno_bench.report.result import number
@@ -53,7 +53,7 @@ def add_own(problem: AnyProblem, solvers: Sequence[Solver]) -> tuple[list[Solver
     if found.kind == "adaptive":
         own, coarser, said = _tolerances(found, steps)
     else:
-        own, coarser, said = _steps(problem, found, steps)
+        own, coarser, said = _steps(problem.frame, found, steps)
     chosen = [replace(one, first=True) for one in (own, coarser) if one is not None]
     labels = {one.label for one in chosen}
     settings = sorted(
@@ -74,19 +74,19 @@ def _tolerances(solver: Solver, steps: int) -> tuple[Setting, Setting | None, Ow
     return own, at_tolerance(solver.plugin, loose, steps), said
 
 
-def _steps(problem: AnyProblem, solver: Solver, steps: int) -> tuple[Setting, Setting | None, Own]:
+def _steps(frame: float, solver: Solver, steps: int) -> tuple[Setting, Setting | None, Own]:
     """Its steps a frame and half as many, rounded up, with the scene's own residual."""
-    own, said = at_steps(problem.frame, solver, steps), Own(solver.name, larger="a step twice as large")
+    residual = float(solver.config(Setting("", steps)).model_dump()["residual"]) if has_residual(solver) else None
+    own, said = at_steps(frame, solver, steps, residual), Own(solver.name, larger="a step twice as large")
     if steps == 1:
         return own, None, replace(said, limit="is longer than a frame, which it must divide")
     fewer = math.ceil(steps / 2)
     if steps % 2:
         said = replace(said, larger=f"a step {number(steps / fewer)} times as large (whole steps make a frame)")
-    coarser = at_steps(problem.frame, solver, fewer)
+    coarser = at_steps(frame, solver, fewer, residual)
     if coarser.beyond:
-        dt, limit = problem.frame / fewer, solver.limit.dt
-        reason = f"is above the stability limit ({1e3 * dt:.4g} ms; at most {1e3 * limit:.4g} ms are stable)"
-        return own, None, replace(said, limit=reason)
+        limits = f"{1e3 * coarser.finer:.4g} ms; at most {1e3 * solver.limit.dt:.4g} ms are stable"
+        return own, None, replace(said, limit=f"is above the stability limit ({limits})")
     return own, coarser, said
 
 

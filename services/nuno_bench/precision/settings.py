@@ -123,19 +123,7 @@ def _choose(problem: AnyProblem, name: str) -> Solver:
         missing = ", ".join(str(one["loc"][0]) for one in error.errors() if one["loc"])
         raise BadInput(f"its configuration has no defaults ({missing}): name it in the scene") from None
     found = Solver(name, plugin, problem.limit(plugin, config), (), base)
-    if found.kind == "adaptive":
-        settings = _tolerances(plugin)
-    elif found.kind == "fixed steps":
-        settings = _steps(problem, found.limit)
-    else:
-        settings = _implicit(problem, found)
-    return replace(found, settings=tuple(settings))
-
-
-def _tolerances(plugin: Any) -> list[Setting]:
-    if "tolerance" not in plugin.Config.model_fields:
-        raise BadInput("it chooses its own steps, and has no `tolerance` to sweep")
-    return [at_tolerance(plugin, value) for value in TOLERANCES]
+    return replace(found, settings=tuple(_settings(problem.frame, found)))
 
 
 def at_tolerance(plugin: Any, tolerance: float, steps: int = 1) -> Setting:
@@ -150,53 +138,44 @@ def at_tolerance(plugin: Any, tolerance: float, steps: int = 1) -> Setting:
     return Setting(label, steps, {"tolerance": tolerance}, tolerance, work)
 
 
-def _implicit(problem: AnyProblem, solver: Solver) -> list[Setting]:
-    """Halved steps; the residual falls with the step's own error, or it would end the convergence.
-
-    A force that is missing by a share r moves the solution by a share of order r however small the
-    step, while the step's error falls as its power `order`: so r falls by that power too. Where the step
-    alone decides what a method resolves, there is no residual to choose.
-    """
-    settings, known = [], solver.plugin.Config.model_fields
-    for steps in FEW:
-        residual = math.nan
-        if "residual" in known and math.isinf(solver.limit.resolved):
-            start = float(known["residual"].default)
-            residual = max(TIGHTEST_RESIDUAL, start / steps ** max(1, solver.order))
-        settings.append(_unlimited(problem.frame, steps, residual))
-    return settings
+def at_steps(frame: float, solver: Solver, steps: int, residual: float | None = None) -> Setting:
+    """A setting of so many steps a frame [s], and of an implicit solver's residual."""
+    dt, limit = frame / steps, solver.limit.dt if solver.kind == "fixed steps" else math.inf
+    label = f"dt {dt * 1e3:.4g} ms" if dt < 1.0 else f"dt {dt:.4g} s"
+    label += f", {number(dt / limit)} of limit" if 0.0 < limit < math.inf else ""
+    label += "" if residual is None else f"{RESIDUAL}{residual:.1e}"
+    fields = {} if residual is None else {"residual": residual}
+    return Setting(label, steps, fields, dt, float(steps), dt > limit * (1.0 + ROUNDING))
 
 
-def _unlimited(frame: float, steps: int, residual: float) -> Setting:
-    """A setting of a solver that no step is too long for; nan: there is no residual to choose."""
-    label = _length(frame / steps)
-    if math.isnan(residual):
-        return Setting(label, steps, {}, frame / steps, float(steps))
-    return Setting(f"{label}{RESIDUAL}{residual:.1e}", steps, {"residual": residual}, frame / steps, float(steps))
+def has_residual(solver: Solver) -> bool:
+    """Whether it has a residual to choose: where the step alone decides what a method resolves, there is none."""
+    return "residual" in solver.plugin.Config.model_fields and math.isinf(solver.limit.resolved)
 
 
-def at_steps(frame: float, solver: Solver, steps: int) -> Setting:
-    """A solver's setting with so many steps a frame [s], and what else its configuration says."""
+def _settings(frame: float, solver: Solver) -> list[Setting]:
+    """From coarse to fine: tolerances, steps within and beyond the limit, or steps with a residual."""
+    plugin, limit = solver.plugin, solver.limit
+    if solver.kind == "adaptive":
+        if "tolerance" not in plugin.Config.model_fields:
+            raise BadInput("it chooses its own steps, and has no `tolerance` to sweep")
+        return [at_tolerance(plugin, value) for value in TOLERANCES]
     if solver.kind != "fixed steps":
-        given = getattr(solver.config(Setting("", steps)), "residual", math.nan)
-        return _unlimited(frame, steps, float(given) if math.isinf(solver.limit.resolved) else math.nan)
-    limit, known = solver.limit.dt, next(one for one in solver.settings if not one.beyond or solver.limit.dt == 0.0)
-    return _fixed(frame, steps, limit, steps * known.work / known.steps, frame / steps > limit * (1.0 + ROUNDING))
-
-
-def _steps(problem: AnyProblem, limit: StepLimit) -> list[Setting]:
-    """Shares of the limit, coarse to fine, after one step beyond it where a frame is long enough for that."""
-    frame = problem.frame
-    found = [] if limit.dt == 0.0 else sorted({_count(frame / (share * limit.dt)) for share in SHARES})
-    if len(found) < 3:
-        found = sorted({*found, *FEW})
-    settings = []
-    beyond = max(BEYOND * limit.dt, _oscillation(limit))
+        if not has_residual(solver):
+            return [at_steps(frame, solver, steps) for steps in FEW]
+        # A force that is missing by a share r moves the solution by a share of order r however small the step, while
+        # the step's error falls as its power `order`: so r falls by that power too, or it would end the convergence.
+        start, power = float(plugin.Config.model_fields["residual"].default), max(1, solver.order)
+        return [at_steps(frame, solver, steps, max(TIGHTEST_RESIDUAL, start / steps**power)) for steps in FEW]
+    shares = [math.ceil(frame / (share * limit.dt) * (1.0 - ROUNDING)) for share in SHARES if limit.dt > 0.0]
+    counts = {max(1, count) for count in shares}
+    if len(counts) < 3:
+        counts |= set(FEW)
     # Where no step at all is stable, all of them are beyond the limit already.
-    if limit.dt > 0.0 and math.isfinite(beyond) and frame / beyond >= 1.0:
-        steps = math.floor(frame / beyond)
-        settings.append(_fixed(frame, steps, limit.dt, steps / found[0], True))
-    return settings + [_fixed(frame, n, limit.dt, n / found[0], limit.dt == 0.0) for n in found]
+    beyond = max(BEYOND * limit.dt, _oscillation(limit))
+    if limit.dt > 0.0 and math.isfinite(beyond) and frame >= beyond:
+        counts.add(math.floor(frame / beyond))
+    return [at_steps(frame, solver, count) for count in sorted(counts)]
 
 
 def _oscillation(limit: StepLimit) -> float:
@@ -204,17 +183,3 @@ def _oscillation(limit: StepLimit) -> float:
     of explicit Euler, failure is cheaper to show there.
     """
     return 1.8 / limit.omega if limit.omega > 0.0 and limit.dt * limit.omega < 0.2 else 0.0
-
-
-def _count(steps: float) -> int:
-    return max(1, math.ceil(steps * (1.0 - 1e-12)))
-
-
-def _fixed(frame: float, steps: int, limit: float, work: float, beyond: bool) -> Setting:
-    share = f", {number(frame / steps / limit)} of limit" if 0.0 < limit < math.inf else ""
-    return Setting(_length(frame / steps) + share, steps, {}, frame / steps, work, beyond)
-
-
-def _length(dt: float) -> str:
-    """A step in words; four digits tell apart what any sweep holds."""
-    return f"dt {dt * 1e3:.4g} ms" if dt < 1.0 else f"dt {dt:.4g} s"

@@ -93,7 +93,7 @@ def start_sweep(problem: AnyProblem, solvers: list[Solver], told: Callable[[str]
     sweep = Sweep()
     for solver in solvers:
         told(f"{solver.name}: first call")
-        setting = min(solver.settings, key=lambda one: abs(one.work - 1.0))
+        setting = min(solver.settings, key=lambda one: (one.beyond, one.work))
         taken = min(setting.steps, FIRST_STEPS)
         try:
             config = solver.config(setting)
