@@ -126,7 +126,7 @@ def test_figure_marks_a_curve_that_ended_early() -> None:
     t = np.linspace(0.0, 1.0, 5)
 
     def drawn(ended: str) -> str:
-        text: str = plots.curves({"y": [plots.Curve("a", t, t, 0, ended=ended)]}, "t")
+        text: str = plots.draw([plots.Panel("y", [plots.Curve("a", t, t, 0, ended=ended)], "t")])
         return text
 
     assert plots.BAD in drawn("diverged")

@@ -45,7 +45,11 @@ def compare(traces: Sequence[Trace]) -> list[Finding]:
     if euler := split.get("euler"):
         found.append(_thrown(euler, reference))
     if rk4 := split.get("rk4"):
-        found += [_slower(rk4, reference), _deeper(rk4, reference, "Runge-Kutta lets a leg through the skirt")]
+        times = f"{number(rk4.microseconds)} us a step against {number(reference.microseconds)} us"
+        ratios = [a / b for a, b in zip(rk4.rounds, reference.rounds, strict=True)]
+        seen = f"{times}: {_spread(ratios)} symplectic Euler's"
+        found.append(Finding("Runge-Kutta is slower", seen, _decide(ratios)))
+        found.append(_deeper(rk4, reference, "Runge-Kutta lets a leg through the skirt"))
     if printed := split.get("rk4_printed"):
         found.append(_deeper(printed, reference, "the same, by Runge-Kutta as its formulas are printed"))
     pairs = [(a, b) for a in traces for b in traces if a.split and not b.split and a.integrator == b.integrator]
@@ -54,7 +58,7 @@ def compare(traces: Sequence[Trace]) -> list[Finding]:
 
 def _stable(trace: Trace) -> Finding:
     energy = trace.finite("energy")
-    low, high, end = number(float(energy[0])), number(float(energy.max())), number(float(energy[-1]))
+    low, high, end = (number(float(value)) for value in (energy[0], energy.max(), energy[-1]))
     known = 0.0 < trace.limit < np.inf
     ratio = f"; its step is {trace.dt / trace.limit:.0%} of its limit" if known else ""
     seen = f"{_ending(trace)}, energy {low} J at the start, at most {high} J, {end} J at the end{ratio}"
@@ -64,23 +68,12 @@ def _stable(trace: Trace) -> Finding:
 def _thrown(trace: Trace, reference: Trace) -> Finding:
     farthest = FARTHER * reference.peak("distance")
     off = trace.first(trace.series["distance"] > farthest)
+    grown, far = ("stays below" if t is None else f"passes, at {t:.2f} s," for t in (trace.runaway, off))
     seen = (
-        f"{_ending(trace)}; the energy's growth {_passes(trace.runaway)} {RUNAWAY:g} times what lifts the garment "
-        f"by its own size; "
-        f"mean distance from the body {_passes(off)} {_length(farthest)}, {FARTHER:g} times symplectic Euler's largest"
+        f"{_ending(trace)}; the energy's growth {grown} {RUNAWAY:g} times what lifts the garment by its own size; mean "
+        f"distance from the body {far} {_length(farthest)}, {FARTHER:g} times symplectic Euler's largest"
     )
     return Finding("explicit Euler moves violently and throws the cloth off the body", seen, off is not None)
-
-
-def _passes(t: float | None) -> str:
-    return "stays below" if t is None else f"passes, at {t:.2f} s,"
-
-
-def _slower(trace: Trace, reference: Trace) -> Finding:
-    ratios = [a / b for a, b in zip(trace.rounds, reference.rounds, strict=True)]
-    times = [number(run.microseconds) for run in (trace, reference)]
-    seen = f"{times[0]} us a step against {times[1]} us: {_spread(ratios)} symplectic Euler's"
-    return Finding("Runge-Kutta is slower", seen, _decide(ratios))
 
 
 def _decide(ratios: Sequence[float]) -> bool | None:
@@ -89,10 +82,8 @@ def _decide(ratios: Sequence[float]) -> bool | None:
     Rounds go over all variants in turn, so a machine that slows down does not part the two of a
     round. None where rounds disagree, and where there is only one: its spread is not known.
     """
-    if len(ratios) < 2:
-        return None
     slower = {ratio > SLOWER for ratio in ratios}
-    return slower.pop() if len(slower) == 1 else None
+    return slower.pop() if len(ratios) > 1 and len(slower) == 1 else None
 
 
 def _spread(ratios: Sequence[float]) -> str:
@@ -104,23 +95,25 @@ def _spread(ratios: Sequence[float]) -> str:
 def _deeper(trace: Trace, reference: Trace, claim: str) -> Finding:
     depth, other = trace.peak("penetration"), reference.peak("penetration")
     ratio = depth / other if other > 0 else (np.inf if depth > 0 else 1.0)
-    depths = f"{_length(depth)} deep against symplectic Euler's {_length(other)} ({ratio:.2f} times)"
-    seen = f"{_ending(trace)}, at most {depths}"
+    depths = f"{_length(depth)} deep against symplectic Euler's {_length(other)}"
+    seen = f"{_ending(trace)}, at most {depths} ({ratio:.2f} times)"
     if trace.rest_depth is not None:
         seen += f"; a vertex at rest sinks m g / k = {_length(trace.rest_depth)} under any method"
     return Finding(claim, seen, ratio > DEEPER)
 
 
-def _bones(pairs: list[tuple[Trace, Trace]]) -> Finding:
+def _bones(pairs: Sequence[tuple[Trace, Trace]]) -> Finding:
     rounds = zip(*([x / y for x, y in zip(a.rounds, b.rounds, strict=True)] for a, b in pairs), strict=True)
     ratios = [statistics.median(methods) for methods in rounds]
-    held = [(a, b) for a, b in pairs if a.runaway is None and b.runaway is None]
     depths = [
-        f"{a.integrator} {_length(a.peak('penetration'))} against {_length(b.peak('penetration'))}" for a, b in held
+        f"{a.integrator} {_length(a.peak('penetration'))} against {_length(b.peak('penetration'))}"
+        for a, b in pairs
+        if a.runaway is None and b.runaway is None
     ]
-    shapes = f"{pairs[0][0].primitives} primitives against {pairs[0][1].primitives}"
-    seen = f"a step takes {_spread(ratios)} as long (median over the methods; {shapes}). "
-    seen += f"Penetration, each into its own body: {', '.join(depths) or 'every run ran away'}"
+    seen = (
+        f"a step takes {_spread(ratios)} as long (median over the methods; {pairs[0][0].primitives} primitives against "
+        f"{pairs[0][1].primitives}). Penetration, each into its own body: {', '.join(depths) or 'every run ran away'}"
+    )
     return Finding("bones cut in pieces are slower than whole ones", seen, _decide(ratios))
 
 

@@ -39,19 +39,24 @@ class Result:
 
 @dataclass(frozen=True)
 class Change:
-    """One point in both results.
+    """One point in both results: its errors and times in A and in B, where it has any.
 
-    error_ratio, time_ratio  B over A, in the quantity whose error changed most; None where one has none
-    changed                  "outcome", "error", "time": those that changed beyond floor and spread
+    quantity  that whose error changed most
+    changed   "outcome", "error", "time": those that changed beyond floor and spread
     """
 
     key: tuple[str, str]
     quantity: str
-    errors: tuple[float | None, float | None]
-    times: tuple[float | None, float | None]
-    error_ratio: float | None
-    time_ratio: float | None
+    errors: tuple[float, float] | None
+    times: tuple[float, float] | None
     changed: tuple[str, ...]
+
+    def row(self) -> list[str]:
+        """Its line under HEADINGS."""
+        errors = [f"{error:.2e}" for error in self.errors or ()] or ["", ""]
+        times = [number(seconds) for seconds in self.times or ()] or ["", ""]
+        changed = ", ".join(self.changed)
+        return [*self.key, changed, self.quantity, *errors, _ratio(self.errors), *times, _ratio(self.times)]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,13 +73,13 @@ def main(args: argparse.Namespace) -> int:
     changes = compare(first, second)
     if not changes:
         raise BadInput("the results have no point in common", value=f"{args.first}, {args.second}")
-    differing = [row(change) for change in changes if change.changed]
+    differing = [change.row() for change in changes if change.changed]
     if differing:
         print(Table(HEADINGS, differing).text())
     said = summary(first, second, changes)
     print("\n".join(said))
     if args.html is not None:
-        table = Table(HEADINGS, [row(change) for change in changes], "All points that both have.")
+        table = Table(HEADINGS, [change.row() for change in changes], "All points that both have.")
         both = {f"{name}, {k}": v for name, one in (("A", first), ("B", second)) for k, v in one.about.items()}
         parts: page.Sections = [("Points", [table]), ("Made by", [Facts({"command": machine.command(), **both})])]
         args.html.parent.mkdir(parents=True, exist_ok=True)
@@ -114,10 +119,8 @@ def _change(a: Point, b: Point, floors: Mapping[str, float]) -> Change:
         changed.append("error")
     if _apart(a.seconds, b.seconds):
         changed.append("time")
-    errors = known.get(quantity, (None, None))
-    times = tuple(point.median if point.seconds else None for point in (a, b))
-    pair = (times[0], times[1])
-    return Change(a.key, quantity, errors, pair, _ratio(*errors), _ratio(*pair), tuple(changed))
+    times = (a.median, b.median) if a.seconds and b.seconds else None
+    return Change(a.key, quantity, known.get(quantity), times, tuple(changed))
 
 
 def _factor(a: float, b: float) -> float:
@@ -137,24 +140,15 @@ def _apart(a: Sequence[float], b: Sequence[float]) -> bool:
     return not overlap and _factor(statistics.median(a), statistics.median(b)) > SAME_TIME
 
 
-def _ratio(a: float | None, b: float | None) -> float | None:
-    return b / a if a and b is not None else None
-
-
-def row(change: Change) -> list[str]:
-    """A line of the table, under HEADINGS."""
-    errors = [f"{error:.2e}" if error is not None else "" for error in change.errors]
-    times = [number(seconds) if seconds is not None else "" for seconds in change.times]
-    ratios = [number(ratio) if ratio is not None else "" for ratio in (change.error_ratio, change.time_ratio)]
-    changed = ", ".join(change.changed)
-    return [*change.key, changed, change.quantity, *errors, ratios[0], *times, ratios[1]]
+def _ratio(pair: tuple[float, float] | None) -> str:
+    return number(pair[1] / pair[0]) if pair and pair[0] else ""
 
 
 def summary(first: Result, second: Result, changes: Sequence[Change]) -> list[str]:
     """Sentences: how many points changed in what, the typical time ratio, and what only one has."""
     counts = ", ".join(f"{sum(what in c.changed for c in changes)} in {what}" for what in ("outcome", "error", "time"))
     said = [f"{len(changes)} points in both; changed beyond floor and spread: {counts}."]
-    ratios = [change.time_ratio for change in changes if change.time_ratio is not None]
+    ratios = [change.times[1] / change.times[0] for change in changes if change.times and change.times[0]]
     if ratios:
         said.append(f"Times of B are {statistics.median(ratios):.2f} times those of A (median over the points).")
     for name, one, other in (("A", first, second), ("B", second, first)):

@@ -9,7 +9,7 @@ import io
 import math
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -157,41 +157,25 @@ def _draw_curve(axis: Any, curve: Curve) -> None:
         axis.plot(x[above], np.full(above.sum(), 1.06), marker="x", markersize=5.5, color=colour, **place)
 
 
-def curves(panels: Mapping[str, Sequence[Curve]], xlabel: str, log: Sequence[str] = ()) -> str:
-    """Panels side by side, each named after its quantity; those in `log` have a logarithmic y axis."""
-    return draw(
-        [Panel(name, series, xlabel, log="y" if name in log else "") for name, series in panels.items()], len(panels)
-    )
-
-
 def bars(
     names: Sequence[str],
     samples: Sequence[Sequence[float]],
     wanted: Sequence[tuple[float | None, float | None]],
     xlabel: str,
 ) -> str:
-    """Horizontal bars of medians with min and max; a line at each bar to reach, a dotted one at its aim.
+    """A row for each name: the median of its samples, from the smallest to the largest, its bar and its aim.
 
     No samples: the row says that it failed.
     """
-    plt = pyplot()
-    with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(8.0, 0.6 + 0.3 * len(names)), layout="constrained")
-        for row, (values, (bar, aim)) in enumerate(zip(samples, wanted, strict=True)):
-            if not values:
-                axis.text(0, row, " failed", color=BAD, va="center")
-                continue
-            median = float(np.median(values))
-            missed = bar is not None and median < bar
-            axis.barh(row, median, height=0.62, color=BAD if missed else COLOURS[0], alpha=0.85)
-            axis.plot([min(values), max(values)], [row, row], color=INK, linewidth=1.0)
-            for value, style in ((bar, "-"), (aim, ":")):
-                if value is not None:
-                    axis.plot([value, value], [row - 0.42, row + 0.42], color=INK, linestyle=style, linewidth=1.4)
-        axis.set_yticks(range(len(names)), names)
-        axis.set_xlabel(xlabel)
-        axis.invert_yaxis()
-        return svg(figure, "bars")
+    rows = np.arange(len(names), dtype=float)[::-1]
+    medians = np.array([np.median(one) if one else math.nan for one in samples])
+    spread = [(min(one), max(one)) if one else (math.nan, math.nan) for one in samples]
+    found = [Curve("median, smallest to largest", medians, rows, 0, marker="o", loose=True, spread=spread)]
+    for i, (what, mark) in enumerate((("bar", "|"), ("aim", "^"))):
+        values = np.array([math.nan if pair[i] is None else pair[i] for pair in wanted], float)
+        found.append(Curve(what, values, rows, INK, marker=mark, size=9.0, loose=True))
+    labels = [name if one else f"{name}: failed" for name, one in zip(names, samples, strict=True)]
+    return draw([Panel("", found, xlabel, rows=labels[::-1])], height=0.3 * len(names))
 
 
 def pyplot() -> Any:

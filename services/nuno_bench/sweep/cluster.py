@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future
 from typing import Any
 
-from nuno_bench.sweep.executor import Found, Lost, Task, as_completed, versions
+from nuno_bench.sweep.executor import Done, Found, Lost, Task, as_completed, versions
 from nuno_schemas.errors import BadInput, RunFailed
 
 CONNECT_SECONDS, WORKER_SECONDS = 4.0, 60.0
@@ -55,9 +55,7 @@ class Cluster:
     def width(self) -> int:
         return max(1, sum(map(int, self._client.nthreads().values())))
 
-    def run(
-        self, call: Callable[[Task], Found], tasks: Iterable[Task]
-    ) -> Iterator[tuple[Task, Found | BadInput | Lost]]:
+    def run(self, call: Callable[[Task], Found], tasks: Iterable[Task]) -> Iterator[Done[Task, Found]]:
         from distributed.scheduler import KilledWorker
 
         def submit(task: Task) -> Future[Any]:

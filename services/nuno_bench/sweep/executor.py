@@ -40,6 +40,10 @@ class Lost:
     reason: str
 
 
+Done = tuple[Task, Found | BadInput | Lost]
+"""A task and what came of it."""
+
+
 class Executor(Protocol):
     """Computes tasks. `where` says in words where; `width` is how many tasks go on at once, now."""
 
@@ -48,9 +52,7 @@ class Executor(Protocol):
     @property
     def width(self) -> int: ...
 
-    def run(
-        self, call: Callable[[Task], Found], tasks: Iterable[Task]
-    ) -> Iterator[tuple[Task, Found | BadInput | Lost]]:
+    def run(self, call: Callable[[Task], Found], tasks: Iterable[Task]) -> Iterator[Done[Task, Found]]:
         """Each task with what `call` makes of it, as they are done; a BadInput that it raises is a result.
 
         Tasks are taken from the iterable only when they can be started. A task whose process is lost is run
@@ -64,9 +66,7 @@ class Here:
     where = "one after another"
     width = 1
 
-    def run(
-        self, call: Callable[[Task], Found], tasks: Iterable[Task]
-    ) -> Iterator[tuple[Task, Found | BadInput | Lost]]:
+    def run(self, call: Callable[[Task], Found], tasks: Iterable[Task]) -> Iterator[Done[Task, Found]]:
         for task in tasks:
             yield task, attempt(call, task)
 
@@ -77,9 +77,7 @@ class Processes:
     def __init__(self, width: int) -> None:
         self.width, self.where, self._pool = width, f"{width} processes", _start(width)
 
-    def run(
-        self, call: Callable[[Task], Found], tasks: Iterable[Task]
-    ) -> Iterator[tuple[Task, Found | BadInput | Lost]]:
+    def run(self, call: Callable[[Task], Found], tasks: Iterable[Task]) -> Iterator[Done[Task, Found]]:
         def submit(task: Task) -> Future[Any]:
             try:
                 return self._pool.submit(attempt, call, task)
