@@ -12,7 +12,7 @@ from nuno.viewer.layout import entity
 from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.stability.case import Point
 from nuno_bench.stability.page import tabs
-from nuno_bench.stability.sweep import Mapped, Row
+from nuno_bench.stability.sweep import Mapped
 from nuno_bench.validation import page as laws
 from nuno_bench.validation.laws.base import Case, Found, Outcome
 from nuno_bench.validation.suite import Part
@@ -40,9 +40,12 @@ def drawn(path: Path, tab: str, panel: Panel) -> dict[str, np.ndarray]:
 def mapped() -> Mapped:
     """Two settings of one solver, four steps each, of which the limit lies between the second and the third."""
     outcomes = ("diverged", "drifting", "exact", "left out")
-    points = [Point("stiffness", 1.0, "rk4", 10.0**-i, outcome, 0.1, 0.1, 0.1) for i, outcome in enumerate(outcomes)]
-    rows = [Row("stiffness", value, "rk4", 0.1, 0.03, points) for value in (1.0, 10.0)]
-    return Mapped("small", rows, [])
+    points = [
+        Point("stiffness", value, 0.1, "rk4", 0.03, 10.0**-i, outcome)
+        for value in (1.0, 10.0)
+        for i, outcome in enumerate(outcomes)
+    ]
+    return Mapped("small", points, [])
 
 
 def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from nuno.cli import main
 from nuno_bench.problem.observe import Series
 from nuno_bench.stability import page as stability_page
 from nuno_bench.stability.case import Point, Setting, classify, make_reference, pose, stiffen
-from nuno_bench.stability.sweep import Row, measure_all, measure_row, mesh_overrides, settings_of, step_counts
+from nuno_bench.stability.sweep import measure_all, measure_row, mesh_overrides, settings_of, step_counts
 from nuno_bench.sweep.executor import Here
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.sweep.packed import pack
@@ -72,7 +72,7 @@ def test_class_follows_from_distance_and_energy(offset: float, energy: float, ou
     assert classify(made(offset, energy), made())[0] == outcome
 
 
-def row_of(scene: Path, solver: str, value: float = 1.0) -> tuple[float, list[Point]]:
+def row_of(scene: Path, solver: str, value: float = 1.0) -> list[Point]:
     setting = Setting(pack(scene), (), "stiffness", value)
     posed = pose(setting)
     reference = make_reference(posed)
@@ -84,7 +84,8 @@ def row_of(scene: Path, solver: str, value: float = 1.0) -> tuple[float, list[Po
 @pytest.mark.parametrize("solver", ["leapfrog", "rk4", "symplectic_euler"])
 @pytest.mark.parametrize("value", [300.0, 10_000.0])
 def test_maps_break_at_the_stated_limit(scene: Path, solver: str, value: float) -> None:
-    limit, points = row_of(scene, solver, value)
+    points = row_of(scene, solver, value)
+    limit = points[0].limit
     assert len(points) >= 3
     for point in points:
         if point.dt > 1.3 * limit:
@@ -95,7 +96,7 @@ def test_maps_break_at_the_stated_limit(scene: Path, solver: str, value: float) 
 
 
 def test_limits_shrink_with_the_root_of_the_stiffness(scene: Path) -> None:
-    soft, stiff = (row_of(scene, "leapfrog", value)[0] for value in (100.0, 10_000.0))
+    soft, stiff = (row_of(scene, "leapfrog", value)[0].limit for value in (100.0, 10_000.0))
     assert soft / stiff == pytest.approx(10.0, rel=0.05)
 
 
@@ -112,8 +113,8 @@ def test_implicit_points_are_never_diverged(scene: Path) -> None:
     setting = Setting(pack(scene), (), "stiffness", 1e4)
     posed = pose(setting)
     reference = make_reference(posed)
-    limit, points = measure_row(posed, setting, "implicit_euler", [1, 8], reference, 1e9, math.inf)
-    assert math.isinf(limit)
+    points = measure_row(posed, setting, "implicit_euler", [1, 8], reference, 1e9, math.inf)
+    assert all(math.isinf(point.limit) for point in points)
     assert {point.outcome for point in points} <= {"damped away", "accurate", "drifting"}
 
 
@@ -135,15 +136,15 @@ def test_meshes_follow_the_models_own_numbers(scene: Path, tmp_path: Path) -> No
     assert {setting.axis for setting in settings} == {"stiffness"}
     assert omissions == ["the map over mesh sizes: the model net has no resolution"]
     kept = Kept(tmp_path / "rows.jsonl", {}, False)
-    rows, _ = measure_all(settings[:1], ["rk4"], kept, 9.0, Here(), lambda text: None)
-    assert {row.axis for row in rows} == {"stiffness"}
+    points, _ = measure_all(settings[:1], ["rk4"], kept, 9.0, Here(), lambda text: None)
+    assert {point.axis for point in points} == {"stiffness"}
 
 
 def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) -> None:
     settings = [s for s in settings_of(scene, [])[0] if s.value in (1.0, 0.1)]
     told: list[str] = []
 
-    def sweep(resume: bool, identity: str = "a") -> list[Row]:
+    def sweep(resume: bool, identity: str = "a") -> list[Point]:
         told.clear()
         kept = Kept(tmp_path / "rows.jsonl", {"of": identity}, resume)
         return measure_all(settings, ["leapfrog"], kept, 60.0, Here(), told.append)[0]
@@ -154,7 +155,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
     (tmp_path / "rows.jsonl").write_text("\n".join(lines[:2]) + "\n" + lines[2][:50])
     again = sweep(True)
     assert len(told) == 2, "the row that was whole is not measured again"
-    outcomes = [sorted((r.axis, r.value, p.dt, p.outcome) for r in rows for p in r.points) for rows in (whole, again)]
+    outcomes = [sorted((p.axis, p.value, p.dt, p.outcome) for p in points) for points in (whole, again)]
     assert outcomes[0] == outcomes[1]
     with pytest.raises(BadInput, match="another sweep"):
         sweep(True, "b")
@@ -163,20 +164,20 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
 def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> None:
     settings = settings_of(scene, [])[0][:1]
     kept = Kept(tmp_path / "rows.jsonl", {}, False)
-    rows, omissions = measure_all(settings, ["leapfrog"], kept, 1e-9, Here(), lambda text: None)
-    assert rows == []
+    points, omissions = measure_all(settings, ["leapfrog"], kept, 1e-9, Here(), lambda text: None)
+    assert points == []
     assert omissions == ["stiffness x 1, leapfrog: the budget of time"]
 
 
-def rows() -> list[Row]:
-    outcomes = ("diverged", "drifting", "exact", "left out")
-    points = [Point("stiffness", 1.0, "rk4", 0.1 / 2**i, outcome, 0.1, 0.1, 0.1) for i, outcome in enumerate(outcomes)]
-    return [Row("stiffness", value, "rk4", 0.1, 0.03, points) for value in (1.0, 10.0)]
-
-
 def test_tables_count_points_on_either_side_of_the_limit() -> None:
-    assert stability_page.counts(rows()).rows == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
-    assert stability_page.beyond(rows()).rows == [["rk4", "0 of 2", "2 of 4"]]
+    outcomes = ("diverged", "drifting", "exact", "left out")
+    points = [
+        Point("stiffness", value, 0.1, "rk4", 0.03, 0.1 / 2**i, outcome)
+        for value in (1.0, 10.0)
+        for i, outcome in enumerate(outcomes)
+    ]
+    assert stability_page.counts(points).rows == [["stiffness", "rk4", "2", "0", "0", "2", "2", "0", "2"]]
+    assert stability_page.beyond(points).rows == [["rk4", "0 of 2", "2 of 4"]]
 
 
 def test_every_class_has_a_colour_of_its_own_lightness() -> None:
@@ -197,7 +198,7 @@ def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, cap
     data = json.loads((tmp_path / "out" / "stability-small.json").read_text())
     with (tmp_path / "out" / "stability-small.csv").open() as stream:
         lines = list(csv.DictReader(stream))
-    assert len(lines) == sum(len(row["points"]) for row in data["rows"])
+    assert len(lines) == len(data["points"])
     assert {line["solver"] for line in lines} == {"leapfrog", "tr_bdf2"}
     page = (tmp_path / "out" / "stability-small.html").read_text()
     assert page.count("<svg") == 2

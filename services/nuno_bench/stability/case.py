@@ -45,21 +45,30 @@ class Setting:
 
 @dataclass(frozen=True)
 class Point:
-    """A point's class, and the figures behind it.
+    """A step of a solver at a setting: its class, and the figures behind it.
 
+    edge           of the shortest spring [m]
+    limit          the longest stable step, by the solver itself [s]; nan where it refuses the scene
     error, gained  farthest from the reference, and energy more than it has, as shares of the reference's motion
     seconds        of the run [s]
     """
 
     axis: str
     value: float
+    edge: float
     solver: str
+    limit: float
     dt: float
     outcome: str
     error: float = math.nan
     gained: float = math.nan
     seconds: float = 0.0
     why: str = ""
+
+    @property
+    def limited(self) -> bool:
+        """Whether there are both steps that the solver calls stable, and others."""
+        return 0.0 < self.limit < math.inf
 
 
 def pose(setting: Setting) -> Problem:

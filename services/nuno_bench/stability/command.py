@@ -74,10 +74,10 @@ def _map(args: argparse.Namespace, path: Path, solvers: list[str], where: execut
     identity = {"scene": settings[0].scene.digest, "solvers": solvers, "versions": executor.versions()}
     finished = kept.Kept(_rows(args, path), identity, args.resume)
     with kept.hint(finished.path):
-        rows, lost = measure_all(settings, solvers, finished, args.budget, where, told)
-    about, found = machine.about(others, points=where.where), Mapped(path.stem, rows, [*omissions, *lost])
+        points, lost = measure_all(settings, solvers, finished, args.budget, where, told)
+    about, found = machine.about(others, points=where.where), Mapped(path.stem, points, [*omissions, *lost])
     print(f"{path.stem}: {shown.summary(found)}")
-    print(shown.counts(rows).text())
+    print(shown.counts(points).text())
     for text in found.omissions:
         print(f"left out: {text}")
     base, parts = args.out / f"stability-{path.stem}", list(shown.sections(found, about))

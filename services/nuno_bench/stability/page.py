@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,8 @@ import numpy as np
 from nuno_bench.report.page import Facts, Figure, Part, Table
 from nuno_bench.report.plots import INK, Curve, Panel, draw
 from nuno_bench.report.result import number
-from nuno_bench.stability.case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY
-from nuno_bench.stability.sweep import Mapped, Row
+from nuno_bench.stability.case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY, Point
+from nuno_bench.stability.sweep import Mapped
 
 LEAD = "What each solver makes of the scene at every step and stiffness, above its limit too."
 HOW = (
@@ -44,71 +44,65 @@ MARKS = {"damped away": "v", "drifting": "o", "diverged": "X", "refused": "_", "
 
 def summary(found: Mapped) -> str:
     """Points in all, and of each class that occurs."""
-    tally = Counter(point.outcome for row in found.rows for point in row.points)
+    tally = Counter(point.outcome for point in found.points)
     kinds = ", ".join(f"{tally[name]} {name}" for name in CLASSES if tally[name])
     return f"{number(sum(tally.values()))} points: {kinds}" if tally else "no points"
 
 
-def counts(rows: Sequence[Row]) -> Table:
+def counts(points: Sequence[Point]) -> Table:
     """How many points fell into each class, by map and solver."""
-    found: dict[tuple[str, str], Counter[str]] = {}
-    for row in rows:
-        found.setdefault((row.axis, row.solver), Counter()).update(point.outcome for point in row.points)
-    lines = [[*key, *(str(classes[name]) for name in CLASSES)] for key, classes in sorted(found.items())]
-    return Table(("map", "solver", *CLASSES), lines, "Points of each class.")
+    tally = Counter((point.axis, point.solver, point.outcome) for point in points)
+    keys = sorted({key[:2] for key in tally})
+    rows = [[axis, solver, *(str(tally[axis, solver, name]) for name in CLASSES)] for axis, solver in keys]
+    return Table(("map", "solver", *CLASSES), rows, "Points of each class.")
 
 
-def beyond(rows: Sequence[Row]) -> Table:
+def beyond(points: Sequence[Point]) -> Table:
     """How the stated limits compare with the maps: points that were lost below, and above, out of all."""
-    found: dict[str, list[int]] = {}
-    for row in rows:
-        if not math.isfinite(row.limit) or row.limit <= 0.0:
-            continue
-        tally = found.setdefault(row.solver, [0, 0, 0, 0])
-        for point in row.points:
-            if point.outcome in ("left out", "refused"):
-                continue
-            above, lost = point.dt > row.limit, point.outcome == "diverged"
-            tally[2 * above] += 1
-            tally[2 * above + 1] += lost
-    lines = [[solver, f"{b} of {a}", f"{d} of {c}"] for solver, (a, b, c, d) in sorted(found.items())]
-    return Table(("solver", "lost below its limit", "lost above it"), lines, "Points of all maps. Lost: diverged.")
+    known = [p for p in points if p.limited and p.outcome not in ("left out", "refused")]
+    tally = Counter((p.solver, p.dt > p.limit, p.outcome == "diverged") for p in known)
+    rows = [
+        [solver, *(f"{tally[solver, above, True]} of {tally[solver, above, True] + tally[solver, above, False]}"
+                   for above in (False, True))]
+        for solver in sorted({point.solver for point in known})
+    ]  # fmt: skip
+    return Table(("solver", "lost below its limit", "lost above it"), rows, "Points of all maps. Lost: diverged.")
 
 
-def place_of(row: Row) -> float:
-    """Where a row stands: its factor, or the shortest spring [mm]."""
-    return 1e3 * row.edge if row.axis == "mesh" else row.value
-
-
-def maps(rows: Sequence[Row], axis: str) -> list[Panel]:
+def maps(points: Sequence[Point], axis: str) -> list[Panel]:
     """A panel a solver: its points over axis and step, each class a curve, and the limit that it states."""
     panels = []
-    for solver in sorted({row.solver for row in rows if row.axis == axis}):
-        own = sorted((row for row in rows if (row.axis, row.solver) == (axis, solver)), key=place_of)
+    for solver in sorted({point.solver for point in points if point.axis == axis}):
+        own = sorted((one for one in points if (one.axis, one.solver) == (axis, solver)), key=_place)
         curves = []
         for name, colour in COLOURS.items():
-            points = [(place_of(row), point) for row in own for point in row.points if point.outcome == name]
-            x, dt = np.array([place for place, _ in points]), np.array([point.dt for _, point in points])
-            said = [f"{name}: step {p.dt:.3g} s at {place:.3g}, error {p.error:.2g}" for place, p in points]
+            shown = [point for point in own if point.outcome == name]
+            x, dt = np.array([*map(_place, shown)]), np.array([point.dt for point in shown])
+            said = [f"{name}: step {p.dt:.3g} s at {_place(p):.3g}, error {p.error:.2g}" for p in shown]
             curves.append(Curve(name, x, dt, colour, marker=MARKS.get(name, "s"), size=6.0, loose=True, labels=said))
-        limits = np.array([row.limit if row.limit > 0.0 else math.nan for row in own])
-        if np.isfinite(limits).any():
-            curves.append(Curve("stated limit", np.array([*map(place_of, own)]), limits, INK))
-        none = "" if np.isfinite(limits).any() else ", no limit"
-        none = ", no stable step" if all(row.limit == 0.0 for row in own) else none
-        panels.append(Panel(solver + none, curves, AXES[axis], "step [s]", log="xy"))
+        stated = dict.fromkeys((_place(point), point.limit) for point in own if point.limited)
+        if stated:
+            x, dt = np.array([*stated]).T
+            curves.append(Curve("stated limit", x, dt, INK))
+        none = ", no stable step" if all(point.limit == 0.0 for point in own) else ", no limit"
+        panels.append(Panel(solver + none * (not stated), curves, AXES[axis], "step [s]", log="xy"))
     return panels
+
+
+def _place(point: Point) -> float:
+    """Where it stands: its factor, or the shortest spring [mm]."""
+    return 1e3 * point.edge if point.axis == "mesh" else point.value
 
 
 def tabs(found: Sequence[Mapped]) -> dict[str, list[Panel]]:
     """All panels by scene and kind of map."""
-    made = {f"{one.scene}, {axis}": maps(one.rows, axis) for one in found for axis in AXES}
+    made = {f"{one.scene}, {axis}": maps(one.points, axis) for one in found for axis in AXES}
     return {name: panels for name, panels in made.items() if panels}
 
 
 def figures(found: Mapped) -> list[Figure]:
     """The maps, one for each kind."""
-    made = {axis: maps(found.rows, axis) for axis in AXES}
+    made = {axis: maps(found.points, axis) for axis in AXES}
     said = "Classes over {} and the step. The black line is the limit that each solver states."
     return [Figure(draw(panels, 3, 2.0, shared=True), said.format(AXES[axis]), axis)
             for axis, panels in made.items() if panels]  # fmt: skip
@@ -116,19 +110,19 @@ def figures(found: Mapped) -> list[Figure]:
 
 def sections(found: Mapped, about: dict[str, str]) -> Iterator[tuple[str, list[Part]]]:
     """The page's."""
-    if found.rows:
+    if found.points:
         yield "", [HOW]
         for one in figures(found):
             yield f"{one.name.capitalize()} and step", [one]
-        yield "Limits", [beyond(found.rows)]
-        yield "Points", [counts(found.rows)]
+        yield "Limits", [beyond(found.points)]
+        yield "Points", [counts(found.points)]
     yield "Left out", [*(found.omissions or ["Nothing."])]
     yield "Made by", [Facts(about)]
 
 
 def document(found: Mapped, about: dict[str, str]) -> list[Part]:
     """What goes into a documentation page's section."""
-    tables = (counts(found.rows), beyond(found.rows))
+    tables = (counts(found.points), beyond(found.points))
     return [
         f"{summary(found)}.",
         *figures(found),
@@ -140,19 +134,13 @@ def document(found: Mapped, about: dict[str, str]) -> list[Part]:
 
 def lines(found: Mapped) -> Table:
     """The CSV's: a line per point."""
-    headings = ("axis", "value", "edge", "solver", "limit", "dt", "outcome", "error", "gained", "seconds", "why")
-    points = [vars(point) | {"edge": row.edge, "limit": row.limit} for row in found.rows for point in row.points]
-    return Table(headings, [[_written(point[name]) for name in headings] for point in points])
-
-
-def _written(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    rows = [
+        [f"{value:.6g}" if isinstance(value, float) else str(value) for value in vars(point).values()]
+        for point in found.points
+    ]
+    return Table([field.name for field in fields(Point)], rows)
 
 
 def data(found: Mapped, about: dict[str, str]) -> dict[str, Any]:
     """All that was found, for JSON."""
-    return {
-        "about": about,
-        "omissions": found.omissions,
-        "rows": [row.json() for row in found.rows],
-    }
+    return {"about": about, "omissions": found.omissions, "points": [vars(point) for point in found.points]}

@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from nuno import registry
 from nuno.scene import scene_file
@@ -37,27 +36,12 @@ MOST_HALVINGS = 11
 """Of a frame, to the shortest step."""
 
 
-@dataclass
-class Row:
-    """Points of one solver at one setting; limit [s] by the solver itself; edge [m] of its shortest spring."""
-
-    axis: str
-    value: float
-    solver: str
-    edge: float
-    limit: float
-    points: list[Point]
-
-    def json(self) -> dict[str, Any]:
-        return vars(self) | {"points": [vars(point) for point in self.points]}
-
-
 @dataclass(frozen=True)
 class Mapped:
-    """A scene with its maps: rows in the order of settings and solvers, and what was left out, in words."""
+    """A scene with its points in the order of settings and solvers, and what was left out, in words."""
 
     scene: str
-    rows: Sequence[Row]
+    points: Sequence[Point]
     omissions: Sequence[str]
 
 
@@ -99,10 +83,6 @@ def step_counts(frame: float, omega: float) -> list[int]:
     return [2**i for i in range(min(MOST_HALVINGS, wanted) + 1)]
 
 
-def _row(data: Mapping[str, Any]) -> Row:
-    return Row(**{**data, "points": [Point(**point) for point in data["points"]]})
-
-
 @dataclass(frozen=True)
 class Task:
     """The rows of some solvers at one setting: a point may take `most` seconds, all of them `left`."""
@@ -123,10 +103,13 @@ def measure_all(
     budget: float,
     executor: Executor,
     told: Callable[[str], None],
-) -> tuple[list[Row], list[str]]:
-    """All rows, in the order of the settings and solvers, and what was left out; whole ones are kept as they come."""
-    omissions, rows = list[str](), [_row(line) for line in kept.lines]
-    known = {(row.axis, row.value, row.solver) for row in rows}
+) -> tuple[list[Point], list[str]]:
+    """All points, in the order of the settings and solvers, and what was left out.
+
+    A solver's points at a setting are kept as they come, where none of them is left out.
+    """
+    omissions, points = list[str](), [Point(**point) for line in kept.lines for point in line["points"]]
+    known = {(point.axis, point.value, point.solver) for point in points}
     wanted = {s: tuple(name for name in solvers if (s.axis, s.value, name) not in known) for s in settings}
     if any(wanted.values()):
         told("compiling, where that has not been done")
@@ -141,18 +124,17 @@ def measure_all(
             why = found.problem if isinstance(found, BadInput) else found.reason
             omissions.append(f"{task.describe()}, {', '.join(task.solvers)}: {why}")
             continue
-        rows += found
         for row in found:
-            if all(point.outcome != "left out" for point in row.points):
-                kept.add(row.json())
+            points += row
+            if all(point.outcome != "left out" for point in row):
+                kept.add({"points": [vars(point) for point in row]})
     places = {(s.axis, s.value): i for i, s in enumerate(settings)}
-    rows.sort(key=lambda row: (places[row.axis, row.value], solvers.index(row.solver)))
+    points.sort(key=lambda point: (places[point.axis, point.value], solvers.index(point.solver), -point.dt))
     if any(setting.axis == "mesh" for setting in settings):
-        rows += [replace(row, axis="mesh") for row in rows if (row.axis, row.value) == ("stiffness", 1.0)]
-    missing = sum(point.outcome == "left out" for row in rows for point in row.points)
-    if missing:
+        points += [replace(one, axis="mesh") for one in points if (one.axis, one.value) == ("stiffness", 1.0)]
+    if missing := sum(point.outcome == "left out" for point in points):
         omissions.append(f"{missing} points that would have taken too long (left out on the maps)")
-    return rows, omissions
+    return points, omissions
 
 
 def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
@@ -163,19 +145,16 @@ def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
             problem.first_call(plugin, plugin.Config(), 1, 0)
 
 
-def measure_setting(task: Task) -> list[Row]:
-    """The rows of a task. Raises BadInput where its setting cannot be posed, or no time is left."""
+def measure_setting(task: Task) -> list[list[Point]]:
+    """The points of each solver of a task. Raises BadInput where its setting cannot be posed, or no time is left."""
     if task.left <= 0.0:
         raise BadInput("the budget of time")
     deadline, setting = time.monotonic() + task.left, task.setting
     problem, plugin = pose(setting), reference_plugin()
     # The same steps for every stiffness: those of the scene's own.
     omega = pose(replace(setting, axis="mesh")).limit(plugin, plugin.Config()).omega
-    counts, reference, rows = step_counts(problem.frame, float(omega)), make_reference(problem), []
-    for name in task.solvers:
-        limit, points = measure_row(problem, setting, name, counts, reference, task.most, deadline)
-        rows.append(Row(setting.axis, setting.value, name, shortest(problem.fabric), limit, points))
-    return rows
+    counts, reference = step_counts(problem.frame, float(omega)), make_reference(problem)
+    return [measure_row(problem, setting, name, counts, reference, task.most, deadline) for name in task.solvers]
 
 
 def measure_row(
@@ -186,20 +165,19 @@ def measure_row(
     reference: Series,
     most: float,
     deadline: float,
-) -> tuple[float, list[Point]]:
-    """The solver's own limit [s], and a point for each number of steps a frame, from long steps to short ones.
+) -> list[Point]:
+    """A point for each number of steps a frame, from long steps to short ones.
 
     A point that would take more than `most` seconds, or start after `deadline` (time.monotonic), is left out.
     """
     plugin = registry.load(Problem.group, solver)
-    config, points, each = plugin.Config(), list[Point](), 0.0
-    try:
+    config, points, each, limit = plugin.Config(), list[Point](), 0.0, math.nan
+    with contextlib.suppress(BadInput):
         limit = problem.limit(plugin, config).dt
         problem.first_call(plugin, config, 1, 0)  # compiles
-    except BadInput:
-        limit = math.nan
     for count in sorted(counts):
-        point = Point(setting.axis, setting.value, solver, problem.frame / count, "refused")
+        dt, edge = problem.frame / count, shortest(problem.fabric)
+        point = Point(setting.axis, setting.value, edge, solver, limit, dt, "refused")
         if 2.0 * each > most or time.monotonic() > deadline:
             points.append(replace(point, outcome="left out", why="the budget of time"))
             continue
@@ -216,4 +194,4 @@ def measure_row(
         # What ends early says nothing of the next point's cost.
         each = found.seconds if found.status in ("ok", "cut") else each
         points.append(replace(point, outcome=outcome, seconds=found.seconds, why=found.message))
-    return limit, points
+    return points
