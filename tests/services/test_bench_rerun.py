@@ -63,6 +63,7 @@ def test_what_has_no_place_on_an_axis_stands_above_it_and_what_is_no_number_nowh
     found = drawn(tmp_path / "p.rrd", "t", panel)
     assert found["a"][0] == pytest.approx([1.0, 0.5], rel=1e-4)
     assert len(found["a"]) == 2 and found["a"][1, 1] > found["b"][:, 1].max()
+    assert drawn(tmp_path / "empty.rrd", "t", Panel("p", [], "x", log="xy")) == {}
 
 
 def test_laws_stand_in_rows_and_failures_right_of_what_is_allowed(tmp_path: Path) -> None:

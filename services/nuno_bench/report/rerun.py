@@ -90,7 +90,7 @@ class Axis:
 
 def axes_of(panel: Panel) -> tuple[Axis, Axis]:
     """Of x and of y."""
-    x, y = np.concatenate([[np.asarray(curve.x, float), np.asarray(curve.y, float)] for curve in panel.curves], axis=1)
+    x, y = np.concatenate([np.zeros((2, 0)), *(np.stack([curve.x, curve.y]) for curve in panel.curves)], axis=1)
     return Axis(x, "x" in panel.log, WIDTH), Axis(y, "y" in panel.log, HEIGHT, panel.rows)
 
 
