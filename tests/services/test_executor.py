@@ -29,6 +29,9 @@ from nuno_schemas.errors import BadInput, RunFailed
 distributed = pytest.importorskip("distributed", reason="needs nuno[sweep]")
 
 
+TESTS = str(Path(__file__).parent)
+
+
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     """Two workers, processes of one thread each, that start again when they are killed."""
@@ -100,6 +103,21 @@ def test_no_process_is_left_behind() -> None:
     executor.close()
     kinds = [child.cmdline() for child in psutil.Process().children() if child.pid not in before]
     assert not [kind for kind in kinds if "spawn_main" in " ".join(kind)]
+
+
+def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
+    """Though it is killed, and can tell them nothing."""
+    marks = [tmp_path / "one", tmp_path / "two"]
+    code = "import sys, sweep_tasks; from nuno_bench.sweep.executor import Processes; "
+    code += "list(Processes(2).run(sweep_tasks.tell_process, sys.argv[1:]))"
+    parent = subprocess.Popen([sys.executable, "-c", code, *map(str, marks)], env=os.environ | {"PYTHONPATH": TESTS})
+    deadline = time.monotonic() + 60.0
+    while not all(mark.exists() for mark in marks) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    processes = [psutil.Process(int(mark.read_text())) for mark in marks]
+    parent.kill()
+    parent.wait()
+    assert psutil.wait_procs(processes, 20.0)[1] == []
 
 
 def scene_with_a_file(folder: Path) -> Path:
@@ -180,9 +198,6 @@ def scheduler() -> Iterator[Any]:
     """A scheduler without workers."""
     with distributed.LocalCluster(n_workers=0, host="127.0.0.1", protocol="tcp", dashboard_address=":0") as made:
         yield made
-
-
-TESTS = str(Path(__file__).parent)
 
 
 def test_a_worker_with_another_version_is_refused_by_name(scheduler: Any, tmp_path: Path) -> None:
