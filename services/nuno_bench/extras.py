@@ -15,12 +15,11 @@ INSTALL = {
     "rtree": "nuno[peers]",
     "igl": "nuno[peers]",
     "open3d": "open3d",
-    "devito": "devito",
     "rerun": "nuno[view]",
     "atheris": "nuno[soak]",
     "coverage": "nuno[soak]",
 }
-"""What pip takes for each; Devito and Open3D are no extras of ours, since they hold other packages back."""
+"""What pip takes for each; Open3D is no extra of ours, since it holds other packages back."""
 
 
 def missing(packages: Iterable[str]) -> list[str]:

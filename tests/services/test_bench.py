@@ -15,11 +15,13 @@ from nuno.cli import main
 from nuno_bench.report import markdown, page
 from nuno_bench.report.result import Result, number, text_table
 from nuno_bench.speed import command as speed
+from nuno_bench.speed import timing
 from nuno_bench.speed.steps import meshes
-from nuno_bench.speed.steps.explicit import net, sheet
+from nuno_bench.speed.steps.meshes import net, sheet
 from nuno_bench.speed.steps.sliced import SlicedCloth
 from nuno_bench.speed.timing import watch_compiler
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import State
 
 
 @pytest.mark.parametrize(
@@ -44,7 +46,7 @@ def test_failed_measurement_is_neither_met_nor_silent() -> None:
 
 
 def test_failing_case_is_reported_and_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(speed.CASES, "broken", ("nuno_bench.speed.steps.explicit", "no_such_function"))
+    monkeypatch.setitem(speed.CASES, "broken", "steps.explicit:no_such_function")
     (result,) = speed.run_case("broken", 1)
     assert result.verdict == "failed"
     assert "no_such_function" in result.failure
@@ -63,30 +65,33 @@ def test_numpy_peer_takes_the_same_steps_as_the_kernels() -> None:
     np.testing.assert_allclose(x.T, state.x, rtol=0, atol=1e-9 * moved)
 
 
-def test_net_of_a_sheet_moves_like_the_sheet() -> None:
+def test_nets_of_a_sheet_move_like_the_sheet() -> None:
+    """As its arrays, and with its vertices numbered at random."""
     fabric = sheet(12, 9, meshes.DAMPING)
+    arrays = meshes.net_arrays(fabric, varied=False)
+    mixed = net(meshes.renumbered(arrays))
+    order = np.lexsort(mixed.position.T), np.lexsort(fabric.position.T)
+    assert (np.argsort(order[0]) != np.argsort(order[1])).sum() > 100
     plugin = registry.load("nuno.integrators", "symplectic_euler")
     ends = []
-    for one in (fabric, net(meshes.net_arrays(fabric, varied=False))):
-        system, state = meshes.system_of(fabric)
-        system = meshes.system_of(one)[0]
+    for one, places in ((fabric, order[1]), (net(arrays), order[1]), (mixed, order[0])):
+        system, start = meshes.system_of(one)[0], meshes.system_of(fabric)[1].x[order[1]]
+        state = State(np.empty_like(start), np.zeros_like(start))
+        state.x[places] = start
         plugin.advance(system, state, plugin.prepare(plugin.Config(), system, state), None, 50, 1e-4)
-        ends.append(state.x)
+        ends.append(state.x[places])
     np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(ends[0], ends[2], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("patch", [None, 4])
-def test_irregular_mesh_has_the_springs_of_its_triangulation(patch: int | None) -> None:
-    """A triangulated s x s grid has 3 s^2 - 4 s + 1 edges, of which 4 (s - 1) lie on its border."""
-    side = 12
-    arrays = meshes.irregular_arrays(side, patch)
-    pairs = arrays["springs"]
-    edges, border = 3 * side**2 - 4 * side + 1, 4 * (side - 1)
-    assert len(np.unique(pairs, axis=0)) == len(pairs)
-    # Two inner edges may face the same two vertices, and across them may lie another edge.
-    assert edges + 0.9 * (edges - border) < len(pairs) <= edges + (edges - border)
-    assert arrays["rest"].max() < 3.4 / (side - 1)
-    assert net(arrays).number == side**2
+def test_a_first_call_is_in_no_sample_and_rates_are_work_over_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+    monkeypatch.setattr(timing, "seconds", lambda call: call() or (10.0, 0.5, 2.0)[len(calls) - 1])
+    found = timing.measure("case", "what", "M/s", lambda: calls.append(1), 2, 8.0, bar=3.0, note="small")
+    assert found.samples == (16.0, 4.0) and found.compile_seconds == 10.0 and found.bar == 3.0
+    assert found.note == "small, 0 functions compiled"
+    calls.clear()
+    assert timing.measure("case", "what", "s", lambda: calls.append(1), 2).samples == (0.5, 2.0)
 
 
 def test_compiler_is_watched() -> None:

@@ -83,8 +83,8 @@ KINDS = (
         "nuno_bench.peers.python",
         "SciPy",
         [{"method": "RK45", "rtol": 1e-3}, {"method": "RK45", "rtol": 1e-5}, {"method": "DOP853", "rtol": 1e-4}],
-        f"{EXACT}; forces by the same NumPy slices. Its implicit methods are held against ours on a smaller sheet "
-        "by nuno bench speed scipy: here each of their matrices has 24,576 columns.",
+        f"{EXACT}; forces by the same NumPy slices. Its implicit methods are left out: each of their matrices has "
+        "24,576 columns.",
     ),
     _mujoco(
         "Edges",

@@ -7,40 +7,39 @@ import importlib
 import json
 import sys
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from nuno_bench import extras, machine, options
-from nuno_bench.report import markdown
+from nuno_bench.report import markdown, page, plots
 from nuno_bench.report.result import HEADINGS, Result, number, rows, text_table
-from nuno_bench.speed import limits
 
 CASES = {
-    "grid-256": ("nuno_bench.speed.steps.explicit", "grid_256"),
-    "net-256": ("nuno_bench.speed.steps.explicit", "net_256"),
-    "irregular": ("nuno_bench.speed.steps.explicit", "irregular"),
-    "sheet-32": ("nuno_bench.speed.steps.explicit", "sheet_32"),
-    "numpy": ("nuno_bench.speed.steps.explicit", "numpy_slices"),
-    "stiff": ("nuno_bench.speed.steps.stiff", "stiff_sheet"),
-    "scipy": ("nuno_bench.speed.steps.scipy", "scipy_peer"),
-    "stiffness": ("nuno_bench.speed.steps.stiffness", "stiffness"),
-    "closest": ("nuno_bench.speed.leg.closest", "closest"),
-    "fit": ("nuno_bench.speed.leg.fit", "fits"),
-    "sdf": ("nuno_bench.speed.leg.sdf", "sdf"),
-    "wrinkle": ("nuno_bench.speed.wrinkle", "wrinkle"),
-    "render": ("nuno_bench.speed.leg.render", "render"),
-    "dye": ("nuno_bench.speed.dye", "dye"),
-    "pipeline": ("nuno_bench.speed.pipeline", "pipeline"),
-    "start": ("nuno_bench.speed.processes", "start"),
-    "memory": ("nuno_bench.speed.processes", "memory"),
-    "recording": ("nuno_bench.speed.pipeline", "recording"),
+    "grid-256": "steps.explicit:grid_256",
+    "net-256": "steps.explicit:net_256",
+    "sheet-32": "steps.explicit:sheet_32",
+    "numpy": "steps.explicit:numpy_slices",
+    "stiff": "steps.stiff:stiff_sheet",
+    "stiffness": "steps.stiff:stiffness",
+    "closest": "leg.closest:closest",
+    "fit": "leg.fit:fits",
+    "sdf": "leg.closest:sdf",
+    "wrinkle": "wrinkle:wrinkle",
+    "render": "leg.render:render",
+    "dye": "dye:dye",
+    "pipeline": "pipeline:pipeline",
+    "start": "processes:start",
+    "memory": "processes:memory",
 }
-"""Module and function of each case; a function takes the number of repeats and gives results."""
-
-
-NEEDS = {"scipy": ("scipy",)}
-"""Packages without which a case cannot be measured."""
-PEERS = {"closest": ("rtree", "igl", "open3d"), "dye": ("devito",)}
+"""Module beside this one and function of each case; a function takes the number of repeats and gives results."""
+PEERS = {"closest": ("rtree", "igl", "open3d")}
 """Packages beside which a case is measured where they are installed."""
+LEAD = (
+    "Medians over repeats with the smallest and the largest sample. "
+    "The first call, which compiles or loads, is in none of them."
+)
+OF_LIMIT = (
+    "Of limit: the share of what this machine's reciprocal square roots allow; of dye, its memory at a step a pass."
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,30 +52,28 @@ def main(args: argparse.Namespace) -> int:
     """Run the cases; 1 if any could not be measured. A missed bar is a finding, not a failure."""
     options.require_known(args.cases, CASES, "case", "CASE")
     options.require_repeats(args.repeats)
+    section = " ".join(["speed", *args.cases])
     if args.docs is not None:
-        markdown.check_section(args.docs, _section(args.cases))
+        markdown.check_section(args.docs, section)
     if args.html is not None:
-        from nuno_bench.report.plots import require_matplotlib
-
-        require_matplotlib()
-    for name in args.cases:
-        extras.require(f"the case {name} needs", NEEDS.get(name, ()), "CASE")
+        plots.require_matplotlib()
     lacking = _tell_lacking(args.cases or CASES)
     others = machine.Others()
     results: list[Result] = []
-    for name in (name for name in args.cases or CASES if not extras.missing(NEEDS.get(name, ()))):
+    for name in args.cases or CASES:
         print(f"{name} ...", file=sys.stderr)
         results += run_case(name, args.repeats)
     about = machine.describe() | {"load": others.describe()} | lacking | _limits(results)
-    _show(results, about)
-    _write(args, results, about)
+    print(text_table(HEADINGS, rows(results)), end="\n\n")
+    for text in (*map(": ".join, notes(results)), *map(": ".join, about.items()), summary(results)):
+        print(text)
+    _write(args, section, results, {"command": machine.command()} | about)
     return 1 if any(result.failure for result in results) else 0
 
 
 def _tell_lacking(cases: Iterable[str]) -> dict[str, str]:
-    """What is left out for a package that is not installed, by what lacks it; said before anything runs."""
-    lacking = {f"{name} is left out": extras.missing(NEEDS.get(name, ())) for name in cases}
-    lacking |= {f"{name} has fewer peers": extras.missing(PEERS.get(name, ())) for name in cases}
+    """Cases whose peers are not installed, and how they are; said before anything runs."""
+    lacking = {f"{name} has fewer peers": extras.missing(PEERS.get(name, ())) for name in cases}
     said = {what: extras.told(packages) for what, packages in lacking.items() if packages}
     for what, text in said.items():
         print(f"{what}: {text}", file=sys.stderr)
@@ -85,9 +82,10 @@ def _tell_lacking(cases: Iterable[str]) -> dict[str, str]:
 
 def run_case(name: str, repeats: int) -> list[Result]:
     """A case's results; one that fails gives a result that says why."""
-    module, function = CASES[name]
+    module, _, function = CASES[name].partition(":")
     try:
-        results: list[Result] = getattr(importlib.import_module(module), function)(repeats)
+        case = getattr(importlib.import_module(f"nuno_bench.speed.{module}"), function)
+        results: list[Result] = case(repeats)
     except Exception as error:  # any failure is a finding about this case, and others still count
         traceback.print_exc()
         return [Result(name, "could not be measured", "", failure=f"{type(error).__name__}: {error}")]
@@ -97,21 +95,19 @@ def run_case(name: str, repeats: int) -> list[Result]:
 def _limits(results: list[Result]) -> dict[str, str]:
     if not any(result.limit for result in results):
         return {}
-    roots, memory = limits.inverse_roots(), limits.bandwidth()
+    from nuno_bench.speed.timing import bandwidth, inverse_roots
+
+    roots, memory = inverse_roots(), bandwidth()
     text = f"{roots * 1e-9:.2f} billion 1/sqrt a second (float64, all cores), {memory * 1e-9:.0f} GB/s from memory"
     return {"limits": f"{text}; 6 springs computed a vertex allow {roots / 6e6:.0f} million vertex-steps/s"}
 
 
-def _show(results: list[Result], about: dict[str, str]) -> None:
-    print(text_table(HEADINGS, rows(results)))
-    notes = {f"{r.case}, {r.what}": r.failure or r.note for r in results if r.failure or r.note}
-    print()
-    for name, text in (notes | about).items():
-        print(f"{name}: {text}")
-    print(summary(results))
+def notes(results: Sequence[Result]) -> list[tuple[str, str]]:
+    """Each figure's name, and why it failed or what is to say of it."""
+    return [(f"{r.case}, {r.what}", r.failure or r.note) for r in results if r.failure or r.note]
 
 
-def summary(results: list[Result]) -> str:
+def summary(results: Sequence[Result]) -> str:
     """One sentence: how many bars were met, which were not."""
     judged = [r for r in results if r.bar is not None or r.failure]
     missed = [f"{r.case} ({r.what}: {number(r.median)} {r.unit})" for r in judged if r.verdict == "missed"]
@@ -121,25 +117,33 @@ def summary(results: list[Result]) -> str:
     return text + (f"; could not be measured: {', '.join(failed)}" if failed else "")
 
 
-def _section(cases: list[str]) -> str:
-    """Of a page: all cases together have one, and some of them one of their own."""
-    return " ".join(["speed", *cases])
-
-
-def _write(args: argparse.Namespace, results: list[Result], about: dict[str, str]) -> None:
+def _write(args: argparse.Namespace, section: str, results: list[Result], about: dict[str, str]) -> None:
     if args.json is not None:
-        data = {"command": machine.command(), "machine": about, "results": [result.json() for result in results]}
+        own = {name: text for name, text in about.items() if name != "command"}
+        data = {"command": about["command"], "machine": own, "results": [result.json() for result in results]}
         args.json.parent.mkdir(parents=True, exist_ok=True)
         args.json.write_text(json.dumps(data, indent=1) + "\n")
-        print(f"written {args.json}")
     if args.html is not None:
-        from nuno_bench.speed.page import write_page
-
-        write_page(args.html, results, about, summary(results))
-        print(f"written {args.html}")
+        args.html.parent.mkdir(parents=True, exist_ok=True)
+        args.html.write_text(_page(results, about), encoding="utf-8")
     if args.docs is not None:
-        text = [summary(results) + ".", markdown.table(HEADINGS, rows(results))]
-        markdown.replace_section(
-            args.docs, _section(args.cases), [*text, markdown.facts({"command": machine.command(), **about})]
-        )
-        print(f"written {args.docs}")
+        table = markdown.table(HEADINGS, rows(results))
+        markdown.replace_section(args.docs, section, [f"{summary(results)}.", table, markdown.facts(about)])
+    for path in (args.json, args.html, args.docs):
+        if path is not None:
+            print(f"written {path}")
+
+
+def _page(results: list[Result], about: dict[str, str]) -> str:
+    """The table of all results, and a figure of the rates of steps."""
+    sections: list[tuple[str, Sequence[page.Part]]] = [("", [f"{summary(results)}."])]
+    rates = [result for result in results if result.unit == "M vertex-steps/s"]
+    if rates:
+        names, samples = [f"{r.case}: {r.what}" for r in rates], [r.samples for r in rates]
+        svg = plots.bars(names, samples, [(r.bar, r.aim) for r in rates], "million vertex-steps/s")
+        caption = "The explicit step by itself. Upright line: the bar; dotted: the aim; thin line across: all samples."
+        sections.append(("Kernels", [page.Figure(svg, caption)]))
+    sections.append(("All figures", [page.Table(HEADINGS, rows(results), OF_LIMIT)]))
+    if said := [list(each) for each in notes(results)]:
+        sections.append(("Notes", [page.Table(("what", "note"), said, "Sizes, and what failed.", prose=True)]))
+    return page.render("Speed", LEAD, [*sections, ("Made by", [page.Facts(about)])])

@@ -1,11 +1,9 @@
-"""Cases that time steps of dye: diffusion alone beside its peers, the whole model, the dye paper's figure 9."""
+"""Cases that time steps of dye: diffusion alone, the whole model, the dye paper's figure 9."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,20 +11,15 @@ from nuno import registry
 from nuno.scene.files import SceneFiles
 from nuno_bench.machine import cores
 from nuno_bench.report.result import Result
-from nuno_bench.speed import limits
-from nuno_bench.speed.dye_peers import SlicedDiffusion, devito_diffusion
-from nuno_bench.speed.timing import seconds, watch_compiler
+from nuno_bench.speed.timing import bandwidth, measure
 from nuno_bench.validation.laws.dye import D0, SIZE, make_cells
 from nuno_schemas.dye import Dye, DyeState, DyeSystem, Isotherm
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.fabric import Float
 
 UNIT = "G cell updates/s"
 """Billion cells times steps a second."""
 WORK = 300_000_000
 """Cell updates of a sample: a few tenths of a second."""
-SLOW = 10
-"""A peer takes so many times fewer steps in a sample."""
 BYTES = 36
 """Of a cell's step from memory: its amount read and written, two weights and half of a third."""
 SHARE = 0.9
@@ -72,58 +65,28 @@ def figure_9(law: str) -> tuple[DyeSystem, DyeState]:
     return DyeSystem(cells, (Dye("dye", D0, 0.01, LAWS[law]),), cores(), state.phi.copy()), state
 
 
-def time_dye(system: DyeSystem, state: DyeState, repeats: int, what: str, **about: Any) -> Result:
+def time_dye(
+    what: str, system: DyeSystem, state: DyeState, repeats: int, bar: float | None = None, aim: float | None = None
+) -> Result:
     """Rate of the explicit solver. Raises RunFailed if amounts do not stay finite."""
     plugin = registry.load("nuno.dye_solvers", "explicit")
-    config = plugin.Config()
-    memory = plugin.prepare(config, system, state)
-    dt, cells = SHARE * plugin.limit(config, system), system.cells.fibre.size
+    config, cells = plugin.Config(), system.cells.fibre.size
+    memory, dt = plugin.prepare(config, system, state), SHARE * plugin.limit(config, system)
     steps = max(1, WORK // cells)
 
-    def advance(count: int) -> None:
-        report = plugin.advance(system, state, memory, count, dt)
+    def advance() -> None:
+        report = plugin.advance(system, state, memory, steps, dt)
         if report.status != "ok":
             raise RunFailed(f"{what}: {report.message}")
 
-    with watch_compiler() as compiler:
-        first = seconds(lambda: advance(1))
-    advance(steps // 10 + 1)
-    samples = tuple(cells * steps / seconds(lambda: advance(steps)) * 1e-9 for _ in range(repeats))
-    note = f"{cells:,} cells, {compiler.number} functions compiled; {plugin.about(system)}"
-    limit = limits.bandwidth() / BYTES * 1e-9
-    return Result("dye", what, UNIT, samples, compile_seconds=first, limit=limit, note=note, **about)
-
-
-def time_peer(advance: Callable[[Float, int], None], phi: Float, repeats: int, what: str, note: str) -> Result:
-    """Rate of a peer's steps of phi (2, ny, nx)."""
-    steps = max(1, WORK // SLOW // phi.size)
-    first = seconds(lambda: advance(phi, 1))
-    samples = tuple(phi.size * steps / seconds(lambda: advance(phi, steps)) * 1e-9 for _ in range(repeats))
-    return Result("dye", what, UNIT, samples, compile_seconds=first, limit=limits.bandwidth() / BYTES * 1e-9, note=note)
+    note, limit = f"{cells:,} cells; {plugin.about(system)}", 1e-9 * bandwidth() / BYTES
+    return measure("dye", what, UNIT, advance, repeats, 1e-9 * cells * steps, bar=bar, aim=aim, limit=limit, note=note)
 
 
 def dye(repeats: int) -> list[Result]:
-    """All cases, ours beside the peers in one run."""
-    system, state = free_diffusion(600, 800)
-    start, scale = state.phi[0].copy(), _scale(system)
-    results = [time_dye(system, state, repeats, "diffusion, 800x600x2, every face its own weight")]
-    peers: dict[str, Callable[[Float, int], None]] = {"NumPy": SlicedDiffusion(system.cells, scale).advance}
-    compiled = devito_diffusion(system.cells, scale, cores())
-    if compiled is not None:
-        peers["Devito"] = compiled
-    for name, advance in peers.items():
-        found = time_peer(advance, start.copy(), repeats, f"the same by {name}", "in the same run")
-        ratio = tuple(results[0].median / sample for sample in found.samples)
-        results += [found, Result("dye", f"ours over {name}", "times", ratio)]
-    if compiled is None:
-        results[0] = replace(results[0], note=f"{results[0].note}; Devito is not installed")
-    results.append(time_dye(*whole_model(600, 800), repeats, "the whole model, 800x600x2", bar=0.4, aim=1.0))
-    for law in LAWS:
-        results.append(time_dye(*figure_9(law), repeats, f"figure 9, 200x200x2, {law}", bar=0.44, aim=1.1))
-    return results
-
-
-def _scale(system: DyeSystem) -> float:
-    """D0 dt / size^2 of the steps that are timed."""
-    plugin = registry.load("nuno.dye_solvers", "explicit")
-    return float(D0 * SHARE * plugin.limit(plugin.Config(), system) / SIZE**2)
+    """All cases."""
+    results = [
+        time_dye("diffusion, 800x600x2, every face its own weight", *free_diffusion(600, 800), repeats),
+        time_dye("the whole model, 800x600x2", *whole_model(600, 800), repeats, 0.4, 1.0),
+    ]
+    return results + [time_dye(f"figure 9, 200x200x2, {law}", *figure_9(law), repeats, 0.44, 1.1) for law in LAWS]

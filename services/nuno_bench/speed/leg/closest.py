@@ -1,9 +1,7 @@
-"""Closest points of a leg: how many a second, from the last triangle on and without it, beside other libraries."""
+"""Closest points of a leg and its distance field: how many are asked for a second, beside other libraries."""
 
 from __future__ import annotations
 
-import importlib.util
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -11,20 +9,22 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
+from nuno_bench import extras
 from nuno_bench.report.result import Result
-from nuno_bench.speed.timing import seconds, watch_compiler
+from nuno_bench.speed.timing import measure
 from nuno_schemas.fabric import Float, Int
 
-CASE = "closest point"
 UNIT = "M queries/s"
 LEGS = {"20,000": 58, "330,000": 244}
 """About how many triangles a leg of so many vertices round it has."""
+FIELD = 95
+"""The same of the leg whose field is made: about 50,000 triangles."""
 POINTS = 200_000
 OFF, MOVED = 2e-3, 2e-4
 """Points lie about so far from the surface [m], and have moved by so much since the last triangle was found."""
 BAR = 3.0
-PEERS = ("trimesh", "igl", "open3d")
-PEER_POINTS = 20_000
+FEWER = 10
+"""Peers are asked for so many times fewer points."""
 
 
 class NoFiles:
@@ -53,73 +53,63 @@ def points_near(x: Float, faces: Int, count: int) -> Float:
 
 def closest(repeats: int) -> list[Result]:
     """Rates on legs of 20,000 and 330,000 triangles, and of the peers that are installed."""
-    plugin = registry.load("nuno.colliders", "mesh")
+    search_of = registry.load("nuno.colliders", "mesh").search
+    timed = partial(measure, "closest point", unit=UNIT, repeats=repeats)
     results = []
     for name, around in LEGS.items():
         x, faces = leg(around)
         points = points_near(x, faces, POINTS)
         moved = points + MOVED * np.random.default_rng(1).normal(size=points.shape)
-        began = time.perf_counter()
-        search = plugin.search(x, faces)
-        taken = time.perf_counter() - began
-        with watch_compiler() as compiler:
-            first = seconds(partial(search, points))
-        start = search(points).face
-        about = f"{len(faces):,} triangles, tree made in {taken:.2g} s, {compiler.number} functions compiled"
-        warm = [rate(partial(search, moved, start), POINTS) for _ in range(repeats)]
-        cold = [rate(partial(search, moved), POINTS) for _ in range(repeats)]
-        what = f"{name} triangles"
-        results.append(Result(CASE, f"{what}, last as start", UNIT, tuple(warm), BAR, None, False, first, None, about))
-        results.append(Result(CASE, f"{what}, without start", UNIT, tuple(cold)))
-        results += peers(x, faces, moved[:: POINTS // PEER_POINTS], what, repeats)
+        search, fewer = search_of(x, faces), moved[::FEWER]
+        start, work, note = search(points).face, 1e-6 * POINTS, f"{len(faces):,} triangles"
+        warm, cold = partial(search, moved, start), partial(search, moved)
+        results.append(timed(f"{name} triangles, last as start", call=warm, work=work, bar=BAR, note=note))
+        results.append(timed(f"{name} triangles, without start", call=cold, work=work))
+        results += [
+            timed(f"{name} triangles, {peer}", call=make(x, faces, fewer), work=1e-6 * len(fewer), note=what)
+            for peer, (packages, make, what) in PEERS.items()
+            if not extras.missing(packages)
+        ]
     return results
 
 
-def rate(call: Callable[[], object], count: int) -> float:
-    """Millions a second."""
-    return count / seconds(call) * 1e-6
+def sdf(repeats: int) -> list[Result]:
+    """Time to build a leg's distance field of 1 mm, and how many distances with gradients it gives a second."""
+    plugin: Any = registry.load("nuno.colliders", "sdf")
+    x, faces = leg(FIELD)
+    what, build = f"{len(faces):,} triangles, 1 mm", partial(plugin.field, x, faces, 1e-3)
+    built = measure("sdf", f"{what}: build", "s", build, min(repeats, 3), bar=10.0, at_most=True)
+    ask, note = partial(plugin.sampler(build()), points_near(x, faces, POINTS)), "as vertices of cloth lie"
+    order = f"{what}: in the order of the surface"
+    return [built, measure("sdf", order, "M samples/s", ask, repeats, 1e-6 * POINTS, bar=20.0, note=note)]
 
 
-def peers(x: Float, faces: Int, points: Float, what: str, repeats: int) -> list[Result]:
-    """The same question, signed distance and triangle, to each library that is there; one that is not says so."""
-    results = []
-    for name in PEERS:
-        if importlib.util.find_spec(name) is None or (name == "trimesh" and importlib.util.find_spec("rtree") is None):
-            continue
-        call = PREPARE[name](x, faces, points)
-        call()
-        samples = tuple(rate(call, len(points)) for _ in range(repeats))
-        results.append(Result(CASE, f"{what}, {name}", UNIT, samples, note=f"{len(points):,} of the points"))
-    return results
-
-
-def prepare_trimesh(x: Float, faces: Int, points: Float) -> Callable[[], object]:
-    """Bounding boxes in an R-tree; without the sign, which takes a ray a point more."""
+def trimesh_peer(x: Float, faces: Int, points: Float) -> Callable[[], object]:
+    """Of trimesh, which comes with nuno, given rtree."""
     import trimesh
 
-    mesh: Any = trimesh.Trimesh(x, faces, process=False)
-    return lambda: trimesh.proximity.closest_point(mesh, points)
+    return partial(trimesh.proximity.closest_point, trimesh.Trimesh(x, faces, process=False), points)
 
 
-def prepare_igl(x: Float, faces: Int, points: Float) -> Callable[[], object]:
-    """A tree of boxes and pseudonormals, built in every call."""
+def igl_peer(x: Float, faces: Int, points: Float) -> Callable[[], object]:
+    """Of libigl, which builds its tree in every call."""
     import igl
 
-    return lambda: igl.signed_distance(points, x, faces, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)
+    return partial(igl.signed_distance, points, x, faces, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)
 
 
-def prepare_open3d(x: Float, faces: Int, points: Float) -> Callable[[], object]:
-    """Embree, in single precision."""
+def open3d_peer(x: Float, faces: Int, points: Float) -> Callable[[], object]:
+    """Of Open3D, by Embree."""
     import open3d
 
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(open3d.core.Tensor(x.astype(np.float32)), open3d.core.Tensor(faces.astype(np.uint32)))
-    asked = open3d.core.Tensor(points.astype(np.float32))
-    return lambda: scene.compute_signed_distance(asked)
+    return partial(scene.compute_signed_distance, open3d.core.Tensor(points.astype(np.float32)))
 
 
-PREPARE: dict[str, Callable[[Float, Int, Float], Callable[[], object]]] = {
-    "trimesh": prepare_trimesh,
-    "igl": prepare_igl,
-    "open3d": prepare_open3d,
+PEERS: dict[str, tuple[tuple[str, ...], Callable[[Float, Int, Float], Callable[[], object]], str]] = {
+    "trimesh": (("rtree",), trimesh_peer, "boxes in an R-tree; without the sign, which takes a ray a point more"),
+    "igl": (("igl",), igl_peer, "a tree of boxes and pseudonormals, made in every call"),
+    "open3d": (("open3d",), open3d_peer, "in single precision"),
 }
+"""What each needs beside nuno, how its question is asked, signed distance and triangle, and what is to say of it."""

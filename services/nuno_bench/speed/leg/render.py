@@ -10,14 +10,13 @@ import numpy as np
 from nuno import registry
 from nuno_bench.report.result import Result
 from nuno_bench.speed.leg.closest import NoFiles, leg
-from nuno_bench.speed.timing import seconds, watch_compiler
+from nuno_bench.speed.timing import measure
 from nuno_schemas.camera import frame
 from nuno_schemas.drawing import Mesh
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Surface
 from nuno_schemas.yarn_picture import Worn
 
-CASE = "render"
 AROUND = 96
 """Vertices round the leg."""
 POINTS = 300
@@ -66,21 +65,10 @@ def render(repeats: int) -> list[Result]:
     worn, links = stocking()
     plugin = registry.load("nuno.yarn_pictures", "yarns")
     config = plugin.Config.model_validate({"samples": SAMPLES})
-    camera = frame(worn.points, size=(SIDE, SIDE))
-    draw = partial(plugin.draw, config, worn, camera)
-    with watch_compiler() as compiler:
-        first = seconds(draw)
-    taken = tuple(seconds(draw) for _ in range(repeats))
+    draw = partial(plugin.draw, config, worn, frame(worn.points, size=(SIDE, SIDE)))
     assert worn.yarns is not None
-    pieces = len(worn.yarns.segments())
-    note = f"{pieces:,} capsules, shadows and occlusion, the tree made each time; {compiler.number} functions compiled"
-    rays = SAMPLES * SIDE * SIDE * 1e-6
-    return [
-        Result(
-            CASE, f"{SIDE} x {SIDE}, {SAMPLES} samples a pixel, {links:,} links", "s", taken, BAR, None, True, first,
-            None, note,
-        ),
-        Result(
-            CASE, "rays from the eye", "M rays/s", tuple(rays / t for t in taken), note="each with what it sends on"
-        ),
-    ]  # fmt: skip
+    note = f"{len(worn.yarns.segments()):,} capsules, shadows and occlusion, the tree made each time"
+    what = f"{SIDE} x {SIDE}, {SAMPLES} samples a pixel, {links:,} links"
+    taken = measure("render", what, "s", draw, repeats, bar=BAR, at_most=True, note=note)
+    rates = tuple(1e-6 * SAMPLES * SIDE * SIDE / seconds for seconds in taken.samples)
+    return [taken, Result("render", "rays from the eye", "M rays/s", rates, note="each with what it sends on")]

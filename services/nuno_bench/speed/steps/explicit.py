@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-from typing import Any
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nuno import registry
 from nuno_bench.report.result import Result
-from nuno_bench.speed import limits
 from nuno_bench.speed.steps import meshes
+from nuno_bench.speed.steps.meshes import DAMPING, net, net_arrays, sheet
 from nuno_bench.speed.steps.sliced import SlicedCloth
-from nuno_bench.speed.timing import seconds, watch_compiler
+from nuno_bench.speed.timing import inverse_roots, measure, watch_compiler
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
 
@@ -25,112 +22,77 @@ WORK = 13_000_000
 """Vertex-steps of one sample: a few tenths of a second, so that a frame's entry does not show."""
 
 
-def time_steps(fabric: Fabric, integrator: str, repeats: int, **about: Any) -> Result:
+def time_steps(
+    case: str,
+    what: str,
+    fabric: Fabric,
+    repeats: int,
+    *,
+    integrator: str = "symplectic_euler",
+    bar: float | None = None,
+    aim: float | None = None,
+) -> Result:
     """Rate of one integrator on one fabric. Raises RunFailed if the state does not stay finite."""
     plugin = registry.load("nuno.integrators", integrator)
-    config = plugin.Config()
     system, state = meshes.system_of(fabric)
-    memory = plugin.prepare(config, system, state)
+    memory = plugin.prepare(plugin.Config(), system, state)
     steps = max(1, WORK // fabric.number)
 
-    def advance(count: int) -> None:
-        report = plugin.advance(system, state, memory, None, count, DT)
+    def advance() -> None:
+        report = plugin.advance(system, state, memory, None, steps, DT)
         if report.status != "ok":
-            raise RunFailed(f"{integrator}: {report.status}: {report.message}")
+            raise RunFailed(f"{what}: {report.status}: {report.message}")
 
-    with watch_compiler() as compiler:
-        first = seconds(lambda: advance(1))
-    advance(steps // 10 + 1)
-    samples = tuple(fabric.number * steps / seconds(lambda: advance(steps)) * 1e-6 for _ in range(repeats))
-    springs = fabric.springs.number if fabric.springs else 0
-    size = f"{fabric.number:,} vertices, {2 * springs / fabric.number:.1f} springs a vertex"
-    note = f"{size}, {compiler.number} functions compiled"
-    what = about.pop("what", integrator)
-    return Result(
-        unit=UNIT,
-        what=what,
-        samples=samples,
-        compile_seconds=first,
-        limit=limits.vertex_steps(springs / fabric.number),
-        note=note,
-        **about,
-    )
-
-
-def sheet(columns: int, rows: int, damping: float = 0.0) -> Fabric:
-    return meshes.build_model(meshes.sheet_scene(columns, rows, damping)["objects"][0]["model"], Path.cwd())
-
-
-def net(arrays: dict[str, NDArray[Any]]) -> Fabric:
-    """The fabric that the net plugin reads from these arrays."""
-    with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "net.npz", allow_pickle=False, **arrays)
-        return meshes.build_model({"plugin": "net", "file": "net.npz"}, Path(folder))
+    springs = fabric.springs.number / fabric.number if fabric.springs else 0.0
+    note = f"{fabric.number:,} vertices, {2 * springs:.1f} springs a vertex"
+    limit = 1e-6 * inverse_roots() / springs
+    work = 1e-6 * fabric.number * steps
+    return measure(case, what, UNIT, advance, repeats, work, bar=bar, aim=aim, limit=limit, note=note)
 
 
 def grid_256(repeats: int) -> list[Result]:
     """Undamped and damped springs, two integrators; then another size, which must compile nothing."""
-    plain, damped = sheet(256, 256), sheet(256, 256, meshes.DAMPING)
-    bars: dict[str, Any] = {"case": "grid-256", "bar": 60.0, "aim": 90.0}
+    timed = partial(time_steps, "grid-256", repeats=repeats)
+    plain = sheet(256, 256)
     results = [
-        time_steps(plain, "symplectic_euler", repeats, **bars),
-        time_steps(plain, "leapfrog", repeats, **bars),
-        time_steps(damped, "symplectic_euler", repeats, what="symplectic_euler, damped springs", **bars),
+        timed("symplectic_euler", plain, bar=60.0, aim=90.0),
+        timed("leapfrog", plain, integrator="leapfrog", bar=60.0, aim=90.0),
+        timed("symplectic_euler, damped springs", sheet(256, 256, DAMPING), bar=60.0, aim=90.0),
     ]
     other = sheet(255, 257)
     with watch_compiler() as compiler:
-        timed = time_steps(other, "symplectic_euler", repeats, case="grid-256", what="symplectic_euler, 255x257")
-    compiled = Result("grid-256", "compiled for 255x257", "functions", (float(compiler.number),), bar=0.0, at_most=True)
-    return [*results, timed, compiled]
+        results.append(timed("symplectic_euler, 255x257", other))
+    compiled = (float(compiler.number),)
+    return [*results, Result("grid-256", "compiled for 255x257", "functions", compiled, bar=0.0, at_most=True)]
 
 
 def net_256(repeats: int) -> list[Result]:
-    """The same sheet as arrays: constants of each spring its own, or alike in each class."""
-    fabric = sheet(256, 256)
-    varied, alike = (net(meshes.net_arrays(fabric, varied)) for varied in (True, False))
+    """The same sheet as arrays: constants alike in each class or each spring its own, and vertices in no order."""
+    timed = partial(time_steps, "net-256", repeats=repeats)
+    varied = net_arrays(sheet(256, 256), varied=True)
     return [
-        time_steps(varied, "symplectic_euler", repeats, case="net-256", what="k, rest, c per spring", bar=22.0),
-        time_steps(alike, "symplectic_euler", repeats, case="net-256", what="constants per class", bar=30.0, aim=50.0),
-    ]
-
-
-def irregular(repeats: int) -> list[Result]:
-    """Triangles in no order: nothing follows anything, so every spring is read by its indices."""
-    patches, shuffled = (net(meshes.irregular_arrays(256, patch)) for patch in (16, None))
-    return [
-        time_steps(patches, "symplectic_euler", repeats, case="irregular", what="vertices near their neighbours"),
-        time_steps(shuffled, "symplectic_euler", repeats, case="irregular", what="vertices in random order"),
+        timed("k, rest, c per spring", net(varied), bar=22.0),
+        timed("constants per class", net(net_arrays(sheet(256, 256), varied=False)), bar=30.0, aim=50.0),
+        timed("vertices in random order", net(meshes.renumbered(varied))),
     ]
 
 
 def sheet_32(repeats: int) -> list[Result]:
     """A small sheet, where starting threads would cost more than they bring."""
-    bars: dict[str, Any] = {"case": "sheet-32", "bar": 30.0, "aim": 45.0}
-    return [time_steps(sheet(32, 32), name, repeats, **bars) for name in ("symplectic_euler", "leapfrog")]
+    timed = partial(time_steps, "sheet-32", repeats=repeats, bar=30.0, aim=45.0)
+    return [timed(name, sheet(32, 32), integrator=name) for name in ("symplectic_euler", "leapfrog")]
 
 
 def numpy_slices(repeats: int) -> list[Result]:
     """The peer: the same undamped step by NumPy slices, on the same two meshes."""
-    return [_time_numpy(side, repeats) for side in (256, 32)]
-
-
-def _time_numpy(side: int, repeats: int) -> Result:
-    fabric = sheet(side, side)
-    system, state = meshes.system_of(fabric)
-    cloth = SlicedCloth(fabric, np.asarray(system.gravity))
-    x, v = np.ascontiguousarray(state.x.T), np.ascontiguousarray(state.v.T)
-    steps = max(1, WORK // 10 // fabric.number)
-
-    def advance() -> None:
-        cloth.advance(x, v, steps, DT)
-
-    advance()
-    samples = tuple(fabric.number * steps / seconds(advance) * 1e-6 for _ in range(repeats))
-    return Result(
-        "numpy",
-        f"NumPy slices, {side}x{side}",
-        UNIT,
-        samples,
-        limit=limits.vertex_steps(6.0),
-        note="the peer: one thread, undamped",
-    )
+    results = []
+    for side in (256, 32):
+        fabric = sheet(side, side)
+        system, state = meshes.system_of(fabric)
+        x, v = np.ascontiguousarray(state.x.T), np.ascontiguousarray(state.v.T)
+        steps = max(1, WORK // 10 // fabric.number)
+        advance = partial(SlicedCloth(fabric, np.asarray(system.gravity)).advance, x, v, steps, DT)
+        work = 1e-6 * fabric.number * steps
+        note = "the peer: one thread, undamped"
+        results.append(measure("numpy", f"NumPy slices, {side}x{side}", UNIT, advance, repeats, work, note=note))
+    return results
