@@ -13,9 +13,6 @@ from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.stability.case import Point
 from nuno_bench.stability.page import tabs
 from nuno_bench.stability.sweep import Mapped
-from nuno_bench.validation import page as laws
-from nuno_bench.validation.laws.base import Case, Found, Outcome
-from nuno_bench.validation.suite import Part
 
 pytest.importorskip("rerun", reason="needs nuno[view]")
 
@@ -64,21 +61,3 @@ def test_what_has_no_place_on_an_axis_stands_above_it_and_what_is_no_number_nowh
     assert found["a"][0] == pytest.approx([1.0, 0.5], rel=1e-4)
     assert len(found["a"]) == 2 and found["a"][1, 1] > found["b"][:, 1].max()
     assert drawn(tmp_path / "empty.rrd", "t", Panel("p", [], "x", log="xy")) == {}
-
-
-def test_laws_stand_in_rows_and_failures_right_of_what_is_allowed(tmp_path: Path) -> None:
-    cases = [Case(name, "law", "source", lambda plugin: Found(0, 0, 0, 0)) for name in ("order, net", "momentum")]
-    series = {"dt": (0.1, 0.01), "error": (1e-2, 1e-4)}
-    outcomes = [
-        Outcome("order, net", "rk4", "passed", "", Found(2.0, 2.0, 1e-3, 0.1, series)),
-        Outcome("order, net", "euler", "failed", "", Found(1.0, 2.0, 1.0, 0.1, series)),
-        Outcome("momentum", "rk4", "passed", "", Found(0.0, 0.0, 0.0, 1e-10)),
-        Outcome("momentum", "euler", "unsupported", "no"),
-    ]
-    made = laws.tabs([Part("cloth", tuple(cases), ("rk4", "euler"))], outcomes)
-    found = drawn(tmp_path / "laws.rrd", "laws", made["laws of cloth"][0])
-    assert found["rk4"][:, 0] == pytest.approx([1e-2, laws.LEAST], rel=1e-3)
-    assert [round(y) for y in found["rk4"][:, 1]] == [1, 0]
-    assert found["euler"][:, 0] == pytest.approx([10.0], rel=1e-3)
-    line = drawn(tmp_path / "order.rrd", "order", made["order, net"][0])["rk4: 2.00"]
-    assert line == pytest.approx(np.array([[0.1, 1e-2], [0.01, 1e-4]]), rel=1e-3)

@@ -36,7 +36,6 @@ def bare(monkeypatch: pytest.MonkeyPatch) -> None:
         ("bench stability net", "matplotlib", "bench"),
         ("bench integrators skirt-paper", "matplotlib", "bench"),
         ("validate --html page.html", "matplotlib", "bench"),
-        ("validate --rrd page.rrd", "rerun", "view"),
         ("validate --dask tcp://127.0.0.1:1", "Dask", "sweep"),
         ("soak fuzz --quick", "atheris and coverage", "soak"),
         ("run net --view web --no-record", "rerun", "view"),

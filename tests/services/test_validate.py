@@ -89,7 +89,7 @@ def test_three_sound_solvers_pass_every_case() -> None:
     assert {key: o.reason for key, o in found.items() if o.verdict != "passed"} == {}
     assert len(found) == len(SOUND) * len(CLOTH)
     (part,) = validate.choose_parts(CLOTH, SOUND)
-    assert validate.rarely_posed(part, list(found.values())) == []
+    assert validate.rarely_posed([part], list(found.values())) == []
 
 
 QUICK = ["one step", "oscillator energy", "projectile", "momentum", "rotation", "chain frequency 1"]
@@ -146,7 +146,6 @@ def test_a_failure_is_named_and_ends_the_command_with_1(tmp_path: Path, capsys: 
     command += ["--jobs", "1", "--out", str(tmp_path / "out")]
     assert main([*command, "--json", str(data)]) == 1
     said = capsys.readouterr().out
-    assert "FAILED" in said
     assert "failed: one step, rk4_wrong: measured" in said
     assert "3 passed, 1 failed, 0 unsupported" in said
     written = json.loads(data.read_text())
@@ -197,12 +196,12 @@ def test_verdicts_follow_from_the_error() -> None:
     assert verdict(raising(Unsupported("no"))) == "unsupported"
 
 
-def test_the_table_fits_a_screen_however_many_solvers_there_are() -> None:
+def test_the_table_fits_a_screen_of_120_columns_however_many_solvers_there_are() -> None:
     names = [*registry.installed(GROUP), *(f"someones_solver_{i}" for i in range(12))]
     part = validate.Part("cloth", validate.CASES, tuple(names))
     found = [Outcome(c.name, n, "passed", "", Found(1.0, 1.0, 1e-9, 1.0)) for c in part.cases for n in names]
     text = validation_page.screen(part, found)
-    assert max(map(len, text.splitlines())) <= validation_page.WIDTH
+    assert max(map(len, text.splitlines())) <= 120
     assert text.count("1e-9") == len(found)
 
 

@@ -32,7 +32,7 @@ def test_every_installed_solver_passes_every_case_that_it_can_pose_and_three_can
     posed = validate.count_posed(part, found)
     assert set(posed) == {case.name for case in CASES} and min(posed.values()) >= validate.FEWEST
     assert f"each case of dye posed by {min(posed.values())} to" in validate.summary([part], found)
-    assert validate.rarely_posed(part, found) == []
+    assert validate.rarely_posed([part], found) == []
 
 
 class Changed(Explicit):

@@ -5,24 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from nuno.viewer.require import require as require_viewer
 from nuno_bench import machine, options
 from nuno_bench.report import markdown, plots
 from nuno_bench.sweep import executor
 from nuno_bench.sweep.kept import Kept, hint, require
 from nuno_bench.validation import page as shown
 from nuno_bench.validation import suite
-from nuno_bench.validation.laws.base import Outcome
-from nuno_bench.validation.suite import Part
 from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="cases by name or its beginning (default: all)")
-    options.add_shared(parser, "--solvers", "--resume", "--out", "--json", "--html", "--rrd", "--docs")
+    options.add_shared(parser, "--solvers", "--resume", "--out", "--json", "--html", "--docs")
     executor.add_arguments(parser)
     parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
 
@@ -40,47 +36,36 @@ def main(args: argparse.Namespace) -> int:
     path = args.out / "validate.rows.jsonl"
     if args.resume:
         require([path])
-    asked = [[[case.name for case in part.cases], part.solvers] for part in parts]
-    identity = {"parts": json.loads(json.dumps(asked)), "versions": executor.versions()}
+    asked = [[[case.name for case in part.cases], list(part.solvers)] for part in parts]
     with executor.opened(args) as where:
-        kept = Kept(path, identity, args.resume)
+        kept = Kept(path, {"parts": asked, "versions": executor.versions()}, args.resume)
         with hint(kept.path):
             outcomes = suite.check_all(parts, where, kept, lambda text: print(text, file=sys.stderr))
     kept.path.unlink()
-    said = suite.summary(parts, outcomes)
+    said, counts = suite.summary(parts, outcomes), suite.count(outcomes)
     print("\n\n".join(shown.screen(part, outcomes) for part in parts))
     print("\n".join(["", *shown.details(outcomes), said]))
-    _write(args, parts, outcomes, said)
-    return 1 if suite.count(outcomes)["failed"] else 0
+    about = {"command": machine.command(), **machine.describe()}
+    if args.json is not None:
+        content = {"about": about, "counts": counts, "outcomes": [outcome.json() for outcome in outcomes]}
+        args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    if args.html is not None:
+        args.html.write_text(shown.render(parts, outcomes, said, about), encoding="utf-8")
+    if args.docs is not None:
+        markdown.replace_section(args.docs, "validate", shown.document(parts, outcomes, said, about))
+    for path in (args.json, args.html, args.docs):
+        if path is not None:
+            print(f"written {path}")
+    return 1 if counts["failed"] else 0
 
 
 def _check_files(args: argparse.Namespace) -> None:
     """Raises BadInput, before anything runs, for what could not be written afterwards."""
     if args.html is not None:
         plots.require_matplotlib()
-    require_viewer(None, args.rrd, "--rrd")
     for flag in ("json", "html"):
         path: Path | None = getattr(args, flag)
         if path is not None and not path.resolve().parent.is_dir():
             raise BadInput("no such folder", field=f"--{flag}", value=str(path.parent), remedy="make it first")
     if args.docs is not None:
         markdown.check_section(args.docs, "validate")
-
-
-def _write(args: argparse.Namespace, parts: Sequence[Part], outcomes: Sequence[Outcome], said: str) -> None:
-    about = {"command": machine.command(), **machine.describe()}
-    if args.json is not None:
-        found = [outcome.json() for outcome in outcomes]
-        content = {"about": about, "counts": suite.count(outcomes), "outcomes": found}
-        args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    if args.html is not None:
-        args.html.write_text(shown.render(parts, outcomes, said, about), encoding="utf-8")
-    if args.docs is not None:
-        markdown.replace_section(args.docs, "validate", shown.document(parts, outcomes, said, about))
-    if args.rrd is not None:
-        from nuno_bench.report import rerun
-
-        rerun.write(args.rrd, "nuno validate", shown.tabs(parts, outcomes))
-    for path in (args.json, args.html, args.rrd, args.docs):
-        if path is not None:
-            print(f"written {path}")

@@ -17,10 +17,9 @@ from nuno_bench.validation.laws import contacts, dye_amounts, dye_fast, dye_spre
 from nuno_bench.validation.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
-CASES: tuple[Case, ...] = (
-    *oscillator.CASES, *nets.CASES, *statics.CASES, *contacts.CASES, *dye_spread.CASES, *dye_fast.CASES,
-    *dye_amounts.CASES,
-)  # fmt: skip
+CASES: tuple[Case, ...] = tuple(
+    case for module in (oscillator, nets, statics, contacts, dye_spread, dye_fast, dye_amounts) for case in module.laws
+)
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
 """What the solvers of each group solve."""
 SLIPS = {"rk4_printed": "kept with the paper's slips: gravity counted twice, damping frozen at the step's start"}
@@ -80,19 +79,18 @@ def choose_cases(names: Sequence[str]) -> list[Case]:
 def check(case: Case, plugin: Any) -> Outcome:
     """What a case says of a solver. A plugin that raises has failed, whatever it raises."""
     begin, name = time.perf_counter(), str(plugin.name)
+    outcome = Outcome(case.name, name, "passed")
     try:
         found = case.measure(plugin)
-    except Unsupported as reason:
-        outcome = Outcome(case.name, name, "unsupported", str(reason))
-    except Broken as reason:
-        outcome = Outcome(case.name, name, "failed", str(reason))
-    except Exception as error:
-        outcome = Outcome(case.name, name, "failed", f"{type(error).__name__}: {error}")
-    else:
+        outcome = replace(outcome, found=found)
         # NaN compares false with everything: an error that is none has failed.
-        passed = found.error <= found.allowed
-        why = "" if passed else f"error {found.error:.2g}, at most {found.allowed:.2g} is allowed"
-        outcome = Outcome(case.name, name, "passed" if passed else "failed", why, found)
+        if not found.error <= found.allowed:
+            raise Broken(f"error {found.error:.2g}, at most {found.allowed:.2g} is allowed")
+    except Unsupported as reason:
+        outcome = replace(outcome, verdict="unsupported", reason=str(reason))
+    except Exception as error:
+        why = str(error) if isinstance(error, Broken) else f"{type(error).__name__}: {error}"
+        outcome = replace(outcome, verdict="failed", reason=why)
     if outcome.verdict == "failed" and name in SLIPS:
         outcome = replace(outcome, verdict="slip", reason=SLIPS[name])
     return replace(outcome, seconds=time.perf_counter() - begin)
@@ -145,16 +143,15 @@ def summary(parts: Sequence[Part], outcomes: Sequence[Outcome]) -> str:
     for part in parts:
         numbers = count_posed(part, outcomes).values()
         text += f"; each case of {part.of} posed by {min(numbers)} to {max(numbers)} solvers"
-    if rare := [name for part in parts for name in rarely_posed(part, outcomes)]:
+    if rare := rarely_posed(parts, outcomes):
         text += f"; posed by fewer than {FEWEST} solvers: {', '.join(rare)}"
     return text
 
 
-def rarely_posed(part: Part, outcomes: Sequence[Outcome]) -> list[str]:
+def rarely_posed(parts: Sequence[Part], outcomes: Sequence[Outcome]) -> list[str]:
     """Cases that fewer than FEWEST solvers support, where that many were asked."""
-    if len(part.solvers) < FEWEST:
-        return []
-    return [name for name, number in count_posed(part, outcomes).items() if number < FEWEST]
+    asked = [part for part in parts if len(part.solvers) >= FEWEST]
+    return [name for part in asked for name, number in count_posed(part, outcomes).items() if number < FEWEST]
 
 
 def count_posed(part: Part, outcomes: Sequence[Outcome]) -> dict[str, int]:

@@ -1,13 +1,18 @@
-"""What a case is, what it says of a solver, and how it runs one: through the plugin protocol alone."""
+"""What a law is, what it says of a solver, and how it runs one: through the plugin protocol alone."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
+from functools import partial
+from inspect import getdoc
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import ConfigDict, TypeAdapter
+from pydantic.dataclasses import dataclass
 
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Springs, State
@@ -52,7 +57,7 @@ class Found:
 class Case:
     """A law with a name: `measure(solver)` gives a Found, or raises Unsupported or Broken.
 
-    `group` is the entry-point group of the solvers that it is of.
+    `source` is where it is from, `group` the entry-point group of the solvers that it is of.
     """
 
     name: str
@@ -62,7 +67,27 @@ class Case:
     group: str = "nuno.integrators"
 
 
-@dataclass(frozen=True)
+class Laws(list[Case]):
+    """The cases of a module, in order; each is added by decorating what measures it, whose docstring is the law."""
+
+    def __init__(self, group: str = "nuno.integrators") -> None:
+        self.group = group
+
+    def __call__(
+        self, name: str | Mapping[str, Mapping[str, Any]], source: str
+    ) -> Callable[[Callable[..., Found]], Callable[..., Found]]:
+        """A case of this name; or cases by name, each with what else `measure` is given."""
+
+        def add(measure: Callable[..., Found]) -> Callable[..., Found]:
+            law = (getdoc(measure) or "").partition("\n\n")[0].replace("\n", " ").rstrip(".")
+            for one, given in ({name: {}} if isinstance(name, str) else name).items():
+                self.append(Case(one, law, source, partial(measure, **given), self.group))
+            return measure
+
+        return add
+
+
+@dataclass(frozen=True, config=ConfigDict(ser_json_inf_nan="strings"))
 class Outcome:
     """What a case says of a solver. `slip`: failed as the solver's own description announces."""
 
@@ -74,23 +99,17 @@ class Outcome:
     seconds: float = 0.0
 
     def json(self) -> dict[str, Any]:
-        """All fields; numbers that are not finite as text."""
-        kept = {name: value for name, value in vars(self).items() if name != "found"}
-        if self.found is None:
-            return kept
-        figures = {name: value for name, value in vars(self.found).items() if name != "series"}
-        safe = {name: value if math.isfinite(value) else str(value) for name, value in figures.items()}
-        return kept | safe | {"series": {name: list(values) for name, values in self.found.series.items()}}
+        """All fields, those of `found` among them; numbers that are not finite as text."""
+        data: dict[str, Any] = json.loads(TypeAdapter(Outcome).dump_json(self))
+        return data | (data.pop("found") or {})
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Outcome:
         """The same again."""
-        own = {each.name: data[each.name] for each in fields(Outcome) if each.name != "found"}
-        if "measured" not in data:
-            return Outcome(**own)
-        series = {name: tuple(values) for name, values in data["series"].items()}
-        figures = {name: float(data[name]) for name in ("measured", "expected", "error", "allowed")}
-        return Outcome(**own, found=Found(**figures, series=series))
+        inner = {each.name for each in fields(Found)}
+        found = {name: value for name, value in data.items() if name in inner}
+        own = {name: value for name, value in data.items() if name not in inner}
+        return TypeAdapter(Outcome).validate_python(own | {"found": found or None})
 
 
 class Run:
@@ -115,6 +134,10 @@ class Run:
         """Energy of the present state [J], kinetic, gravitational and elastic."""
         return float(sum(self.go(0, 1.0).energy.values()))
 
+    def both(self) -> Float:
+        """(2, n, 3) positions [m] and velocities [m/s]."""
+        return np.stack([self.state.x, self.state.v])
+
 
 def choose_step(run: Run, duration: float, longest: float, intervals: int = 1) -> tuple[int, float]:
     """Steps and step [s] for each of so many intervals of `duration`: 0.7 of the limit, what it resolves, `longest`.
@@ -124,9 +147,12 @@ def choose_step(run: Run, duration: float, longest: float, intervals: int = 1) -
     limit = run.plugin.limit(run.config, run.system, run.state)
     if limit.dt <= 0.0:
         raise Unsupported("no step of this method is stable without damping")
-    dt = min(longest, 0.7 * float(limit.dt), float(limit.resolved))
-    total = intervals * duration / dt
-    if total > MOST_STEPS:
+    return whole_steps(duration, min(longest, 0.7 * float(limit.dt), float(limit.resolved)), intervals)
+
+
+def whole_steps(duration: float, dt: float, intervals: int = 1) -> tuple[int, float]:
+    """Steps of at most dt [s] that make up `duration`, and their length. Raises Unsupported for too many in all."""
+    if (total := intervals * duration / dt) > MOST_STEPS:
         raise Unsupported(f"it would take {total:,.0f} steps of {dt:.2g} s, more than {MOST_STEPS:,}")
     steps = max(1, math.ceil(duration / dt * (1.0 - 1e-12)))
     return steps, duration / steps
@@ -141,17 +167,10 @@ def make_fabric(
     hinges: Hinges | None = None,
 ) -> Fabric:
     """A net at `position` (n, 3) [m]; mass [kg], one or (n,)."""
-    n = position.shape[0]
-    return Fabric(
-        "law",
-        np.ascontiguousarray(position, np.float64),
-        np.zeros((n, 3)) if velocity is None else np.ascontiguousarray(velocity, np.float64),
-        np.full(n, 1.0) * mass,
-        np.zeros(n, bool) if pinned is None else pinned,
-        np.zeros((0, 3), np.int32),
-        springs,
-        hinges,
-    )
+    n, x = len(position), np.ascontiguousarray(position, np.float64)
+    v = np.zeros((n, 3)) if velocity is None else np.ascontiguousarray(velocity, np.float64)
+    held = np.zeros(n, bool) if pinned is None else pinned
+    return Fabric("law", x, v, np.full(n, 1.0) * mass, held, np.zeros((0, 3), np.int32), springs, hinges)
 
 
 def chain(n: int, k: Float | float, rest: Float | float, c: float = 0.0) -> Springs:
@@ -161,13 +180,28 @@ def chain(n: int, k: Float | float, rest: Float | float, c: float = 0.0) -> Spri
     return Springs.from_pairs(np.stack([first, first + 1], axis=1), one * k, one * rest, one * c)
 
 
-def fit_order(steps: Float, errors: Float) -> float:
-    """Slope of log error over log step; NaN where an error is 0 or not finite."""
-    if not (np.isfinite(errors).all() and (errors > 0.0).all()):
-        return math.nan
-    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+def relative(measured: float, expected: float, allowed: float) -> Found:
+    """Found, its error as a share of what is expected."""
+    return Found(measured, expected, abs(measured / expected - 1.0), allowed)
 
 
-def order_slack(order: int) -> float:
-    """How far a fitted order may lie from the nominal one: methods from order 5 on meet rounding soon."""
-    return 0.1 if order < 5 else 0.3
+def bisect(low: float, high: float, above: Callable[[float], bool], times: int = 60) -> float:
+    """Where `above` begins to hold between low and high, to (high - low) / 2^times, from above."""
+    for _ in range(times):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if above(middle) else (middle, high)
+    return high
+
+
+def fit_order(steps: Float, errors: Float, expected: float, *, least: bool = False, kept: Bool | None = None) -> Found:
+    """The slope of log error over log step against the order that is expected, or is the `least` that is.
+
+    It is fitted to the errors that are `kept`, all by default; NaN, which fails, where one of them is 0 or not finite.
+    Methods from order 5 on meet rounding soon, and may be further off.
+    """
+    kept = np.ones(len(errors), bool) if kept is None else kept
+    sound = bool(np.isfinite(errors[kept]).all() and (errors[kept] > 0.0).all())
+    order = float(np.polyfit(np.log(steps[kept]), np.log(errors[kept]), 1)[0]) if sound else math.nan
+    off = expected - order if least else abs(order - expected)
+    series = {"dt": tuple(map(float, steps)), "error": tuple(map(float, errors))}
+    return Found(order, expected, max(0.0, off) if sound else math.nan, 0.1 if expected < 5 else 0.3, series)

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from nuno import registry
-from nuno_bench.validation.laws.base import ACCURATE, NONE, Case, Found, G, Run, chain, choose_step, make_fabric
+from nuno_bench.validation.laws.base import (
+    ACCURATE,
+    NONE,
+    Found,
+    G,
+    Laws,
+    Run,
+    chain,
+    choose_step,
+    make_fabric,
+    relative,
+)
 from nuno_schemas.bodies import CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import System, Term
+
+laws = Laws()
 
 
 def body(kind: int, a: Float, b: Float, radius: float, stiffness: float, friction: float) -> Geometry:
@@ -39,20 +51,20 @@ def on_plane(alpha: float, mu: float, k: float, depth: float) -> System:
     return System(fabric, gravity, 0.0, (contact(fabric, plane, gravity),))
 
 
+@laws("penalty depth", "penalty contact")
 def measure_depth(plugin: Any) -> Found:
-    """A particle let go at the surface comes to rest at m g / k."""
+    """A particle at rest, let go at the surface, sinks m g / k."""
     k = 1000.0
     system = on_plane(0.0, 0.0, k, 0.0)
     run = Run(plugin, System(system.fabric, system.gravity, 60.0, system.terms), ACCURATE)
     steps, dt = choose_step(run, 0.5, 2e-3)
     run.go(steps, dt, STILL)
-    expected = 0.01 * G / k
-    measured = -float(run.state.x[0, 1])
-    return Found(measured, expected, abs(measured / expected - 1.0), 1e-4)
+    return relative(-float(run.state.x[0, 1]), 0.01 * G / k, 1e-4)
 
 
+@laws({"incline, sticks": {"share": 0.9}, "incline, slides": {"share": 1.2}}, "Coulomb's law")
 def measure_incline(plugin: Any, share: float) -> Found:
-    """Path in a second on an incline of tan alpha = share * mu: none, or g (sin alpha - mu cos alpha) t^2 / 2.
+    """A particle stays where tan alpha < mu, and else slides by g (sin alpha - mu cos alpha) t^2 / 2.
 
     A particle that sticks gives way once by what its friction spring takes up, mu m g / k; a sliding
     one is held back by no more.
@@ -89,6 +101,7 @@ def belt(mu: float, wrap: float) -> System:
     return System(fabric, NONE, 40.0, (contact(fabric, cylinder, NONE),))
 
 
+@laws("belt", "Euler and Eytelwein")
 def measure_belt(plugin: Any) -> Found:
     """T2 / T1 = e^(mu phi) on a cylinder that turns under a belt which slips everywhere.
 
@@ -106,9 +119,7 @@ def measure_belt(plugin: Any) -> Found:
         turned = math.acos(float(first @ last / lengths[0] / lengths[1]))
         rest = 0.005 / 1.02
         ratios.append(float((lengths[0] - rest) / (lengths[1] - rest)))
-    measured = float(np.mean(ratios[frames // 2 :]))
-    expected = math.exp(mu * turned)
-    return Found(measured, expected, abs(measured / expected - 1.0), 1e-2)
+    return relative(float(np.mean(ratios[frames // 2 :])), math.exp(mu * turned), 1e-2)
 
 
 def _turned(t: float, rate: float) -> Poses:
@@ -118,12 +129,3 @@ def _turned(t: float, rate: float) -> Poses:
 
 
 STILL = _turned(0.0, 0.0), _turned(1.0, 0.0)
-
-CASES = (
-    Case("penalty depth", "a particle at rest sinks m g / k", "penalty contact", measure_depth),
-    Case("incline, sticks", "a particle stays where tan alpha < mu", "Coulomb's law",
-         partial(measure_incline, share=0.9)),
-    Case("incline, slides", "s = g (sin alpha - mu cos alpha) t^2 / 2", "Coulomb's law",
-         partial(measure_incline, share=1.2)),
-    Case("belt", "T2 / T1 = e^(mu phi)", "Euler and Eytelwein", measure_belt),
-)  # fmt: skip

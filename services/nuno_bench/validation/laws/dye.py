@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from nuno_bench.validation.laws.base import ACCURATE, MOST_STEPS, Broken, Unsupported
+from nuno_bench.validation.laws.base import ACCURATE, Broken, Unsupported, whole_steps
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -44,7 +44,8 @@ def make_cells(
 class DyeRun:
     """A solver on one cloth with one dye, from amounts phi (2, ny, nx) and nothing fixed.
 
-    `report` is the last one; `supplied` is all that was given so far, `steps` how many were taken.
+    `phi` (2, ny, nx) is the mobile dye, `fixed` what fibre has taken; `report` is the last one; `supplied` is all
+    that was given so far, `steps` how many were taken.
     """
 
     def __init__(
@@ -68,6 +69,8 @@ class DyeRun:
             raise Unsupported(f"its configuration has no defaults ({missing})") from None
         start = np.ascontiguousarray(phi, np.float64)[None]
         self.state = DyeState(start.copy(), np.zeros_like(start))
+        self.phi: Float = self.state.phi[0]
+        self.fixed: Float = self.state.fixed[0]
         try:
             self.memory = plugin.prepare(self.config, self.system, self.state)
         except BadInput as refused:
@@ -76,46 +79,26 @@ class DyeRun:
             if one.isotherm is None and one.weisz_zollinger is None:
                 raise Broken(f"refuses a system of neither isotherm nor law of diffusion: {refused.problem}") from None
             raise Unsupported(refused.problem) from None
-        self.report: DyeReport
+        self.limit = float(plugin.limit(self.config, self.system))
         self.supplied, self.steps = 0.0, 0
         self.start = self.measure()
 
-    @property
-    def phi(self) -> Float:
-        """(2, ny, nx) mobile dye."""
-        found: Float = self.state.phi[0]
-        return found
-
-    @property
-    def fixed(self) -> Float:
-        """(2, ny, nx) dye that fibre has taken."""
-        found: Float = self.state.fixed[0]
-        return found
-
-    @property
-    def limit(self) -> float:
-        """Largest stable step [s]."""
-        return float(self.plugin.limit(self.config, self.system))
-
-    def step(self, steps: int, dt: float) -> None:
+    def step(self, steps: int, dt: float) -> DyeReport:
         """So many steps. Raises Broken where the solver does not end well."""
         with np.errstate(all="ignore"):
             report: DyeReport = self.plugin.advance(self.system, self.state, self.memory, steps, dt)
         if report.status != "ok":
             raise Broken(f"{report.status}: {report.message}")
-        self.report = report
         self.supplied += math.fsum(report.supplied)
         self.steps += steps
+        return report
 
-    def go(self, duration: float, longest: float) -> None:
+    def go(self, duration: float, longest: float) -> DyeRun:
         """`duration` [s] in whole steps of at most `longest` [s] and SHARE of the limit. Raises Unsupported, Broken."""
-        dt = min(longest, SHARE * self.limit)
-        if duration / dt > MOST_STEPS:
-            raise Unsupported(f"it would take {duration / dt:,.0f} steps of {dt:.2g} s, more than {MOST_STEPS:,}")
-        steps = max(1, math.ceil(duration / dt * (1.0 - 1e-12)))
-        self.step(steps, duration / steps)
+        self.step(*whole_steps(duration, min(longest, SHARE * self.limit)))
+        return self
 
     def measure(self) -> float:
         """All dye, mobile and fixed, as the solver reports it."""
-        self.step(0, 1.0)
-        return math.fsum(self.report.mobile) + math.fsum(self.report.fixed)
+        report = self.step(0, 1.0)
+        return math.fsum(report.mobile) + math.fsum(report.fixed)

@@ -15,18 +15,19 @@ is nowhere below m tanh(theta / 2): with phi0 / cap less than that, the cap does
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from nuno_bench.validation.laws.base import Case, Found, fit_order, order_slack
+from nuno_bench.validation.laws.base import Found, Laws, fit_order, relative
 from nuno_bench.validation.laws.dye import D0, GROUP, RATE, DyeRun, make_cells
 from nuno_bench.validation.laws.dye_spread import make_wave
 from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.dye import Dye
 from nuno_schemas.fabric import Float
 
+laws = Laws(GROUP)
+KERNEL = "m sinh(theta) / (cosh(theta) - cos(l x)), theta = l^2 D0 P phi0 t / m"
 MEAN, PHI0, CAP = 0.1, 0.02, 2.0
 """m, phi0 and cap: the cap acts below 0.1 of m."""
 BEGIN, END = 0.3, 1.2
@@ -47,51 +48,38 @@ def _spread_sources(plugin: Any, n: int, steps: int, down: bool) -> tuple[float,
     dye = Dye("dye", D0, weisz_zollinger=WeiszZollinger(phi0=PHI0, cap=CAP))
     shape = (2, n, 2) if down else (2, 2, n)
     cells = make_cells(*shape[1:], porosity=1.0)
-    run = DyeRun(plugin, cells, np.broadcast_to(start[:, None] if down else start, shape), dye)
     duration = (END - BEGIN) * MEAN / PHI0 * (n / math.pi) ** 2 / (2.0 * RATE)
-    run.go(duration, duration / steps)
+    phi = np.broadcast_to(start[:, None] if down else start, shape)
+    run = DyeRun(plugin, cells, phi, dye).go(duration, duration / steps)
     found = run.phi[0, :, 0] if down else run.phi[0, 0]
     return float(found.max() / exact.max()), float(np.abs(found - exact).max() / exact.max())
 
 
+@laws({"fast diffusion, along": {"down": False}, "fast diffusion, across": {"down": True}}, KERNEL)
 def measure_sources(plugin: Any, down: bool) -> Found:
-    """Largest distance to the closed form, as a share of its peak, on 32 cells."""
+    """With D = D0 phi0 / phi sources spread as Barenblatt's do, along the weft and across it, on 32 cells."""
     measured, error = _spread_sources(plugin, 32, 100, down)
     return Found(measured, 1.0, error, 3e-3)
 
 
+@laws("fast diffusion, order", KERNEL)
 def measure_cells(plugin: Any) -> Found:
-    """The distance falls with the square of the cells' size, in steps that fall with it."""
+    """The distance to that falls with the square of the cells' size, in steps that fall with it."""
     numbers = np.array([12, 16, 24, 32])
     errors = [_spread_sources(plugin, int(n), int(4 * n), False)[1] for n in numbers]
-    size = 1.0 / numbers
-    seen = fit_order(size, np.array(errors))
-    series = {"dt": tuple(map(float, size)), "error": tuple(errors)}
-    return Found(seen, 2.0, abs(seen - 2.0), order_slack(2), series)
+    return fit_order(1.0 / numbers, np.array(errors), 2.0)
 
 
-def measure_wave(plugin: Any, mean: float, phi0: float, cap: float) -> Found:
-    """A small wave on even dye decays with D0 g(mean): what is left of the law for small waves, in two directions."""
-    n, factor = 16, min(cap, phi0 / mean)
+@laws(
+    {"fast diffusion, wave": {"phi0": 0.1, "cap": 10.0}, "fast diffusion, cap": {"phi0": 5.0, "cap": 4.0}},
+    "linearised u_t = div(grad u / u)",
+)
+def measure_wave(plugin: Any, phi0: float, cap: float) -> Found:
+    """A small wave on even dye u decays with D0 phi0 / u, and with D0 cap where that is above the cap."""
+    n, mean = 16, 0.25
+    factor = min(cap, phi0 / mean)
     start, decay = make_wave(n, mean, 1e-4, 2)
     duration = 1.0 / factor / (8.0 * math.sin(math.pi / n) ** 2 * RATE)
     dye = Dye("dye", D0, weisz_zollinger=WeiszZollinger(phi0=phi0, cap=cap))
-    run = DyeRun(plugin, make_cells(n, n), start, dye)
-    run.go(duration, duration / 200.0)
-    measured = float(np.ptp(run.phi[0]) / np.ptp(start[0]))
-    expected = decay(duration * factor)
-    return Found(measured, expected, abs(measured / expected - 1.0), 5e-3)
-
-
-KERNEL = "m sinh(theta) / (cosh(theta) - cos(l x)), theta = l^2 D0 P phi0 t / m"
-CASES = (
-    Case("fast diffusion, along", "with D = D0 phi0 / phi sources spread as Barenblatt's do, along the weft", KERNEL,
-         partial(measure_sources, down=False), GROUP),
-    Case("fast diffusion, across", "the same across the weft", KERNEL, partial(measure_sources, down=True), GROUP),
-    Case("fast diffusion, order", "the distance to that falls with the square of the cells' size", KERNEL,
-         measure_cells, GROUP),
-    Case("fast diffusion, wave", "a small wave on even dye u decays with D0 phi0 / u",
-         "linearised u_t = div(grad u / u)", partial(measure_wave, mean=0.25, phi0=0.1, cap=10.0), GROUP),
-    Case("fast diffusion, cap", "where phi0 / phi is above its cap, it decays with D0 cap", "closed form",
-         partial(measure_wave, mean=0.25, phi0=5.0, cap=4.0), GROUP),
-)  # fmt: skip
+    run = DyeRun(plugin, make_cells(n, n), start, dye).go(duration, duration / 200.0)
+    return relative(float(np.ptp(run.phi[0]) / np.ptp(start[0])), decay(duration * factor), 5e-3)

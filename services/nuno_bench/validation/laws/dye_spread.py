@@ -4,55 +4,55 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from nuno_bench.validation.laws.base import Case, Found, fit_order, order_slack
+from nuno_bench.validation.laws.base import Found, Laws, fit_order, relative
 from nuno_bench.validation.laws.dye import GROUP, POROSITY, RATE, DyeRun, make_cells
 from nuno_schemas.fabric import Float
 
+laws = Laws(GROUP)
 SPREAD = 50.0
 """D t / size^2 of the point source at its end along x: a standard deviation of ten cells."""
+SOURCE = "M / (4 pi t sqrt(Dx Dy)) exp(-x^2 / 4 Dx t - y^2 / 4 Dy t)"
+RATIOS = {"isotropic": {"ratio": 1.0}, "anisotropic": {"ratio": 4.0}}
 
 
-def _drop(plugin: Any, ratio: float) -> tuple[DyeRun, Float, Float]:
-    """A full cell of the weft layer spread for a while, D being `ratio` times smaller across the yarns than along
-    them; and 2 D t along x and y [cells^2].
+def _drop(plugin: Any, ratio: float) -> tuple[Float, tuple[Float, Float], tuple[float, float]]:
+    """A full cell of the weft layer spread for a while, D being `ratio` times smaller across the yarns than along.
+
+    Returns its amounts (ny, nx), places x and y from its middle [cells], and 2 D t along x and y [cells^2].
     """
     nx, ny = 121, 2 * math.ceil(6.0 * math.sqrt(2.0 * SPREAD / ratio)) + 1
-    cells, phi = make_cells(ny, nx, beside=1.0 / ratio), np.zeros((2, ny, nx))
+    phi, duration = np.zeros((2, ny, nx)), SPREAD / RATE
     phi[0, ny // 2, nx // 2] = POROSITY
-    run, duration = DyeRun(plugin, cells, phi), SPREAD / RATE
-    run.go(duration, duration / 500.0)
-    return run, 2.0 * SPREAD * np.ones(1), 2.0 * SPREAD / ratio * np.ones(1)
+    run = DyeRun(plugin, make_cells(ny, nx, beside=1.0 / ratio), phi).go(duration, duration / 500.0)
+    places = np.arange(float(nx)) - nx // 2, (np.arange(float(ny)) - ny // 2)[:, None]
+    return run.phi[0], places, (2.0 * SPREAD, 2.0 * SPREAD / ratio)
 
 
+@laws({f"point source, {name}": given for name, given in RATIOS.items()}, SOURCE)
 def measure_source(plugin: Any, ratio: float) -> Found:
-    """Largest distance to M / (4 pi t sqrt(Dx Dy)) exp(-x^2 / 4 Dx t - y^2 / 4 Dy t), as a share of its peak.
+    """Dye from one cell spreads as a Gaussian, to a hundredth of its peak.
 
     Cells of size d leave d^2 / (8 D t) of the peak along either axis, 1 % of it at 2 D t = 25 d^2.
     """
-    run, wide, high = _drop(plugin, ratio)
-    ny, nx = run.phi.shape[1:]
-    x, y = np.arange(nx) - nx // 2, (np.arange(ny) - ny // 2)[:, None]
-    peak = POROSITY / (2.0 * math.pi * math.sqrt(float(wide[0] * high[0])))
+    phi, (x, y), (wide, high) = _drop(plugin, ratio)
+    peak = POROSITY / (2.0 * math.pi * math.sqrt(wide * high))
     exact = peak * np.exp(-(x**2) / (2.0 * wide) - y**2 / (2.0 * high))
-    error = float(np.abs(run.phi[0] - exact).max()) / peak
-    return Found(float(run.phi[0].max()) / peak, 1.0, error, 1e-2)
+    return Found(float(phi.max()) / peak, 1.0, float(np.abs(phi - exact).max()) / peak, 1e-2)
 
 
+@laws({f"variance, {name}": given for name, given in RATIOS.items()}, SOURCE)
 def measure_variance(plugin: Any, ratio: float) -> Found:
-    """The second moment of a drop grows by 2 D t along either axis, on cells and for any step alike:
-    one step of weights w to the next cells adds 2 w to it.
+    """The second moment of a drop grows by 2 D t along either axis.
+
+    That holds on cells and for any step alike: one step of weights w to the next cells adds 2 w to it.
     """
-    run, wide, high = _drop(plugin, ratio)
-    ny, nx = run.phi.shape[1:]
-    x, y = np.arange(nx) - nx // 2, (np.arange(ny) - ny // 2)[:, None]
-    total = float(run.phi[0].sum())
-    along, across = (float((run.phi[0] * places**2).sum()) / total for places in (x, y))
-    error = max(abs(along / float(wide[0]) - 1.0), abs(across / float(high[0]) - 1.0))
+    phi, places, spread = _drop(plugin, ratio)
+    along, across = (float((phi * place**2).sum() / phi.sum()) for place in places)
+    error = max(abs(along / spread[0] - 1.0), abs(across / spread[1] - 1.0))
     return Found(along / across, ratio, error, 1e-4)
 
 
@@ -67,17 +67,14 @@ def make_wave(n: int, mean: float, height: float, times: int) -> tuple[Float, Ca
     return amounts, lambda t: math.exp(-speed * t)
 
 
+@laws("order, dye", "eigenvectors of differences")
 def measure_order(plugin: Any) -> Found:
-    """The error against the wave's decay over five steps, halved, and the slope fitted to it.
-
-    A solver may state its `order`; of one that does not at least 1 is expected.
-    """
-    n, height = 16, 0.1
-    start, decay = make_wave(n, 0.25, height, 2)
+    """The error of a wave's decay falls with the order over five steps, halved: at least 1 where none is stated."""
+    n = 16
+    start, decay = make_wave(n, 0.25, 0.1, 2)
     cells, stated = make_cells(n, n), getattr(plugin, "order", None)
-    limit = DyeRun(plugin, cells, start).limit
     duration = 1.0 / (8.0 * math.sin(math.pi / n) ** 2 * RATE)
-    coarse = max(8, math.ceil(duration / limit * (1.0 - 1e-12)))
+    coarse = max(8, math.ceil(duration / DyeRun(plugin, cells, start).limit * (1.0 - 1e-12)))
     steps, errors = coarse * 2 ** np.arange(5), []
     exact = 0.25 + (start - 0.25) * decay(duration)
     # As even steps as a solver will take: those of a fine start would make coarse runs better than their order.
@@ -86,54 +83,31 @@ def measure_order(plugin: Any) -> Found:
         run = DyeRun(plugin, cells, start, settings=settings)
         run.step(int(count), duration / count)
         errors.append(float(np.abs(run.phi - exact).max()))
-    dt, found = duration / steps, np.array(errors)
-    seen = fit_order(dt, found)
-    short = abs(seen - stated) if stated is not None else max(0.0, 1.0 - seen)
-    series = {"dt": tuple(map(float, dt)), "error": tuple(errors)}
-    return Found(seen, float(stated or 1), short, order_slack(int(stated or 1)), series)
+    return fit_order(duration / steps, np.array(errors), float(stated or 1), least=stated is None)
 
 
+@laws("two layers", "closed form")
 def measure_exchange(plugin: Any) -> Found:
-    """Two layers, one dyed: their difference decays as exp(-2 w t), w = D0 P T / d^2."""
-    layers = 0.5
-    phi = np.zeros((2, 4, 4))
+    """The difference of two layers, one of them dyed, decays as exp(-2 w t), w = D0 P T / d^2."""
+    phi, duration = np.zeros((2, 4, 4)), 1.0 / RATE
     phi[0] = 0.4
-    run, duration = DyeRun(plugin, make_cells(4, 4, layers=layers), phi), 1.0 / (2.0 * layers * RATE)
-    run.go(duration, duration / 2000.0)
+    run = DyeRun(plugin, make_cells(4, 4, layers=0.5), phi).go(duration, duration / 2000.0)
     measured = float((run.phi[0] - run.phi[1]).mean()) / 0.4
     return Found(measured, math.exp(-1.0), abs(measured - math.exp(-1.0)), 1e-3)
 
 
+@laws("bath", "Crank 1975, equation 4.18")
 def measure_bath(plugin: Any) -> Found:
-    """M_t / M_inf of a sheet in a fixed bath, 1 - sum of 8 / ((2 n + 1)^2 pi^2) exp(-D (2 n + 1)^2 pi^2 t / 4 l^2).
+    """A sheet in a fixed bath takes up M_t / M_inf = 1 - sum of 8 / (m^2 pi^2) exp(-D m^2 pi^2 t / 4 l^2), m odd.
 
     The bath keeps the first column full. From its middle to the wall, where nothing passes, is half of the
     sheet, l; its own half cell counts as full.
     """
     n, share, bath = 64, 0.2, 0.4
-    phi = np.zeros((2, 4, n))
+    phi, length = np.zeros((2, 4, n)), n - 0.5
     phi[:, :, 0] = bath
-    run, length = DyeRun(plugin, make_cells(4, n), phi, supply=phi), n - 0.5
     duration = share * length**2 / RATE
-    run.go(duration, duration / 4000.0)
-    odd = 2.0 * np.arange(200) + 1.0
-    expected = 1.0 - float((8.0 / (odd * math.pi) ** 2 * np.exp(-((odd * math.pi) ** 2) * share / 4.0)).sum())
-    measured = float(run.phi[0, 0, 1:].sum() + 0.5 * bath) / (bath * length)
-    return Found(measured, expected, abs(measured / expected - 1.0), 3e-3)
-
-
-SOURCE = "M / (4 pi t sqrt(Dx Dy)) exp(-x^2 / 4 Dx t - y^2 / 4 Dy t)"
-CASES = (
-    *(
-        Case(f"{name}, {what}", law, SOURCE, partial(measure, ratio=ratio), GROUP)
-        for what, ratio in (("isotropic", 1.0), ("anisotropic", 4.0))
-        for name, law, measure in (
-            ("point source", "dye from one cell spreads as a Gaussian", measure_source),
-            ("variance", "the second moment of a drop grows by 2 D t along either axis", measure_variance),
-        )
-    ),
-    Case("order, dye", "the error of a wave's decay falls with the order, at least 1", "eigenvectors of differences",
-         measure_order, GROUP),
-    Case("two layers", "the difference of two layers decays as exp(-2 w t)", "closed form", measure_exchange, GROUP),
-    Case("bath", "a sheet in a fixed bath takes up M_t / M_inf", "Crank 1975, equation 4.18", measure_bath, GROUP),
-)  # fmt: skip
+    run = DyeRun(plugin, make_cells(4, n), phi, supply=phi).go(duration, duration / 4000.0)
+    odd = math.pi * (2.0 * np.arange(200) + 1.0)
+    expected = 1.0 - float((8.0 / odd**2 * np.exp(-(odd**2) * share / 4.0)).sum())
+    return relative(float(run.phi[0, 0, 1:].sum() + 0.5 * bath) / (bath * length), expected, 3e-3)

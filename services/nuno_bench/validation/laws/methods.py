@@ -8,36 +8,31 @@ from typing import Any
 
 import numpy as np
 
+from nuno_bench.validation.laws.base import bisect
 from nuno_schemas.fabric import Float
 
 Matrix = Callable[[float, float, float], Float]
+"""Of omega, c [1/s] and a step [s]."""
 ONE = np.eye(2)
 
 KEEPS_ANGULAR_MOMENTUM = frozenset({"symplectic_euler", "leapfrog"})
 """Kicks and drifts by central forces keep it to rounding."""
 
 
-def _rate(omega: float, damping: float) -> Float:
-    return np.array([[0.0, 1.0], [-omega * omega, -damping]])
+def _function(of: Callable[[Float], Float]) -> Matrix:
+    """A Runge-Kutta method's stability function R(z), of the step times the matrix of rates."""
+    return lambda omega, c, dt: of(dt * np.array([[0.0, 1.0], [-omega * omega, -c]]))
 
 
-def _polynomial(coefficients: tuple[float, ...]) -> Matrix:
-    """Explicit Runge-Kutta methods: their stability polynomial, of h times the rate matrix."""
-
-    def matrix(omega: float, damping: float, dt: float) -> Float:
-        z, total, power = dt * _rate(omega, damping), np.zeros((2, 2)), ONE
-        for coefficient in coefficients:
-            total = total + coefficient * power
-            power = power @ z
-        return total
-
-    return matrix
+def _polynomial(*coefficients: float) -> Matrix:
+    """Explicit Runge-Kutta methods: sum of coefficients times powers of z."""
+    powers = np.linalg.matrix_power
+    return _function(lambda z: np.asarray(sum(a * powers(z, i) for i, a in enumerate(coefficients))))
 
 
 def _symplectic_euler(omega: float, damping: float, dt: float) -> Float:
     kick = np.array([[1.0, 0.0], [-omega * omega * dt, 1.0 - damping * dt]])
-    result: Float = np.array([[1.0, dt], [0.0, 1.0]]) @ kick
-    return result
+    return np.asarray(np.array([[1.0, dt], [0.0, 1.0]]) @ kick)
 
 
 def _leapfrog(omega: float, damping: float, dt: float) -> Float:
@@ -48,28 +43,23 @@ def _leapfrog(omega: float, damping: float, dt: float) -> Float:
     return np.stack([x, np.array([0.0, 1.0]) + 0.5 * dt * (a + ahead)])
 
 
-def _implicit_euler(omega: float, damping: float, dt: float) -> Float:
-    result: Float = np.asarray(np.linalg.inv(ONE - dt * _rate(omega, damping)), np.float64)
-    return result
-
-
-def _tr_bdf2(omega: float, damping: float, dt: float) -> Float:
+def _tr_bdf2(z: Float) -> Float:
     """R(z) = (1 + (1 - 2 d) z) / (1 - d z)^2 with d = 1 - 1/sqrt(2) (Hosea & Shampine 1996)."""
-    d, z = 1.0 - 1.0 / math.sqrt(2.0), dt * _rate(omega, damping)
+    d = 1.0 - 1.0 / math.sqrt(2.0)
     inverse = np.linalg.inv(ONE - d * z)
-    result: Float = (ONE + (1.0 - 2.0 * d) * z) @ inverse @ inverse
-    return result
+    return np.asarray((ONE + (1.0 - 2.0 * d) * z) @ inverse @ inverse)
 
 
+IMPLICIT_EULER = _function(lambda z: np.asarray(np.linalg.inv(ONE - z)))
 TEXTBOOK: dict[str, Matrix] = {
-    "euler": _polynomial((1.0, 1.0)),
+    "euler": _polynomial(1.0, 1.0),
     "symplectic_euler": _symplectic_euler,
     "leapfrog": _leapfrog,
-    "rk4": _polynomial((1.0, 1.0, 1 / 2, 1 / 6, 1 / 24)),
-    "dopri5": _polynomial((1.0, 1.0, 1 / 2, 1 / 6, 1 / 24, 1 / 120, 1 / 600)),
-    "implicit_euler": _implicit_euler,
-    "tr_bdf2": _tr_bdf2,
-    "xpbd": _implicit_euler,
+    "rk4": _polynomial(1.0, 1.0, 1 / 2, 1 / 6, 1 / 24),
+    "dopri5": _polynomial(1.0, 1.0, 1 / 2, 1 / 6, 1 / 24, 1 / 120, 1 / 600),
+    "implicit_euler": IMPLICIT_EULER,
+    "tr_bdf2": _function(_tr_bdf2),
+    "xpbd": IMPLICIT_EULER,
 }
 """Dormand & Prince's polynomial: Hairer & Wanner 1996, section IV.2."""
 
@@ -91,10 +81,4 @@ def critical_step(matrix: Matrix, omega: float, damping: float) -> float:
         return radius(matrix(omega, damping, dt)) > 1.0 + 1e-12
 
     high = next((h / omega for h in np.arange(0.02, 8.0, 0.02) if grows(h / omega)), math.inf)
-    if math.isinf(high):
-        return high
-    low = high - 0.02 / omega
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if grows(middle) else (middle, high)
-    return low
+    return high if math.isinf(high) else bisect(high - 0.02 / omega, high, grows)

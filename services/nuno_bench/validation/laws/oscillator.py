@@ -10,23 +10,28 @@ import numpy as np
 from nuno_bench.validation.laws.base import (
     NONE,
     Broken,
-    Case,
     Found,
+    Laws,
     Run,
     Unsupported,
+    bisect,
     fit_order,
     make_fabric,
-    order_slack,
+    relative,
 )
 from nuno_bench.validation.laws.methods import amplification, critical_step, radius
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.system import System
 
+laws = Laws()
 OMEGA, DAMPING = 3.0, 0.6
 """[1/s]"""
 EPSILON = float(np.finfo(float).eps)
 FITTED = 3
 """Fewest errors that an order is fitted to."""
+SHARE = 0.1
+"""Damping of the net over the frequency of its fastest mode."""
+MODES = "normal modes of a pinned n x n net"
 
 
 def oscillator(omega: float = OMEGA, damping: float = DAMPING) -> System:
@@ -38,60 +43,48 @@ def oscillator(omega: float = OMEGA, damping: float = DAMPING) -> System:
     return System(make_fabric(x, springs, 2.0, np.array([True, False, False]), v), NONE, damping)
 
 
+@laws("one step", "textbook matrices")
 def measure_step(plugin: Any) -> Found:
-    """One step against the method's matrix."""
+    """One step on a damped oscillator is the method's matrix."""
     run, dt = Run(plugin, oscillator()), 0.13
-    start = np.stack([run.state.x, run.state.v])
+    start, matrix = run.both(), amplification(plugin)(OMEGA, DAMPING, dt)
     run.go(1, dt)
-    matrix = amplification(plugin)(OMEGA, DAMPING, dt)
-    error = np.abs(np.stack([run.state.x, run.state.v]) - np.tensordot(matrix, start, 1)).max()
-    return Found(run.state.x[1, 0], float((matrix @ start[:, 1, 0])[0]), float(error), 1e-12)
+    expected = np.tensordot(matrix, start, 1)
+    error = np.abs(run.both() - expected).max()
+    return Found(run.state.x[1, 0], float(expected[0, 1, 0]), float(error), 1e-12)
 
 
+@laws("oscillator energy", "Euler 1 + h^2, implicit Euler 1/(1 + h^2) a step; leapfrog within 1/(1 - h^2/4)")
 def measure_energy(plugin: Any) -> Found:
-    """Energy after 200 undamped steps at omega dt = 0.5 over that at the start, against the matrix's power.
+    """After 200 undamped steps at omega dt = 0.5 the energy is what the matrix's power says.
 
     Euler's grows by 1 + h^2 a step, implicit Euler's falls by as much; leapfrog's stays within
     1/(1 - h^2/4), symplectic Euler's within (1 + h/2)/(1 - h/2).
     """
     count, dt = 200, 0.5 / OMEGA
     run = Run(plugin, oscillator(damping=0.0))
-    start = np.stack([run.state.x, run.state.v])
-    before = run.energy()
+    start, before = run.both(), run.energy()
     run.go(count, dt)
-    ratio = run.energy() / before
     end = np.tensordot(np.linalg.matrix_power(amplification(plugin)(OMEGA, 0.0, dt), count), start, 1)
-    expected = float(_energy(end) / _energy(start))
-    return Found(ratio, expected, abs(ratio / expected - 1.0), 1e-9)
+    energies = [float((y[1] ** 2 + OMEGA**2 * y[0] ** 2).sum()) for y in (start, end)]
+    return relative(run.energy() / before, energies[1] / energies[0], 1e-9)
 
 
-def _energy(y: Float) -> float:
-    return float((y[1] ** 2 + OMEGA**2 * y[0] ** 2).sum())
-
-
-def solution(system: System, t: float) -> Float:
-    """x(t) (n, 3) of the damped oscillator."""
+@laws("order, oscillator", "damped oscillator")
+def measure_order(plugin: Any) -> Found:
+    """The error against the closed form after 1 s falls with the nominal order."""
+    first, ratio = {1: (1600, 2.0), 2: (80, 2.0), 3: (60, 2.0)}.get(plugin.order, (40, 2.0))
+    if plugin.order > 5:
+        first, ratio = 10, math.sqrt(2.0)
+    counts, errors, system = np.round(first * ratio ** np.arange(4)), [], oscillator()
     x, v = system.fabric.position, system.fabric.velocity
     half, rate = 0.5 * DAMPING, math.sqrt(OMEGA**2 - 0.25 * DAMPING**2)
-    return math.exp(-half * t) * (x * math.cos(rate * t) + (v + half * x) / rate * math.sin(rate * t))
-
-
-def step_counts(order: int) -> Float:
-    """Four numbers of steps for about ten radians of the fastest mode."""
-    first, ratio = {1: (1600, 2.0), 2: (80, 2.0), 3: (60, 2.0), 4: (40, 2.0)}.get(order, (40, 2.0))
-    if order > 5:
-        first, ratio = 10, math.sqrt(2.0)
-    return np.round(first * ratio ** np.arange(4))
-
-
-def measure_order(plugin: Any) -> Found:
-    """Error after 1 s at four step sizes, fitted."""
-    counts, errors = step_counts(plugin.order), []
+    exact = math.exp(-half) * (x * math.cos(rate) + (v + half * x) / rate * math.sin(rate))
     for count in counts:
-        run = Run(plugin, oscillator())
+        run = Run(plugin, system)
         run.go(int(count), 1.0 / count)
-        errors.append(float(np.abs(run.state.x - solution(run.system, 1.0)).max()))
-    return order_found(plugin, counts, 1.0, np.array(errors), float(np.abs(run.system.fabric.position).max()))
+        errors.append(float(np.abs(run.state.x - exact).max()))
+    return order_found(plugin, counts, 1.0, np.array(errors), float(np.abs(x).max()))
 
 
 def order_found(plugin: Any, counts: Float, duration: float, errors: Float, size: float) -> Found:
@@ -104,10 +97,7 @@ def order_found(plugin: Any, counts: Float, duration: float, errors: Float, size
     above = ~(errors <= 10.0 * np.sqrt(counts) * EPSILON * size)  # NaN stays, and fails
     if above.sum() < FITTED:
         raise Unsupported(f"only {above.sum()} of {len(errors)} errors are above rounding")
-    steps = duration / counts
-    order = fit_order(steps[above], errors[above])
-    series = {"dt": tuple(map(float, steps)), "error": tuple(map(float, errors))}
-    return Found(order, plugin.order, abs(order - plugin.order), order_slack(plugin.order), series)
+    return fit_order(duration / counts, errors, plugin.order, kept=above)
 
 
 def pinned_net(n: int, damping: float) -> tuple[System, float, Float]:
@@ -131,18 +121,18 @@ def pinned_net(n: int, damping: float) -> tuple[System, float, Float]:
     return System(fabric, NONE, damping * omega), omega, mode
 
 
+@laws("critical step", MODES)
 def measure_critical(plugin: Any) -> Found:
-    """The step at which the fastest mode of a lightly damped net starts to grow, by bisection."""
+    """The fastest mode of a lightly damped net is bounded at 0.999 of the critical step and grows at 1.001."""
     if not plugin.explicit:
         raise Unsupported("implicit: every step is stable")
     if plugin.adaptive:
         raise Unsupported("chooses its own steps")
-    share = 0.1
-    system, omega, mode = pinned_net(5, share)
+    system, omega, mode = pinned_net(5, SHARE)
     matrix = amplification(plugin)
-    expected = critical_step(matrix, omega, share * omega)
+    expected = critical_step(matrix, omega, SHARE * omega)
     # As many steps as let the mode grow by e^2 at 1.001 of the critical step, and more than the damping needs.
-    count = max(1000, math.ceil(2.0 / math.log(radius(matrix(omega, share * omega, 1.001 * expected)))))
+    count = max(1000, math.ceil(2.0 / math.log(radius(matrix(omega, SHARE * omega, 1.001 * expected)))))
 
     def grows(dt: float) -> bool:
         run = Run(plugin, system)
@@ -153,41 +143,18 @@ def measure_critical(plugin: Any) -> Found:
         end = np.hypot(run.state.x[:, 2] @ mode, run.state.v[:, 2] @ mode / omega)
         return bool(end > system.fabric.position[:, 2] @ mode)
 
-    low, high = 0.999 * expected, 1.001 * expected
-    if not grows(low) and grows(high):
+    if not grows(0.999 * expected) and grows(1.001 * expected):
         return Found(expected * omega, expected * omega, 1e-3, 1e-3)
-    low, high = 0.0, 4.0 * expected
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if grows(middle) else (middle, high)
-    return Found(high * omega, expected * omega, abs(high / expected - 1.0), 1e-3)
+    return relative(bisect(0.0, 4.0 * expected, grows, 12) * omega, expected * omega, 1e-3)
 
 
+@laws("stated limit", MODES)
 def measure_limit(plugin: Any) -> Found:
-    """The limit that the solver states for that net, over the true one: at most 1, and not far below."""
-    share = 0.1
+    """The stated limit of that net is at most the true one, and at least 0.8 of it."""
     if not plugin.explicit or plugin.adaptive:
         raise Unsupported("states no limit: " + ("implicit" if not plugin.explicit else "chooses its own steps"))
-    system, omega, _ = pinned_net(5, share)
+    system, omega, _ = pinned_net(5, SHARE)
     run = Run(plugin, system)
     stated = float(plugin.limit(run.config, system, run.state).dt)
-    true = critical_step(amplification(plugin), omega, share * omega)
-    over = stated / true
+    over = stated / critical_step(amplification(plugin), omega, SHARE * omega)
     return Found(over, 1.0, 1.0 - over if over <= 1.0 + 1e-9 else math.inf, 0.2)
-
-
-CASES = (
-    Case("one step", "one step on a damped oscillator is the method's matrix", "textbook matrices", measure_step),
-    Case(
-        "oscillator energy",
-        "after 200 steps at omega dt = 0.5 the energy is what the matrix's power says",
-        "Euler 1 + h^2, implicit Euler 1/(1 + h^2) a step; leapfrog within 1/(1 - h^2/4)",
-        measure_energy,
-    ),
-    Case("order, oscillator", "the error against the closed form falls with the nominal order", "damped oscillator",
-         measure_order),
-    Case("critical step", "the fastest mode is bounded at 0.999 of the critical step and grows at 1.001",
-         "normal modes of a pinned n x n net", measure_critical),
-    Case("stated limit", "the stated limit is at most the true one, and at least 0.8 of it",
-         "normal modes of a pinned n x n net", measure_limit),
-)  # fmt: skip
