@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,8 +16,8 @@ from nuno import registry
 from nuno.dye.run import DyeRun
 from nuno.scene.scene_file import Chosen, Loaded
 from nuno_bench.machine import cores
-from nuno_bench.problem.observe import Run, Series, check_memory
-from nuno_schemas.dye import DyeState
+from nuno_bench.problem.observe import Run, Series, advance_all, check_memory
+from nuno_schemas.dye import DyeReport, DyeState
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.system import StepLimit
@@ -96,21 +95,14 @@ class DyeProblem:
     def run(self, plugin: Any, config: BaseModel, steps: int, most_seconds: float = math.inf) -> Run:
         """Run the scene by one solver with `steps` steps a frame. Raises BadInput where it refuses them."""
         dyeing = self.begin(plugin, config, steps)
-        rows, seconds, totals = [self._observe(dyeing.state)], 0.0, Counter[str]()
-        status, message = "ok", ""
-        with np.errstate(all="ignore"):
-            for frame in range(1, self.frames + 1):
-                found = dyeing.advance()
-                seconds += found.seconds
-                totals.update({name: int(count) for name, count in found.report.totals.items()})
-                if found.report.status != "ok":
-                    status, message = found.report.status, f"at {frame * self.frame:.3g} s: {found.report.message}"
-                    break
-                rows.append(self._observe(dyeing.state))
-                if seconds > most_seconds and frame < self.frames:
-                    status, message = "cut", f"took more than {most_seconds:.3g} s before {frame * self.frame:.3g} s"
-                    break
-        return Run(self._series(rows), status, message, seconds, totals)
+        rows = [self._observe(dyeing.state)]
+
+        def advance(frame: int) -> tuple[DyeReport, float]:
+            found = dyeing.advance()
+            return found.report, found.seconds
+
+        ended = advance_all(self, advance, lambda report: rows.append(self._observe(dyeing.state)), most_seconds)
+        return Run(self._series(rows), *ended)
 
     def first_call(self, plugin: Any, config: BaseModel, steps: int, taken: int) -> tuple[float, float]:
         """Seconds that a solver's first call takes, then `taken` of its steps. Raises BadInput where it refuses."""

@@ -17,15 +17,13 @@ import numpy as np
 from nuno import registry
 from nuno_bench.problem.dye import SCHEME, DyeProblem
 from nuno_bench.problem.observe import Run, Series
-from nuno_bench.problem.reference import Compared
+from nuno_bench.problem.reference import TRIED, Compared, no_reference
 from nuno_schemas.errors import BadInput
 
 FINER = (32, 16, 8, 4, 2)
 """Steps for one that is stable, tried in turn: the first that ends within the time allowed, halved steps and all."""
 CHECKED = (64, 32, 16, 8, 4, 2, 1)
 """Steps a frame of a solver that any step is stable for, tried in turn."""
-TRIED = 20
-"""Steps by which the cost of a run is estimated."""
 
 
 def make_dye_reference(problem: DyeProblem, most_seconds: float, told: Callable[[str], None]) -> Compared:
@@ -40,29 +38,25 @@ def make_dye_reference(problem: DyeProblem, most_seconds: float, told: Callable[
     each = problem.first_call(plugin, config, 2 * stable, TRIED)[1] / TRIED
     fitting = [finer for finer in FINER if 3 * finer * stable * problem.frames * each <= most_seconds]
     if not fitting:
-        raise BadInput(
-            "the scene has no reference to measure errors against",
-            problem.loaded.file,
-            value=f"{3 * FINER[-1]} times the stable steps take {3 * FINER[-1] * stable * problem.frames * each:.3g} s",
-            limit=f"{most_seconds:g} s",
-            remedy="raise --budget, or shorten the run with --duration",
-        )
+        taken = 3 * FINER[-1] * stable * problem.frames * each
+        why = f"{3 * FINER[-1]} times the stable steps take {taken:.3g} s"
+        raise no_reference(problem, why, f"{most_seconds:g} s")
     finer = fitting[0]
     told(f"reference: {SCHEME}, {finer} and {2 * finer} steps for one that is stable")
     half, coarse, fine = (_run(problem, plugin, n * stable) for n in (finer // 2, finer, 2 * finer))
     run = extrapolate(coarse, fine)
     how = f"{SCHEME} at 1/{finer} and 1/{2 * finer} of its stable step, extrapolated"
     others = [name for name in sorted(registry.installed(problem.group)) if name != SCHEME]
-    checks = [(one, said) for name in others for one, said in _check(problem, name, stable * finer, most_seconds, told)]
-    checks = checks or [(extrapolate(half, coarse), "the same at twice the step")]
+    found = [_check(problem, name, stable * finer, most_seconds, told) for name in others]
+    checks = [one for one in found if one] or [(extrapolate(half, coarse), "the same at twice the step")]
     check, said = min(checks, key=lambda pair: float(np.abs(pair[0].series.x - run.series.x).max()))
     return Compared(run, check, f"{how}, checked by {said}", coarse.seconds + fine.seconds + check.seconds)
 
 
 def _check(
     problem: DyeProblem, name: str, steps: int, most_seconds: float, told: Callable[[str], None]
-) -> list[tuple[Run, str]]:
-    """Another solver's run at as fine a step as time allows, and its words; nothing where it has none."""
+) -> tuple[Run, str] | None:
+    """Another solver's run at as fine a step as time allows, and its words; None where it has none."""
     plugin = registry.load(problem.group, name)
     try:
         config = plugin.Config()
@@ -72,17 +66,16 @@ def _check(
             if count * problem.frames * each <= most_seconds:
                 told(f"reference: {name}, {count} steps a frame")
                 run = problem.run(plugin, config, count, 2.0 * most_seconds)
-                return [(run, f"{name} at {count} steps a frame")] if run.status == "ok" else []
+                return (run, f"{name} at {count} steps a frame") if run.status == "ok" else None
     except (BadInput, ValueError):
-        return []
-    return []
+        pass
+    return None
 
 
 def _run(problem: DyeProblem, plugin: Any, steps: int) -> Run:
     run = problem.run(plugin, plugin.Config(), max(1, steps))
     if run.status != "ok":
-        raise BadInput("the scene has no reference to measure errors against", problem.loaded.file,
-                       value=f"{SCHEME}: {run.status}: {run.message}", remedy="shorten the run")  # fmt: skip
+        raise no_reference(problem, f"{SCHEME}: {run.status}: {run.message}")
     return run
 
 

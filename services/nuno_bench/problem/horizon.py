@@ -66,7 +66,7 @@ def whole_run(reference: Compared) -> Horizon:
 
 
 def find_horizon(problem: Problem, reference: Reference) -> Horizon:
-    """Run the twin. Against an exact motion the twin's own solver is its error, which only shortens the horizon."""
+    """Run the twin."""
     t, x = reference.run.series.t, reference.run.series.x
     twin: Run = reference.twin(disturb(problem))
     reached = len(twin.series.t)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -24,7 +25,7 @@ from nuno.scene.step import choose_step
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import StepLimit, StepReport, System
 
 KEPT_TRAJECTORIES = 4
@@ -85,12 +86,22 @@ class Problem:
         return choose_step(self.loaded, limit.dt, limit.resolved)[0]
 
     def run(self, plugin: Any, config: BaseModel, steps: int, most_seconds: float = math.inf) -> Run:
-        """See simulate."""
+        """The scene by one solver; see simulate."""
         return simulate(self, plugin, config, steps, most_seconds=most_seconds)
 
     def first_call(self, plugin: Any, config: BaseModel, steps: int, taken: int) -> tuple[float, float]:
-        """See first_call."""
-        return first_call(self, plugin, config, steps, taken)
+        """Seconds that a solver's first call takes, compiling or loading included, then `taken` of its steps.
+
+        Raises BadInput where the solver refuses its configuration.
+        """
+        state = build.start_state(self.fabric)
+        memory = plugin.prepare(config, self.system, state)
+        dt, moments = self.frame / steps, [time.perf_counter()]
+        with np.errstate(all="ignore"):
+            for count in (0, 1, taken):
+                plugin.advance(self.system, state, memory, self.still(), count, dt)
+                moments.append(time.perf_counter())
+        return moments[2] - moments[0], moments[3] - moments[2]
 
     def scales(self, reference: Series) -> dict[str, float]:
         """What errors are divided by: the cloth's size [m]; the largest change of any kind of energy in the
@@ -186,42 +197,21 @@ class Run:
     totals: Mapping[str, int]
 
 
-class Watch:
-    """Collects the series of a run."""
-
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        fabric, gravity = problem.fabric, problem.system.gravity
-        self.mass = fabric.mass[problem.free]
-        strength = float(np.linalg.norm(gravity))
-        self.down = gravity / strength if strength > 0.0 else None
-        springs = fabric.springs
-        has = springs is not None and springs.number > 0
-        self.pairs = springs.pairs() if springs is not None and has else None
-        self.rest = springs.per_spring(springs.rest) if springs is not None and has else None
-        self.rows: list[tuple[float, Float, Float, float, Float]] = []
-
-    def add(self, state: State, report: StepReport) -> None:
-        x = state.x[self.problem.free]
-        centre = (self.mass[:, None] * x).sum(axis=0) / self.mass.sum()
-        parts = np.array([float(report.energy[kind]) for kind in sorted(report.energy)])
-        self.rows.append((len(self.rows) * self.problem.frame, x, centre, self._strain(state.x), parts))
-
-    def _strain(self, x: Float) -> float:
-        if self.pairs is None or self.rest is None:
-            return math.nan
-        length = np.linalg.norm(x[self.pairs[:, 1]] - x[self.pairs[:, 0]], axis=1)
-        known = self.rest > 0.0
-        return float(np.abs(length[known] / self.rest[known] - 1.0).mean()) if known.any() else math.nan
-
-    def series(self) -> Series:
-        t, x, centre, strain, parts = (np.array(column, np.float64) for column in zip(*self.rows, strict=True))
-        values = {"energy": parts.sum(axis=1, keepdims=True), "centre": centre}
-        if self.down is not None:
-            values["drop"] = ((centre - centre[0]) @ self.down)[:, None]
-        if self.pairs is not None:
-            values["strain"] = strain[:, None]
-        return Series(t, x, values, parts)
+def observe(problem: Problem, places: Sequence[Float], reports: Sequence[StepReport]) -> Series:
+    """The series of a run, from the positions (n, 3) and the reports of its frames, the start among them."""
+    mass, springs, gravity = problem.fabric.mass[problem.free], problem.fabric.springs, problem.system.gravity
+    x = np.array([one[problem.free] for one in places])
+    parts = np.array([[float(report.energy[kind]) for kind in sorted(report.energy)] for report in reports])
+    centre = np.einsum("n,fnj->fj", mass, x) / mass.sum()
+    values = {"energy": parts.sum(axis=1, keepdims=True), "centre": centre}
+    if gravity.any():
+        values["drop"] = ((centre - centre[0]) @ (gravity / np.linalg.norm(gravity)))[:, None]
+    if springs is not None and springs.number > 0:
+        rest = springs.per_spring(springs.rest)
+        i, j = springs.pairs()[rest > 0.0].T
+        strains = (np.abs(np.linalg.norm(one[j] - one[i], axis=1) / rest[rest > 0.0] - 1.0) for one in places)
+        values["strain"] = np.array([[one.mean() if one.size else math.nan] for one in strains])
+    return Series(problem.frame * np.arange(len(x), dtype=np.float64), x, values, parts)
 
 
 def simulate(
@@ -241,50 +231,42 @@ def simulate(
     if disturbance is not None:
         state.x += disturbance
     memory = plugin.prepare(config, problem.system, state)
-    dt, watch = problem.frame / steps, Watch(problem)
-    watch.add(state, plugin.advance(problem.system, state, memory, problem.still(), 0, dt))
+    dt, places, reports = problem.frame / steps, list[Float](), list[StepReport]()
 
-    def advance(frame: int) -> StepReport:
-        state.t = frame * problem.frame
-        report: StepReport = plugin.advance(problem.system, state, memory, problem.pair(frame), steps, dt)
-        return report
+    def add(report: StepReport) -> None:
+        places.append(state.x.copy())
+        reports.append(report)
 
-    return _collect(watch, advance, state, most_seconds)
+    add(plugin.advance(problem.system, state, memory, problem.still(), 0, dt))
+
+    def advance(frame: int) -> tuple[StepReport, float]:
+        state.t, start = (frame - 1) * problem.frame, time.perf_counter()
+        report = plugin.advance(problem.system, state, memory, problem.pair(frame - 1), steps, dt)
+        return report, time.perf_counter() - start
+
+    ended = advance_all(problem, advance, add, most_seconds)
+    return Run(observe(problem, places, reports), *ended)
 
 
-def _collect(watch: Watch, advance: Callable[[int], StepReport], state: State, most_seconds: float) -> Run:
-    """Frame by frame to the end, or to where it stops; time is that of the solver's calls alone."""
-    seconds, totals, status, message = 0.0, dict[str, int](), "ok", ""
+def advance_all(
+    problem: Any, advance: Callable[[int], tuple[Any, float]], add: Callable[[Any], None], most_seconds: float
+) -> tuple[str, str, float, Mapping[str, int]]:
+    """Frame by frame to the end, or to where it stops: a run's status, message, seconds and totals.
+
+    `advance` takes the number of the frame that it ends with and gives its report, and the seconds of the solver's
+    calls alone; `add` keeps what is seen at the end of a frame.
+    """
+    seconds, totals = 0.0, Counter[str]()
     # What a diverging run overflows is its result, not a mistake to warn of.
     with np.errstate(all="ignore"):
-        for frame in range(watch.problem.frames):
-            start = time.perf_counter()
-            report = advance(frame)
-            seconds += time.perf_counter() - start
-            for name, count in report.totals.items():
-                totals[name] = totals.get(name, 0) + int(count)
-            if "steps" not in report.totals:
-                totals["steps"] = totals.get("steps", 0) + report.steps
+        for frame in range(1, problem.frames + 1):
+            report, taken = advance(frame)
+            seconds += taken
+            totals.update({"steps": report.steps} | {name: int(count) for name, count in report.totals.items()})
             if report.status != "ok":
-                status, message = report.status, f"at {(frame + 1) * watch.problem.frame:.3g} s: {report.message}"
-                break
-            watch.add(state, report)
-            if seconds > most_seconds and frame + 1 < watch.problem.frames:
-                status, message = "cut", f"took more than {most_seconds:.3g} s before {watch.rows[-1][0]:.3g} s"
-                break
-    return Run(watch.series(), status, message, seconds, totals)
-
-
-def first_call(problem: Problem, plugin: Any, config: BaseModel, steps: int, taken: int) -> tuple[float, float]:
-    """Seconds that a solver's first call takes (compiling, or loading what was compiled), then `taken` of its steps.
-
-    Raises BadInput where the solver refuses its configuration.
-    """
-    state = build.start_state(problem.fabric)
-    memory = plugin.prepare(config, problem.system, state)
-    dt, moments = problem.frame / steps, [time.perf_counter()]
-    with np.errstate(all="ignore"):
-        for count in (0, 1, taken):
-            plugin.advance(problem.system, state, memory, problem.still(), count, dt)
-            moments.append(time.perf_counter())
-    return moments[2] - moments[0], moments[3] - moments[2]
+                return report.status, f"at {frame * problem.frame:.3g} s: {report.message}", seconds, totals
+            add(report)
+            if seconds > most_seconds and frame < problem.frames:
+                why = f"took more than {most_seconds:.3g} s before {frame * problem.frame:.3g} s"
+                return "cut", why, seconds, totals
+    return "ok", "", seconds, totals

@@ -1,4 +1,4 @@
-"""What errors are measured against: the exact motion, or two independent solvers at tight tolerance.
+"""What errors are measured against: two independent solvers at tight tolerance, or at small steps.
 
 How far the two are apart is the floor: an error near it says nothing. Two solvers of one family
 could share a mistake only in the force, which `nuno validate` checks by closed forms.
@@ -9,20 +9,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from nuno import registry
 from nuno.cloth import build
-from nuno_bench.problem.closed_form import closed_form
 from nuno_bench.problem.observe import Problem, Run, simulate
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, State
-from nuno_schemas.system import StepReport
+from nuno_schemas.fabric import Float
 
 GROUP = "nuno.integrators"
 PRIMARY, CHECK = "dop853", "dopri5"
 TOLERANCES = (1e-11, 1e-10, 1e-9, 1e-8, 1e-7)
 """Of a step, tried in turn: the first that the scene allows (far from the origin positions are rounded
 more than that) and that ends within the time allowed."""
+STEPPED = ("leapfrog", "symplectic_euler")
+"""The reference by fixed steps, and what it is checked by."""
+FINER = (64, 32, 16, 8)
+"""Steps of theirs for one that is stable, tried in turn: the first that ends within the time allowed."""
+TRIED = 20
+"""Steps by which the cost of a run is estimated."""
 
 
 @dataclass(frozen=True)
@@ -42,29 +47,29 @@ class Reference(Compared):
     twin: Callable[[Float], Run]
 
 
+def no_reference(problem: Any, value: str, limit: str | None = None) -> BadInput:
+    """The refusal of a scene that no reference ends in time for, or ends well for."""
+    remedy = "raise --budget, shorten the run with --duration, or soften the scene"
+    problem_text = "the scene has no reference to measure errors against"
+    return BadInput(problem_text, problem.loaded.file, value=value, limit=limit, remedy=remedy)
+
+
 def make_reference(problem: Problem, most_seconds: float, told: Callable[[str], None]) -> Reference:
     """The scene's reference; each run of it may take `most_seconds`. Raises BadInput where none ends in that time."""
-
-    def twin_at(tolerance: float) -> Callable[[Float], Run]:
-        return lambda disturbance: _tight(problem, PRIMARY, tolerance, math.inf, disturbance)
-
-    exact = closed_form(problem, _measure(problem))
-    if exact is not None:
-        told("the scene is linear: its exact motion is the reference")
-        how = "the exact motion (matrix exponential of the linear system); its floor is rounding"
-        return Reference(*exact, how, 0.0, twin_at(_allowed(problem)))
     told(f"reference: {PRIMARY}")
     try:
         run, tolerance = _tightest(problem, PRIMARY, 0, most_seconds)
     except BadInput as refused:
-        from nuno_bench.problem.stepped import stepped_reference
-
         told(f"{PRIMARY} does not end in time ({refused.value})")
         return stepped_reference(problem, most_seconds, told)
     told(f"reference: {CHECK}")
     check, checked = _tightest(problem, CHECK, TOLERANCES.index(tolerance), most_seconds)
+
+    def twin(disturbance: Float) -> Run:
+        return _tight(problem, PRIMARY, tolerance, math.inf, disturbance)
+
     how = f"{PRIMARY} at tolerance {tolerance:g}, checked by {CHECK} at {checked:g}"
-    return Reference(run, check, how, run.seconds + check.seconds, twin_at(tolerance))
+    return Reference(run, check, how, run.seconds + check.seconds, twin)
 
 
 def _tightest(problem: Problem, name: str, first: int, most_seconds: float) -> tuple[Run, float]:
@@ -78,32 +83,11 @@ def _tightest(problem: Problem, name: str, first: int, most_seconds: float) -> t
             continue
         if run.status == "ok":
             return run, TOLERANCES[at]
-        at, why = at + _decades(problem, run), f"{run.status}: {run.message}"
-    raise BadInput(
-        "the scene has no reference to measure errors against",
-        problem.loaded.file,
-        value=f"{name}: {why}",
-        limit=f"tolerances from {TOLERANCES[first]:g} to {TOLERANCES[-1]:g}",
-        remedy="raise --budget, shorten the run with --duration, or soften the scene",
-    )
-
-
-def _decades(problem: Problem, run: Run) -> int:
-    """By how many tolerances to loosen, from how far a run came: its work falls by 10^(1/6) with each, for order 5."""
-    reached = max(1, len(run.series.t) - 1)
-    return max(1, math.ceil(6.0 * math.log10(problem.frames / reached)))
-
-
-def _allowed(problem: Problem) -> float:
-    """The tightest tolerance that the scene's place allows."""
-    primary = registry.load(GROUP, PRIMARY)
-    for tolerance in TOLERANCES:
-        try:
-            primary.prepare(primary.Config(tolerance=tolerance), problem.system, build.start_state(problem.fabric))
-        except BadInput:
-            continue
-        return tolerance
-    return TOLERANCES[-1]
+        # From how far it came: the work of a method of order 5 falls by 10^(1/6) with each tolerance.
+        reached = max(1, len(run.series.t) - 1)
+        at += max(1, math.ceil(6.0 * math.log10(problem.frames / reached)))
+        why = f"{run.status}: {run.message}"
+    raise no_reference(problem, f"{name}: {why}", f"tolerances from {TOLERANCES[first]:g} to {TOLERANCES[-1]:g}")
 
 
 def _tight(problem: Problem, name: str, tolerance: float, most_seconds: float, disturbance: Float | None = None) -> Run:
@@ -111,14 +95,43 @@ def _tight(problem: Problem, name: str, tolerance: float, most_seconds: float, d
     return simulate(problem, plugin, plugin.Config(tolerance=tolerance), 1, disturbance, most_seconds)
 
 
-def _measure(problem: Problem) -> Callable[[State], StepReport]:
-    """Energies of any state, by a solver's report of no step."""
-    primary = registry.load(GROUP, PRIMARY)
-    config = primary.Config()
-    memory = primary.prepare(config, problem.system, build.start_state(problem.fabric))
+def stepped_reference(problem: Problem, most_seconds: float, told: Callable[[str], None]) -> Reference:
+    """A reference by fixed steps; each run of it is estimated at `most_seconds` at most.
 
-    def measure(state: State) -> StepReport:
-        report: StepReport = primary.advance(problem.system, state, memory, None, 0, problem.frame)
-        return report
+    Where cloth lands and slips, forces jump, and an adaptive method creeps from one jump to the next. Two methods of
+    different order, at a small share of their stable step, are then known better in the time there is. Raises BadInput
+    where not even the coarsest would end.
+    """
+    runs, finer = list[tuple[Run, int, int]](), FINER[0]
+    for name in STEPPED:
+        stable, a_step = _fewest(problem, name)
+        finer = next((n for n in FINER if n <= finer and n * stable * problem.frames * a_step <= most_seconds), 0)
+        if not finer:
+            taken = FINER[-1] * stable * problem.frames * a_step
+            why = f"{FINER[-1]} times the steps of {name} take {taken:.3g} s"
+            raise no_reference(problem, why, f"{most_seconds:g} s")
+        told(f"reference: {name}, {finer} steps for one that is stable")
+        runs.append((_stepped(problem, name, finer * stable), finer * stable, finer))
+    (run, steps, finer), (check, _, checked) = runs
 
-    return measure
+    def twin(disturbance: Float) -> Run:
+        return _stepped(problem, STEPPED[0], steps, disturbance)
+
+    how = f"{STEPPED[0]} at 1/{finer} of its stable step, checked by {STEPPED[1]} at 1/{checked}"
+    return Reference(run, check, how, run.seconds + check.seconds, twin)
+
+
+def _fewest(problem: Problem, name: str) -> tuple[int, float]:
+    """Steps a frame that are stable, and the seconds of one."""
+    plugin = registry.load(GROUP, name)
+    limit = plugin.limit(plugin.Config(), problem.system, build.start_state(problem.fabric)).dt
+    steps = max(1, math.ceil(problem.frame / limit)) if limit > 0.0 else 1
+    return steps, problem.first_call(plugin, plugin.Config(), FINER[-1] * steps, TRIED)[1] / TRIED
+
+
+def _stepped(problem: Problem, name: str, steps: int, disturbance: Float | None = None) -> Run:
+    plugin = registry.load(GROUP, name)
+    run = simulate(problem, plugin, plugin.Config(), steps, disturbance)
+    if run.status != "ok":
+        raise no_reference(problem, f"{name}: {run.status}: {run.message}")
+    return run
