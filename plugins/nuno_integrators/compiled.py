@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -152,19 +152,6 @@ class Compiled(ABC):
         packed = _set_poses(own_bodies(work.packed), poses)
         extra = _enter(system, state, work, state.t)
         return find_forces(system, state, packed, work.x, work.v, extra, poses)
-
-    def slopes(self, memory: Memory) -> Callable[[Float, Float, Float], None]:
-        """The compiled acceleration by itself, bodies left out: a function (x, v, out) of rows (3, n).
-
-        What other programs' methods are given where they are compared with ours.
-        """
-        work: Work = memory.work  # type: ignore[assignment]
-        packed = silence_bodies(work.packed)
-
-        def accelerate(x: Float, v: Float, out: Float) -> None:
-            evaluate(x, v, 0.0, out, packed, None)
-
-        return accelerate
 
     def about(self, system: System) -> str:
         """Threads for this system, and what limits them."""

@@ -27,6 +27,7 @@ from nuno_bench.peers.python import NumPy, _fabric
 from nuno_bench.peers.table import KINDS, Kind, label
 from nuno_bench.speed.steps import stiff
 from nuno_bench.speed.steps.sliced import SlicedCloth
+from nuno_schemas.fabric import State
 
 SMALL = ("objects.0.model.resolution=[9, 8]",)
 HERE = str(Path(__file__).parent)
@@ -53,8 +54,9 @@ def test_arrays_given_to_engines_have_the_accelerations_of_our_kernels(sheet: Sh
     draw, n = np.random.default_rng(11), sheet.mass.size
     x = np.ascontiguousarray(sheet.x.T) + draw.normal(0.0, 0.01, (3, n))
     v = draw.normal(0.0, 1.0, (3, n)) * sheet.free
-    own, other = np.empty((3, n)), np.empty((3, n))
-    simulation.loaded.integrator.plugin.slopes(simulation.memory)(x, v, own)
+    state, other = State(np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)), np.empty((3, n))
+    forces = simulation.loaded.integrator.plugin.forces
+    own = forces(simulation.system, state, simulation.memory, None).acceleration.T
     SlicedCloth(_fabric(sheet), sheet.gravity, float(sheet.drag)).accelerate(x, v, other)
     np.testing.assert_allclose(other, own, rtol=0, atol=1e-12 * np.abs(own).max())
 

@@ -2,6 +2,9 @@
 
 Preconditioned with the inverses of its diagonal 3 x 3 blocks. Sums are taken block by block and then in
 the blocks' order, so that the result does not depend on the number of threads.
+
+Weighed: SciPy's cg. It leaves the order of sums to BLAS, which depends on threads and processor, and wants a matrix
+assembled where this one is a product of every force's own rows.
 """
 
 from __future__ import annotations

@@ -4,6 +4,9 @@ A set of vertices is cut into two halves and the few vertices between them, its 
 last; so are the halves in turn (George 1973, SIAM J. Numer. Anal. 10, 345-363). On a sheet of n vertices the
 factor then has O(n log n) entries and takes O(n^1.5) operations, a band O(n^1.5) and O(n^2). Cuts go across a
 coordinate axis: cloth at rest is flat or a tube, and its own graph says less about where it is narrow.
+
+Weighed: METIS, which cuts graphs whose vertices have no places, and whose cuts are another version's another time; the
+order decides the bits of every solution.
 """
 
 from __future__ import annotations

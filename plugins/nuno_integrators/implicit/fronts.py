@@ -3,6 +3,7 @@
 Multifrontal Cholesky (Duff & Reid 1983, ACM Trans. Math. Softw. 9, 302-325): every node of the dissection
 has a dense front over its own vertices and the later ones that they are coupled to, themselves or through
 what was eliminated before them. Its own rows are eliminated there; what is left is added to the parent's.
+nuno_integrators.implicit.factor says which libraries were weighed.
 """
 
 from __future__ import annotations

@@ -10,6 +10,9 @@ step's tensions would make rest exact as well, but a force that lags behind grow
 
 Viscous damping is part of the mass, m (1 + h damping), and so is solved exactly. Wind and forces in Python
 have no constraint: they act as at the step's start, and limit the step as they do in symplectic Euler.
+
+Weighed: Newton's XPBD on Warp, in single precision: `nuno bench peers` finds it accurate at no setting of the stiff
+sheet, on which `nuno bench speed stiff` measures this one.
 """
 
 from __future__ import annotations

@@ -12,6 +12,9 @@ stays within its width, and a triangle without area is its edges.
 The search starts with the leaf of a triangle that is thought to be near and looks only at boxes that are no
 farther away than the best so far. Of equally near triangles that of the lowest number is taken: the answer does
 not depend on the start, the order of the search or the number of threads, to the last bit.
+
+Weighed: libigl, trimesh and Open3D, beside which `nuno bench speed closest` measures this search. igl, with sign and in
+double precision, answers an eighth as fast or less, since it makes its tree anew in every call; Open3D is in single.
 """
 
 from __future__ import annotations

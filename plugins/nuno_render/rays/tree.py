@@ -3,6 +3,9 @@
 The trees of nuno_kernels.meshes.tree, eight children a node and eight items a leaf, so that a node, like a leaf, is
 one vector test.
 
+Weighed: Embree, by embreex or Open3D. It is in single precision, its Python packages meet triangles and no capsules,
+and which of two hits at one distance it takes is its own affair: a picture would change with its version.
+
 Not chosen: cylinders without their round ends, which leave gaps on the outer side of every bend; and curves met as
 curves, each of which takes several Newton steps where a capsule takes three roots.
 """

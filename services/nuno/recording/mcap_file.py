@@ -1,7 +1,8 @@
 """One indexed MCAP file, written without copying payloads.
 
-The mcap library's writer copies a message into its chunk and the chunk into a record: at a
-checkpoint that is 144 bytes a vertex beside the 48 of the payload. Here a chunk is a list of
+Weighed: the mcap library's writer, which copies a message into its chunk and the chunk into a
+record: beside a checkpoint's payload it allocates twice as much, where a tenth is allowed
+(tests/services/test_recording.py, `test_payloads_are_not_copied`). Here a chunk is a list of
 references to payloads until it is written; the small records are the library's own.
 Chunks are not compressed: mantissas of moving vertices do not shrink, and the solver needs the
 cores. Format: https://mcap.dev/spec.
