@@ -64,7 +64,7 @@ def measure_sources(plugin: Any, down: bool) -> Found:
 
 @laws("fast diffusion, order", KERNEL)
 def measure_cells(plugin: Any) -> Found:
-    """The distance to that falls with the square of the cells' size, in steps that fall with it."""
+    """The distance of sources to their closed form falls with the square of the cells' size, in steps that fall too."""
     numbers = np.array([12, 16, 24, 32])
     errors = [_spread_sources(plugin, int(n), int(4 * n), False)[1] for n in numbers]
     return fit_order(1.0 / numbers, np.array(errors), 2.0)

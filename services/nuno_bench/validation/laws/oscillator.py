@@ -150,7 +150,7 @@ def measure_critical(plugin: Any) -> Found:
 
 @laws("stated limit", MODES)
 def measure_limit(plugin: Any) -> Found:
-    """The stated limit of that net is at most the true one, and at least 0.8 of it."""
+    """The stated limit of a lightly damped net is at most the true one, and at least 0.8 of it."""
     if not plugin.explicit or plugin.adaptive:
         raise Unsupported("states no limit: " + ("implicit" if not plugin.explicit else "chooses its own steps"))
     system, omega, _ = pinned_net(5, SHARE)
