@@ -12,8 +12,6 @@ COMMANDS = {
     "compare": ("nuno_bench.precision.compare", "two results of precision: which errors and times have changed"),
     "stability": ("nuno_bench.stability.command", "maps of what solvers make of a scene over stiffness, mesh and step"),
     "peers": ("nuno_bench.peers.command", "the stiff sheet in other engines and in ours: error beside time"),
-    "capacity": ("nuno_bench.capacity", "bytes a frame, what the bus carries, and the hosts that follow from both"),
-    "wrinkles": ("nuno_bench.wrinkles", "lines at random over random meshes: whether what comes out is whole"),
     "integrators": (
         "nuno_bench.integrators.command",
         "the skirt paper's experiment: four methods, split and unsplit bones",

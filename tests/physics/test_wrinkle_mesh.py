@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import random_wrinkles
 from wrinkled import draw, ridge, sheet
 
 from nuno import registry
 from nuno.scene.files import SceneFiles
-from nuno_bench import wrinkles
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import State
 from nuno_schemas.operation import Changed, Outcome
@@ -26,17 +26,17 @@ def changed(made: Outcome) -> Changed:
 
 
 def test_whatever_is_drawn_the_mesh_stays_whole() -> None:
-    found = [wrinkles.draw(seed) for seed in range(200)]
+    found = [random_wrinkles.draw(seed) for seed in range(200)]
     assert found.count("") > 120
 
 
 def test_a_check_that_can_fail() -> None:
     made = changed(draw(sheet(), ridge((-0.3, -0.2), (0.3, 0.25))))
     split = made.fabric.number - 144
-    wrinkles.require_whole(sheet(), made.fabric, made.state.x, split)
+    random_wrinkles.require_whole(sheet(), made.fabric, made.state.x, split)
     made.fabric.faces[-1] = made.fabric.faces[-1][::-1]
     with pytest.raises(ValueError, match="two triangles go along"):
-        wrinkles.require_whole(sheet(), made.fabric, made.state.x, split)
+        random_wrinkles.require_whole(sheet(), made.fabric, made.state.x, split)
 
 
 def test_new_vertices_of_a_strip_are_joined_and_stand_k_above_their_triangles() -> None:
@@ -44,7 +44,7 @@ def test_new_vertices_of_a_strip_are_joined_and_stand_k_above_their_triangles() 
     made = changed(draw(fabric, ridge((-0.31, -0.22), (0.33, 0.27)), smoothing=STEEP))
     n, x = fabric.number, made.state.x
     assert np.array_equal(x[:n], fabric.position) and np.allclose(x[n:, 2], 0.02, atol=1e-15)
-    edges = wrinkles.edge_table(made.fabric.faces)
+    edges = random_wrinkles.edge_table(made.fabric.faces)
     chain = [edge for edge in edges if min(edge) >= n]
     assert len(chain) >= len(x) - n - 1  # n - 1 shared edges, all flipped, and what lies across
     # The middle of a straight part is a point of the line, but for vertices moved off an edge.
@@ -57,7 +57,7 @@ def test_one_triangle_inside_of_which_a_line_lies_is_split() -> None:
     fabric = sheet(4, 4)
     made = draw(fabric, ridge((0.01, 0.03), (0.03, 0.04)), smoothing=STEEP)
     assert made.facts["vertices"] == 1.0
-    wrinkles.require_whole(fabric, changed(made).fabric, changed(made).state.x, 1)
+    random_wrinkles.require_whole(fabric, changed(made).fabric, changed(made).state.x, 1)
 
 
 def test_round_a_vertex_of_valence_3_no_edge_is_made_twice() -> None:
@@ -69,7 +69,7 @@ def test_round_a_vertex_of_valence_3_no_edge_is_made_twice() -> None:
     flat = np.concatenate([x, middle])
     split = np.arange(len(middle), dtype=np.int32)
     flipped, left = split_faces(flat, flat, split, 4, faces, across, np.ones(len(faces)))
-    edges = wrinkles.edge_table(faces)
+    edges = random_wrinkles.edge_table(faces)
     assert (len(edges), flipped, left) == (6 + 6, 2, 1)
     assert np.array_equal(across, link_faces(faces, 6))
 
@@ -152,7 +152,7 @@ def test_a_ridge_and_a_valley_through_one_triangle_are_refused_and_two_ridges_cr
         draw(sheet(), one, other | {"height": -0.02})
     fabric = sheet()
     made = changed(draw(fabric, one, other))
-    wrinkles.require_whole(fabric, made.fabric, made.state.x, made.fabric.number - fabric.number)
+    random_wrinkles.require_whole(fabric, made.fabric, made.state.x, made.fabric.number - fabric.number)
 
 
 def test_cloth_without_triangle_springs_is_refused() -> None:

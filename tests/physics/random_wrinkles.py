@@ -6,21 +6,15 @@ again here, in another way.
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections import Counter
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from nuno import registry
-from nuno_bench import machine, options
-from nuno_bench.report import markdown
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs, State
 
-SECTION, DRAWN = "wrinkles", "both sets drawn"
 MOST_SIDE = 14
 """Vertices along the side of a mesh, at most."""
 
@@ -224,34 +218,3 @@ def _bytes(fabric: Fabric, state: State) -> list[bytes]:
         hinges.rest,
     )
     return [array.tobytes() for array in (*arrays, state.x, state.v)]
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--cases", type=int, default=10_000, help="random meshes (10000)")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first one (0)")
-    options.add_shared(parser, "--docs")
-
-
-def main(args: argparse.Namespace) -> int:
-    """Draw on all of them; 1 where one was not whole."""
-    if args.docs is not None:
-        markdown.check_section(args.docs, SECTION)
-    others = machine.Others()
-    begin, found, broken = time.perf_counter(), Counter[str](), 0
-    for seed in range(args.first, args.first + args.cases):
-        try:
-            found[draw(seed)] += 1
-        except ValueError as error:
-            broken += 1
-            print(f"seed {seed}: {error}")
-    seconds = time.perf_counter() - begin
-    said = f"{args.cases} meshes with two sets of lines each in {seconds:.0f} s: {broken} not whole"
-    print(said)
-    for problem, number in found.most_common():
-        print(f"{number:8}  {problem or DRAWN}")
-    if args.docs is not None:
-        rows = [[problem or DRAWN, str(number)] for problem, number in found.most_common()]
-        about = {"command": machine.command(), **machine.describe(), "load": others.describe()}
-        table = markdown.table(("what became of it", "meshes"), rows)
-        markdown.replace_section(args.docs, SECTION, [f"{said}.", table, markdown.facts(about)])
-    return int(broken > 0)
