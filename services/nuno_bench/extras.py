@@ -16,8 +16,6 @@ INSTALL = {
     "igl": "nuno[peers]",
     "open3d": "open3d",
     "rerun": "nuno[view]",
-    "atheris": "nuno[soak]",
-    "coverage": "nuno[soak]",
 }
 """What pip takes for each; Open3D is no extra of ours, since it holds other packages back."""
 

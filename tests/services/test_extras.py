@@ -11,7 +11,6 @@ import pytest
 from nuno.cli import main
 from nuno_bench.peers import command as peers
 from nuno_bench.report.result import Result
-from nuno_bench.soak import command as soak
 from nuno_bench.speed import command as speed
 
 EXTRAS = (
@@ -37,7 +36,6 @@ def bare(monkeypatch: pytest.MonkeyPatch) -> None:
         ("bench integrators skirt-paper", "matplotlib", "bench"),
         ("validate --html page.html", "matplotlib", "bench"),
         ("validate --dask tcp://127.0.0.1:1", "Dask", "sweep"),
-        ("soak fuzz --quick", "atheris and coverage", "soak"),
         ("run net --view web --no-record", "rerun", "view"),
         ("run net --save run.rrd --no-record", "rerun", "view"),
     ],
@@ -78,13 +76,3 @@ def test_all_cases_go_on_without_a_peer_that_is_missing(
     rtree = "closest has fewer peers: rtree is not installed (pip install 'nuno[peers]'), igl is"
     assert err.splitlines()[0].startswith(rtree) and err.splitlines()[1] == "numpy ..."
     assert rtree in out and "closest has fewer peers" in kept.read_text()
-
-
-def test_parts_that_cannot_run_are_named_before_the_first(
-    bare: None, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    monkeypatch.setattr(soak, "run_part", lambda part, quick, seed: [Result(part, "what", "", (1,), bar=1)])
-    assert main(["soak", "--quick"]) == 0
-    out, err = capsys.readouterr()
-    assert any(line.startswith("fuzz is left out: atheris is not installed") for line in err.splitlines()[:3])
-    assert "fuzz" not in out and err.splitlines()[3] == "same-bits ..."

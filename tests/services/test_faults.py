@@ -28,8 +28,8 @@ from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.viewer.service import Viewer
 from nuno.wire.bus import Bus
 from nuno.wire.sessions import hub_at
-from nuno_bench.soak.faults.run import started
 from nuno_schemas.errors import BadInput, RunFailed
+from soak.processes import Processes
 
 
 @pytest.mark.parametrize("early", [True, False])
@@ -56,10 +56,11 @@ def test_a_viewer_that_dies_does_not_end_the_run(early: bool, tmp_path: Path, mo
 
 
 def test_when_the_supervisor_is_killed_nothing_stays_behind(tmp_path: Path) -> None:
-    write_scene(tmp_path, bodies=BALL, duration=400.0)
-    with started(tmp_path, by_hand=False, services=("simulation", "collision", "recorder")) as run:
-        assert run.wait_for("0.00 of", 300.0)
-        run.supervisor.kill()
+    scene = write_scene(tmp_path, bodies=BALL, duration=400.0)
+    with Processes(tmp_path) as run:
+        run.supervise(scene, "--processes", "--no-view")
+        assert run.wait_for("0.00 of")
+        run.children["supervisor"].kill()
         assert run.wait_end(20.0) < 20.0
         assert run.stop() == []
     with nuno.open(run.record) as recording:
@@ -69,15 +70,16 @@ def test_when_the_supervisor_is_killed_nothing_stays_behind(tmp_path: Path) -> N
 
 def test_a_service_that_dies_as_it_starts_holds_nobody_up(tmp_path: Path) -> None:
     """The others are ready only when the run has failed already, and its supervisor does not wait for them."""
-    write_scene(tmp_path, bodies=BALL)
-    with started(tmp_path, by_hand=False, services=("simulation", "collision", "recorder")) as run:
+    scene = write_scene(tmp_path, bodies=BALL)
+    with Processes(tmp_path) as run:
+        run.supervise(scene, "--processes", "--no-view")
         wait_until(lambda: run.find("recorder") is not None)
         recorder = run.find("recorder")
         assert recorder is not None
         recorder.kill()
         assert run.wait_end(20.0) < 20.0
-        assert run.code == 1
-        assert "the recorder service ended before it was ready: ended by SIGKILL" in run.said
+        assert run.code() == 1
+        assert "the recorder service ended before it was ready: ended by SIGKILL" in run.said()
 
 
 def test_a_service_ends_with_its_supervisor_though_it_never_met_it(tmp_path: Path) -> None:
@@ -98,14 +100,15 @@ main(sys.argv[1:])
 
 @pytest.mark.parametrize(("number", "word"), [(signal.SIGTERM, "terminated"), (signal.SIGINT, "interrupted")])
 def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, tmp_path: Path) -> None:
-    write_scene(tmp_path, duration=400.0)
-    with started(tmp_path, by_hand=False, services=("simulation", "recorder"), threads=True) as run:
-        assert run.wait_for("0.00 of", 300.0)
-        run.supervisor.send_signal(number)
+    scene = write_scene(tmp_path, duration=400.0)
+    with Processes(tmp_path) as run:
+        run.supervise(scene, "--no-view")
+        assert run.wait_for("0.00 of")
+        run.children["supervisor"].send_signal(number)
         assert run.wait_end(20.0) < 20.0
-        assert run.code == 1
-        assert run.said.splitlines()[-1] == f"failed: {word}"
-        assert f"the services end in order: {word} (once more, and they end at once)" in run.said
+        assert run.code() == 1
+        assert run.said().splitlines()[-1] == f"failed: {word}"
+        assert f"the services end in order: {word} (once more, and they end at once)" in run.said()
     with nuno.open(run.record) as recording:
         assert recording.metadata["end"]["state"] == "failed"
         last = [frame.number for frame in recording.frames()][-1]

@@ -19,21 +19,21 @@ from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, Recording
 from nuno.recording.recover import recover
+from nuno.scene.files import SceneFiles
 from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
-from nuno_bench.soak.fuzz.files import BVH
-from nuno_bench.soak.fuzz.kind import OneFile
-from nuno_bench.soak.fuzz.kinds import KINDS
-from nuno_bench.soak.fuzz.mutate_containers import CHUNK, MCAP, mcap_record, mcap_records
-from nuno_bench.soak.fuzz.worker import Trial
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.bodies import FIELD, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.field import DistanceField
+from soak.fuzz import KINDS
+from soak.fuzz.containers import CHUNK, MCAP, mcap_record, mcap_records
+from soak.fuzz.files import BVH
+from soak.fuzz.worker import Trial
 
 PATIENCE = 600.0
 """Processor time [s] after which an input is broken off: kernels may have to be compiled."""
 INPUTS = 25
-"""Of each kind; `nuno soak fuzz` tries a hundred thousand, guided by the lines they reach."""
+"""Of each kind; the part `fuzz` of `make soak` tries a hundred thousand, guided by the lines they reach."""
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -72,7 +72,7 @@ def test_motions_of_no_size_or_pace(old: bytes, new: bytes, words: str, tmp_path
 
 def test_a_face_of_a_vertex_that_is_not_there(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
-    files = OneFile(tmp_path / "a.obj")
+    files = SceneFiles(tmp_path)
     for group in ("nuno.models", "nuno.colliders"):
         plugin = registry.load(group, "mesh")
         with pytest.raises(BadInput, match="cannot be read as OBJ"):
@@ -140,7 +140,7 @@ def test_lines_that_are_no_lines(tmp_path: Path) -> None:
     plugin = registry.load("nuno.operations", "wrinkle")
     lines = [{"points": [[0, 0, 0], [1, 0, 0]], "height": 0.01}, {"file": "none.obj", "height": 0.01}]
     with pytest.raises(BadInput, match="the file holds no lines"):
-        plugin.resolve(plugin.Config(lines=lines), OneFile(tmp_path / "none.obj"))
+        plugin.resolve(plugin.Config(lines=lines), SceneFiles(tmp_path))
 
 
 @pytest.mark.parametrize("number", ["1" + "0" * 400, "1e400", "null", "[]"])
@@ -159,7 +159,7 @@ def test_cloth_with_a_vertex_beyond_all_reckoning(tmp_path: Path) -> None:
     (tmp_path / "far.stl").write_text("solid\nvertex 1e308 1e-320 11\nvertex -1 -1 0.5\nvertex 1 0 0\nendsolid\n")
     plugin = registry.load("nuno.models", "mesh")
     with pytest.raises(BadInput, match="vertex 0: too far away"):
-        plugin.build(plugin.Config(file="far.stl"), OneFile(tmp_path / "far.stl"), 0)
+        plugin.build(plugin.Config(file="far.stl"), SceneFiles(tmp_path), 0)
 
 
 def test_a_number_too_long_to_be_read_is_no_field_that_can_change(tmp_path: Path) -> None:

@@ -15,11 +15,11 @@ from nuno.supervision import runs, supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.wire import sessions
 from nuno.wire.sessions import free_port, hub, spoke
-from nuno_bench.soak import small
-from nuno_bench.soak.hosts.part import differing, digests
-from nuno_bench.soak.hosts.relay import Relay, relay
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import FrameStatus
+from soak import scenes
+from soak.processes import Digests, differing, digests
+from soak.relay import Relay, relay
 
 SERVICES = ("simulation", "collision", "recorder")
 DELAY = 0.001
@@ -30,7 +30,7 @@ class Remote:
     """A run whose services and supervisor each have a way of their own to the hub; one is cut after some frames."""
 
     def __init__(self, folder: Path, cut: str, seconds: float) -> None:
-        self.scene, self.record = small.write(folder, DURATION), folder / "remote.mcap"
+        self.scene, self.record = scenes.sheet(folder, DURATION), folder / "remote.mcap"
         self.loaded = scene_file.read(self.scene)
         self.cut, self.seconds, self.run = cut, seconds, runs.new_id("remote")
         self.ended: dict[str, str] = {}
@@ -57,8 +57,8 @@ class Remote:
             stack.enter_context(hub(f"tcp/127.0.0.1:{port}"))
             at = {}
             for name in (*SERVICES, "supervisor"):
-                self.ways[name], (address,) = stack.enter_context(relay(("127.0.0.1", port), ["127.0.0.1"], DELAY))
-                at[name] = f"tcp/127.0.0.1:{address[1]}"
+                self.ways[name] = stack.enter_context(relay(("127.0.0.1", port), DELAY))
+                at[name] = f"tcp/127.0.0.1:{self.ways[name].address[1]}"
             threads = [threading.Thread(target=self.serve, args=(name, at[name]), daemon=True) for name in SERVICES]
             for thread in threads:
                 thread.start()
@@ -71,16 +71,16 @@ class Remote:
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Digests:
     """Digests of the same scene in one process."""
     folder = tmp_path_factory.mktemp("alone")
-    scene, record = small.write(folder, DURATION), folder / "alone.mcap"
+    scene, record = scenes.sheet(folder, DURATION), folder / "alone.mcap"
     assert main(["run", str(scene), "--record", str(record), "--no-view"]) == 0
     return digests(record)
 
 
 @pytest.mark.parametrize("cut", ["collision", "recorder"])
-def test_a_short_cut_changes_nothing(cut: str, alone: list[str], tmp_path: Path) -> None:
+def test_a_short_cut_changes_nothing(cut: str, alone: Digests, tmp_path: Path) -> None:
     remote = Remote(tmp_path, cut, 0.3)
     assert remote.supervise().problem == ""
     assert remote.cutting is not None, "it was cut"
@@ -89,7 +89,7 @@ def test_a_short_cut_changes_nothing(cut: str, alone: list[str], tmp_path: Path)
 
 @pytest.mark.parametrize("cut", ["collision", "supervisor"])
 def test_a_long_cut_ends_the_run_which_is_resumed_to_the_same_digests(
-    cut: str, alone: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cut: str, alone: Digests, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sessions, "SILENCE_SECONDS", 0.4)
     remote = Remote(tmp_path, cut, 1.5)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from nuno_bench.soak.hosts.relay import relay
+from soak.relay import relay
 
 
 @pytest.fixture
@@ -38,23 +38,23 @@ def there_and_back(address: tuple[str, int], data: bytes) -> bytes:
 
 def test_bytes_come_through_in_order_and_as_late_as_it_says(echo: tuple[str, int]) -> None:
     data = np.random.default_rng(0).bytes(2_000_000)
-    with relay(echo, ["127.0.0.1"], delay=0.05) as (line, (address,)):
+    with relay(echo, delay=0.05) as line:
         begin = time.monotonic()
-        assert there_and_back(address, data) == data
+        assert there_and_back(line.address, data) == data
         assert time.monotonic() - begin >= 0.1, "each way takes 50 ms"
         assert line.forwarded == 2 * len(data)
 
 
 def test_no_more_than_its_rate_comes_through(echo: tuple[str, int]) -> None:
     data = bytes(400_000)
-    with relay(echo, ["127.0.0.1"], rate=2e6) as (_, (address,)):
+    with relay(echo, rate=2e6) as line:
         begin = time.monotonic()
-        assert there_and_back(address, data) == data
+        assert there_and_back(line.address, data) == data
         assert time.monotonic() - begin >= (400_000 - 2**16) / 2e6
 
 
 def test_a_cut_holds_everything_back_and_loses_nothing(echo: tuple[str, int]) -> None:
-    with relay(echo, ["127.0.0.1"]) as (line, (address,)), socket.create_connection(address, 20.0) as client:
+    with relay(echo) as line, socket.create_connection(line.address, 20.0) as client:
         client.sendall(b"before")
         assert client.recv(100) == b"before"
         cut = threading.Thread(target=line.cut, args=(0.4,))

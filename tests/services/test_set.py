@@ -11,9 +11,9 @@ import yaml
 from nuno.scene import scene_file
 from nuno.scene.override import apply_override
 from nuno.simulation.run import Simulation
-from nuno_bench.soak.same_bits import part as same_bits
-from nuno_bench.soak.same_bits.scenes import CASES
 from nuno_schemas.errors import BadInput
+from soak import same_bits
+from soak.scenes import CASES
 
 WIND = "forces=[{plugin: wind, velocity: [3, 0, 1]}]"
 

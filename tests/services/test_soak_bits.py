@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from nuno_bench.soak.same_bits import part as same_bits
-from nuno_bench.soak.same_bits.run import Seen
+from soak import same_bits
+from soak.same_bits import Seen
 
 
 def test_a_changed_run_has_one_digest_in_every_way() -> None:

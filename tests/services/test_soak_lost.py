@@ -1,4 +1,4 @@
-"""`nuno soak lost` on a small scale, and that it would notice what it is there to notice."""
+"""The part `lost` of `make soak` on a small scale, and that it would notice what it is there to notice."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ import pytest
 from recorded_sheet import metadata
 
 from nuno.recording.writer import RecordingWriter
-from nuno_bench.soak.lost import part as lost
-from nuno_bench.soak.lost.part import KB, MB, Stream, count_lost, measure, need_room
-from nuno_bench.soak.lost.processes import Memory
-from nuno_bench.soak.lost.traffic import payload_of, template
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE, Header
+from soak.lost import KB, MB, Memory, Stream, count_lost, growth, measure, need_room
+from soak.traffic import payload_of, template
 
 
 def test_nothing_is_lost_between_processes_beside_a_hung_subscriber_on_a_slow_disk(tmp_path: Path) -> None:
@@ -42,7 +40,7 @@ def test_what_is_lost_or_changed_is_counted(tmp_path: Path) -> None:
 def test_memory_that_grows_is_not_flat() -> None:
     for samples, verdict in (([100, 110, 105, 109] * 5, "bar met"), (list(range(100, 200)), "missed")):
         memory = Memory(0, [10 * MB * sample for sample in samples])
-        (result,) = lost._growth("case", {"recorder": memory})
+        (result,) = growth("case", {"recorder": memory})
         assert result.verdict == verdict
 
 

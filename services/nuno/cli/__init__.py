@@ -30,7 +30,6 @@ COMMANDS = {
         "measurements: speed, integrators, precision, accuracy, compare, stability, peers",
     ),
     "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
-    "soak": ("nuno_bench.soak.command", "reliability at length: same bits, nothing lost, faults, bad input, access"),
     "gallery": ("nuno_bench.gallery.command", "one page with pictures of all scenes of a kind: dye, knit, wrinkle"),
     "plugins": ("nuno.cli.plugins", "which plugins are installed"),
     "scenes": ("nuno.cli.scenes", "the scenes that come with nuno"),

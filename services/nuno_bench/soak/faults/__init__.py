@@ -1,1 +1,0 @@
-"""What a run makes of services that are killed, and what is left of it."""

@@ -1,1 +1,0 @@
-"""`nuno soak fuzz`: whatever is read is accepted whole or refused in words, soon and in little memory."""

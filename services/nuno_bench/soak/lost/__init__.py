@@ -1,1 +1,0 @@
-"""Nothing lost: messages by the hundred thousand, through the hub into a recording."""

@@ -1,1 +1,0 @@
-"""One scene, one digest, in every way that it can be run."""
