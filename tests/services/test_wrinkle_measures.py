@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno_bench.gallery.wrinkle import KIND, compare
-from nuno_bench.gallery.wrinkle_measures import Drawn, Ridge
+from nuno_bench.gallery.kind import Shown, compare
+from nuno_bench.gallery.wrinkle import DIFFERENCES, KIND
+from nuno_bench.gallery.wrinkle_measures import Drawn
 from nuno_schemas.fabric import Float, Int
 
 STEP = 0.005
@@ -50,15 +51,11 @@ def test_crests_belong_to_the_nearest_line_and_a_line_without_any_has_no_height(
 
 
 def test_what_thins_and_fades_meets_the_bar_and_what_stays_misses() -> None:
-    class One:
-        failed = ""
-
-        def __init__(self, measured: list[tuple[Ridge, Ridge, Ridge]]) -> None:
-            self.measured = measured
-
-    wide, thin, low = Ridge(4e-3, 0.05), Ridge(4e-3, 0.02), Ridge(1e-3, 0.05)
-    rows = compare({"shirt-wrinkles": One([(wide, thin, thin), (wide, low, low)])})  # type: ignore[dict-item]
-    assert [row[-1] for row in rows] == ["bar met", "bar met", "bar met"]
-    rows = compare({"shirt-wrinkles": One([(wide, wide, wide), (wide, wide, wide)])})  # type: ignore[dict-item]
-    assert [row[-1] for row in rows] == ["missed", "missed", "missed"]
+    measures = [measure for one in DIFFERENCES for _, measure in (one.high, one.low)]
+    for values, verdict in (
+        ((0.05, 0.02, 4e-3, 1e-3, 1.0, 0.25), "bar met"),
+        ((0.05, 0.05, 4e-3, 4e-3, 1.0, 1.0), "missed"),
+    ):
+        shown = Shown("shirt-wrinkles", "", measured=dict(zip(measures, values, strict=True)))
+        assert [row[-1] for row in compare(DIFFERENCES, {shown.name: shown})] == [verdict] * 3
     assert "shirt-wrinkles" in KIND.scenes()

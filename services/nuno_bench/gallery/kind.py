@@ -3,51 +3,55 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
+import numpy as np
+
+from nuno import api
+from nuno.recording.reader import Recording, open_recording
 from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
-
-Measured = TypeVar("Measured")
+from nuno_schemas.errors import RunFailed
 
 EFFECT = 1.2
 """Least ratio by which a difference counts as shown."""
-DIFFERENCE_HEADINGS = ("what must show", "measure", "of", "against", "ratio", "verdict")
+DIFFERENCE_HEADINGS = ("what must show", "of", "against", "ratio", "verdict")
 
 
-class Columns(NamedTuple):
-    """Headings of a table, that of the scene first, and a sentence above it."""
+class Difference(NamedTuple):
+    """A measure of one scene that must be above a measure of the same or of another scene."""
 
-    headings: tuple[str, ...]
-    caption: str
+    says: str
+    high: tuple[str, str]
+    low: tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Shown(Generic[Measured]):
-    """A scene that has been run: its pictures, each with what it shows beside the scene's own; its parameters, a row
-    for each table, and its numbers, under their headings; what the kind compares; and why it failed, if it did.
+class Shown:
+    """A scene that has been run: its pictures, each with what it shows beside the scene's own, what was measured, by
+    name and unit, and why it failed, if it did.
     """
 
     name: str
     description: str
-    pictures: list[tuple[str, Picture]]
-    parameters: list[list[str]]
-    numbers: list[str]
-    measured: Measured
+    pictures: list[tuple[str, Picture]] = field(default_factory=list)
+    measured: Mapping[str, float] = field(default_factory=dict)
     failed: str = ""
 
 
 @dataclass(frozen=True)
-class Kind(Generic[Measured]):
+class Kind:
     """Scenes that are shown on one page.
 
     scenes       their files by name, in the page's order
     run_scene    runs one to its end, or to where it fails; raises BadInput
-    compare      rows under DIFFERENCE_HEADINGS, of those differences whose scenes are all there
-    differences  a sentence above these rows
+    differences  what must show
+    measures     a sentence above what was measured
     section      heading under which a scene's pictures stand, by its name
     apart        label of pictures that stand after the others of a section
     """
@@ -55,22 +59,48 @@ class Kind(Generic[Measured]):
     title: str
     lead: str
     scenes: Callable[[], dict[str, Path]]
-    run_scene: Callable[[Path], Shown[Measured]]
-    compare: Callable[[Mapping[str, Shown[Measured]]], list[list[str]]]
-    parameters: tuple[Columns, ...]
-    numbers: Columns
-    differences: str
+    run_scene: Callable[[Path], Shown]
+    differences: Sequence[Difference]
+    measures: str
     section: Callable[[str], str] = str
     apart: str = ""
 
 
-def difference_row(says: str, measure: str, high: tuple[str, float], low: tuple[str, float]) -> list[str]:
-    """A row under DIFFERENCE_HEADINGS: the first value, with where it is from, against the second.
+@contextmanager
+def recorded(path: Path) -> Iterator[tuple[Recording | None, Path, str]]:
+    """Run a scene's file: its recording, None where there is none, a folder to work in, and why it failed."""
+    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+        target, failed = Path(folder) / f"{path.stem}.mcap", ""
+        try:
+            api.run(path, record=target)
+        except RunFailed as error:
+            failed = str(error).removesuffix(f"; recording kept in {target}")
+        if not target.is_file():
+            yield None, Path(folder), failed
+            return
+        with open_recording(target) as recording:
+            yield recording, Path(folder), failed
 
-    The difference shows where the ratio is EFFECT at least. A first value above 0 is infinitely many times a second
-    one that is not; any other is no multiple of anything, and misses, as does a value that could not be measured.
+
+def read_picture(path: Path) -> Picture:
+    """(height, width, 3) sRGB."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def compare(differences: Sequence[Difference], shown: Mapping[str, Shown]) -> list[list[str]]:
+    """Rows under DIFFERENCE_HEADINGS, of those differences whose scenes have all been run.
+
+    A difference shows where the ratio is EFFECT at least. A first value above 0 is infinitely many times a second one
+    that is not; any other is no multiple of anything, and misses, as does a value that could not be measured.
     """
-    (_, more), (_, less) = high, low
-    ratio = math.nan if not more > 0.0 or math.isnan(less) else more / less if less > 0.0 else math.inf
-    sides = [f"{name}: {number(value)}" for name, value in (high, low)]
-    return [says, measure, *sides, number(ratio), "bar met" if ratio >= EFFECT else "missed"]
+    rows = []
+    for says, *sides in differences:
+        if all(scene in shown for scene, _ in sides):
+            more, less = (shown[scene].measured.get(measure, math.nan) for scene, measure in sides)
+            ratio = math.nan if not more > 0.0 or math.isnan(less) else more / less if less > 0.0 else math.inf
+            told = [f"{scene}, {measure}: {number(x)}" for (scene, measure), x in zip(sides, (more, less), strict=True)]
+            rows.append([says, *told, number(ratio), "bar met" if ratio >= EFFECT else "missed"])
+    return rows

@@ -55,12 +55,6 @@ def unevenness(knit: Knitted) -> float:
     return float(heights.max() / heights.min())
 
 
-def course_density(knit: Knitted) -> Float:
-    """(courses,) stitches of each course over its area [1/m^2]; a stitch is two cells wide."""
-    area = _cells(knit)[0]
-    return np.asarray(0.5 * area.shape[1] / area.sum(axis=1))
-
-
 def density_at(knit: Knitted, height: float) -> float:
     """Stitches over area [1/m^2] in the band around a height [m]; NaN where the knit is not."""
     area, level = _cells(knit)

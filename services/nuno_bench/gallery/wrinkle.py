@@ -2,54 +2,36 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from nuno import api
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.export.cloth import Pieces, read_frame
 from nuno.export.pictures import export_picture
-from nuno.recording.reader import Recording, open_recording
+from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import EFFECT, Columns, Kind, Shown, difference_row
-from nuno_bench.gallery.wrinkle_measures import Drawn, Ridge
-from nuno_bench.report.result import number
-from nuno_schemas.dye_picture import Picture
-from nuno_schemas.errors import RunFailed
+from nuno_bench.gallery.kind import Difference, Kind, Shown, read_picture, recorded
+from nuno_bench.gallery.wrinkle_measures import Drawn
 from nuno_schemas.fabric import Float, State
 
 NAMES = ("hung-cloth-wrinkle", "bloom-skirt", "shirt-wrinkles")
 """Figures 4, 5 and 6, and 7 and 8."""
 SIZE = (640, 480)
 STAGES = ("as it was", "just drawn", "half way", "at the end")
-PARAMETERS = ("scene", "vertices", "drawn at [s]", "lines", "heights", "springs", "smoothing passes", "friction")
-NUMBERS = ("scene", "height [mm]", "width [mm]")
-
-Measures = list[tuple[Ridge, Ridge, Ridge]]
-"""Of every line: just drawn, half way, and at the end."""
-
-
-class Difference(NamedTuple):
-    """A line's height or width just drawn is above what it is at the end."""
-
-    says: str
-    scene: str
-    line: int
-    measure: str
-
-
+HEIGHT, WIDTH, KEPT = "height of line {}, {} [mm]", "width of line {}, {} [mm]", "height kept by line {}"
 SHIRT = "shirt-wrinkles"
+"""Whose first line is on the wearer's left, whose second is on the right."""
 DIFFERENCES = (
-    Difference("the left wrinkle thins while it settles", SHIRT, 0, "width"),
-    Difference("the right wrinkle fades", SHIRT, 1, "height"),
-)
+    Difference("the left wrinkle thins while it settles", (SHIRT, WIDTH.format(1, STAGES[1])),
+               (SHIRT, WIDTH.format(1, STAGES[3]))),
+    Difference("the right wrinkle fades", (SHIRT, HEIGHT.format(2, STAGES[1])), (SHIRT, HEIGHT.format(2, STAGES[3]))),
+    Difference("the left one stays where the right one fades", (SHIRT, KEPT.format(1)), (SHIRT, KEPT.format(2))),
+)  # fmt: skip
 
 
 def scenes() -> dict[str, Path]:
@@ -58,24 +40,20 @@ def scenes() -> dict[str, Path]:
     return {name: known[name] for name in NAMES if name in known}
 
 
-def run_scene(path: Path) -> Shown[Measures]:
+def run_scene(path: Path) -> Shown:
     """Run one to its end, or to where it fails, and draw its stages. Raises BadInput."""
     loaded = scene_file.read(path)
-    name, description = loaded.scene.name, loaded.scene.description
-    with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
-        target, failed = Path(folder) / f"{name}.mcap", ""
-        try:
-            api.run(path, record=target)
-        except RunFailed as error:
-            failed = str(error).removesuffix(f"; recording kept in {target}")
-        if failed or not target.is_file():
-            return Shown(name, description, [], [_parameters(loaded, 0)], _numbers(name, []), [], failed)
-        with open_recording(target) as recording:
-            frames = _stages(recording, _operations(loaded), loaded.scene.frame_rate)
-            pictures = _draw(recording, frames, Path(folder) / "picture.png")
-            found = _measure(recording, frames, loaded)
-            parameters = _parameters(loaded, len(frames[STAGES[0]].x) if STAGES[0] in frames else 0)
-    return Shown(name, description, pictures, [parameters], _numbers(name, found), found)
+    shown = loaded.scene.name, loaded.scene.description
+    with recorded(path) as (recording, folder, failed):
+        if failed or recording is None:
+            return Shown(*shown, failed=failed)
+        frames = _stages(recording, _operations(loaded), loaded.scene.frame_rate)
+        pictures = [
+            (f"{label}, {frame.t:.3g} s",
+             read_picture(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
+            for label, frame in frames.items()
+        ]  # fmt: skip
+        return Shown(*shown, pictures, _measure(recording, frames, loaded))
 
 
 def _operations(loaded: Loaded) -> list[dict[str, Any]]:
@@ -94,16 +72,6 @@ def _stages(recording: Recording, operations: list[dict[str, Any]], rate: float)
     return found | {STAGES[1]: read_frame(recording, drawn), STAGES[2]: read_frame(recording, half), STAGES[3]: last}
 
 
-def _draw(recording: Recording, frames: dict[str, Frame], target: Path) -> list[tuple[str, Picture]]:
-    from PIL import Image
-
-    found = []
-    for label, frame in frames.items():
-        with Image.open(export_picture(recording, target, frame.number, SIZE, "cloth")) as image:
-            found.append((f"{label}, {frame.t:.3g} s", np.asarray(image.convert("RGB"))))
-    return found
-
-
 def _raise(loaded: Loaded, before: Frame) -> Float:
     """(n, 3) [m] where the scene's lines raise the cloth, before any step: a frame later it has sunk already."""
     bodies = build_bodies(loaded) if loaded.scene.bodies else None
@@ -116,57 +84,23 @@ def _raise(loaded: Loaded, before: Frame) -> Float:
     return np.asarray(state.x)
 
 
-def _measure(recording: Recording, frames: dict[str, Frame], loaded: Loaded) -> Measures:
-    """Of every line that is given by points and drawn while the scene goes on; else none."""
+def _measure(recording: Recording, frames: dict[str, Frame], loaded: Loaded) -> dict[str, float]:
+    """Of every line that is given by points and drawn while the scene goes on."""
     operations = _operations(loaded)
     lines = [np.array(line["points"], float) for one in operations for line in one["lines"] if "points" in line]
     if not lines or STAGES[0] not in frames:
-        return []
+        return {}
     fabric, drawn = recording.last_checkpoint().fabric, frames[STAGES[1]]
     crests = np.concatenate([fabric[f"fabric/crests/{i}"] for i in range(len(operations))], axis=1)
-    raised = _raise(loaded, frames[STAGES[0]])
-    found = Drawn(raised, Pieces(recording).at(drawn.t)[0].faces, crests, lines)
-    stages = (raised, frames[STAGES[2]].x, frames[STAGES[3]].x)
-    return list(zip(*(found.measure(x) for x in stages), strict=True))
-
-
-def _parameters(loaded: Loaded, vertices: int) -> list[str]:
-    """A row under PARAMETERS."""
-    operations = _operations(loaded)
-    lines = [line for one in operations for line in one["lines"]]
-    return [
-        loaded.scene.name, f"{vertices:,}" if vertices else "", ", ".join(f"{one['at']:g}" for one in operations),
-        str(len(lines)), ", ".join(dict.fromkeys(str(line["height"]) for line in lines)),
-        ", ".join(dict.fromkeys(one.get("springs", "paper") for one in operations)),
-        ", ".join(dict.fromkeys(str(one.get("smoothing", {}).get("passes", "")) or "8" for one in operations)),
-        ", ".join(f"{body.friction:g}" for body in loaded.scene.bodies),
-    ]  # fmt: skip
-
-
-def _numbers(name: str, found: Measures) -> list[str]:
-    """A row under NUMBERS: of each line in turn, how it went through the stages."""
-
-    def told(measure: str) -> str:
-        ways = ([number(1e3 * float(getattr(ridge, measure))) for ridge in line] for line in found)
-        return "; ".join(" → ".join(way) for way in ways)
-
-    return [name, told("height"), told("width")]
-
-
-def compare(shown: Mapping[str, Shown[Measures]]) -> list[list[str]]:
-    """Rows under DIFFERENCE_HEADINGS, of scenes that were measured."""
-    rows = []
-    for one in DIFFERENCES:
-        if one.scene in shown and len(shown[one.scene].measured) > one.line:
-            first, _, last = shown[one.scene].measured[one.line]
-            sides = [(stage, 1e3 * float(getattr(ridge, one.measure))) for stage, ridge in
-                     ((STAGES[1], first), (STAGES[3], last))]  # fmt: skip
-            rows.append(difference_row(one.says, f"{one.measure} [mm]", sides[0], sides[1]))
-    if SHIRT in shown and len(shown[SHIRT].measured) > 1:
-        left, right = (last.height / first.height for first, _, last in shown[SHIRT].measured[:2])
-        sides = [("left", left), ("right", right)]
-        rows.append(difference_row("the left one stays where the right one fades", "height kept", *sides))
-    return rows
+    places = {STAGES[1]: _raise(loaded, frames[STAGES[0]])} | {stage: frames[stage].x for stage in STAGES[2:]}
+    ridges = Drawn(places[STAGES[1]], Pieces(recording).at(drawn.t)[0].faces, crests, lines)
+    found: dict[str, float] = {}
+    for stage, x in places.items():
+        for i, ridge in enumerate(ridges.measure(x), 1):
+            found |= {HEIGHT.format(i, stage): 1e3 * ridge.height, WIDTH.format(i, stage): 1e3 * ridge.width}
+    for i in range(1, len(lines) + 1):
+        found[KEPT.format(i)] = found[HEIGHT.format(i, STAGES[3])] / found[HEIGHT.format(i, STAGES[1])]
+    return found
 
 
 KIND = Kind(
@@ -174,13 +108,7 @@ KIND = Kind(
     lead="Ridges and valleys drawn on cloth, at the stages of the wrinkle paper's figures 4 to 8.",
     scenes=scenes,
     run_scene=run_scene,
-    compare=compare,
-    parameters=(Columns(PARAMETERS, "Lines with their heights, the rule of new springs, and friction on the body."),),
-    numbers=Columns(
-        NUMBERS,
-        "Height: over the chord across the wrinkle, from cloth to cloth where nothing was smoothed. Width: along that "
-        "chord, at half the height. Of each line that is given by points and drawn while the scene goes on: as it is "
-        "raised, before any step, half way, and at the end.",
-    ),
-    differences=f"What the paper says of its figure 8, as a ratio of two measures; at least {EFFECT:g} is asked for.",
+    differences=DIFFERENCES,
+    measures="Height: over the chord across the wrinkle, from cloth to cloth where nothing was smoothed. Width: along "
+    "that chord, at half the height. Just drawn is as it is raised, before any step.",
 )
