@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run every setting, print the table, write page, CSV and JSON. A peer that breaks is a finding."""
+    """Run every setting, print the table, write page and JSON. A peer that breaks is a finding."""
     plots.require_matplotlib()
     kinds = choose(args.only)
     left_out = leave_out(kinds, args.only)
@@ -89,11 +89,11 @@ def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
 
 
 def stiff_sheet(overrides: Sequence[str] = ()) -> Sheet:
-    """The shipped scene. Its sheet is 1 m wide and high, so that its texture coordinates are metres."""
+    """The shipped scene's sheet as plain arrays."""
     simulation = Simulation(scene_file.read(scene_file.find(stiff.SCENE), tuple(overrides)), None, None, 1)
     fabric, system = simulation.fabric, simulation.system
     springs = fabric.springs
-    assert springs is not None and fabric.uv is not None
+    assert springs is not None
     return Sheet(
         x=fabric.position.copy(),
         mass=fabric.mass,
@@ -102,8 +102,6 @@ def stiff_sheet(overrides: Sequence[str] = ()) -> Sheet:
         k=springs.per_spring(springs.k),
         rest=springs.per_spring(springs.rest),
         c=springs.per_spring(springs.c),
-        faces=fabric.faces.astype(np.int64),
-        flat=fabric.uv.astype(np.float64),
         gravity=np.asarray(system.gravity, np.float64),
         drag=np.full((), system.damping),
     )

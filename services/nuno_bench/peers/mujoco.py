@@ -1,7 +1,7 @@
-"""MuJoCo: the sheet's springs as edges of 1D flexes or as tendons, and its fabric as a 2D flex.
+"""MuJoCo: the sheet's springs as edges of 1D flexes, or as tendons.
 
 Every vertex is a body on three slides, as MuJoCo's own `flexcomp` makes them; a pinned one has none.
-https://mujoco.readthedocs.io, XML reference: flex/edge, flex/elasticity, tendon/spatial, option/integrator.
+https://mujoco.readthedocs.io, XML reference: flex/edge, tendon/spatial, option/integrator.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ import numpy as np
 from nuno_bench.peers.problem import Sheet
 from nuno_schemas.fabric import Float
 
-THICKNESS = 1e-3
-"""Of the 2D flex [m]: a fabric's; it matters for bending only."""
 QUIET = '<contact contype="0" conaffinity="0" selfcollide="none"/>'
 
 
@@ -103,30 +101,6 @@ class Tendons(_MuJoCo):
             own = f'springlength="{float(rest)!r}" stiffness="{float(k)!r}" damping="{float(c)!r}"'
             lines.append(f'<spatial {own}><site site="s{i}"/><site site="s{j}"/></spatial>')
         return f"<tendon>{''.join(lines)}</tendon>"
-
-
-class Membrane(_MuJoCo):
-    """A 2D flex of an isotropic fabric as stiff as the springs along the threads, stepped implicitly.
-
-    Springs k (structural), s (shear) and b (two apart) on a square lattice make a membrane of
-    C11 = k + s + 4 b, C12 = s, C66 = s [N/m]. An isotropic one has E t = C11 (1 - nu^2), nu = C12 / C11, and
-    so resists shear by E t / (2 (1 + nu)), 1.8 times what the springs do.
-    """
-
-    def __init__(self, sheet: Sheet, dt: float) -> None:
-        super().__init__(sheet, dt, "discrete")
-
-    def _elastic(self) -> str:
-        k, s, b = sorted(np.unique(self.sheet.k), reverse=True)
-        along, poisson = k + s + 4.0 * b, s / (k + s + 4.0 * b)
-        young = along * (1.0 - poisson * poisson) / THICKNESS
-        lag = np.max(self.sheet.c[self.sheet.k == k]) / k
-        body = " ".join(f"v{i}" for i in range(len(self.sheet.x)))
-        element = " ".join(map(str, self.sheet.faces.reshape(-1)))
-        material = f'young="{float(young)!r}" poisson="{float(poisson)!r}" thickness="{THICKNESS}"'
-        inner = f'<elasticity {material} damping="{float(lag)!r}" elastic2d="stretch"/>{QUIET}'
-        flex = f'<flex name="sheet" dim="2" radius="1e-4" body="{body}" element="{element}">{inner}</flex>'
-        return f"<deformable>{flex}</deformable>"
 
 
 def _text(values: Float) -> str:

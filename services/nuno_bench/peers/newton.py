@@ -1,6 +1,6 @@
-"""Newton, on the processor: the sheet's springs by three of its solvers, its fabric by Style3D.
+"""Newton, on the processor: the sheet's springs by three of its solvers.
 
-https://newton-physics.github.io/newton, examples cloth_hanging and cloth_style3d.
+https://newton-physics.github.io/newton, example cloth_hanging.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ RADIUS = 1e-4
 
 
 class _Newton:
-    def __init__(self, sheet: Sheet, dt: float) -> None:
+    solver_name: str
+
+    def __init__(self, sheet: Sheet, dt: float, **options: int) -> None:
         import newton
         import warp
 
         warp.config.quiet = True
         warp.set_device("cpu")
         self.newton, self.warp, self.sheet, self.dt, self.remark = newton, warp, sheet, dt, ""
-        self.contacts: Any = None
+        self.options = options
         builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=warp.vec3(*sheet.gravity))
         self._build(builder)
         self.model = builder.finalize()
@@ -35,27 +37,21 @@ class _Newton:
     def _build(self, builder: Any) -> None:
         sheet, vec3 = self.sheet, self.warp.vec3
         places, still = [vec3(*place) for place in sheet.x], [vec3(0.0, 0.0, 0.0)] * len(sheet.x)
-        builder.add_particles(places, still, self._masses(), radius=[RADIUS] * len(sheet.x))
+        masses = (sheet.mass * sheet.free).tolist()  # 0 holds a particle
+        builder.add_particles(places, still, masses, radius=[RADIUS] * len(sheet.x))
         for (i, j), k, c in zip(sheet.pairs.tolist(), sheet.k.tolist(), sheet.c.tolist(), strict=True):
             builder.add_spring(i, j, k, c, 0.0)
 
-    def _masses(self) -> list[float]:
-        """0 holds a particle."""
-        masses: list[float] = (self.sheet.mass * self.sheet.free).tolist()
-        return masses
-
-    def _solver(self) -> Any:
-        raise NotImplementedError
-
     def reset(self) -> None:
         self.now, self.next = self.model.state(), self.model.state()
-        self.control, self.solver = self.model.control(), self._solver()
+        self.control = self.model.control()
+        self.solver = getattr(self.newton.solvers, self.solver_name)(self.model, **self.options)
 
     def advance(self, seconds: float) -> Float:
         for _ in range(max(1, round(seconds / self.dt))):
             # On the processor Warp's arrays are NumPy's: this is the drag's force.
             np.multiply(self.now.particle_qd.numpy(), self.drag, out=self.now.particle_f.numpy())
-            self.solver.step(self.now, self.next, self.control, self.contacts, self.dt)
+            self.solver.step(self.now, self.next, self.control, None, self.dt)
             self.now, self.next = self.next, self.now
         x = np.asarray(self.now.particle_q.numpy(), np.float64)
         if not np.isfinite(x).all():
@@ -66,73 +62,23 @@ class _Newton:
 class SemiImplicit(_Newton):
     """Springs, explicit: symplectic Euler."""
 
-    def _solver(self) -> Any:
-        return self.newton.solvers.SolverSemiImplicit(self.model)
+    solver_name = "SolverSemiImplicit"
 
 
 class XPBD(_Newton):
     """Springs as compliant constraints, corrected all at once."""
 
-    def __init__(self, sheet: Sheet, dt: float, iterations: int) -> None:
-        self.iterations = iterations
-        super().__init__(sheet, dt)
-
-    def _solver(self) -> Any:
-        return self.newton.solvers.SolverXPBD(self.model, iterations=self.iterations)
+    solver_name = "SolverXPBD"
 
 
 class VBD(_Newton):
     """Springs by vertex block descent, in colours of vertices that no spring joins."""
 
-    def __init__(self, sheet: Sheet, dt: float, iterations: int) -> None:
-        self.iterations = iterations
-        super().__init__(sheet, dt)
+    solver_name = "SolverVBD"
 
     def _build(self, builder: Any) -> None:
         super()._build(builder)
         builder.set_coloring(colour(self.sheet))
-
-    def _solver(self) -> Any:
-        return self.newton.solvers.SolverVBD(self.model, iterations=self.iterations)
-
-
-class Style3D(_Newton):
-    """Triangles of a woven fabric, by projective dynamics with conjugate gradients."""
-
-    def __init__(self, sheet: Sheet, dt: float, iterations: int, linear_iterations: int) -> None:
-        self.config = {"iterations": iterations, "linear_iterations": linear_iterations}
-        super().__init__(sheet, dt)
-
-    def _build(self, builder: Any) -> None:
-        from newton.solvers import style3d
-
-        sheet, vec3 = self.sheet, self.warp.vec3
-        self.newton.solvers.SolverStyle3D.register_custom_attributes(builder)
-        k, s, b = sorted(np.unique(sheet.k).tolist(), reverse=True)
-        area = 0.5 * np.abs(np.linalg.det(sheet.flat[sheet.faces[:, 1:]] - sheet.flat[sheet.faces[:, :1]])).sum()
-        style3d.add_cloth_mesh(
-            builder,
-            pos=vec3(0.0, 0.0, 0.0),
-            rot=self.warp.quat_identity(),
-            vel=vec3(0.0, 0.0, 0.0),
-            vertices=[vec3(*place) for place in sheet.x],
-            indices=sheet.faces.reshape(-1).tolist(),
-            density=float(sheet.mass.sum() / area),
-            panel_verts=[self.warp.vec2(*place) for place in sheet.flat],
-            tri_aniso_ke=vec3(k + s + 4.0 * b, k + s + 4.0 * b, s),
-            edge_aniso_ke=vec3(0.0, 0.0, 0.0),
-            particle_radius=RADIUS,
-        )
-        builder.particle_mass[:] = self._masses()
-
-    def _solver(self) -> Any:
-        solvers = self.newton.solvers
-        flags = self.model.particle_flags.numpy()
-        flags[self.sheet.pinned] &= ~int(self.newton.ParticleFlags.ACTIVE)
-        self.model.particle_flags.assign(flags)
-        solver = solvers.SolverStyle3D(self.model, config=solvers.SolverStyle3D.Config(**self.config))
-        solver.collision = None
-        return solver
 
 
 def colour(sheet: Sheet) -> list[NDArray[np.int32]]:

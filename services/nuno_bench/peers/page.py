@@ -1,12 +1,11 @@
-"""What `nuno bench peers` found, as a page, a table for the screen and documentation, CSV and JSON."""
+"""What `nuno bench peers` found, as a page, a table for the screen and documentation, and JSON."""
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -93,75 +92,53 @@ def verdicts(found: Found) -> list[str]:
     return texts + ([f"Accurate and done at no setting shown: {', '.join(never)}."] if never else [])
 
 
+def tables(found: Found) -> dict[str, page.Table]:
+    """All that is found, under the headings of the page."""
+    posed = page.Table(("peer", "what it is given"), [[kind.name, kind.posed] for kind in found.kinds],
+                       "Material and method.", prose=True)  # fmt: skip
+    parts = {"All settings": page.Table(HEADINGS, rows(found), JUDGED)}
+    if told := notes(found):
+        parts["Notes"] = page.Table(NOTES, told, "Failures, and what engines say.", prose=True)
+    return parts | {"What each is given": posed}
+
+
 def sections(found: Found) -> list[str]:
     """Parts for the documentation."""
-    posed = [[kind.name, kind.posed] for kind in found.kinds]
-    return [
-        " ".join([*verdicts(found), *(f"{text}." for text in found.left_out)]),
-        markdown.table(HEADINGS, rows(found)),
-        JUDGED,
-        *([markdown.table(NOTES, notes(found))] if notes(found) else []),
-        markdown.table(("peer", "what it is given"), posed),
-    ]
+    parts = [" ".join([*verdicts(found), *(f"{text}." for text in found.left_out)])]
+    for table in tables(found).values():
+        parts += [table.caption, markdown.table(table.headings, table.rows)]
+    return parts
 
 
 def versions(packages: Iterable[str]) -> str:
     names = [name for package in dict.fromkeys(packages) for name in PACKAGES.get(package, (package,))]
-    return ", ".join(f"{name} {_version(name)}" for name in names) or "none"
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "of unknown version"
+    return ", ".join(f"{name} {version(name)}" for name in names) or "none"
 
 
 def data(found: Found, about: Mapping[str, str]) -> dict[str, Any]:
     """All that was found, for JSON."""
     points = [asdict(p) | {"accurate": accurate(p), "median": p.median if p.seconds else None} for p in found.points]
-    posed = {kind.name: kind.posed for kind in found.kinds}
     judged = {"centre_of_mass_m": CENTRE, "mean_strain": STRAIN, "reference": REFERENCE[0]}
-    judged |= {"reference_seconds": found.exact_seconds}
     return {
-        "about": dict(about),
-        "accuracy": judged,
-        "points": points,
-        "left_out": list(found.left_out),
-        "posed": posed,
-    }
+        "about": dict(about), "accuracy": judged | {"reference_seconds": found.exact_seconds}, "points": points,
+        "left_out": list(found.left_out), "posed": {kind.name: kind.posed for kind in found.kinds},
+    }  # fmt: skip
 
 
-def write(base: Path, found: Found, about: Mapping[str, str]) -> tuple[Path, Path, Path]:
-    """Page, CSV (a line per point and repeat) and JSON."""
-    html, table, raw = (base.with_name(base.name + ending) for ending in (".html", ".csv", ".json"))
+def write(base: Path, found: Found, about: Mapping[str, str]) -> tuple[Path, Path]:
+    """Page and JSON."""
+    html, raw = base.with_name(f"{base.name}.html"), base.with_name(f"{base.name}.json")
     raw.write_text(json.dumps(data(found, about), indent=1) + "\n", encoding="utf-8")
-    with table.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["peer", "setting", "repeat", "seconds", "start", "centre_m", "strain", "peak", "failure"])
-        for p in found.points:
-            score = (p.score.centre, p.score.strain, p.score.peak) if p.score else ("", "", "")
-            for repeat, seconds in enumerate(p.seconds or ("",)):
-                writer.writerow([p.kind, p.setting, repeat, seconds, p.start, *score, p.failure])
-    html.write_text(_page(found, about), encoding="utf-8")
-    return html, table, raw
-
-
-def _page(found: Found, about: Mapping[str, str]) -> str:
     caption = (
         f"Line across: {1e3 * CENTRE:g} mm, which is accurate enough. Hollow: the mean strain is off by more than "
         f"{STRAIN:.0%}. Solid curves: ours. Bars across: all repeats. Crosses above: failed, at the time taken, or "
         "at the left edge where none was."
     )
-    posed = [[kind.name, kind.posed] for kind in found.kinds]
     parts: list[tuple[str, Sequence[page.Part]]] = [
         ("", [" ".join(verdicts(found)), page.Figure(error_over_time(found.points), caption)]),
-        ("All settings", [page.Table(HEADINGS, rows(found), JUDGED)]),
-        ("What each is given", [page.Table(("peer", "what it is given"), posed, "Material and method.", prose=True)]),
+        *((heading, [table]) for heading, table in tables(found).items()),
+        *([("Left out", list(found.left_out))] if found.left_out else []),
+        ("Made by", [page.Facts(about)]),
     ]
-    if notes(found):
-        parts.insert(2, ("Notes", [page.Table(NOTES, notes(found), "Failures, and what engines say.", prose=True)]))
-    if found.left_out:
-        parts.append(("Left out", list(found.left_out)))
-    parts.append(("Made by", [page.Facts(about)]))
-    return page.render("The stiff sheet in other engines", LEAD, parts)
+    html.write_text(page.render("The stiff sheet in other engines", LEAD, parts), encoding="utf-8")
+    return html, raw

@@ -20,12 +20,11 @@ SECONDS = 1.0
 
 @dataclass(frozen=True)
 class Sheet:
-    """Vertices, springs and triangles of a sheet at rest.
+    """Vertices and springs of a sheet at rest.
 
     x       (n, 3) positions [m], in which every spring has its rest length
     mass    (n,) [kg]; pinned (n,) bool
     pairs   (s, 2) int64; k, rest, c (s,) [N/m, m, N s/m]
-    faces   (f, 3) int64; flat (n, 2) the vertices' places in the plane of the sheet [m]
     gravity (3,) [m/s^2]; drag () a deceleration in proportion to velocity [1/s]
     """
 
@@ -36,8 +35,6 @@ class Sheet:
     k: Float
     rest: Float
     c: Float
-    faces: NDArray[np.int64]
-    flat: Float
     gravity: Float
     drag: Float
 

@@ -93,5 +93,5 @@ def _fabric(sheet: Sheet) -> Fabric:
     """The sheet as our own data, a run of one spring each."""
     one, kind = np.ones(len(sheet.pairs), np.int32), np.zeros(len(sheet.pairs), np.int8)
     springs = Springs(sheet.pairs.astype(np.int32), one, one, sheet.k, sheet.rest, sheet.c, kind)
-    faces = sheet.faces.astype(np.int32)
-    return Fabric("sheet", sheet.x, np.zeros_like(sheet.x), sheet.mass, sheet.pinned, faces, springs)
+    none = np.zeros((0, 3), np.int32)
+    return Fabric("sheet", sheet.x, np.zeros_like(sheet.x), sheet.mass, sheet.pinned, none, springs)
