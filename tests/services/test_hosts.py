@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from relay import Relay, relay
 
 from nuno.cli import main
 from nuno.scene import scene_file
@@ -19,7 +20,6 @@ from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import FrameStatus
 from soak import scenes
 from soak.processes import Digests, differing, digests
-from soak.relay import Relay, relay
 
 SERVICES = ("simulation", "collision", "recorder")
 DELAY = 0.001

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-
-from soak.relay import relay
+from relay import relay
 
 
 @pytest.fixture
