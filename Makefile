@@ -22,7 +22,7 @@ bench: .venv/dev.stamp  ## speed against the measured bars, and the skirt paper'
 	$(BIN)/nuno bench integrators skirt-paper
 
 soak: .venv/dev.stamp  ## reliability at length, into its page: hours
-	PYTHONPATH=tests $(BIN)/python -m soak --docs docs/reliability.md $(ARGS)
+	PYTHONPATH=tests:tests/services $(BIN)/python -m soak --docs docs/reliability.md $(ARGS)
 
 lock: | .venv/bin/python  ## versions and hashes of all that a container installs
 	$(BIN)/python -m pip install --disable-pip-version-check uv

@@ -7,7 +7,7 @@ import random
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +15,6 @@ from pathlib import Path
 import psutil
 
 from nuno.recording.reader import open_recording
-from nuno.wire.sessions import free_port
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import BadInput, RunFailed
 from soak import scenes
@@ -85,16 +84,11 @@ def started(scene: Path, by_hand: bool) -> Iterator[Processes]:
     """A run with every service, by `nuno run` or by hand, which leaves no process and no file behind."""
     try:
         with Processes(scene.parent) as live:
-            alike = ("--threads", 1)
             view = ("--save", live.record.with_suffix(".rrd"))
             if by_hand:
-                endpoint = f"tcp/127.0.0.1:{free_port()}"
-                live.route(endpoint)
-                reach: dict[str, Sequence[object]] = dict.fromkeys(SERVICES, ("--connect", endpoint, *alike))
-                seeing = dict.fromkeys(("viewer", "supervisor"), (*reach["viewer"], *view))
-                live.serve(scene, reach | seeing)
+                live.serve(scene, SERVICES, "--threads", 1, viewer=view)
             else:
-                live.supervise(scene, "--processes", *alike, *view)
+                live.supervise(scene, "--processes", "--threads", 1, *view)
             yield live
     finally:
         for path in scene.parent.glob(f"{live.run}*"):

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
 
@@ -18,6 +18,7 @@ import psutil
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import part_of
 from nuno.supervision import runs
+from nuno.wire.sessions import free_port
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import DYE_STATUS, STATUS
 
@@ -78,21 +79,18 @@ class Processes:
         """`nuno run`, recorded."""
         self.start("supervisor", "run", scene, "--run", self.run, "--record", self.record, *words)
 
-    def route(self, endpoint: str, *words: object) -> None:
-        """The hub of services that are started by hand. Raises RunFailed."""
-        self.start("router", "serve", "router", "--listen", endpoint, *words)
+    def serve(self, scene: Path, services: Sequence[str], *words: object, viewer: Sequence[object] = ()) -> None:
+        """A router, each service and the supervisor by hand; `viewer` is for it alone. Raises RunFailed."""
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.start("router", "serve", "router", "--listen", endpoint)
         if not self.wait_for("router at", "router"):
             raise RunFailed(f"the router did not start: {self.said('router')}")
-
-    def serve(self, scene: Path, reach: Mapping[str, Sequence[object]]) -> None:
-        """Each role of `reach`, the supervisor last, with words of its own that tell it where the hub is."""
-        seen = [word for name in SEEING if name in reach for word in ("--must-see", name)]
-        for role, words in reach.items():
-            if role == "supervisor":
-                self.supervise(scene, *words)
-            else:
-                common = ["serve", role, scene, "--run", self.run, "--record", self.record, *words]
-                self.start(role, *common, *(seen if role in ("simulation", "viewer") else []))
+        common = (scene, "--run", self.run, "--record", self.record, "--connect", endpoint, *words)
+        seen = [word for name in SEEING if name in services for word in ("--must-see", name)]
+        for name in services:
+            more = seen if name in ("simulation", "viewer") else []
+            self.start(name, "serve", name, *common, *more, *(viewer if name == "viewer" else ()))
+        self.start("supervisor", "run", *common, *viewer)
 
     def said(self, *roles: str) -> str:
         """All that processes of these roles have said; of all, where none is named."""
@@ -127,10 +125,11 @@ class Processes:
     def wait_end(self, patience: float = HUNG) -> float:
         """Seconds until no process of the run is left but the router; `patience` where some remain."""
         begin = time.monotonic()
-        while any(role != "router" for role, _ in self.processes()):
-            if time.monotonic() > begin + patience:
-                return patience
-            time.sleep(POLL)
+        while left := [process for role, process in self.processes() if role != "router"]:
+            while any(map(alive, left)):  # to look through all of a machine's processes takes longer
+                if time.monotonic() > begin + patience:
+                    return patience
+                time.sleep(POLL)
         for role, reader in self._readers.items():
             reader.join(0.0 if role == "router" else 1.0)
         return time.monotonic() - begin
@@ -144,7 +143,8 @@ class Processes:
     def stop(self) -> list[str]:
         """Kill whatever is left, the stopped as well; the roles of what was, but for the router."""
         left = self.processes()
-        for _, process in left:
+        family = [other for _, process in left for other in children_of(process)]  # a viewer has a group of its own
+        for process in (*(process for _, process in left), *family):
             kill(process)
         for role, child in self.children.items():
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -152,6 +152,18 @@ class Processes:
             child.wait(10.0)
             self._readers[role].join(10.0)
         return [role for role, _ in left if role != "router"]
+
+
+def alive(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error):
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    return False
+
+
+def children_of(process: psutil.Process) -> list[psutil.Process]:
+    with contextlib.suppress(psutil.Error):
+        return list(process.children(recursive=True))
+    return []
 
 
 def kill(process: psutil.Process) -> None:

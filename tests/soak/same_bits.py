@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from live_run import Live
+
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.scene import scene_file
@@ -22,7 +24,6 @@ from nuno.supervision.supervisor import Deployment
 from nuno.verify import verify
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed
-from soak.live import Run
 from soak.processes import Digests, digests
 from soak.scenes import CASES, Case, Changes
 
@@ -123,7 +124,7 @@ def take(loaded: Loaded, way: Way, changes: Changes = ()) -> Seen:
     """Run a scene. Raises RunFailed where it does not end as it should."""
     frames = {*way.pauses, *(frame for frame, _, _ in changes), *([way.stop] if way.stop is not None else [])}
     halts = sorted(frame for frame in frames if way.stop is None or frame <= way.stop)
-    live = Run(loaded, way.options, Deployment(processes=way.processes, paused=bool(halts)), way.core)
+    live = Live(loaded, way.options, Deployment(processes=way.processes, paused=bool(halts)), way.core)
 
     def ask(action: str, **request: object) -> None:
         if not (answer := live.control(action, **request)).get("ok"):

@@ -163,7 +163,11 @@ def main(name: str, folder: Path, runs: int, seconds: float, seed: int) -> None:
         if random.random() < 0.2:
             return bytes(atheris.Mutate(data, longest))
         # What was changed often is seldom near to anything that is accepted.
-        return kind.mutate(random.choice(seeds) if random.random() < 0.4 else data, random)[:longest]
+        try:
+            return kind.mutate(random.choice(seeds) if random.random() < 0.4 else data, random)[:longest]
+        except Exception:  # which libFuzzer would end at, and never come to its end
+            traceback.print_exc()
+            os._exit(1)
 
     arguments = [sys.argv[0], str(corpus), f"-seed={seed + 1}", f"-max_len={kind.longest}", *OPTIONS]
     atheris.Setup(arguments, one, custom_mutator=mutate)
