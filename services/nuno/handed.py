@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.handed_dye import DYE_CHECKS
+from nuno.handed_terms import check_term
 from nuno.wrong import Wrong, check_array, check_number, check_type
 from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
 from nuno_schemas.dye import Cells
@@ -171,22 +172,6 @@ def check_turn(rotation: NDArray[Any]) -> None:
         raise Wrong(f"rotation has length {length[bad[0]]:g} at row {bad[0]}, not 1")
 
 
-def check_term(term: Term) -> None:
-    """A force; arrays of a typed term are its own kernels'."""
-    for name in ("omega_squared", "damping_rate"):
-        check_number(name, getattr(term, name), 0.0)
-    for name, value in term.facts.items():
-        check_number(f"facts[{name!r}]", value, finite=False)
-    if not callable(term.data) and not (isinstance(term.data, tuple) and all(map(_is_typed, term.data))):
-        raise Wrong(
-            f"data is {type(term.data).__name__}, neither a tuple of named tuples nor a function f(x, v, t, out)"
-        )
-
-
-def _is_typed(part: object) -> bool:
-    return isinstance(part, tuple) and hasattr(part, "_fields")
-
-
 def check_memory(memory: Memory) -> None:
     """Memory whose arrays can be kept in a checkpoint."""
     for name, values in memory.arrays.items():
@@ -235,8 +220,8 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
     ("nuno.models", "build"): (Fabric, lambda found, args: check_fabric(found)),
     ("nuno.models", "build_over"): (Fabric, lambda found, args: check_fabric(found)),
     ("nuno.models", "count"): (int, lambda found, args: check_number("it", found, 0)),
-    ("nuno.forces", "prepare"): (Term, lambda found, args: check_term(found)),
-    ("nuno.contacts", "prepare"): (Term, lambda found, args: check_term(found)),
+    ("nuno.forces", "prepare"): (Term, lambda found, args: check_term(found, _of(Fabric, args).number)),
+    ("nuno.contacts", "prepare"): (Term, lambda found, args: check_term(found, _of(Fabric, args).number)),
     ("nuno.motions", "prepare"): (Mover, lambda found, args: check_mover(found)),
     ("nuno.colliders", "build"): (BodyShape, lambda found, args: check_body(found, _of(Mover, args))),
     ("nuno.integrators", "prepare"): (Memory, lambda found, args: check_memory(found)),

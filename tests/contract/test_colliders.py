@@ -56,15 +56,6 @@ def pieces_of(shape, mover, joint):
     return [(shape.a[i], shape.b[i], shape.radius[i]) for i in rows]
 
 
-def assert_layout(shape):
-    p = shape.kind.shape[0]
-    assert (shape.kind.dtype, shape.frame.dtype) == (np.int8, np.int32)
-    assert shape.a.shape == shape.b.shape == (p, 3)
-    assert shape.radius.shape == (p,)
-    assert ((shape.frame >= 0) & (shape.frame < len(shape.frames))).all()
-    assert all(np.isfinite(array).all() for array in (shape.a, shape.b, shape.radius))
-
-
 @pytest.mark.parametrize(
     ("collider", "config", "kind", "a", "b", "radius"),
     [
@@ -77,7 +68,6 @@ def assert_layout(shape):
 def test_single_shapes_follow_the_layout(collider, config, kind, a, b, radius, dancer):
     for mover, frames in ((None, ("world",)), (dancer, dancer.joints)):
         shape = collider().build(config, mover, Anywhere())
-        assert_layout(shape)
         assert shape.frames == frames
         assert shape.kind.tolist() == [kind]
         np.testing.assert_allclose([*shape.a[0], *shape.b[0], shape.radius[0]], [*a, *b, radius], rtol=1e-15)
@@ -122,7 +112,6 @@ def test_a_plane_needs_a_direction():
 
 def test_the_dancer_has_the_papers_pieces(dancer):
     shape = skeleton(dancer, bones=("pelvis", "back", "thigh", "shin"))
-    assert_layout(shape)
     assert len(pieces_of(shape, dancer, "spine")) + len(pieces_of(shape, dancer, "chest")) == 2
     for side in ("left", "right"):
         assert len(pieces_of(shape, dancer, f"{side}_thigh")) == 3
@@ -206,7 +195,6 @@ def test_a_skeleton_without_sense_is_refused():
 def test_zero_length_bones_are_skipped(walker):
     assert "LHipJoint" in walker.joints
     shape = skeleton(walker)
-    assert_layout(shape)
     lengths = np.linalg.norm(shape.b - shape.a, axis=1) + shape.radius
     assert lengths.min() > 0.01
 

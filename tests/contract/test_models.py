@@ -1,9 +1,7 @@
-"""What every model owes: counts, orientation, mass, springs, texture, and refusals by name."""
+"""What models build: counts, orientation, mass, springs, texture, and refusals by name."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -13,75 +11,24 @@ from pydantic import ValidationError
 
 from nuno_cloth.fabrics.presets import PRESETS
 from nuno_cloth.models.mesh import Mesh
-from nuno_cloth.models.net import Net
 from nuno_cloth.models.sheet import Sheet
 from nuno_cloth.models.skirt import Skirt
-from nuno_knit.knit import Knit
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
+from nuno_testing import contract
 
 __all__ = ["files"]
 
 
-EXAMPLES: list[tuple[Any, dict[str, Any]]] = [
-    (Sheet(), {"resolution": (7, 5), "size": ("60 cm", 0.4), "pin": ["top-row", 20]}),
-    (Sheet(), {"resolution": (2, 2)}),
-    (Sheet(), {"resolution": (2, 4), "size": (0.1, 0.3), "pin": ["all-rim"]}),
-    (Sheet(), {"resolution": (3, 3)}),
-    (Skirt(), {"columns": 4, "rows": 2, "fabric": {"density": 0.2, "structural": 30, "bending": 2, "hinge": 1e-6}}),
-    (Sheet(), {"resolution": (2, 2), "fabric": {"density": 0.2, "structural": 30, "shear": 5, "bending": [2, 3]}}),
-    (Skirt(), {"columns": 64, "rows": 24, "fullness": 1.3, "pleats": 8, "attach": {"body": "b", "frame": "hips"}}),
-    (Mesh(), {"file": "sheet.obj", "fabric": "jacket", "pin": [0]}),
-    (Net(), {"file": "net.npz"}),
-    (Knit(), {"wales": 4, "courses": 5, "form": "tube", "pin": ["top-row"]}),
-]
+PLAIN = {"density": 0.2, "structural": 30, "bending": 2}
 
-
-@pytest.mark.parametrize(("model", "config"), EXAMPLES)
-def test_models_keep_the_contract(model: Any, config: dict[str, Any], files: Folder) -> None:
-    fabric = build(model, config, files)
-    n = fabric.number
-    assert n == model.count(model.Config.model_validate(config), files)
-    for array, width in ((fabric.position, 3), (fabric.velocity, 3)):
-        assert array.shape == (n, width) and array.dtype == np.float64 and array.flags.c_contiguous
-    assert fabric.mass.shape == (n,) and fabric.mass.dtype == np.float64 and fabric.mass.min() > 0
-    assert fabric.pinned.shape == (n,) and fabric.pinned.dtype == np.bool_
-    assert fabric.faces.shape[1:] == (3,) and fabric.faces.dtype == np.int32
-    for elements in (fabric.springs, fabric.hinges):
-        if elements is None:
-            continue
-        for field in ("first", "count", "stride"):
-            assert getattr(elements, field).dtype == np.int32
-        indices = elements.pairs() if elements is fabric.springs else elements.quads()  # type: ignore[union-attr]
-        assert indices.min() >= 0 and indices.max() < n
-        corners = np.sort(indices, axis=1)
-        assert (np.diff(corners, axis=1) > 0).all(), "a corner occurs twice"
-        assert len(np.unique(indices, axis=0)) == len(indices)
-    assert fabric.springs is not None
-    pairs = np.sort(fabric.springs.pairs(), axis=1)
-    assert len(np.unique(pairs, axis=0)) == len(pairs), "two springs between the same vertices"
-
-
-@pytest.mark.parametrize(("model", "config"), EXAMPLES)
-def test_models_are_deterministic(model: Any, config: dict[str, Any], files: Folder) -> None:
-    first, second = build(model, config, files), build(model, config, files)
-    for field in fields(first):
-        a, b = getattr(first, field.name), getattr(second, field.name)
-        if isinstance(a, np.ndarray):
-            assert a.tobytes() == b.tobytes(), field.name
-
-
-@pytest.mark.parametrize("model", [Sheet(), Skirt(), Mesh(), Net()])
-def test_unknown_fields_are_refused_by_name(model: Any) -> None:
-    with pytest.raises(ValidationError, match="colour"):
-        model.Config.model_validate({"file": "net.npz", "colour": "red"})
-
-
-@pytest.mark.parametrize("model", [Sheet(), Skirt(), Mesh(), Net()])
-def test_configurations_have_a_json_schema(model: Any) -> None:
-    schema = json.loads(json.dumps(model.Config.model_json_schema()))
-    assert schema["additionalProperties"] is False
-    assert set(schema["properties"]) == set(model.Config.model_fields)
+test_smallest = contract(
+    "nuno.models",
+    sheet={"resolution": [2, 2], "fabric": {**PLAIN, "shear": 5}},
+    skirt={"columns": 4, "rows": 2, "fabric": {**PLAIN, "hinge": 1e-6}},
+)
+test_narrow = contract("nuno.models", sheet={"resolution": [2, 4], "size": [0.1, 0.3], "pin": ["all-rim"]})
+test_small = contract("nuno.models", sheet={"resolution": [3, 3]})
 
 
 @pytest.mark.parametrize(("plane", "normal"), [("xy", (0, 0, 1)), ("xz", (0, 1, 0)), ("yz", (1, 0, 0))])

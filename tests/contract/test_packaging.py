@@ -5,12 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import zipfile
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
-
-from nuno_schemas.plugin import GROUPS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -41,13 +38,3 @@ def test_wheel_holds_every_module_and_scene(wheel: zipfile.ZipFile) -> None:
         assert f"nuno/draw/page/{path.name}" in names
     for path in (ROOT / "scenes").glob("*.yaml"):
         assert f"nuno/scenes/{path.name}" in names
-
-
-@pytest.mark.parametrize("group", sorted(GROUPS))
-def test_every_plugin_answers_to_its_entry_point(group: str) -> None:
-    points = entry_points(group=group)
-    assert points
-    for point in points:
-        plugin = point.load()
-        assert plugin.name == point.name
-        assert plugin.Config.model_config.get("extra") == "forbid"

@@ -132,14 +132,6 @@ def test_feet_stay_and_bones_keep_their_length():
     assert (mover.parents[1:] < np.arange(1, len(mover.joints))).all()
 
 
-def test_rotations_carry_each_bone_to_where_its_joint_is():
-    mover = hula()
-    rotation, x = mover.pose(2.7)
-    carried = np.einsum("jab,jb->ja", rotation_matrices(rotation[mover.parents[1:]]), mover.offsets[1:])
-    np.testing.assert_allclose(x[mover.parents[1:]] + carried, x[1:], atol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(rotation, axis=1), 1.0, rtol=1e-14)
-
-
 def test_a_circle_wider_than_the_legs_reach_is_refused():
     with pytest.raises(BadInput, match="further than the legs reach"):
         hula(amplitude="30 cm")

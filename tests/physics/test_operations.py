@@ -1,13 +1,10 @@
-"""Every operation: the same from the same, arguments left alone, curves that hold together, bad settings refused."""
+"""Every operation on skin: the same from the same, arguments left alone, curves that hold together."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import pytest
 from knit_bodies import knit, wrapped
-from pydantic import ValidationError
 
 from nuno import registry
 from nuno_contact.figures.leg import leg_mesh
@@ -24,32 +21,30 @@ OPERATIONS = [
 X, FACES = leg_mesh(24)
 
 
-def apply(name: str, on_skin: bool, **config: Any) -> tuple[Outcome, list[bytes], list[bytes]]:
+def apply(name: str) -> tuple[Outcome, list[bytes], list[bytes]]:
     """An operation's outcome on a knit, and the bytes of its arguments before and after."""
     operation = registry.load("nuno.operations", name)
     fabric = knit("tube", 8, 15)
-    points = wrapped(X, FACES, 16, 16, 0.1, 0.7, 0.13) if on_skin else fabric.position
+    points = wrapped(X, FACES, 16, 16, 0.1, 0.7, 0.13)
     state, skin = State(points.copy(), 0.0 * points, 0.0), Surface(X.copy(), FACES.copy())
     arrays = [state.x, state.v, skin.vertices, skin.faces, fabric.position]
     before = [array.tobytes() for array in arrays]
-    made = operation.apply(operation.Config.model_validate(config), fabric, state, skin if on_skin else None)
+    made = operation.apply(operation.Config(), fabric, state, skin)
     return made, before, [array.tobytes() for array in arrays]
 
 
-@pytest.mark.parametrize("on_skin", [True, False])
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_arguments_are_left_alone_and_the_same_is_made_again(name: str, on_skin: bool) -> None:
-    (first, before, after), (second, _, _) = apply(name, on_skin), apply(name, on_skin)
+def test_arguments_are_left_alone_and_the_same_is_made_again(name: str) -> None:
+    (first, before, after), (second, _, _) = apply(name), apply(name)
     assert before == after
     assert dict(first.facts) == dict(second.facts)
     if first.curves is not None and second.curves is not None:
         assert first.curves.points.tobytes() == second.curves.points.tobytes()
 
 
-@pytest.mark.parametrize("on_skin", [True, False])
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_curves_hold_together(name: str, on_skin: bool) -> None:
-    made = apply(name, on_skin)[0]
+def test_curves_hold_together(name: str) -> None:
+    made = apply(name)[0]
     curves = made.curves
     if curves is None:
         return
@@ -60,12 +55,6 @@ def test_curves_hold_together(name: str, on_skin: bool) -> None:
     assert len(curves.radius) == len(curves.kind) == curves.number == len(curves.ptr) - 1
     assert set(curves.kind.tolist()) <= set(range(len(curves.names)))
     length = np.linalg.norm(curves.normal, axis=1)
-    assert np.allclose(length, 1.0, atol=1e-12) if on_skin else np.isin(np.round(length, 12), (0.0, 1.0)).all()
+    assert np.allclose(length, 1.0, atol=1e-12)
     assert all(len(values) == n for values in made.arrays.values())
     assert all(np.isfinite(value) for value in made.facts.values())
-
-
-@pytest.mark.parametrize("name", INSTALLED)
-def test_unknown_settings_are_refused_by_name(name: str) -> None:
-    with pytest.raises(ValidationError, match="nonsense"):
-        registry.load("nuno.operations", name).Config.model_validate({"nonsense": 1})

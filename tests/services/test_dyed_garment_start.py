@@ -74,6 +74,6 @@ def test_a_plan_names_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert (
         "on sheet, 0.55 mm x 0.45 mm: 198 cells" in said
         and "72 vertices" in said
-        and "knit and wrinkles: the scene has none" in said
+        and "wrinkles: the scene has none" in said
     )
     assert "720 s of dyeing" in said

@@ -6,6 +6,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from foreign_packages import Packages, packages
 from scenes import BALL, write_scene
@@ -21,12 +22,18 @@ __all__ = ["packages"]
 
 GIVEN = """\
 from dataclasses import replace
+from typing import Annotated, NamedTuple
 from nuno_schemas.bodies import *
 from nuno_schemas.dye import *
 from nuno_schemas.fabric import *
 from nuno_schemas.operation import *
 from nuno_schemas.plugin import *
 from nuno_schemas.yarns import Yarns
+class Typed(NamedTuple):
+    at: Annotated[Float, "m", 3]
+    k: float = 1.0
+    of: Annotated[Int, "n"] | None = None
+    also: Annotated[Float, "m"] = np.zeros(2)
 def cloth():
     x = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0, 0.1], [0.1, 0, 0.1]])
     pairs = np.array([[0, 1], [0, 2], [1, 3], [2, 3], [1, 2]], np.int32)
@@ -66,6 +73,7 @@ SPRINGS = "replace(cloth(), springs=replace(cloth().springs, {}))"
 HINGES = "replace(cloth(), hinges=replace(cloth().hinges, {}))"
 BODY, DRAWN = ("nuno.colliders", "build"), "replace(tetrahedron(), {})"
 MOTION, FORCE, CLOTH = ("nuno.motions", "prepare"), ("nuno.forces", "prepare"), ("nuno.dye_cloths", "build")
+TYPED = "Term('own', (Typed({}),))"
 FAULTS: list[tuple[tuple[str, str], str, str]] = [
     (FABRIC, "None", "it is NoneType, not Fabric"),
     (FABRIC, SPRINGS.format("first=np.array([[0, 1], [0, 2], [1, 4], [2, 3], [1, 2]], np.int32)"),
@@ -111,6 +119,12 @@ FAULTS: list[tuple[tuple[str, str], str, str]] = [
     (FORCE, "Term('python', add, damping_rate=-1.0) if (add := print) else 0", "damping_rate is -1.0, less than 0"),
     (FORCE, "Term('python', 3)", "data is int, neither a tuple of named tuples nor a function f(x, v, t, out)"),
     (FORCE, "Term('wind', (np.zeros(3),))", "data is tuple, neither a tuple of named tuples"),
+    (FORCE, TYPED.format("np.zeros(3)"), "data[0].at is float64 (3,), not float64 (n, 3)"),
+    (FORCE, TYPED.format("np.zeros((2, 3), int)"), "data[0].at is int64 (2, 3), not float64 (n, 3)"),
+    (FORCE, TYPED.format("np.array([[0, 0, 0], [0, np.nan, 0]])"), "data[0].at is nan at row 1"),
+    (FORCE, TYPED.format("np.zeros((2, 3)), np.inf"), "data[0].k is inf"),
+    (FORCE, TYPED.format("np.zeros((2, 3)), 1.0, np.zeros(3, np.int32)"), "data[0].of is int32 (3,), not int32 (4,)"),
+    (FORCE, TYPED.format("np.zeros((2, 3)), (1.0, 2.0)"), "data[0].k is tuple, no number"),
     (CLOTH, "(replace(cells(), porosity=2 * np.ones((2, 3, 4))), amounts())",
      "cells.porosity is 2.0 at row 0, outside 0 to 1"),
     (CLOTH, "(cells(), DyeState(np.zeros((2, 3, 4)), np.zeros((2, 3, 4))))",
@@ -127,6 +141,7 @@ GOOD = [
     (BODY, "tetrahedron()"),
     (MOTION, "mover()"),
     (FORCE, "Term('python', print)"),
+    (FORCE, TYPED.format("np.zeros((2, 3)), 2, np.zeros(4, np.int32)")),
     (CLOTH, "(cells(), amounts())"),
     (("nuno.integrators", "limit"), "StepLimit(np.inf, 1.0, 0.0)"),
     (("nuno.isotherms", "prepare"), "Isotherm('partition', 1.0)"),
@@ -137,9 +152,13 @@ def give(packages: Packages, place: tuple[str, str], result: str) -> Any:
     """What a foreign plugin's method gives."""
     group, method = place
     packages.add("given", GIVEN.format(method=method, result=result), "own = given:Own", group=group)
-    arguments = {"nuno.dye_cloths": (None, None, 0, 1), "nuno.colliders": (None, None, None)}.get(
-        group, (None, None, 0)
-    )
+    x = np.zeros((4, 3))
+    fabric = Fabric("own", x, x, np.ones(4), np.zeros(4, bool), np.zeros((0, 3), np.int32))
+    arguments = {
+        "nuno.dye_cloths": (None, None, 0, 1),
+        "nuno.colliders": (None, None, None),
+        "nuno.forces": (None, fabric, 0),
+    }.get(group, (None, None, 0))
     return getattr(registry.load(group, "own"), method)(*arguments)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from foreign_packages import Packages, packages
+from foreign_packages import Packages, packages, shown
 from scenes import write_scene
 
 import nuno
@@ -19,8 +18,6 @@ from nuno_schemas.fabric import Float
 
 __all__ = ["packages"]
 
-PAGE = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
-SHOWN = next(code for code in re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.M | re.S) if "Magnet" in code)
 PLAIN = """
 
 class Plain(Magnet):
@@ -36,10 +33,6 @@ class Plain(Magnet):
 """
 
 
-def install(packages: Packages) -> None:
-    packages.add("magnets", SHOWN + PLAIN, "magnet = magnets:Magnet", "plain = magnets:Plain")
-
-
 def run(folder: Path, force: str, solver: str, **changed: object) -> nuno.Result:
     forces = [{"plugin": force, "stiffness": 0.02}, {"plugin": "particle_wind", "strength": 1e-3}]
     fields = {"forces": forces, "duration": 0.1, "solver": {"plugin": solver, "dt": 2e-4}} | changed
@@ -48,7 +41,7 @@ def run(folder: Path, force: str, solver: str, **changed: object) -> nuno.Result
 
 @pytest.mark.parametrize("solver", ["symplectic_euler", "implicit_euler"])
 def test_it_does_what_the_same_force_does_in_python(packages: Packages, tmp_path: Path, solver: str) -> None:
-    install(packages)
+    packages.add_shown("magnets", PLAIN, "plain = magnets:Plain")
     fused, plain = (run(tmp_path, force, solver) for force in ("magnet", "plain"))
     still = run(tmp_path, "magnet", solver, forces=[])
     moved: Float = fused.x - still.x
@@ -58,7 +51,7 @@ def test_it_does_what_the_same_force_does_in_python(packages: Packages, tmp_path
 
 def test_its_energy_is_in_the_balance(packages: Packages, tmp_path: Path) -> None:
     """Undamped, without wind: the sum of all kinds changes by what a step of first order loses, not by the pull's."""
-    install(packages)
+    packages.add_shown("magnets", PLAIN, "plain = magnets:Plain")
     forces = [{"plugin": "magnet", "stiffness": 0.02}]
     first, last = run(tmp_path, "magnet", "symplectic_euler", forces=forces).report["energy"]
     change = abs(last["magnet"] - first["magnet"])
@@ -68,7 +61,7 @@ def test_its_energy_is_in_the_balance(packages: Packages, tmp_path: Path) -> Non
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
 def test_it_gives_equal_bytes_for_one_and_two_threads(packages: Packages, tmp_path: Path) -> None:
-    install(packages)
+    packages.add_shown("magnets", PLAIN, "plain = magnets:Plain")
     sheet = {"plugin": "sheet", "size": [0.5, 0.5], "resolution": [66, 66], "fabric": "denim"}
     fields = {"objects": [{"name": "sheet", "model": sheet}], "forces": [{"plugin": "magnet", "stiffness": 0.02}]}
     scene = write_scene(tmp_path, duration=0.02, solver={"plugin": "symplectic_euler", "dt": 5e-5}, **fields)
@@ -79,13 +72,13 @@ def test_it_gives_equal_bytes_for_one_and_two_threads(packages: Packages, tmp_pa
 
 def test_what_changes_in_it_is_compiled_anew(packages: Packages, tmp_path: Path) -> None:
     """By the next process: the kernel that is kept calls it by its type alone, and no name leads there."""
-    install(packages)
+    packages.add_shown("magnets", PLAIN, "plain = magnets:Plain")
     record, source = tmp_path / "run.mcap", packages.folder / "magnets" / "magnets.py"
     scene = write_scene(tmp_path, duration=0.1, forces=[{"plugin": "magnet", "stiffness": 0.02}])
     command = [sys.executable, "-m", "nuno", "run", str(scene), "--no-view", "--record", str(record)]
     ends = []
     for sign in ("+=", "-="):
-        source.write_text(SHOWN.replace("+= pull.stiffness", f"{sign} pull.stiffness"))
+        source.write_text(shown("magnets").replace("+= pull.stiffness", f"{sign} pull.stiffness"))
         subprocess.run(command, env=os.environ | {"PYTHONPATH": str(source.parent)}, check=True, timeout=120)
         with nuno.open(record) as recording:
             ends.append(recording.last_checkpoint().x)

@@ -38,7 +38,7 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         left_out.append("collision service and contact force: the scene has no bodies")
     if scene.view.pictures is not None:
         services.append("render")
-    elif any(spec.model.plugin == "knit" for spec in scene.objects):
+    else:
         left_out.append("render service: view.pictures is not given")
     _plan_outputs(options, services, left_out)
     if not scene.forces:
@@ -47,14 +47,9 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         left_out.append("viscous damping: 0")
     if not any(scene.gravity):
         left_out.append("gravity: 0")
-    knit = any(spec.model.plugin == "knit" for spec in scene.objects)
-    absent = [
-        *(() if scene.dye is not None else ("dye",)),
-        *(() if knit else ("knit",)),
-        *(() if scene.operations else ("wrinkles",)),
-    ]
+    absent = [name for name, part in (("dye", scene.dye), ("wrinkles", scene.operations)) if not part]
     if absent:
-        left_out.append(f"{' and '.join(', '.join(absent).rsplit(', ', 1))}: the scene has none")
+        left_out.append(f"{' and '.join(absent)}: the scene has none")
     return Plan(tuple(services), _must_see(services, options), tuple(left_out))
 
 

@@ -1,0 +1,60 @@
+"""A plugin that is tried, and what all checks need: the content of what it made, and the same made again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from nuno import registry
+from nuno.foreign import Foreign
+from nuno.scene.files import SceneFiles
+from nuno_schemas.plugin import Files
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A plugin with a configuration. It is guarded: what its methods give is held against the layout of their kind."""
+
+    group: str
+    name: str
+    plugin: Any
+    config: BaseModel
+    files: Files
+
+
+def make_subject(group: str, name: str, given: Mapping[str, Any], folder: Path) -> Subject:
+    """The installed plugin of a name. Raises BadInput for an unknown one, ValidationError for wrong fields."""
+    plugin = registry.load(group, name)
+    if not isinstance(plugin, Foreign):
+        plugin = Foreign(plugin, group, name, registry.package_version(group, name))
+    return Subject(group, name, plugin, plugin.Config.model_validate(given), SceneFiles(folder))
+
+
+def content(value: Any) -> Any:
+    """What == compares to the last bit: bytes of arrays, parts of dataclasses and mappings; functions are left out."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if is_dataclass(value):
+        return tuple(content(getattr(value, field.name)) for field in fields(value))
+    if isinstance(value, Mapping):
+        return {key: content(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(content(item) for item in value)
+    return None if callable(value) else value
+
+
+def made_twice(make: Callable[[], Any], *given: Any) -> Any:
+    """What `make` gives, having given the same to the last bit on another thread, and left `given` as it was."""
+    before = content(given)
+    first = make()
+    with ThreadPoolExecutor(1) as other:
+        again = other.submit(make).result()
+    assert content(first) == content(again), "the same arguments gave something else on another thread"
+    assert content(given) == before, "an argument was changed"
+    return first

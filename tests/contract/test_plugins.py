@@ -1,0 +1,81 @@
+"""Every plugin that comes with nuno keeps the contract of its kind."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import pytest
+from model_files import Folder, files
+
+from nuno_schemas.plugin import GROUPS
+from nuno_testing import contract
+
+__all__ = ["files"]
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+TAU3 = {"I": 0.5, "II": 0.05, "III": 0.1, "IV": 1, "V": 0.9}
+WHOLE = {"I": 0.5, "II": 0.05}
+EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
+    "nuno.models": {
+        "sheet": {"resolution": [7, 5], "size": ["60 cm", 0.4], "pin": ["top-row", 20]},
+        "skirt": {"columns": 64, "rows": 24, "fullness": 1.3, "pleats": 8, "attach": {"body": "b", "frame": "hips"}},
+        "shirt": {"over": {"body": "b"}},
+        "mesh": {"file": "sheet.obj", "fabric": "jacket", "pin": [0]},
+        "net": {"file": "net.npz"},
+        "knit": {"wales": 4, "courses": 5, "form": "tube", "pin": ["top-row"]},
+    },
+    "nuno.forces": {"wind": {}, "particle_wind": {"strength": 1e-3}},
+    "nuno.integrators": {
+        name: {}
+        for name in ("euler", "symplectic_euler", "leapfrog", "rk4", "rk4_printed", "dopri5", "dop853",
+                     "implicit_euler", "tr_bdf2", "xpbd")
+    },
+    "nuno.colliders": {
+        "capsule": {"a": [0, 0, 0], "b": ["10 cm", 0, 0], "radius": "3 cm"},
+        "sphere": {"centre": [0, 1, 0], "radius": 0.3},
+        "plane": {"point": [0, "1 mm", 0], "normal": [0, 3, 4]},
+        "box": {"centre": [1, 0, 0], "size": [1, "20 cm", 3]},
+        "skeleton": {},
+        "mesh": {"shape": "leg", "resolution": 24},
+        "sdf": {"shape": "leg", "resolution": 24, "tolerance": "2 mm"},
+    },
+    "nuno.motions": {
+        "keyframes": {"times": [0, 1, 3], "rotations": [[0, 0, 0], [0, 1, 0.5], [1, 0, 0]], "between": "ease"},
+        "bvh": {"file": "walk.bvh"},
+        "hula": {},
+    },
+    "nuno.contacts": {"penalty": {}, "sliding": {}},
+    "nuno.operations": {
+        "pressure": {},
+        "repair": {},
+        "smooth": {},
+        "wrinkle": {"lines": [{"texture": [[0.2, 0.4], [0.8, 0.6]], "height": 0.01}]},
+    },
+    "nuno.renderers": {"raster": {}},
+    "nuno.dye_cloths": {
+        "cells": {"file": "cells.npz", "cell_size": "0.1 mm", "tau3": TAU3},
+        "woven": {"tau3": TAU3},
+        "photograph": {"file": "photo.png", "masks": {"warp": "a.png", "weft": "b.png"}, "tau3": WHOLE},
+    },
+    "nuno.dye_solvers": {"explicit": {}, "rkl2": {}, "implicit": {"residual": 1e-11}},
+    "nuno.dye_pictures": {"yarns": {}, "photograph": {}},
+    "nuno.yarn_pictures": {"yarns": {}, "lines": {}, "density": {}, "map": {}},
+    "nuno.isotherms": {"partition": {"k": 0.7}, "freundlich": {"k": 0.4, "b": 0.35}, "langmuir": {"K": 2.0}},
+}  # fmt: skip
+
+
+@pytest.fixture
+def nuno_folder(files: Folder) -> Path:
+    """A mesh, a net and a motion."""
+    (files.root / "walk.bvh").write_bytes((SCENES / "walk.bvh").read_bytes())
+    return files.root
+
+
+@pytest.mark.parametrize("group", sorted(GROUPS))
+def test_every_plugin_of_a_kind_is_tried(group: str) -> None:
+    assert set(EXAMPLES[group]) == {point.name for point in entry_points(group=group)}
+
+
+for group in GROUPS:
+    globals()[f"test_{group.removeprefix('nuno.')}"] = contract(group, **EXAMPLES[group])

@@ -1,0 +1,105 @@
+"""What the contributors' page shows, in packages of others, as it is written there: solver, collider, contract."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+import yaml
+from foreign_packages import POINTS, Packages, blocks, packages, shown
+from scenes import write_scene
+
+import nuno
+from nuno_schemas.fabric import Float
+from nuno_testing import bodies, forces, integrators
+from nuno_testing.subject import Subject, make_subject
+
+__all__ = ["packages"]
+
+
+def sheet(vertices: int, **fields: Any) -> list[dict[str, Any]]:
+    model = {"plugin": "sheet", "resolution": [vertices, vertices], "plane": "xz", "fabric": "interlock"} | fields
+    return [{"name": "sheet", "model": model}]
+
+
+def end(folder: Path, solver: str, dt: float, **fields: Any) -> nuno.Result:
+    return nuno.run(write_scene(folder, solver={"plugin": solver, "dt": dt}, **fields))
+
+
+def test_the_solver_runs_compiled_to_where_another_goes(packages: Packages, tmp_path: Path) -> None:
+    packages.add_shown("heun3")
+    coarse, fine, exact = (
+        end(tmp_path, solver, dt, duration=0.2).x for solver, dt in (("heun3", 1e-3), ("heun3", 5e-4), ("rk4", 1e-4))
+    )
+    first, second = (float(np.abs(x - exact).max()) for x in (coarse, fine))
+    assert first < 1e-5
+    assert 6.5 < first / second < 9.5  # order 3
+    assert sys.modules["heun3"].advance_heun3.signatures
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+def test_the_solver_gives_equal_bytes_for_one_and_two_threads(packages: Packages, tmp_path: Path) -> None:
+    packages.add_shown("heun3")
+    fields = {"objects": sheet(66, size=[0.5, 0.5]), "duration": 0.02, "forces": [{"plugin": "wind"}]}
+    scene = write_scene(tmp_path, solver={"plugin": "heun3", "dt": 5e-5}, **fields)
+    one, two = (nuno.run(scene, threads=threads) for threads in (1, 2))
+    assert one.report["threads"].startswith("1 thread") and two.report["threads"].startswith("2 threads")
+    assert one.digest == two.digest
+
+
+def test_the_collider_holds_up_a_sheet(packages: Packages, tmp_path: Path) -> None:
+    """What would be 1.2 m lower by now rests on the torus, around it on top, and is nowhere in it."""
+    packages.add_shown("ring")
+    bodies = yaml.safe_load(blocks("yaml")[0])["bodies"]
+    fields = {"objects": sheet(25, size=[0.9, 0.9], centre=[0, 0.06, 0]), "damping": 1.0}
+    x: Float = end(tmp_path, "symplectic_euler", 5e-4, bodies=bodies, **fields).x
+    distance = np.hypot(np.hypot(x[:, 0], x[:, 2]) - 0.3, x[:, 1]) - 0.05
+    assert distance.min() > -1e-3  # the triangles are up to half a millimetre inside of the torus
+    resting = x[(distance < 1e-3) & (x[:, 1] > 0.03)]
+    assert len(resting) > 20
+    assert np.abs(resting.mean(axis=0)).max() < 0.05
+    assert x[:, 1].mean() > -0.2
+
+
+def test_the_lines_shown_hold_all_of_them_to_the_contract(packages: Packages, tmp_path: Path) -> None:
+    for module in POINTS:
+        packages.add_shown(module)
+    (lines,) = (code for code in blocks("python") if "import contract" in code)
+    (tmp_path / "test_mine.py").write_text(lines)
+    path = os.pathsep.join(str(packages.folder / module) for module in POINTS)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path / "test_mine.py")]
+    done = subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, text=True, capture_output=True, timeout=900)
+    assert done.returncode == 0, done.stdout
+    assert "passed" in done.stdout and "failed" not in done.stdout
+
+
+FAULTS: list[tuple[str, dict[str, object], str, str, Callable[[Subject], None]]] = [
+    ("magnets", {"stiffness": 0.02}, "0.5 * pull", "0.6 * pull", forces.it_is_the_downhill_slope_of_its_energy),
+    ("magnets", {"stiffness": 0.02}, "force[row, c] +=", "force[row, c] += v[row, origin + c] +",
+     forces.frames_cut_anywhere_end_in_the_same_bytes),
+    ("heun3", {}, "3 * dt / 4, a", "dt / 2, a", integrators.the_error_falls_with_the_stated_order),
+    ("heun3", {}, "one + h / 3.0", "one + h / 4.0", integrators.one_step_is_the_stated_matrix),
+    ("ring", {"radius": 0.3, "tube": 0.05}, "corner(1, 1), corner(1, 0)", "corner(1, 0), corner(1, 1)",
+     bodies.triangles_face_outwards_within_their_bounds),
+    ("ring", {"radius": 0.3, "tube": 0.05}, "i / AROUND", "i / AROUND + np.random.random()",
+     bodies.it_stands_on_the_joints_of_its_motion),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("module", "fields", "right", "wrong", "check"), FAULTS)
+def test_the_contract_finds_what_is_wrong(
+    packages: Packages, module: str, fields: dict[str, object], right: str, wrong: str, check: Callable[[Subject], None]
+) -> None:
+    group, point, _ = POINTS[module]
+    assert right in shown(module)
+    packages.add(module, shown(module).replace(right, wrong), point, group=group, head="")
+    subject = make_subject(group, point.split(" ")[0], fields, packages.folder)
+    with pytest.raises(AssertionError):
+        check(subject)
