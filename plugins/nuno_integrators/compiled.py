@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -26,7 +26,7 @@ from nuno_kernels.step.packing import call_each, pack, python_terms, silence_bod
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Memory, State
-from nuno_schemas.system import Forces, StepLimit, StepReport, System
+from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term
 
 
 @dataclass
@@ -173,6 +173,18 @@ def _enter(system: System, state: State, work: Work, end: float) -> Any:
     to_rows(state.x, work.x)
     to_rows(state.v, work.v)
     return python_terms(system, state.t, end)
+
+
+def lacking(terms: Sequence[Term], role: str) -> list[str]:
+    """Names of the forces, in Python or by blocks, that have nothing for a role (nuno_kernels.terms)."""
+    return sorted(
+        {
+            term.name
+            for term in terms
+            if callable(term.data)
+            or any(part.block is not None and part.find(role) is None for part in map(kernels_of, term.data))
+        }
+    )
 
 
 def source_of(loop: Any, extra: Any) -> Any:

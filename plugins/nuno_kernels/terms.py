@@ -56,6 +56,9 @@ class Kernels:
     carry(term, x, u, y, w, s)                     of xpbd: displacements u of carried vertices; y, w (3, n) are scratch
     project(term, x, u, y, w, s, inverse_step, mobility, held, threads)   of xpbd: solves for a body; see
                                                    nuno_contact.penalty.projection
+    sweep(batches, batch, x, u, mobility, inverse_step)   of batches of constraints: solves those of one batch, in place
+                                                   in the displacements u (3, n); see nuno_integrators.xpbd.constraints
+    forget(batches)                                of batches of constraints: begins a step without forces
 
     Called from Python:
 
@@ -65,6 +68,8 @@ class Kernels:
     turning(term, before, x, d) -> float           see nuno_kernels.forces.tension.turning_work
     rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear_layout
     elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
+    constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
+                                                   nuno_integrators.xpbd.packing
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
     begin(term, x)                                 before an interval's first step
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
@@ -87,6 +92,8 @@ class Kernels:
     slow: Any = None
     carry: Any = None
     project: Any = None
+    sweep: Any = None
+    forget: Any = None
     fill: Any = None
     diagonal: Any = None
     multiply: Any = None
@@ -97,6 +104,7 @@ class Kernels:
     turning: Any = None
     rows: Any = None
     elements: Any = None
+    constraints: Any = None
     begin: Any = None
     interval: Any = None
     approach: Any = None

@@ -21,8 +21,8 @@ def test_any_number_of_threads_gives_equal_bytes(monkeypatch):
     """Of springs that lie in runs and of others."""
     monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)
     fabric = sheet(66, shuffle=0.5)
-    constraints = pack_constraints(pack(make_system(fabric)), False)
-    assert len(constraints.runs.task) > 50 and constraints.lists.ends.shape[1] > 1000
+    runs, lists, _ = pack_constraints(pack(make_system(fabric)), False).kinds
+    assert len(runs.task) > 50 and lists.ends.shape[1] > 1000
     ends = []
     for threads in (1, 2):
         contact = contact_for(geometry(plane((0, -0.002, 0)), friction=0.3), fabric.mass, 500.0)
@@ -41,14 +41,15 @@ def test_what_is_solved_side_by_side_shares_no_vertex_and_nothing_is_lost(shuffl
     c = pack_constraints(pack(make_system(fabric)), False)
     vertices = [set() for _ in range(int(c.colour[-1]))]
     found = []
-    if c.runs is not None:
+    *runs, lists, hinges = c.kinds
+    for each in runs:
         for batch, group in enumerate(vertices):
-            for i, j, count in c.runs.task[c.runs.start[batch] : c.runs.start[batch + 1], :3]:
+            for i, j, count in each.task[each.start[batch] : each.start[batch + 1], :3]:
                 assert j - i >= 8
                 found += [(i + q, j + q) for q in range(count)]
                 group.update(range(i, i + count), range(j, j + count))
     bent = []
-    for part, out in ((c.lists, found), (c.hinges, bent)):
+    for part, out in ((lists, found), (hinges, bent)):
         for batch, group in enumerate(vertices):
             for p in range(part.start[batch], part.start[batch + 1], 8):
                 lanes = [tuple(part.ends[:, q]) for q in range(p, p + 8) if len(set(part.ends[:, q])) > 1]
@@ -85,7 +86,7 @@ def test_a_vertex_of_a_hundred_springs_is_coloured_too():
     pairs = np.stack([np.zeros(n - 1, np.int32), np.arange(1, n, dtype=np.int32)], 1)
     springs = Springs.from_pairs(pairs, np.full(n - 1, 10.0), np.full(n - 1, 0.9), np.zeros(n - 1))
     system = make_system(make_fabric(x, springs, None, 1e-2))
-    lists = pack_constraints(pack(system), False).lists
+    (lists,) = pack_constraints(pack(system), False).kinds
     assert (lists.ends[0] != lists.ends[1]).sum() == n - 1
     ours = advance(system, 10, 5e-3, iterations=1000)
     exact = advance(system, 10, 5e-3, plugin=ImplicitEuler(), residual=1e-12)

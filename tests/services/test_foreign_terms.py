@@ -1,4 +1,4 @@
-"""The compiled force of another package that the contributors' page shows: fused into the step as nuno's own are."""
+"""Compiled forces of other packages that the contributors' page shows: fused into the step as nuno's own are."""
 
 from __future__ import annotations
 
@@ -85,3 +85,52 @@ def test_what_changes_in_it_is_compiled_anew(packages: Packages, tmp_path: Path)
     assert np.abs(ends[0] - ends[1]).max() > 1e-4
     write_scene(tmp_path, duration=0.1)
     subprocess.run(command, check=True, timeout=120)  # the package is gone, and what was kept of it hinders nobody
+
+
+STITCHES = {"plugin": "stitches", "pairs": [[0, 5], [1, 4]], "stiffness": 2e3}
+LOOSE = """
+
+class Loose(NamedTuple):
+    partner: Annotated[Int, "n"]
+    pairs: Annotated[Int, 2, "p"]
+    stiffness: float
+
+
+register(Loose, name="loose", block=add_stitches, energy=energy_of)
+
+
+class LooseStitches(Stitches):
+    name = "loose"
+
+    def prepare(self, config, fabric, seed):
+        return Term("loose", (Loose(*super().prepare(config, fabric, seed).data[0]),))
+"""
+"""The same force without matrix and constraints."""
+
+
+def sewn(folder: Path, plugin: str, solver: str, dt: float, **settings: object) -> nuno.Result:
+    forces = [STITCHES | {"plugin": plugin}]
+    return nuno.run(write_scene(folder, forces=forces, duration=0.1, solver={"plugin": solver, "dt": dt} | settings))
+
+
+def test_with_its_matrix_newton_takes_fewer_steps_to_the_same_end(packages: Packages, tmp_path: Path) -> None:
+    packages.add_shown("stitches", LOOSE, "loose = stitches:LooseStitches")
+    one, other = (sewn(tmp_path, plugin, "implicit_euler", 5e-3).report for plugin in ("stitches", "loose"))
+    assert 5 * one["totals"]["newton_steps"] < other["totals"]["newton_steps"]
+    assert one["totals"]["halvings"] == 0 < other["totals"]["halvings"]
+    assert "without a matrix, by differences: loose" in other["threads"]
+    assert "without a matrix" not in one["threads"]
+    ends = [sewn(tmp_path, plugin, "implicit_euler", 1e-4, residual=1e-9).x for plugin in ("stitches", "loose")]
+    assert np.abs(ends[0] - ends[1]).max() < 1e-7
+
+
+def test_xpbd_solves_for_its_constraints_at_any_step(packages: Packages, tmp_path: Path) -> None:
+    """To where backward Euler's step ends; without them the step is limited as an explicit solver's is."""
+    packages.add_shown("stitches", LOOSE, "loose = stitches:LooseStitches")
+    one, other = sewn(tmp_path, "stitches", "xpbd", 1e-3, iterations=100), sewn(tmp_path, "loose", "xpbd", 1e-4)
+    exact = sewn(tmp_path, "stitches", "implicit_euler", 1e-3, residual=1e-9)
+    assert np.abs(one.x - exact.x).max() < 1e-7
+    assert one.report["dt_limit"] is None
+    assert other.report["dt_limit"] < 5e-3
+    assert "without a constraint, as at the start of each step: loose" in other.report["threads"]
+    assert "without a constraint" not in one.report["threads"]

@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, Told, Work
+from nuno_integrators.compiled import Compiled, Told, Work, lacking
 from nuno_integrators.explicit.adaptive import cloth_size
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import Stage, compile_stage, limit_approach, make_stage, solve_stage
@@ -87,6 +87,12 @@ class Implicit(Compiled):
         """Nothing limits the step."""
         found = super().limit(config, system, state)
         return StepLimit(float("inf"), found.omega, found.damping)
+
+    def about(self, system: System) -> str:
+        """Threads, and which forces have no matrix of their own in Newton's method."""
+        names = lacking(system.terms, "rows")
+        told = f"; without a matrix, by differences: {', '.join(names)}" if names else ""
+        return super().about(system) + told
 
     def go(self, work: ImplicitWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
         work.stage.solver.counts = Counts()

@@ -31,13 +31,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from numba import prange
-
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import kernel
 from nuno_kernels.forces.hinges import FLAT, cross, dot, listed_corner, minus, times
 from nuno_kernels.lanes.choose import where_greater, where_not_zero
 from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.step.blocks import Long
+from nuno_kernels.terms import each, each_block, register
 from nuno_schemas.fabric import Float, Int
 
 
@@ -59,13 +58,28 @@ class RunBatches(NamedTuple):
     kept: Float | None
 
 
-class ListBatches(NamedTuple):
-    """Springs or hinges by index, in whole vectors without a common vertex.
+class SpringBatches(NamedTuple):
+    """Springs by index, in whole vectors without a common vertex.
 
     start     (batches + 1,) int64  columns of each batch
-    ends      (2, p) or (4, p) int32
-    constants (3, p)                k [N/m], rest [m], c [N s/m]; of hinges k cos(rest), k sin(rest), k [N m]
-    kept      (3, p) or (9, p)      forces [N] on the i ends, or as `sweep_hinges` says; None as above
+    ends      (2, p) int32
+    constants (3, p)                k [N/m], rest [m], c [N s/m]
+    kept      (3, p)                forces [N] on the i ends; None as above
+    """
+
+    start: Long
+    ends: Int
+    constants: Float
+    kept: Float | None
+
+
+class HingeBatches(NamedTuple):
+    """Hinges by index, in whole vectors without a common vertex.
+
+    start     (batches + 1,) int64  columns of each batch
+    ends      (4, p) int32
+    constants (3, p)                k cos(rest), k sin(rest), k [N m]
+    kept      (9, p)                forces [N] as `sweep_hinges` says; None as above
     """
 
     start: Long
@@ -228,37 +242,61 @@ def sweep_hinges(batch: int, x: Any, u: Any, mobility: Any, start: Any, ends: An
 
 
 @kernel
-def solve_batch(
-    batch: int, x: Any, u: Any, mobility: Any, inverse_step: float, runs: Any, lists: Any, hinges: Any
-) -> None:
-    """Solve all of a batch."""
-    if runs is not None:
-        sweep_spring_runs(
-            batch, x, u, mobility, inverse_step, runs.start, runs.task, runs.constants, runs.each, runs.kept
-        )
-    if lists is not None:
-        sweep_spring_lists(batch, x, u, mobility, inverse_step, lists.start, lists.ends, lists.constants, lists.kept)
-    if hinges is not None:
-        sweep_hinges(batch, x, u, mobility, hinges.start, hinges.ends, hinges.constants, hinges.kept)
-
-
-@parallel_kernel
-def solve_colour(
-    first: int, last: int, x: Any, u: Any, mobility: Any, inverse_step: float, runs: Any, lists: Any, hinges: Any
-) -> None:
-    """Solve batches [first, last), which share no vertex, on several threads."""
-    for batch in prange(first, last):
-        solve_batch(batch, x, u, mobility, inverse_step, runs, lists, hinges)
+def solve_spring_runs(runs: Any, batch: int, x: Any, u: Any, mobility: Any, inverse_step: float) -> None:
+    """Solve a batch's runs: fields that may be None are arguments, for numba prunes by these."""
+    sweep_spring_runs(batch, x, u, mobility, inverse_step, runs.start, runs.task, runs.constants, runs.each, runs.kept)
 
 
 @kernel
-def sweep(
-    x: Any, u: Any, mobility: Any, inverse_step: float, colour: Any, runs: Any, lists: Any, hinges: Any, threads: Any
+def solve_springs(lists: Any, batch: int, x: Any, u: Any, mobility: Any, inverse_step: float) -> None:
+    """Solve a batch's listed springs."""
+    sweep_spring_lists(batch, x, u, mobility, inverse_step, lists.start, lists.ends, lists.constants, lists.kept)
+
+
+@kernel
+def solve_hinges(hinges: Any, batch: int, x: Any, u: Any, mobility: Any, inverse_step: float) -> None:
+    """Solve a batch's hinges."""
+    sweep_hinges(batch, x, u, mobility, hinges.start, hinges.ends, hinges.constants, hinges.kept)
+
+
+@kernel
+def clear(array: Any) -> None:
+    """Zeros, where there is an array."""
+    if array is not None:
+        array[:] = 0.0
+
+
+@kernel
+def forget_kept(batches: Any) -> None:
+    """Begin a step without forces."""
+    clear(batches.kept)
+
+
+register(RunBatches, name="springs", sweep=solve_spring_runs, forget=forget_kept)
+register(SpringBatches, name="springs", sweep=solve_springs, forget=forget_kept)
+register(HingeBatches, name="hinges", sweep=solve_hinges, forget=forget_kept)
+
+sweep_each = each("sweep", "batch, x, u, mobility, inverse_step")
+forget = each("forget", "")
+
+
+@kernel
+def solve_batch(
+    place: int, kinds: Any, on: Any, first: int, x: Any, u: Any, mobility: Any, inverse_step: float
 ) -> None:
-    """Solve every element once, in place in u (3, n)."""
+    """Solve all of a batch, so many after the first."""
+    sweep_each(kinds, on, first + place, x, u, mobility, inverse_step)
+
+
+solve_colour = each_block(solve_batch, "first, x, u, mobility, inverse_step")
+
+
+@kernel
+def sweep(x: Any, u: Any, mobility: Any, inverse_step: float, colour: Any, kinds: Any, on: Any, threads: Any) -> None:
+    """Solve every element once, in place in u (3, n); batches of one colour share no vertex, and may have threads."""
     if threads is None:
         for batch in range(colour[-1]):
-            solve_batch(batch, x, u, mobility, inverse_step, runs, lists, hinges)
+            sweep_each(kinds, on, batch, x, u, mobility, inverse_step)
     else:
         for c in range(colour.shape[0] - 1):
-            solve_colour(colour[c], colour[c + 1], x, u, mobility, inverse_step, runs, lists, hinges)
+            solve_colour(kinds, on, colour[c], x, u, mobility, inverse_step, colour[c + 1] - colour[c])

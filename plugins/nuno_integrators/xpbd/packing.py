@@ -8,19 +8,21 @@ elements side by side never meet at a vertex. All of it depends on the fabric al
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno_integrators.xpbd.constraints import ListBatches, RunBatches
+from nuno_integrators.xpbd.constraints import HingeBatches, RunBatches, SpringBatches
 from nuno_kernels import kernel
 from nuno_kernels.forces.hinges import HingeLists, HingeRuns
 from nuno_kernels.forces.springs import SpringLists, SpringRuns
 from nuno_kernels.lanes.simd import WIDTH
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, Long
-from nuno_kernels.step.packing import of_type
-from nuno_schemas.fabric import Float
+from nuno_kernels.step.packing import call_each
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Float
 
 MOST_BATCHES = 4096
 """Sets of blocks that are told apart: beyond, vertices are in no order, and what crosses blocks is one batch."""
@@ -30,74 +32,148 @@ COLOURS = 62
 
 
 class Constraints(NamedTuple):
-    """A fabric's constraints; absent kinds are None. colour (colours + 1,) bounds over the batches."""
+    """A system's constraints: (colours + 1,) bounds over the batches, the batches of each kind, and which kinds act."""
 
     colour: Long
-    runs: RunBatches | None
-    lists: ListBatches | None
-    hinges: ListBatches | None
+    kinds: tuple[Any, ...]
+    on: Bool
+
+
+@dataclass(frozen=True)
+class ListElements:
+    """Constraints by index: what a term's role `constraints` gives.
+
+    kind      type of their batches, with the role `sweep`: a NamedTuple of the fields of SpringBatches
+    corners   (s, w) vertices of each
+    constants (c, s)
+    """
+
+    kind: type
+    corners: Long
+    constants: Float
+
+    def pack(self, batch: Long, batches: int, vertices: int, remember: bool) -> Any:
+        """Batches: whole vectors of one colour each; elements added are the vector's first vertex, w times."""
+        order = np.lexsort((self.corners.min(axis=1), batch))
+        elements, constants, batch = np.ascontiguousarray(self.corners[order]), self.constants[:, order], batch[order]
+        colour = np.empty(elements.shape[0], np.int64)
+        colour_elements(elements, batch, np.zeros(vertices, np.int64), np.full(vertices, -1, np.int64), colour)
+        order = np.lexsort((colour, batch))
+        batch, colour = batch[order], colour[order]
+        first = np.flatnonzero(np.concatenate([[True], (np.diff(batch) != 0) | (np.diff(colour) != 0)]))
+        length = np.diff(np.concatenate([first, [order.shape[0]]]))
+        padded = -(-length // WIDTH) * WIDTH
+        begin = np.cumsum(padded) - padded
+        source = np.full(int(padded.sum()), -1, np.int64)
+        source[np.arange(order.shape[0]) - np.repeat(first, length) + np.repeat(begin, length)] = order
+        filled = source >= 0
+        anchor = np.repeat(elements[order[first], 0], padded)
+        ends = np.where(filled, elements[source].T, anchor).astype(np.int32)
+        values = np.where(filled, constants[:, source], 0.0)
+        bounds = np.concatenate([begin, [source.shape[0]]])
+        start = bounds[np.searchsorted(batch[first], np.arange(batches + 1))]
+        kept = np.zeros((3 * (elements.shape[1] - 1), source.shape[0])) if remember else None
+        return self.kind(start.astype(np.int64), np.ascontiguousarray(ends), np.ascontiguousarray(values), kept)
+
+
+@dataclass(frozen=True)
+class RunElements:
+    """Long runs of springs: tasks (m, 4), each with the column of its constants as in nuno_kernels.forces.springs."""
+
+    task: Long
+    constants: Float
+    each: bool | None
+
+    @property
+    def corners(self) -> Long:
+        """(m, 2) first vertices of each run."""
+        return self.task[:, :2]
+
+    def pack(self, batch: Long, batches: int, vertices: int, remember: bool) -> RunBatches:
+        """Batches of whole runs."""
+        order = np.argsort(batch, kind="stable")
+        padded = -(-self.task[order, 2] // WIDTH) * WIDTH
+        column = np.cumsum(padded) - padded
+        start = np.searchsorted(batch[order], np.arange(batches + 1))
+        table = np.column_stack([self.task[order], column]).astype(np.int64)
+        kept = np.zeros((3, int(padded.sum()))) if remember else None
+        return RunBatches(start.astype(np.int64), table, self.constants, self.each, kept)
 
 
 def pack_constraints(packed: Packed, remember: bool) -> Constraints:
-    """Batches of a packed system; with room for forces where sweeps are repeated."""
-    task, pairs, constants = _spring_elements(packed)
-    quads, bends = _hinge_elements(packed)
-    homes = [elements // BLOCK for elements in (task[:, :2], pairs, quads)]
-    (of_task, of_pair, of_quad), colour = find_batches(homes)
-    batches = int(colour[-1])
-    runs = None
-    if task.shape[0]:
-        (from_runs,) = of_type(packed, SpringRuns)
-        order = np.argsort(of_task, kind="stable")
-        padded = -(-task[order, 2] // WIDTH) * WIDTH
-        column = np.cumsum(padded) - padded
-        start = np.searchsorted(of_task[order], np.arange(batches + 1))
-        table = np.column_stack([task[order], column]).astype(np.int64)
-        kept = np.zeros((3, int(padded.sum()))) if remember else None
-        runs = RunBatches(start.astype(np.int64), table, from_runs.constants, from_runs.each, kept)
+    """Batches of a packed system's constraints; with room for forces where sweeps are repeated.
+
+    Raises BadInput for springs that have no constraint.
+    """
     vertices = packed.inverse_mass.shape[0]
-    lists = _pack_lists(pairs, constants, of_pair, batches, vertices, remember)
-    hinges = _pack_lists(quads, bends, of_quad, batches, vertices, remember)
-    return Constraints(colour, runs, lists, hinges)
+    found = [part for parts in call_each(packed, "constraints", vertices) for part in parts if len(part.corners)]
+    joined: dict[Any, Any] = {}
+    for part in found:
+        key = part.kind if isinstance(part, ListElements) else len(joined)
+        joined[key] = part if key not in joined else _join(joined[key], part)
+    elements = list(joined.values())
+    of_elements, colour = find_batches([part.corners // BLOCK for part in elements])
+    batches = int(colour[-1])
+    kinds = [part.pack(of, batches, vertices, remember) for part, of in zip(elements, of_elements, strict=True)]
+    return Constraints(colour, tuple(kinds), np.ones(len(kinds), np.bool_))
+
+
+def _join(one: ListElements, other: ListElements) -> ListElements:
+    corners = np.concatenate([one.corners, other.corners])
+    return ListElements(one.kind, corners, np.concatenate([one.constants, other.constants], axis=1))
+
+
+def constraints_of_spring_runs(runs: SpringRuns, vertices: int) -> tuple[RunElements | ListElements, ...]:
+    """Every spring once: long runs, and pairs where the ends are too near for eight side by side."""
+    _refuse_locks(runs.locks)
+    own = runs.task[(runs.task[:, 4] & 1) == 1]
+    far = own[:, 1] - own[:, 0] >= WIDTH
+    near = own[~far]
+    place = _places(near[:, 2])
+    column = np.repeat(near[:, 3], near[:, 2]) + (place if runs.each else 0)
+    pairs = np.repeat(near[:, :2], near[:, 2], axis=0) + place[:, None]
+    listed = ListElements(SpringBatches, pairs, runs.constants[:, column])
+    return RunElements(own[far, :4], runs.constants, runs.each), listed
+
+
+def constraints_of_spring_lists(lists: SpringLists, vertices: int) -> tuple[ListElements, ...]:
+    """Every listed spring once."""
+    _refuse_locks(lists.locks)
+    at = _at_home(lists.start, lists.ends[2], vertices)
+    return (ListElements(SpringBatches, lists.ends[:2, at].T.astype(np.int64), lists.constants[:, at]),)
+
+
+def constraints_of_hinge_runs(runs: HingeRuns, vertices: int) -> tuple[ListElements, ...]:
+    """Every hinge of runs once."""
+    own = runs.task[(runs.task[:, 6] & 1) == 1]
+    corners = np.repeat(own[:, :4], own[:, 4], axis=0) + _places(own[:, 4])[:, None]
+    return (_hinges(corners, runs.constants[:, np.repeat(own[:, 5], own[:, 4])]),)
+
+
+def constraints_of_hinge_lists(lists: HingeLists, vertices: int) -> tuple[ListElements, ...]:
+    """Every listed hinge once."""
+    at = _at_home(lists.start, lists.corners[4], vertices)
+    return (_hinges(lists.corners[:4, at].T.astype(np.int64), lists.constants[:, at]),)
+
+
+def _hinges(corners: Long, constants: Float) -> ListElements:
+    """k cos(rest), k sin(rest), k of hinges."""
+    return ListElements(HingeBatches, corners, np.concatenate([constants, np.hypot(constants[:1], constants[1:])]))
+
+
+def _refuse_locks(locks: bool | None) -> None:
+    if locks is not None:
+        raise BadInput(
+            "xpbd has no constraint for springs that lock",
+            field="solver.plugin",
+            value="xpbd",
+            remedy="use an explicit or implicit solver, or yarns without lock",
+        )
 
 
 def _places(count: Long) -> Long:
     """0, 1, .. for each of (m,) counts, one after another."""
     return np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-
-
-def _spring_elements(packed: Packed) -> tuple[Long, Long, Float]:
-    """Every spring once: tasks (m, 4) of long runs, and pairs (s, 2) with constants (3, s) of all others."""
-    task, pairs, constants = np.zeros((0, 4), np.int64), [np.zeros((0, 2), np.int64)], [np.zeros((3, 0))]
-    for runs in of_type(packed, SpringRuns):
-        own = runs.task[(runs.task[:, 4] & 1) == 1]
-        far = own[:, 1] - own[:, 0] >= WIDTH
-        task, near = own[far, :4], own[~far]
-        place = _places(near[:, 2])
-        pairs.append(np.repeat(near[:, :2], near[:, 2], axis=0) + place[:, None])
-        column = np.repeat(near[:, 3], near[:, 2]) + (place if runs.each else 0)
-        constants.append(runs.constants[:, column])
-    for lists in of_type(packed, SpringLists):
-        at = _at_home(lists.start, lists.ends[2], packed.inverse_mass.shape[0])
-        pairs.append(lists.ends[:2, at].T.astype(np.int64))
-        constants.append(lists.constants[:, at])
-    return task, np.concatenate(pairs), np.concatenate(constants, axis=1)
-
-
-def _hinge_elements(packed: Packed) -> tuple[Long, Float]:
-    """Every hinge once: corners (h, 4) and k cos(rest), k sin(rest), k (3, h)."""
-    quads, constants = [np.zeros((0, 4), np.int64)], [np.zeros((2, 0))]
-    for runs in of_type(packed, HingeRuns):
-        own = runs.task[(runs.task[:, 6] & 1) == 1]
-        place = _places(own[:, 4])
-        quads.append(np.repeat(own[:, :4], own[:, 4], axis=0) + place[:, None])
-        constants.append(runs.constants[:, np.repeat(own[:, 5], own[:, 4])])
-    for lists in of_type(packed, HingeLists):
-        at = _at_home(lists.start, lists.corners[4], packed.inverse_mass.shape[0])
-        quads.append(lists.corners[:4, at].T.astype(np.int64))
-        constants.append(lists.constants[:, at])
-    both = np.concatenate(constants, axis=1)
-    return np.concatenate(quads), np.concatenate([both, np.hypot(both[:1], both[1:])])
 
 
 def _at_home(start: Long, target: Any, vertices: int) -> Long:
@@ -108,7 +184,7 @@ def _at_home(start: Long, target: Any, vertices: int) -> Long:
 
 def find_batches(homes: list[Long]) -> tuple[list[Long], Long]:
     """The batch of each element, for kinds of elements in blocks (m, w); bounds of the colours over the batches."""
-    sets = np.concatenate([_distinct(home) for home in homes])
+    sets = np.concatenate([np.zeros((0, 4), np.int64), *(_distinct(home) for home in homes)])
     if sets.shape[0] == 0:
         return [np.zeros(0, np.int64) for _ in homes], np.zeros(1, np.int64)
     found, group = np.unique(sets, axis=0, return_inverse=True)
@@ -145,34 +221,6 @@ def _distinct(home: Long) -> Long:
     full = np.full((home.shape[0], 4), -1, np.int64)
     full[:, 4 - home.shape[1] :] = rows
     return np.sort(full, axis=1)
-
-
-def _pack_lists(
-    elements: Long, constants: Float, batch: Long, batches: int, vertices: int, remember: bool
-) -> ListBatches | None:
-    """Elements (s, w) in whole vectors of one colour each; those added are the vector's first vertex, w times."""
-    if elements.shape[0] == 0:
-        return None
-    order = np.lexsort((elements.min(axis=1), batch))
-    elements, constants, batch = np.ascontiguousarray(elements[order]), constants[:, order], batch[order]
-    colour = np.empty(elements.shape[0], np.int64)
-    colour_elements(elements, batch, np.zeros(vertices, np.int64), np.full(vertices, -1, np.int64), colour)
-    order = np.lexsort((colour, batch))
-    batch, colour = batch[order], colour[order]
-    first = np.flatnonzero(np.concatenate([[True], (np.diff(batch) != 0) | (np.diff(colour) != 0)]))
-    length = np.diff(np.concatenate([first, [order.shape[0]]]))
-    padded = -(-length // WIDTH) * WIDTH
-    begin = np.cumsum(padded) - padded
-    source = np.full(int(padded.sum()), -1, np.int64)
-    source[np.arange(order.shape[0]) - np.repeat(first, length) + np.repeat(begin, length)] = order
-    filled = source >= 0
-    anchor = np.repeat(elements[order[first], 0], padded)
-    ends = np.where(filled, elements[source].T, anchor).astype(np.int32)
-    values = np.where(filled, constants[:, source], 0.0)
-    bounds = np.concatenate([begin, [source.shape[0]]])
-    start = bounds[np.searchsorted(batch[first], np.arange(batches + 1))]
-    kept = np.zeros((3 * (elements.shape[1] - 1), source.shape[0])) if remember else None
-    return ListBatches(start.astype(np.int64), np.ascontiguousarray(ends), np.ascontiguousarray(values), kept)
 
 
 @kernel

@@ -23,23 +23,19 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, Told, Work, source_of
+from nuno_integrators.compiled import Compiled, Told, Work, lacking, source_of
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_integrators.xpbd.packing import Constraints, pack_constraints
 from nuno_integrators.xpbd.step import advance_xpbd
-from nuno_kernels.forces.springs import SpringLists, SpringRuns
 from nuno_kernels.step.acceleration import Packed
-from nuno_kernels.step.packing import call_each, of_type, silence, silence_bodies
+from nuno_kernels.step.packing import call_each, silence, silence_bodies
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
-from nuno_schemas.system import StepLimit, System, Term
+from nuno_schemas.system import StepLimit, System
 
-SPRINGS: tuple[type[SpringRuns] | type[SpringLists], ...] = (SpringRuns, SpringLists)
-CONSTRAINTS = ("springs", "hinges")
-"""Forces that are solved for; what else acts by blocks acts as at the step's start."""
 AT_REST = 1e-9
 """Step [s] in place of none where a step's cost is measured: a displacement over no time is no velocity."""
 
@@ -85,16 +81,10 @@ class XPBD(Compiled):
                     value=self.name,
                     remedy="use an explicit or implicit solver, or set mu to 0",
                 )
-        if any(springs.locks is not None for kind in SPRINGS for springs in of_type(packed, kind)):
-            raise BadInput(
-                "xpbd has no constraint for springs that lock",
-                field="solver.plugin",
-                value=self.name,
-                remedy="use an explicit or implicit solver, or yarns without lock",
-            )
         others = None
-        if any(_lags(term) for term in system.terms):
-            others = silence_bodies(silence(packed, *CONSTRAINTS))._replace(damping=0.0)
+        if lacking(system.terms, "constraints"):
+            solved = (kernels_of(term).name for term in packed.forces if kernels_of(term).constraints is not None)
+            others = silence_bodies(silence(packed, *solved))._replace(damping=0.0)
         held = np.zeros((3, n)) if repeated and any(kernels_of(term).project for term in packed.bodies) else None
         x, v = np.empty((2, 3, n))
         constraints = pack_constraints(packed, repeated)
@@ -105,7 +95,7 @@ class XPBD(Compiled):
     def limit(self, config: XPBDConfig, system: System, state: State) -> StepLimit:
         """Only forces without a constraint limit the step; `resolved` follows from config.residual."""
         omega, damping = measure_rates(system, state)
-        kept = tuple(term for term in system.terms if _lags(term))
+        kept = tuple(term for term in system.terms if lacking([term], "constraints"))
         dt = np.inf
         if kept:
             bare = replace(system.fabric, springs=None, hinges=None)
@@ -114,6 +104,12 @@ class XPBD(Compiled):
         missing = config.residual ** (1.0 / config.iterations)
         reach = 2.0 * np.sqrt(missing / (1.0 - missing))
         return StepLimit(float(dt), omega, damping, float(reach / omega) if omega > 0.0 else np.inf)
+
+    def about(self, system: System) -> str:
+        """Threads, and which forces have no constraint."""
+        names = lacking(system.terms, "constraints")
+        told = f"; without a constraint, as at the start of each step: {', '.join(names)}" if names else ""
+        return super().about(system) + told
 
     def go(self, work: XPBDWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
         call_each(packed, "approach", 1.0 / dt)
@@ -132,11 +128,7 @@ class XPBD(Compiled):
             if others is not None:
                 others = others._replace(forces_on=others.forces_on & p.forces_on)
             acting = {kernels_of(term).name for term, on in zip(p.forces, p.forces_on, strict=True) if on}
-            c = c._replace(
-                runs=_if(c.runs, "springs" in acting),
-                lists=_if(c.lists, "springs" in acting),
-                hinges=_if(c.hinges, "hinges" in acting),
-            )
+            c = c._replace(on=np.array([kernels_of(kind).name in acting for kind in c.kinds], np.bool_))
             source_of(advance_xpbd, force)(
                 x, v, stages, steps, AT_REST, p, force, others, c, work.mobility, work.held, work.iterations
             )
@@ -151,13 +143,3 @@ class XPBD(Compiled):
         nothing missing. Put together, (1 + h damping + omega^2 h^2) v' = v - omega^2 h x and x' = x + h v'.
         """
         return np.asarray(np.linalg.inv(np.array([[1.0, -dt], [omega * omega * dt, 1.0 + damping * dt]])))
-
-
-def _lags(term: Term) -> bool:
-    """Whether a force acts as at the step's start: one in Python, or one that acts by blocks."""
-    return callable(term.data) or any(kernels_of(part).block is not None for part in term.data)
-
-
-def _if(batches: Any, acting: bool) -> Any:
-    """Batches, or of the same type ones without elements."""
-    return batches if batches is None or acting else batches._replace(start=np.zeros_like(batches.start))

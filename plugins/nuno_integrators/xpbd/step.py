@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from nuno_integrators.xpbd.constraints import sweep
+from nuno_integrators.xpbd.constraints import clear, forget, sweep
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.step.acceleration import commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
@@ -86,25 +86,6 @@ def arrive(x: Any, v: Any, u: Any, inverse_step: float, threads: Any) -> None:
 
 
 @kernel
-def clear(array: Any) -> None:
-    """Zeros, where there is an array."""
-    if array is not None:
-        array[:] = 0.0
-
-
-@kernel
-def forget(runs: Any, lists: Any, hinges: Any, held: Any) -> None:
-    """Start a step without forces."""
-    if runs is not None:
-        clear(runs.kept)
-    if lists is not None:
-        clear(lists.kept)
-    if hinges is not None:
-        clear(hinges.kept)
-    clear(held)
-
-
-@kernel
 def advance_xpbd(
     x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any, others: Any, c: Any, mobility: Any,
     held: Any, iterations: int,
@@ -123,9 +104,10 @@ def advance_xpbd(
         predict(v, u, a, dt, p.inverse_mass, p.gravity, p.damping, mobility, p.threads)
         end = (step + 1) / steps
         carry(p.bodies, p.bodies_on, x, u, y, w, end)
-        forget(c.runs, c.lists, c.hinges, held)
+        forget(c.kinds, c.on)
+        clear(held)
         for _ in range(iterations):
-            sweep(x, u, mobility, inverse_step, c.colour, c.runs, c.lists, c.hinges, p.threads)
+            sweep(x, u, mobility, inverse_step, c.colour, c.kinds, c.on, p.threads)
             project(p.bodies, p.bodies_on, x, u, y, w, end, inverse_step, mobility, held, p.threads)
         arrive(x, v, u, inverse_step, p.threads)
         commit(x, v, end, p.bodies, p.bodies_on, p.threads)

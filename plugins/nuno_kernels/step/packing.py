@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from nuno_schemas.system import System
 PARALLEL_FROM = 4096
 """Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""
 
-T = TypeVar("T")
 Extra = Callable[[Float, Float, float, Float], None]
 
 
@@ -98,11 +97,6 @@ def reads_velocity(packed: Packed) -> bool:
     acceleration found before is then not that of the next step's start.
     """
     return packed.damping != 0.0 or packed.moved or any(kernels_of(term).reads_velocity(term) for term in packed.forces)
-
-
-def of_type(packed: Packed, kind: type[T]) -> list[T]:
-    """The forces of a type."""
-    return [term for term in packed.forces if isinstance(term, kind)]
 
 
 def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
