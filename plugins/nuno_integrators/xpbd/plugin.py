@@ -8,8 +8,9 @@ so that a share (z / (1 + z))^sweeps is missing at the end.
 One constraint is solved exactly, hence the amplification is backward Euler's; a warm start with the last
 step's tensions would make rest exact as well, but a force that lags behind grows stiff modes.
 
-Viscous damping is part of the mass, m (1 + h damping), and so is solved exactly. Wind and forces in Python
-have no constraint: they act as at the step's start, and limit the step as they do in symplectic Euler.
+Viscous damping is part of the mass, m (1 + h damping), and so is solved exactly. Forces whose type has no
+role `constraints` (nuno_kernels.terms), as wind, and those in Python act as at the step's start, and limit the step
+as they do in symplectic Euler.
 
 Weighed: Newton's XPBD on Warp, in single precision: `nuno bench peers` finds it accurate at no setting of the stiff
 sheet, on which `nuno bench speed stiff` measures this one.
