@@ -26,7 +26,7 @@ soak: .venv/dev.stamp  ## reliability at length, into its page: hours
 
 lock: | .venv/bin/python  ## versions and hashes of all that a container installs
 	$(BIN)/python -m pip install --disable-pip-version-check uv
-	$(BIN)/uv pip compile pyproject.toml --extra view --universal --python-version 3.11 --upgrade \
+	$(BIN)/uv pip compile pyproject.toml --universal --python-version 3.11 --upgrade \
 		--generate-hashes --no-header --no-annotate --quiet --output-file deploy/requirements.txt
 
 audit: | .venv/bin/python  ## known vulnerabilities of these versions
@@ -40,7 +40,7 @@ audit: | .venv/bin/python  ## known vulnerabilities of these versions
 
 .venv/run.stamp: pyproject.toml | .venv/bin/python
 	@echo "installing nuno and what it needs (about 200 MB, once)"
-	$(BIN)/python -m pip install --no-compile --disable-pip-version-check -e ".[view,video]"
+	$(BIN)/python -m pip install --no-compile --disable-pip-version-check -e ".[video]"
 	@touch $@
 
 .venv/dev.stamp: pyproject.toml | .venv/bin/python

@@ -15,7 +15,6 @@ INSTALL = {
     "rtree": "nuno[peers]",
     "igl": "nuno[peers]",
     "open3d": "open3d",
-    "rerun": "nuno[view]",
 }
 """What pip takes for each; Open3D is no extra of ours, since it holds other packages back."""
 

@@ -53,7 +53,6 @@ def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
 
 
 def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="needs nuno[view]")
     from nuno_bench.report import rerun
 
     found = swept(write_net(tmp_path), "--solvers", "rk4,leapfrog")

@@ -14,8 +14,6 @@ from nuno_bench.stability.case import Point
 from nuno_bench.stability.page import tabs
 from nuno_bench.stability.sweep import Mapped
 
-pytest.importorskip("rerun", reason="needs nuno[view]")
-
 
 def drawn(path: Path, tab: str, panel: Panel) -> dict[str, np.ndarray]:
     """(m, 2) values of each curve's points, read back from where they stand in the file."""

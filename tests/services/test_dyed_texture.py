@@ -30,7 +30,6 @@ VIEW = {"azimuth": 0, "elevation": 0, "target": [0, 0, 0], "distance": 1.2}
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with run.mcap and run.rrd, of a garment that is dyed."""
-    pytest.importorskip("rerun", reason="needs nuno[view]")
     folder = tmp_path_factory.mktemp("garment")
     corner = {"kind": "bath", "region": {"shape": "rectangle", "low": [0, 0], "high": [5 * CELL, 4 * CELL]}}
     cloth = garment()["dye"]["cloth"] | {"supply": [corner]}

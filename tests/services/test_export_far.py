@@ -102,7 +102,6 @@ def test_a_picture_shows_the_same_cloth(tmp_path: Path) -> None:
 
 def test_the_viewer_colours_and_shades_the_same_cloth() -> None:
     """Its positions are float32, 6 cm apart there; what the cloth looks like is not."""
-    pytest.importorskip("rerun", reason="needs nuno[view]")
     from nuno.viewer.cloth import Cloth
 
     class Silent:

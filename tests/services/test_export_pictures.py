@@ -230,7 +230,6 @@ def test_nothing_is_written_where_one_of_several_files_cannot_be(
 
 def test_pictures_and_viewer_use_one_scale() -> None:
     """Checked in a process of its own: the viewer imports rerun, which few tests need."""
-    pytest.importorskip("rerun")
     code = "from nuno.viewer.cloth import PLAIN, STRETCH; print(STRETCH, PLAIN)"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown == f"{paint.STRETCH} {paint.PLAIN}\n"

@@ -14,8 +14,7 @@ from nuno_bench.report.result import Result
 from nuno_bench.speed import command as speed
 
 EXTRAS = (
-    "scipy", "matplotlib", "rerun", "rerun_cli", "imageio_ffmpeg", "mujoco", "newton", "igl", "rtree", "open3d",
-    "dask", "distributed", "atheris", "coverage",
+    "scipy", "matplotlib", "imageio_ffmpeg", "mujoco", "newton", "igl", "rtree", "open3d", "dask", "distributed",
 )  # fmt: skip
 
 
@@ -36,8 +35,6 @@ def bare(monkeypatch: pytest.MonkeyPatch) -> None:
         ("bench integrators skirt-paper", "matplotlib", "bench"),
         ("validate --html page.html", "matplotlib", "bench"),
         ("validate --dask tcp://127.0.0.1:1", "Dask", "sweep"),
-        ("run net --view web --no-record", "rerun", "view"),
-        ("run net --save run.rrd --no-record", "rerun", "view"),
     ],
 )
 def test_what_is_missing_is_named_with_what_installs_it(

@@ -104,7 +104,6 @@ def test_who_would_not_wait_for_pictures_has_the_run(tmp_path: Path, monkeypatch
 
 
 def test_the_viewer_shows_them(tmp_path: Path) -> None:
-    pytest.importorskip("rerun")
     from rrd import columns
 
     path, saved = write(tmp_path, pictures="end"), tmp_path / "run.rrd"

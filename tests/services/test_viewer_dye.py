@@ -20,16 +20,13 @@ import nuno
 from nuno.cli import main
 from nuno.export.dyed import painter_of
 from nuno.scene import scene_file
-from nuno.wire.arrays import decode_arrays
-from nuno_schemas.messages import CONCENTRATION, FRAMES, STATE
-
-pytest.importorskip("rerun", reason="needs nuno[view]")
-
 from nuno.viewer import dyed
 from nuno.viewer.bridge import Bridge
 from nuno.viewer.file import RerunFile
 from nuno.viewer.live import Ring
 from nuno.viewer.stream import read_painter, scene_of
+from nuno.wire.arrays import decode_arrays
+from nuno_schemas.messages import CONCENTRATION, FRAMES, STATE
 
 PICTURE, COLUMN = "/dye/picture", "EncodedImage:blob"
 CURVES = "/plots/dye/blue"

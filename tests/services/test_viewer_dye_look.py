@@ -7,13 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dye_scene import arrays, write_scene
+from test_viewer_look import look, pytestmark  # noqa: F401
 
 import nuno
 from nuno.cli import main
-
-pytest.importorskip("rerun", reason="needs nuno[view]")
-
-from test_viewer_look import look, pytestmark  # noqa: F401
 
 
 def test_the_picture_is_whole_and_dye_is_where_it_was_given(tmp_path: Path) -> None:

@@ -14,14 +14,6 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
-from nuno.wire.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
-from nuno_schemas.bodies import rotation_matrices
-from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import BODIES, FABRIC, STATE
-from nuno_schemas.surface import surface
-
-pytest.importorskip("rerun", reason="needs nuno[view]")
-
 from nuno.export.paint import paint_yarns
 from nuno.viewer.bodies import INSET
 from nuno.viewer.cloth import pack
@@ -29,6 +21,11 @@ from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.kernels import vertex_normals, vertex_stretch
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.require import part_of, require
+from nuno.wire.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
+from nuno_schemas.bodies import rotation_matrices
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import BODIES, FABRIC, STATE
+from nuno_schemas.surface import surface
 from nuno_schemas.view import View
 
 CLOTH = "/world/cloth/sheet"
@@ -266,13 +263,6 @@ def test_what_cannot_be_shown_is_refused(
     assert caught.value.remedy
     assert (tmp_path / "text.rrd").read_text() == "a letter"
     assert not list(tmp_path.glob("*.part"))
-
-
-def test_without_rerun_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(BadInput) as caught:
-        require("web", None)
-    assert "nuno[view]" in str(caught.value)
 
 
 def test_a_file_that_cannot_be_finished_keeps_no_name(tmp_path: Path) -> None:

@@ -27,8 +27,6 @@ from nuno.wire.watch import Watch
 from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
 from nuno_schemas.view import View
 
-pytest.importorskip("rerun", reason="needs nuno[view]")
-
 FRAMES = 40
 SOON = 60.0
 """How long a test waits for what must come: a bound against hanging, not a measurement."""

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import messages
 
-from nuno.wire.sessions import free_port
-
-pytest.importorskip("rerun", reason="needs nuno[view]")
-
 from nuno.viewer.file import RerunFile
 from nuno.viewer.layout import BACKGROUND
+from nuno.wire.sessions import free_port
 
 DRIVERS = [Path(folder) for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")]
 pytestmark = pytest.mark.skipif(

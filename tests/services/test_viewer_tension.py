@@ -52,7 +52,6 @@ def test_tension_is_that_of_the_forces(tmp_path: Path) -> None:
 
 
 def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None:
-    pytest.importorskip("rerun")
     from rrd import columns
 
     from nuno.viewer.cloth import TABLE
@@ -80,7 +79,6 @@ def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None
 
 
 def test_the_legend_has_the_colours_of_the_tensions_at_its_ticks() -> None:
-    pytest.importorskip("rerun")
     from nuno.viewer.cloth import TABLE
     from nuno.viewer.legend import SIDE, TOP, tension_legend, ticks
 

@@ -18,8 +18,6 @@ from nuno.viewer.textures import with_own_textures
 from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import FABRIC
 
-pytest.importorskip("rerun", reason="needs nuno[view]")
-
 PIXELS = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
 
 

@@ -131,9 +131,7 @@ def _port() -> Row:
 
 
 def _rerun() -> Row:
-    if importlib.util.find_spec("rerun"):
-        return Row("rerun", "ok", version("rerun-sdk"))
-    return Row("rerun", "note", "missing: runs are not shown live", "pip install 'nuno[view]'")
+    return Row("rerun", "ok", version("rerun-sdk"))
 
 
 def _mp4() -> Row:

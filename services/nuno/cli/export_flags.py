@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="FILE",
             help=f"the cloth{' and bodies' if suffix == '.glb' else ''} in a frame{text}",
         )
-    what.add_argument("--rrd", type=Path, metavar="FILE", help="a file for the rerun viewer (needs nuno[view])")
+    what.add_argument("--rrd", type=Path, metavar="FILE", help="a file for the rerun viewer")
     add_yarns(parser, what)
     _add_parts(parser.add_argument_group("which part"))
     _add_drawn(parser.add_argument_group("how pictures and animations are drawn (default: as the scene says)"))

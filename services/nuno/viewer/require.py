@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import sys
 from pathlib import Path
@@ -27,9 +26,6 @@ def require(view: str | None, save: Path | None, option: str = "--save") -> None
     """
     if view is None and save is None:
         return
-    field = "--view" if view is not None else option
-    if importlib.util.find_spec("rerun") is None or importlib.util.find_spec("rerun_cli") is None:
-        raise BadInput("rerun, which shows runs, is not installed", field=field, remedy="pip install 'nuno[view]'")
     if view is not None and view not in VIEWS and not view.startswith(ADDRESS):
         known = f"known: {', '.join(VIEWS)}, or an open viewer's address such as {ADDRESS}127.0.0.1:9876/proxy"
         raise BadInput("no such view", field="--view", value=view, remedy=known)
