@@ -12,10 +12,11 @@ from nuno_cloth.fabrics.presets import PRESETS
 from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_schemas.fabric import Fabric, Float
 
+SIZE = (0.04, 0.04)
 RESOLUTIONS = {(9, 9): (0.05, 0.05), (13, 9): (0.05, 0.04), (6, 9): (0.04, 0.05)}
 
 
-def build(resolution: tuple[int, int], size: tuple[float, float], fabric: str = "denim") -> Fabric:
+def build(resolution: tuple[int, int], size: tuple[float, float], fabric: str | HandSet = "denim") -> Fabric:
     return Sheet().build(SheetConfig(resolution=resolution, size=size, fabric=fabric), None, 0)  # type: ignore[arg-type]
 
 
@@ -23,7 +24,7 @@ def build(resolution: tuple[int, int], size: tuple[float, float], fabric: str = 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_presets_give_their_own_measures(preset: str, resolution: tuple[int, int]) -> None:
     """Tension and shear are exact but for geometry, of order strain^2 C / G; bending but for 1 - cos."""
-    wanted, got = PRESETS[preset], measure(preset, resolution, RESOLUTIONS[resolution])
+    wanted, got = PRESETS[preset], measure(build(resolution, size := RESOLUTIONS[resolution], preset), resolution, size)
     for name in ("warp", "weft", "density"):
         assert getattr(got, name) == pytest.approx(getattr(wanted, name), rel=1e-7)
     geometry = 1e-8 * max(wanted.warp, wanted.weft) / wanted.shear
@@ -112,7 +113,7 @@ def test_forces_are_gradients(energy: object) -> None:
 def test_hand_set_constants_follow_the_mesh() -> None:
     """The papers' springs: what a spring constant amounts to doubles when the mesh gets finer."""
     fabric = HandSet(density=0.2, structural=(50.0, 50.0), shear=10.0, hinge=1e-6)
-    coarse, fine = (measure(fabric, (n, n), (0.04, 0.04)) for n in (9, 17))
+    coarse, fine = (measure(build((n, n), SIZE, fabric), (n, n), SIZE) for n in (9, 17))
     assert fine.shear == pytest.approx(coarse.shear, rel=1e-6)
     assert bend_per_cell(fine.bend_warp, 17) == pytest.approx(bend_per_cell(coarse.bend_warp, 9), rel=1e-6)
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from nuno_cloth.fabrics.kes import Measures, measure
 from nuno_cloth.fabrics.presets import PRESETS, Material
+from nuno_schemas.fabric import Fabric
 from nuno_schemas.preset import Measure, Preset
 
 COLUMNS = (
@@ -17,17 +20,21 @@ COLUMNS = (
 """Field of a material, unit of the table, and the table's units in one SI unit."""
 
 
-def list_presets() -> tuple[Preset, ...]:
-    """Every preset, measured on a specimen of 5 cm x 5 cm and 9 x 9 vertices.
+RESOLUTION, SIZE = (9, 9), (0.05, 0.05)
+"""Vertices of a specimen, and its sides [m]."""
+
+
+def list_presets(cut: Callable[[str], Fabric]) -> tuple[Preset, ...]:
+    """Every preset, measured on a specimen of it, RESOLUTION and SIZE, that `cut` makes by the preset's name.
 
     With the sides held a specimen gives back the preset's own values but for the tests' geometry
     (kes.py); with free sides, as in the apparatus, it narrows and gives less in tension.
     """
-    return tuple(_preset(name, material) for name, material in PRESETS.items())
+    return tuple(_preset(name, material, cut(name)) for name, material in PRESETS.items())
 
 
-def _preset(name: str, material: Material) -> Preset:
-    held, free = measure(name), measure(name, sides_held=False)
+def _preset(name: str, material: Material, piece: Fabric) -> Preset:
+    held, free = (measure(piece, RESOLUTION, SIZE, sides_held) for sides_held in (True, False))
     measures = tuple(_measure(material, held, free, *column) for column in COLUMNS)
     damping = Measure("damping_ratio", "", material.damping_ratio)
     return Preset(name, material.source, (*measures, damping))

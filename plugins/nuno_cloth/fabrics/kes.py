@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_cloth.fabrics.energy import elastic_energy
-from nuno_cloth.fabrics.material import HandSet, Measured
-from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Bool, Fabric, Float
 
@@ -26,13 +24,6 @@ left of the springs' nonlinearity is of order STRAIN^2."""
 TURN = 0.02
 """Angle between neighbouring rows in the bending test [rad]: 1 - cos differs from half its square
 by TURN^2 / 12 of it."""
-
-
-class _NoFiles:
-    """Specimens carry no images."""
-
-    def resolve(self, name: str) -> object:
-        raise FileNotFoundError(name)
 
 
 @dataclass(frozen=True)
@@ -48,14 +39,12 @@ class Measures:
 
 
 def measure(
-    fabric: str | Measured | HandSet,
-    resolution: tuple[int, int] = (9, 9),
-    size: tuple[float, float] = (0.05, 0.05),
+    piece: Fabric,
+    resolution: tuple[int, int],
+    size: tuple[float, float],
     sides_held: bool = True,
 ) -> Measures:
-    """All tests on a specimen of `size` (across, along) [m] with `resolution` vertices."""
-    config = SheetConfig(size=size, resolution=resolution, fabric=fabric)
-    piece = Sheet().build(config, _NoFiles(), 0)  # type: ignore[arg-type]
+    """All tests on a specimen, a sheet of `size` (across, along) [m] with `resolution` vertices."""
     rows, cols = resolution[1], resolution[0]
     return Measures(
         warp=stretch(piece, rows, cols, along=1, sides_held=sides_held),

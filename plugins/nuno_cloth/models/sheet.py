@@ -122,9 +122,13 @@ class Sheet:
 
     def presets(self) -> tuple[Preset, ...]:
         """Fabrics known by name, to every model here; the virtual tests take about a second."""
-        from nuno_cloth.fabrics.catalogue import list_presets
+        from nuno_cloth.fabrics.catalogue import RESOLUTION, SIZE, list_presets
 
-        return list_presets()
+        def cut(name: str) -> Fabric:
+            config = SheetConfig(size=SIZE, resolution=RESOLUTION, fabric=name)
+            return self.build(config, None, 0)  # type: ignore[arg-type] # specimens carry no images
+
+        return list_presets(cut)
 
     def build(self, config: SheetConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a pin that does not exist, a missing texture, elongated cells."""
