@@ -107,6 +107,10 @@ class Poses:
     rotation: Float
     translation: Float
 
+    def same_place(self, other: Poses) -> bool:
+        """Whether the frames are where others are, to the last bit."""
+        return np.array_equal(self.rotation, other.rotation) and np.array_equal(self.translation, other.translation)
+
 
 def rotation_matrices(q: Float) -> Float:
     """(f, 4) unit quaternions -> (f, 3, 3) matrices."""

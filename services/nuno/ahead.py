@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
-from nuno.collision.bodies import Bodies, build_bodies
-from nuno.scene.choose import decide
+from nuno.choose.cloth import decide
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.run import Simulation
+from nuno.verify import steppers
 
 
 @dataclass
@@ -33,25 +31,5 @@ class Pace:
 
 def run_seconds(loaded: Loaded) -> float:
     """Wall time of a scene's steps [s], by a frame of it. Raises BadInput for a scene that would not start."""
-    loaded, frame = decide(loaded), 0.0
-    if loaded.scene.moves:
-        bodies = build_bodies(loaded) if loaded.scene.bodies else None
-        geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
-        frame = time_frame(Simulation(loaded, geometry, poses, 0), bodies)
-    if loaded.dye is not None:
-        from nuno.dye import describe
-        from nuno.dye.run import DyeRun
-
-        frame += describe.time_frame(DyeRun(loaded, 0))
-    return frame * loaded.scene.frames
-
-
-def time_frame(simulation: Simulation, bodies: Bodies | None) -> float:
-    """Wall time of the second frame of cloth [s]; the first one may compile."""
-    seconds, rate = 0.0, simulation.loaded.scene.frame_rate
-    for frame in range(2):
-        ends = [bodies.poses((frame + i) / rate) if bodies else None for i in range(2)]
-        start = time.perf_counter()
-        simulation.advance(*ends)
-        seconds = time.perf_counter() - start
-    return max(seconds, 1e-9)
+    loaded = decide(loaded)
+    return loaded.scene.frames * sum(make().time_frame() for make in steppers(loaded).values())

@@ -17,16 +17,18 @@ from typing import Any
 
 import numpy as np
 
+from nuno.choose.cloth import decide
 from nuno.recording.reader import Recording, open_recording
+from nuno.recording.recorded import per_dye
 from nuno.report import Report, make_report
 from nuno.scene import scene_file
-from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision import runs, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
+from nuno_schemas.messages import DYE_CHECKPOINT
 
 GIVEN = "the scene given"
 """What errors call a scene that is a mapping."""
@@ -161,10 +163,8 @@ def _recorded(loaded: Loaded, options: Options, deployment: Deployment) -> Resul
             last = recording.last_checkpoint()
             t, x, v = last.t, np.array(last.x), np.array(last.v)
         if loaded.dye is not None:
-            from nuno.dye.checkpoint import last_checkpoint, per_dye
-
-            end = last_checkpoint(recording)
-            t, amounts = end.t, {name: np.array(per_dye(getattr(end, name))) for name in ("phi", "fixed")}
+            end = recording.last_checkpoint(topic=DYE_CHECKPOINT.name)
+            t, amounts = end.t, {name: np.array(per_dye(values)) for name, values in end.state.items()}
     return Result(outcome.state, t, x, v, digest, report, path, amounts.get("phi"), amounts.get("fixed"))
 
 

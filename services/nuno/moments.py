@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import control_events, restored_scene
-from nuno.scene.scene_file import Loaded
-from nuno.verify import Again
+from nuno.stepping.again import Again
+from nuno.stepping.stepped import Stepper
+from nuno.verify import steppers
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import Forces
-
-if TYPE_CHECKING:
-    from nuno.dye.verify import DyeAgain
-    from nuno.simulation.verify import ClothAgain
-
-A = TypeVar("A", bound=Again)
 
 
 @dataclass(frozen=True)
@@ -61,68 +56,60 @@ def states(
             problem = "no such frame in the recording"
             raise BadInput(problem, str(recording.path), field="--frame", value=frame, limit=limit)
     with restored_scene(recording) as loaded:
-        cloth: _Part[ClothAgain] | None = None
-        dye: _Part[DyeAgain] | None = None
-        if loaded.scene.moves:
-            from nuno.simulation.verify import ClothAgain
-
-            cloth = _Part(ClothAgain, recording, loaded, threads)
-        if loaded.dye is not None:
-            from nuno.dye.verify import DyeAgain
-
-            dye = _Part(DyeAgain, recording, loaded, threads)
+        parts = {name: _Part(recording, make) for name, make in steppers(loaded, threads).items()}
         for frame in wanted:
-            yield _moment(frame, cloth.at(frame) if cloth else None, dye.at(frame) if dye else None, forces)
+            at = {name: part.at(frame) for name, part in parts.items()}
+            yield _moment(frame, at.get("cloth"), at.get("dye"), forces)
 
 
-def _moment(frame: int, cloth: ClothAgain | None, dye: DyeAgain | None, forces: bool) -> Moment:
-    phi, fixed = (dye.dyeing.state.phi.copy(), dye.dyeing.state.fixed.copy()) if dye is not None else (None, None)
+def _moment(frame: int, cloth: Any, dye: Any, forces: bool) -> Moment:
+    """`cloth` is a simulation, `dye` a dyeing, None for what the scene has not."""
+    phi, fixed = (dye.state.phi.copy(), dye.state.fixed.copy()) if dye is not None else (None, None)
     if cloth is None:
-        assert dye is not None
         none = np.zeros((0, 3))
         return Moment(frame, dye.t, dye.digest(), none, none, phi=phi, fixed=fixed)
-    state, fabric = cloth.simulation.state, cloth.simulation.fabric
-    acting = cloth.forces() if forces else None
-    return Moment(frame, cloth.t, cloth.digest(), state.x.copy(), state.v.copy(), fabric, acting, phi, fixed)
+    acting, state = cloth.present_forces() if forces else None, cloth.state
+    return Moment(frame, cloth.t, cloth.digest(), state.x.copy(), state.v.copy(), cloth.fabric, acting, phi, fixed)
 
 
-class _Part(Generic[A]):
+class _Part:
     """What one service stepped, at whichever frame is wanted."""
 
-    def __init__(self, kind: type[A], recording: Recording, loaded: Loaded, threads: int) -> None:
-        self._kind, self._recording, self._loaded, self._threads = kind, recording, loaded, threads
-        marks = recording.marks(kind.status)
+    def __init__(self, recording: Recording, make: Callable[[], Stepper]) -> None:
+        self._recording, self._make, self._stepper = recording, make, make()
+        marks = recording.marks(self._stepper.status.name)
         self._times = {frame: time for time, (frame, _) in marks.items()}
         self._digests = dict(marks.values())
         self._changed = {event.frame for event in control_events(recording)}
-        self._again: A | None = None
+        self._again: Again | None = None
 
-    def at(self, frame: int) -> A:
+    def at(self, frame: int) -> Stepper:
         """The same at a frame. Raises BadInput where its digest is another."""
         again, path = self._again, str(self._recording.path)
-        if again is None or not again.frame <= frame <= again.frame + 1:
+        if again is None or not again.stepper.frame <= frame <= again.stepper.frame + 1:
             number, start = self._nearest(frame)
-            if again is None or not number <= again.frame <= frame:
-                again = self._again = self._kind(self._recording, self._loaded, self._threads, start)
+            if again is None or not number <= again.stepper.frame <= frame:
+                again = self._again = self._begin(start)
         again.go_to(frame)
-        if again.digest() != self._digests.get(frame):
-            # A change made before the first frame, of this run or of a resumed one, is in that frame already.
-            again.change()
-        if again.digest() != self._digests.get(frame):
-            problem = f"simulated again, frame {frame} of the {again.part} comes out otherwise than it was recorded"
+        if not again.comes_to(self._digests.get(frame)):
+            part = again.stepper.part
+            problem = f"simulated again, frame {frame} of the {part} comes out otherwise than it was recorded"
             raise BadInput(problem, path, remedy="nuno verify says where, and what is another than it was then")
-        return again
+        return again.stepper
+
+    def _begin(self, start: Recorded | None) -> Again:
+        """From a checkpoint's message on, or from the start: the first time with what has not begun yet."""
+        if self._again is not None:
+            self._stepper = self._make()
+        return Again(self._recording, self._stepper, start)
 
     def _nearest(self, frame: int) -> tuple[int, Recorded | None]:
         """Frame and message of the last checkpoint from which a frame can be reached; -1 and None from the start."""
         log_time = self._times.get(frame, -1)
-        while (message := self._recording.last(self._kind.checkpoint, log_time / 1e9)) is not None:
+        while (message := self._recording.last(self._stepper.kept.name, log_time / 1e9)) is not None:
             number = next((n for n, time in self._times.items() if time == message.log_time), frame)
-            if number < frame or (number not in self._changed and self._kept(message) == self._digests[number]):
+            same = self._recording.checkpoint(message).digest == self._digests.get(number)
+            if number < frame or (number not in self._changed and same):
                 return number, message
             log_time = message.log_time - 1
         return -1, None
-
-    def _kept(self, message: Recorded) -> str:
-        """Digest of the state that a checkpoint holds."""
-        return str(self._recording.arrays(message)[1].get("digest", ""))

@@ -14,9 +14,9 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel
 
-from nuno.recording.provenance import assets, chosen_by, plugins, versions
 from nuno.scene.files import stamp_of
 from nuno.scene.override import item_at, number_or_name, parts_of
+from nuno.scene.provenance import assets, chosen_by, plugins, versions
 from nuno.scene.scene_file import Loaded
 from nuno.wire.bus import Bus
 from nuno.wire.question import Question

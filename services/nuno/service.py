@@ -25,7 +25,7 @@ from nuno.wire.health import offer_health
 from nuno.wire.question import Question
 from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import EVENT, Event, Topic
+from nuno_schemas.messages import EVENT, Ack, Event, Topic
 
 SUPERVISOR = "supervisor"
 MODULES = {
@@ -82,6 +82,11 @@ class Context:
             {"frame": frame, "t": t, "service": self.bus.service, "kind": kind, "text": text, "args": args}
         )
         self.bus.publisher(_event_topic(self.bus.service)).put(event.model_dump_json().encode(), frame, t)
+
+    def acknowledge(self, frame: int, t: float) -> None:
+        """Say that this service, which must see every frame, has handled one."""
+        ack = Ack(service=self.bus.service, frame=frame)
+        self.bus.publisher(ack_topic(self.bus.service)).put(ack.model_dump_json().encode(), frame, t)
 
     def orphaned(self) -> bool:
         """Whether the supervisor was there and has gone."""

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 
 import numpy as np
 
-from nuno.recording.provenance import plugins, versions
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.restore import restored_scene
+from nuno.scene.provenance import plugins, versions
 from nuno.scene.scene_file import Loaded
+from nuno.stepping.again import Again
+from nuno.stepping.stepped import Stepper
 from nuno_schemas.errors import BadInput
 
 Progress = Callable[[float], None]
@@ -63,62 +65,21 @@ class Verification:
     others: tuple[str, ...] = ()
 
 
-class Again(ABC):
-    """What one service stepped, stepped again."""
+def steppers(loaded: Loaded, threads: int = 0) -> dict[str, Callable[[], Stepper]]:
+    """What makes a scene's cloth and its dye, each at its start and stepped without services, by their names.
 
-    part: str
-    """cloth or dye"""
-    status: str
-    published: str
-    checkpoint: str
-    """Topics of its digests, of its float32 and of its float64 arrays."""
+    Each raises BadInput for a scene that would not start.
+    """
+    found: dict[str, Callable[[], Stepper]] = {}
+    if loaded.scene.moves:
+        from nuno.simulation.run import Simulation
 
-    @abstractmethod
-    def __init__(self, recording: Recording, loaded: Loaded, threads: int, start: Recorded | None = None) -> None:
-        """From a checkpoint's message on, or else from the start. Raises BadInput."""
+        found[Simulation.part] = partial(Simulation.with_bodies, loaded, threads)
+    if loaded.dye is not None:
+        from nuno.dye.run import DyeRun
 
-    @property
-    @abstractmethod
-    def frame(self) -> int:
-        """Number of the present frame."""
-
-    @property
-    @abstractmethod
-    def t(self) -> float:
-        """Its time [s]."""
-
-    @abstractmethod
-    def go_to(self, frame: int) -> None:
-        """Step to a frame, with what was changed before it."""
-
-    @abstractmethod
-    def change(self) -> None:
-        """Make the changes of the present frame."""
-
-    @property
-    @abstractmethod
-    def changing(self) -> bool:
-        """Whether changes of the present frame are still to be made."""
-
-    @abstractmethod
-    def digest(self) -> str:
-        """Of the present state."""
-
-    @abstractmethod
-    def arrays(self) -> Arrays:
-        """The present state, float64, by quantity."""
-
-    @abstractmethod
-    def shown(self, payload: bytes) -> tuple[Arrays, Arrays]:
-        """The present state as it would be published, and as it was, by quantity."""
-
-    @abstractmethod
-    def kept(self, message: Recorded) -> tuple[str, Arrays]:
-        """A checkpoint's digest and arrays, by quantity."""
-
-    @abstractmethod
-    def name(self, quantity: str, index: Sequence[int]) -> str:
-        """An index in words."""
+        found[DyeRun.part] = partial(DyeRun, loaded, threads)
+    return found
 
 
 def verify(recording: Recording, threads: int = 0, progress: Progress | None = None) -> Verification:
@@ -129,72 +90,72 @@ def verify(recording: Recording, threads: int = 0, progress: Progress | None = N
     """
     with restored_scene(recording) as loaded:
         found = Verification(0)
-        if loaded.scene.moves:
-            from nuno.simulation.verify import ClothAgain
-
-            found = compare(recording, ClothAgain(recording, loaded, threads), progress)
-        if found.frame is None and loaded.dye is not None:
-            from nuno.dye.verify import DyeAgain
-
-            dyed = compare(recording, DyeAgain(recording, loaded, threads), progress)
-            found = replace(dyed, compared=found.compared, dyed=dyed.compared) if loaded.scene.moves else dyed
-        return found if found.frame is None else replace(found, others=_others(recording, loaded))
+        for part, make in steppers(loaded, threads).items():
+            now = compare(recording, Again(recording, make()), progress)
+            dyed = part == "dye" and loaded.scene.moves
+            found = replace(now, compared=found.compared, dyed=now.compared) if dyed else now
+            if found.frame is not None:
+                return replace(found, others=_others(recording, loaded))
+        return found
 
 
 def compare(recording: Recording, again: Again, progress: Progress | None = None) -> Verification:
     """Step through the frames of a recording. Raises BadInput where it has no digests."""
-    found, equal = None, 0
-    for digest, frame, messages in _frames(recording, again):
+    found, equal, stepper = None, 0, again.stepper
+    for digest, frame, messages in _frames(recording, stepper):
         again.go_to(frame)
-        if again.digest() != digest and found is None:
-            # A change made before the first frame, of this run or of a resumed one, is in that frame already.
-            again.change()
-        difference = _first_difference(again, digest, messages)
-        if found is None and (difference is not None or again.digest() != digest):
-            found = Verification(equal, frame, again.t, again.part)
+        same = again.comes_to(digest) if found is None else stepper.digest() == digest
+        difference = _first_difference(recording, again, digest, messages)
+        if found is None and (difference is not None or not same):
+            found = Verification(equal, frame, stepper.t, stepper.part)
         if found is not None and difference is not None:
             return replace(found, difference=difference)
         equal += 1
         if progress is not None:
-            progress(again.t)
+            progress(stepper.t)
     if not equal:
         raise BadInput("the recording holds no digests to compare", str(recording.path))
     return found or Verification(equal)
 
 
-def _frames(recording: Recording, again: Again) -> Iterator[tuple[str, int, list[Recorded]]]:
+def _frames(recording: Recording, stepper: Stepper) -> Iterator[tuple[str, int, list[Recorded]]]:
     """Digest and number of each frame whose status is there, and what is kept of it."""
-    topics = (again.status, again.published, again.checkpoint)
+    topics = (stepper.status.name, stepper.published.name, stepper.kept.name)
     for _, group in groupby(recording.messages(topics), key=lambda message: message.log_time):
         messages = list(group)
-        status = next((recording.json(m.payload) for m in messages if m.topic == again.status), {})
+        status = next((recording.json(m.payload) for m in messages if m.topic == stepper.status.name), {})
         if status.get("digest"):
             yield str(status["digest"]), int(status["frame"]), messages
 
 
-def _first_difference(again: Again, digest: str, messages: list[Recorded]) -> Difference | None:
+def _first_difference(recording: Recording, again: Again, digest: str, messages: list[Recorded]) -> Difference | None:
     """Of the state here from what is kept of the frame: of its float64 arrays, or else of what was published."""
-    for message in (m for m in messages if m.topic == again.checkpoint):
-        of, theirs = again.kept(message)
-        ours = again.arrays()
-        if again.changing:  # it may be kept with its changes, which make the solver's memory anew
-            ours, theirs = ({n: a for n, a in kept.items() if not n.startswith(MEMORY)} for kept in (ours, theirs))
+    stepper = again.stepper
+    for message in (m for m in messages if m.topic == stepper.kept.name):
+        theirs, ours = recording.checkpoint(message), stepper.keep()
+        pairs = [(ours.state, theirs.state)]
+        if not again.changing:  # else it may be kept with its changes, which make the solver's memory anew
+            pairs.append((ours.memory, theirs.memory))
         # That of a change made after the frame is of another state.
-        if of == digest and (found := _compare(again, ours, theirs, "checkpoint")):
-            return found
-    for message in (m for m in messages if m.topic == again.published):
-        if found := _compare(again, *again.shown(message.payload), "published"):
+        for (here, there), memory in zip(pairs, ("", MEMORY), strict=False):
+            if theirs.digest == digest and (found := _compare(stepper, here, there, "checkpoint", memory)):
+                return found
+    for message in (m for m in messages if m.topic == stepper.published.name):
+        here, there = stepper.decode(stepper.encode()), stepper.decode(message.payload)
+        if found := _compare(stepper, here, there, "published"):
             return found
     return None
 
 
-def _compare(again: Again, ours: Arrays, theirs: Arrays, kept: str) -> Difference | None:
-    for quantity in {**theirs, **ours}:
-        here, recorded = (np.asarray(arrays.get(quantity, ()), np.float64) for arrays in (ours, theirs))
+def _compare(stepper: Stepper, ours: Arrays, theirs: Arrays, kept: str, memory: str = "") -> Difference | None:
+    """`memory` is what quantities begin with that are not of the state."""
+    for name in {**theirs, **ours}:
+        here, recorded = (np.asarray(arrays.get(name, ()), np.float64) for arrays in (ours, theirs))
+        quantity = memory + name if memory else stepper.quantities[name]
         if here.shape != recorded.shape:
             sizes = float(here.size), float(recorded.size)
             shapes = f"here of shape {here.shape}, recorded {recorded.shape}"
-            return Difference(again.frame, f"number of values ({quantity})", shapes, *sizes, kept, 1, 1, 0.0)
+            return Difference(stepper.frame, f"number of values ({quantity})", shapes, *sizes, kept, 1, 1, 0.0)
         bits = [np.ascontiguousarray(array).view(np.uint64) for array in (here, recorded)]
         differs = bits[0] != bits[1]  # a NaN is equal to itself, and 0.0 is not -0.0
         if differs.any():
@@ -202,14 +163,9 @@ def _compare(again: Again, ours: Arrays, theirs: Arrays, kept: str) -> Differenc
             with np.errstate(invalid="ignore"):
                 farthest = float(np.abs(here - recorded)[differs].max())
             values = float(here[first]), float(recorded[first])
-            index = f"entry {first}" if quantity.startswith(MEMORY) else again.name(quantity, first)
-            return Difference(again.frame, quantity, index, *values, kept, int(differs.sum()), differs.size, farthest)
+            index = f"entry {first}" if memory else stepper.place(first)
+            return Difference(stepper.frame, quantity, index, *values, kept, int(differs.sum()), differs.size, farthest)
     return None
-
-
-def remembered(memory: Arrays) -> Arrays:
-    """A solver's memory, by quantity."""
-    return {MEMORY + name: values for name, values in memory.items()}
 
 
 def _others(recording: Recording, loaded: Loaded) -> tuple[str, ...]:

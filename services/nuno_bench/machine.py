@@ -12,7 +12,7 @@ from importlib.metadata import version
 import numba
 import psutil
 
-from nuno.recording.provenance import processor
+from nuno.scene.provenance import processor
 
 DISTURBED = 0.05
 """Share of the machine from which on others are said to disturb the times."""

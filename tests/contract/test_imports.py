@@ -1,8 +1,12 @@
-"""Imports form a V: plugins -> schemas <- services."""
+"""Imports form a V, plugins -> schemas <- services, and go in no circle, neither between files nor between parts of the
+host.
+"""
 
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -51,3 +55,72 @@ def test_package_imports_only_what_it_may(package: str) -> None:
         if bad:
             wrong[str(path.relative_to(ROOT))] = sorted(bad)
     assert not wrong
+
+
+def find_modules() -> dict[str, Path]:
+    """Every file of the project by the name it is imported by, a folder's __init__ by the folder's."""
+    found = {}
+    for kind in ("schemas", "services", "plugins"):
+        for path in (ROOT / kind).rglob("*.py"):
+            parts = path.relative_to(ROOT / kind).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def each_import(node: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Imports wherever in a file, also those of functions; what is there for types alone (TYPE_CHECKING) never runs."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Import | ast.ImportFrom):
+            yield child
+        elif not (isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING"):
+            yield from each_import(child)
+
+
+MODULES = find_modules()
+
+
+def modules_in(path: Path) -> set[str]:
+    """Modules that a file imports, the project's by their files and others as they are named."""
+    found = set()
+    for node in each_import(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif node.module:
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in MODULES else node.module for name in inner}
+    return found
+
+
+def circle(imports: dict[str, set[str]]) -> list[str]:
+    """One circle, if there is any."""
+    try:
+        TopologicalSorter(imports).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_circle_of_files() -> None:
+    imports = {name: (modules_in(path) & MODULES.keys()) - {name} for name, path in MODULES.items()}
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}}), "a circle is not seen"
+    assert circle(imports) == []
+
+
+def test_no_circle_of_the_hosts_parts() -> None:
+    """A part is a folder of the host, or a file beside them."""
+    imports: dict[str, set[str]] = {}
+    for name, path in MODULES.items():
+        if name.startswith("nuno."):
+            parts = {".".join(one.split(".")[:2]) for one in modules_in(path) if one.startswith("nuno.")}
+            part = ".".join(name.split(".")[:2])
+            imports.setdefault(part, set()).update(parts - {part})
+    assert {"nuno.wire", "nuno.scene"} <= imports.keys() and "nuno.scene" in imports["nuno.service"]
+    assert circle(imports) == []
+
+
+def test_the_wire_imports_nothing_above_it() -> None:
+    """The standard library, libraries, the schemas, and other parts of the wire."""
+    for name, path in MODULES.items():
+        if name.split(".")[:2] == ["nuno", "wire"]:
+            own = {one for one in modules_in(path) if one.split(".")[0] in OWN}
+            assert {one for one in own if not one.startswith(("nuno.wire", "nuno_schemas"))} == set(), name

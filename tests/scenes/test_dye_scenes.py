@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nuno.dye.painter import painter_of
 from nuno.dye.run import DyeRun
-from nuno.export.dyed import painter_of
 from nuno.scene import scene_file
 from nuno.wire.arrays import encode_arrays
 from nuno_schemas.dye_picture import Layers

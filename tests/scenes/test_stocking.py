@@ -178,8 +178,7 @@ def test_a_resumed_fit_goes_on_in_the_same_bits() -> None:
     for _ in range(4):
         simulation.advance(poses, poses)
     other, _ = prepare()
-    arrays = {name: array.copy() for name, array in simulation.memory.arrays.items()}
-    other.resume(4, simulation.state.x.copy(), simulation.state.v.copy(), arrays)
+    other.resume(simulation.keep())
     assert [simulation.advance(poses, poses).digest for _ in range(3)] == [
         other.advance(poses, poses).digest for _ in range(3)
     ]

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from scenes import write_scene
 
-from nuno import ahead
 from nuno.ahead import Pace, run_seconds
 from nuno.cli import main, progress
 from nuno.cli.progress import ProgressLine
 from nuno.scene import scene_file
+from nuno.simulation.run import Simulation
 from nuno.words import roughly
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery.kind import Columns, Kind, Shown
@@ -40,13 +40,13 @@ def test_a_scenes_time_is_that_of_a_frame_measured_here(tmp_path: Path, monkeypa
     """Times its frames: a frame that is made to take 20 ms longer shows in the estimate."""
     loaded = scene_file.read(write_scene(tmp_path))
     quick = run_seconds(loaded)
-    before = ahead.Simulation.advance
+    before = Simulation.advance
 
-    def slow(simulation: ahead.Simulation, *poses: object) -> object:
+    def slow(simulation: Simulation, *poses: object) -> object:
         time.sleep(0.02)
         return before(simulation, *poses)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(ahead.Simulation, "advance", slow)
+    monkeypatch.setattr(Simulation, "advance", slow)
     found = run_seconds(loaded)
     assert quick < 0.02 * loaded.scene.frames <= found < 0.04 * loaded.scene.frames
 

@@ -20,9 +20,10 @@ from nuno.collision.service import Collision
 from nuno.recording.service import Recorder
 from nuno.scene import scene_file
 from nuno.service import Options
+from nuno.stepping import driver
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Outcome
-from nuno.wire import laggards, lockstep
+from nuno.wire import laggards
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import hub_at, identity, spoke
 from nuno_schemas.messages import STATE
@@ -113,7 +114,7 @@ class Watched:
 
 
 def test_a_slow_recorder_is_waited_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lockstep, "WAITING_AFTER", 0.2)
+    monkeypatch.setattr(driver, "WAITING_AFTER", 0.2)
     real = Recorder.handle
 
     def slow(recorder: Recorder, message: Message) -> None:
@@ -134,7 +135,7 @@ def test_a_slow_recorder_is_waited_for_by_name(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_recorder_that_never_comes_back_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lockstep, "PATIENCE", 0.3)
+    monkeypatch.setattr(driver, "PATIENCE", 0.3)
     monkeypatch.setattr(oversight, "FINISH_TIMEOUT", 0.3)
     over = threading.Event()
     monkeypatch.setattr(Recorder, "handle", lambda recorder, message: over.wait(5.0))
@@ -150,7 +151,7 @@ def test_a_slow_collision_service_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pause: float, ends: str
 ) -> None:
     monkeypatch.setattr("nuno.wire.bus.WAITING_AFTER", 0.2)
-    monkeypatch.setattr(lockstep, "WAITING_AFTER", 0.2)
+    monkeypatch.setattr(driver, "WAITING_AFTER", 0.2)
     monkeypatch.setattr(ask, "PATIENCE", 1.0)
     real = Collision.poses
 

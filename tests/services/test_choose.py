@@ -11,11 +11,12 @@ import pytest
 import yaml
 
 from nuno import api, registry
+from nuno.choose import cloth as choose
+from nuno.choose.trials import Method, Trials
 from nuno.cloth import build
-from nuno.scene import choose, scene_file
+from nuno.scene import scene_file
 from nuno.scene.override import apply_override, as_override
 from nuno.scene.scene_file import Loaded
-from nuno.scene.trials import Method, Trials
 from nuno_bench.precision.accuracy import promised_frames
 from nuno_bench.problem.observe import make_problem, simulate
 from nuno_bench.problem.reference import make_reference

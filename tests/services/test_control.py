@@ -21,11 +21,11 @@ from nuno.cli.control import SLOW
 from nuno.cloth.build import build_fabric
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
-from nuno.simulation.driver import NOW, Driver
+from nuno.simulation.service import NOW
+from nuno.stepping.driver import Driver
 from nuno.supervision import runs
 from nuno.wire.arrays import decode_arrays
 from nuno.wire.bus import Bus
-from nuno.wire.lockstep import Lockstep
 from nuno.wire.sessions import spoke
 from nuno_schemas.errors import RunFailed
 
@@ -146,14 +146,14 @@ def test_a_step_says_that_the_run_pauses_again(run: Run, capsys: pytest.CaptureF
 
 def test_a_step_counts_the_frames_after_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also while a frame that is done waits to be acknowledged."""
-    before, asked = Lockstep.wait_for, list[int]()
+    before, asked = Driver.wait_for, list[int]()
 
-    def wait_for(self: Lockstep, frame: int) -> None:
+    def wait_for(self: Driver, frame: int) -> None:
         if self.work.frame == 3 and not asked:
             asked.append(self.control({"action": "step", "frames": 2})["left"])
         before(self, frame)
 
-    monkeypatch.setattr(Lockstep, "wait_for", wait_for)
+    monkeypatch.setattr(Driver, "wait_for", wait_for)
     run = start_long(tmp_path)
     assert run.wait_until_paused() == 5 and asked == [2]
     run.stop()

@@ -18,7 +18,6 @@ from live_run import Run
 
 import nuno
 from nuno.cli import main
-from nuno.dye.checkpoint import read_checkpoints
 from nuno.dye.run import DyeRun
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
@@ -27,6 +26,7 @@ from nuno.service import Options
 from nuno.supervision import supervisor
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput
+from nuno_schemas.messages import DYE_CHECKPOINT
 
 PROGRAM = """
 import json, os, sys
@@ -62,7 +62,7 @@ def test_any_frame_of_dye_is_had_again(tmp_path: Path, capsys: pytest.CaptureFix
     path = nuno.run(write_scene(tmp_path, record=record), record=tmp_path / "run.mcap").path
     ended = nuno.run(tmp_path / "scene.yaml", "duration=10.8 s")
     with nuno.open(path) as recording:
-        assert [point.frame for point in read_checkpoints(recording)] == [4, 8, 10]
+        assert [point.frame for point in recording.checkpoints(DYE_CHECKPOINT.name)] == [4, 8, 10]
         (moment,) = nuno.states(recording, [6])
     assert moment.digest == ended.digest and moment.t == ended.t
     assert moment.phi is not None and moment.fixed is not None and ended.phi is not None and ended.fixed is not None

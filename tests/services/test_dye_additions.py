@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from PIL import Image
 
 import nuno
 from nuno.cli import main
-from nuno.dye.checkpoint import DyeCheckpoint
 from nuno.dye.run import DyeRun
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
@@ -22,6 +22,7 @@ from nuno.service import Options
 from nuno.supervision import supervisor
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput
+from nuno_schemas.messages import Event
 
 CLOTH = {"plugin": "cells", "file": "cells.npz", "cell_size": CELL, "tau3": {"I": 0.5, "II": 0.5, "III": 0.1}}
 DROP = {"kind": "drop", "place": [3 * CELL, 4 * CELL], "diameter": 4 * CELL}
@@ -95,7 +96,7 @@ def test_a_resumed_run_prepares_its_solver_with_the_resist_that_it_goes_on_with(
         whole.advance()
     whole.add(said("resist", PASTE))
     whole.advance()
-    point = _checkpoint(whole)
+    point = deepcopy(whole.keep())
     seen, before = list[Any](), Explicit.prepare
 
     def prepare(self: Explicit, config: Any, system: Any, state: Any) -> Any:
@@ -104,7 +105,7 @@ def test_a_resumed_run_prepares_its_solver_with_the_resist_that_it_goes_on_with(
 
     monkeypatch.setattr(Explicit, "prepare", prepare)
     resumed = start(tmp_path)
-    resumed.resume(point, [(2, said("resist", PASTE))])
+    resumed.resume(point, events([(2, said("resist", PASTE))]))
     assert np.array_equal(seen[-1], whole.cells.resist) and resumed.digest() == whole.digest()
     assert resumed.advance().digest == whole.advance().digest
 
@@ -119,18 +120,19 @@ def test_a_bath_added_after_a_resist_is_resumed_with_its_volume(tmp_path: Path) 
                 whole.add(item)
         whole.advance()
     resumed = start(tmp_path)
-    resumed.resume(_checkpoint(whole), added)
+    resumed.resume(whole.keep(), events(added))
     assert resumed.supplies.entries[0].volume == whole.supplies.entries[0].volume
     for _ in range(3):
         assert resumed.advance().digest == whole.advance().digest
     assert resumed.supplied == whole.supplied
 
 
-def _checkpoint(dyeing: DyeRun) -> DyeCheckpoint:
-    text = {"supply": dyeing.supplies.save(dyeing.frame * dyeing.steps)}
-    phi, fixed, resist = (values.copy() for values in (dyeing.state.phi, dyeing.state.fixed, dyeing.cells.resist))
-    memory = {name: values.copy() for name, values in dyeing.memory.arrays.items()}
-    return DyeCheckpoint(dyeing.frame, dyeing.t, dyeing.digest(), phi, fixed, memory, text, resist)
+def events(added: list[tuple[int, str]]) -> list[Event]:
+    """What a recording says of what was added at which frames."""
+    return [
+        Event(frame=frame, t=0.0, service="dye", kind="control", text="add", args={"item": item})
+        for frame, item in added
+    ]
 
 
 def test_a_bath_keeps_its_volume_where_paste_comes_into_it(tmp_path: Path) -> None:

@@ -12,10 +12,10 @@ from dye_closed_forms import CASES, promised_error
 from dye_scene import CELL, TAU3, arrays, write_scene
 
 import nuno
-from nuno.dye.choose import PROMISE
+from nuno.choose.cloth import decide
+from nuno.choose.dye import PROMISE
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
-from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.verify import verify
 from nuno_schemas.errors import BadInput

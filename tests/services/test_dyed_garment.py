@@ -88,9 +88,9 @@ def test_both_are_resumed_from_the_last_frame_that_both_have_kept(tmp_path: Path
 
 def _without_last_checkpoint(path: Path, topic: str) -> Path:
     """A copy of a recording in which one service has not come to its last checkpoint."""
-    from nuno.recording.provenance import assets, describe_run
     from nuno.recording.restore import restored_scene
     from nuno.recording.writer import RecordingWriter
+    from nuno.scene.provenance import assets, describe_run
     from nuno_schemas.messages import Header
 
     cut = path.with_name("cut.mcap")
@@ -157,7 +157,7 @@ def test_a_dye_that_does_not_answer_does_not_end_the_run(tmp_path: Path, monkeyp
         return before(self)
 
     monkeypatch.setattr(DyeRun, "advance", advance)
-    monkeypatch.setattr("nuno.simulation.driver.DYE_TIMEOUT", 0.05)
+    monkeypatch.setattr("nuno.simulation.service.DYE_TIMEOUT", 0.05)
     run = Run(write(tmp_path, duration=400.0), tmp_path / "long.mcap")
     assert run.moved.wait(60)
     slow.set()

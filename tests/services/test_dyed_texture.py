@@ -15,8 +15,8 @@ from PIL import Image
 
 import nuno
 from nuno.cli import main
+from nuno.dye.painter import painter_of
 from nuno.export.cloth import read_pieces
-from nuno.export.dyed import painter_of
 from nuno.export.dyed_object import read_dyed_object
 from nuno.export.dyed_pictures import Changes
 from nuno.export.pictures import Painter

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from scenes import BALL, write_scene
 
+from nuno.choose.cloth import decide
 from nuno.premises import Premises, compare, differences, premises_of
 from nuno.scene import scene_file
-from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options, run_service
 from nuno.supervision import runs, supervisor

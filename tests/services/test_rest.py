@@ -109,7 +109,7 @@ def test_a_resumed_run_comes_to_rest_in_the_same_frame(tmp_path: Path) -> None:
         first.advance(None, None)
     assert not first.finished
     again = simulation(tmp_path, "until=rest", "damping=1.5")
-    again.resume(first.frame, first.state.x, first.state.v, dict(first.memory.arrays))
+    again.resume(first.keep())
     finish(again)
     assert again.frame == whole.frame
     assert again.digest() == whole.digest()

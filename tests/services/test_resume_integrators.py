@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -11,9 +12,11 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno.collision.bodies import build_bodies
+from nuno.recording.recorded import Checkpoint
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.simulation.run import Simulation
+from nuno.stepping.stepped import copy_into
 from nuno.supervision import supervisor
 
 INTEGRATORS = sorted(point.name for point in entry_points(group="nuno.integrators"))
@@ -54,7 +57,8 @@ def test_a_frame_is_had_again_and_its_forces_are_the_scenes_whatever_the_solver(
     touching = 0
     for point, moment in zip(points, kept, strict=True):
         anchors = {key: values for key, values in point.memory.items() if key.startswith("anchor")}
-        other.resume(point.frame, point.x, point.v, anchors)
+        memory = {f"memory/{key}": values for key, values in anchors.items()}
+        other.resume(Checkpoint(point.state | memory, point.text))
         expected, found = other.forces((poses, poses)), moment.forces
         assert found is not None and set(found.parts) == set(expected.parts) == {"gravity", "springs", "contact"}
         for kind, force in expected.parts.items():
@@ -72,7 +76,12 @@ def test_memory_matters_where_the_run_is_cut(tmp_path: Path, monkeypatch: pytest
     scene = write_scene(tmp_path, bodies=BALL, duration=0.4)
     whole = nuno.run(scene, record=tmp_path / "whole.mcap")
     part = nuno.run(scene, "duration=0.2", record=tmp_path / "part.mcap")
-    monkeypatch.setattr("nuno.simulation.run.Simulation._restore", lambda simulation, arrays: None)
+
+    def forget(simulation: Simulation, point: Checkpoint) -> None:
+        copy_into(simulation.arrays(), point.state)
+        simulation.frame = point.frame
+
+    monkeypatch.setattr(Simulation, "take_over", forget)
     options = Options(record=tmp_path / "resumed.mcap", resume=part.path)
     assert supervisor.supervise(scene_file.read(scene), options).summary["digest"] != whole.digest
 
@@ -90,11 +99,11 @@ def test_forces_at_the_start_of_a_step_follow_from_the_checkpoint(tmp_path: Path
     whole.measure(poses)
     points, digests = [], []
     while not whole.finished:
-        memory = {key: values.copy() for key, values in whole.memory.arrays.items()}
-        points.append((whole.frame, whole.state.x.copy(), whole.state.v.copy(), memory))
+        points.append(deepcopy(whole.keep()))
         digests.append(whole.advance(poses, poses).digest)
     for point in points[1:]:
         resumed = Simulation(loaded, bodies.geometry, poses, 1)
-        resumed.resume(*point)
+        resumed.resume(point)
         resumed.measure(poses)
-        assert [resumed.advance(poses, poses).digest for _ in digests[point[0] :]] == digests[point[0] :], point[0]
+        after = digests[point.frame :]
+        assert [resumed.advance(poses, poses).digest for _ in after] == after, point.frame

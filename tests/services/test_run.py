@@ -21,10 +21,10 @@ from nuno.recording.restore import control_events
 from nuno.scene import scene_file
 from nuno.service import Context, Options
 from nuno.simulation.run import Simulation
+from nuno.stepping.publish import WINDOW
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno.verify import verify
-from nuno.wire.lockstep import WINDOW
 from nuno.wire.sessions import hub_at
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
@@ -71,10 +71,10 @@ def test_bodies_are_asked_for_as_far_ahead_as_steps_may_run(tmp_path: Path, monk
 
         return take
 
-    monkeypatch.setattr("nuno.simulation.driver.ask_poses", ask)
+    monkeypatch.setattr("nuno.simulation.service.ask_poses", ask)
     nuno.run(write_scene(tmp_path, bodies=BALL), record=tmp_path / "run.mcap")
-    assert asked == list(range(1, 26))
-    assert ahead == [min(WINDOW, 25 - frame) for frame in asked]
+    assert asked == list(range(26))
+    assert ahead == [0, *(min(WINDOW, 25 - frame) for frame in asked[1:])]
 
 
 def test_resumed_run_ends_in_the_same_bits(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from test_viewer_file import read
 
 import nuno
 from nuno.cli import main
-from nuno.export.dyed import painter_of
+from nuno.dye.painter import painter_of
 from nuno.scene import scene_file
 from nuno.viewer import dyed
 from nuno.viewer.bridge import Bridge

@@ -14,10 +14,10 @@ from pathlib import Path
 
 from live_run import Live
 
+from nuno.choose.cloth import decide
 from nuno.recording.reader import open_recording
 from nuno.recording.restore import restored_scene
 from nuno.scene import scene_file
-from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision.supervisor import Deployment

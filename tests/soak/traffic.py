@@ -20,9 +20,9 @@ import numpy as np
 from nuno.cli import main as nuno_main
 from nuno.recording import writer
 from nuno.service import ack_topic
+from nuno.stepping.publish import WINDOW
 from nuno.wire.arrays import encode_points
 from nuno.wire.bus import Bus, Inbox, Message
-from nuno.wire.lockstep import WINDOW
 from nuno.wire.sessions import PATIENCE, identity, spoke
 from nuno_schemas.messages import STATE, Ack
 

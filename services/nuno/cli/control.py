@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from nuno.cli.common import add_config
+from nuno.stepping.driver import ACTIONS
 from nuno.supervision import runs
 from nuno.supervision.supervisor import control
-from nuno.wire.lockstep import ACTIONS
 from nuno_schemas.errors import BadInput
 
 SLOW = "the run answers when the frame that it is in is done"

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import psutil
 
-from nuno.recording.provenance import processor
 from nuno.scene import scene_file
+from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
 from nuno.wire.sessions import free_port, hub_at

@@ -6,12 +6,10 @@ import argparse
 import math
 from pathlib import Path
 
-from nuno.ahead import time_frame
+from nuno.choose.cloth import decide
 from nuno.cli.common import add_scene, load_scene
 from nuno.cloth import build
 from nuno.cloth.worn import start_warnings
-from nuno.collision.bodies import build_bodies
-from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.simulation.run import Simulation
@@ -52,13 +50,11 @@ def _show(rows: list[tuple[str, str]]) -> None:
 
 
 def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
-    bodies = build_bodies(loaded) if loaded.scene.bodies else None
-    poses = bodies.poses(0.0) if bodies else None
-    simulation = Simulation(loaded, bodies.geometry if bodies else None, poses, 0)
+    simulation = Simulation.with_bodies(loaded)
     rows = _size(simulation)
-    if bodies is not None and poses is not None:
-        rows += [*_contact(loaded), *_worn(simulation, bodies.geometry, poses)]
-    seconds = time_frame(simulation, bodies)  # from here on the cloth has moved
+    if simulation.geometry is not None and simulation.poses is not None:
+        rows += [*_contact(loaded), *_worn(simulation, simulation.geometry, simulation.poses)]
+    seconds = simulation.time_frame()  # from here on the cloth has moved
     return [
         *rows,
         ("solver", _solver(simulation)),

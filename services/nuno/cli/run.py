@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from nuno.choose.cloth import decide
 from nuno.cli.common import add_config, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
 from nuno.process import ending_at_once
@@ -16,7 +17,6 @@ from nuno.recording.reader import open_recording
 from nuno.recording.restore import check_unfinished, restored_scene
 from nuno.recording.writer import part_of
 from nuno.report import make_report, show_report
-from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision import log, runs, supervisor

@@ -10,10 +10,10 @@ import threading
 import time
 from pathlib import Path
 
+from nuno.choose.cloth import decide
 from nuno.cli.common import add_config
 from nuno.process import end_process
 from nuno.scene import scene_file
-from nuno.scene.choose import decide
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
 from nuno.supervision import runs
 from nuno.supervision.launch import FINISH_TIMEOUT

@@ -9,12 +9,12 @@ import numpy as np
 from nuno.collision.bodies import Bodies, build_bodies
 from nuno.collision.distance import penetration
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, encode_geometry, encode_poses
-from nuno.service import Context, ack_topic, each_message
+from nuno.service import Context, each_message
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno.wire.bus import Inbox, Message
 from nuno.wire.question import Question
 from nuno_schemas.bodies import Poses
-from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Ack, Header, Penetration
+from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Header, Penetration
 
 KEPT = 16
 """Frames whose poses are kept: more than the simulation runs ahead."""
@@ -86,8 +86,7 @@ class Collision:
         self.deepest, self.last = max(self.deepest, report.depth), report.depth
         self.seconds += report.seconds
         self.context.bus.publisher(PENETRATION).put(report.model_dump_json().encode(), header.frame, header.t)
-        ack = Ack(service="collision", frame=header.frame)
-        self.context.bus.publisher(ack_topic("collision")).put(ack.model_dump_json().encode(), header.frame, header.t)
+        self.context.acknowledge(header.frame, header.t)
 
 
 def main(context: Context) -> None:

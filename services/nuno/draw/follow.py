@@ -9,13 +9,12 @@ import time
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import zenoh
 
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.draw.shown import Bodies, see_now, size_of
 from nuno.draw.sight import NO_POINTS, Board, Sight
-from nuno.simulation.driver import NOW
+from nuno.simulation.service import NOW
 from nuno.supervision import runs
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
 from nuno.wire.bus import Bus, Inbox, Message
@@ -113,10 +112,7 @@ class Follower:
     def _place(self, poses: Poses) -> None:
         """Move the bodies, where they have moved."""
         before = self._poses
-        moved = before is None or not (
-            np.array_equal(before.rotation, poses.rotation) and np.array_equal(before.translation, poses.translation)
-        )
-        if moved and self._bodies is not None:
+        if (before is None or not before.same_place(poses)) and self._bodies is not None:
             self._poses, self._body = poses, self._bodies.at(poses)
 
     def _with_bodies(self, sight: Sight) -> Sight:

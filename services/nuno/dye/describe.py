@@ -49,12 +49,6 @@ def _speed(dyeing: DyeRun) -> str:
     return f", {duration(scene.frames / scene.frame_rate * dyeing.speed)} of dyeing" if dyeing.speed != 1.0 else ""
 
 
-def time_frame(dyeing: DyeRun) -> float:
-    """Wall time of a frame [s]: of the second, where the first, which lays out the cells, is short."""
-    seconds = dyeing.advance().seconds
-    return max(dyeing.advance().seconds if seconds < 1.0 else seconds, 1e-9)
-
-
 def _supply(entry: Entry) -> str:
     one = entry.supply
     times = f"at {duration(one.start)}"
@@ -77,7 +71,7 @@ def _cost(dyeing: DyeRun, loaded: Loaded) -> list[tuple[str, str]]:
     shown = scene.frames if rare is None else min(scene.frames, int(scene.duration / rare) + checkpoints)
     size = (8 * (shown + 1) + 16 * checkpoints) * dyeing.state.phi.size
     memory = estimate_memory(loaded, dye, chosen)[1] if dye is not None and chosen is not None else 0
-    seconds = time_frame(dyeing)
+    seconds = dyeing.time_frame()
     return [
         ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{_speed(dyeing)}"),
         ("time", f"about {seconds * scene.frames:.2g} s, {1 / scene.frame_rate / seconds:.1f}x real time (by a frame)"),

@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import fsum
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import psutil
+from numpy.typing import NDArray
 
 from nuno.dye.add import NAME, as_run, extend, resist_around
-from nuno.dye.checkpoint import DyeCheckpoint
+from nuno.dye.painter import check_picture
 from nuno.dye.step import choose_dye_step
 from nuno.dye.supply import AT_THE_START, Supplies
-from nuno.export.dyed import check_picture
+from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.scene.scene_file import ChosenDye, Loaded
+from nuno.stepping.stepped import Stepped, Stepper, copy_into
+from nuno.wire.arrays import decode_arrays, encode_arrays
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Memory
+from nuno_schemas.messages import CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, Event
 
 BYTES_PER_CELL, BYTES_PER_AMOUNT = 150, 150
 """What a run takes at most per cell: the cloth and its faces, and for each dye amounts, bands and messages; and a
 byte for each supply."""
-
-
-@dataclass
-class Frame:
-    """One finished frame."""
-
-    number: int
-    report: DyeReport
-    seconds: float
-    digest: str
 
 
 def estimate_memory(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[int, int]:
@@ -49,8 +44,12 @@ def estimate_memory(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[int
     return cells, cells * (BYTES_PER_CELL + supplies + len(dye.dyes) * BYTES_PER_AMOUNT)
 
 
-class DyeRun:
+class DyeRun(Stepper):
     """A scene's cloth, its dyes, their solver and their amounts."""
+
+    part, service = "dye", "dye"
+    status, published, kept = DYE_STATUS, CONCENTRATION, DYE_CHECKPOINT
+    quantities = MappingProxyType({"phi": "mobile dye", "fixed": "fixed dye"})
 
     def __init__(self, loaded: Loaded, threads: int, steps: int = 0) -> None:
         """`steps` a frame, stable or not; 0: as the scene says. Raises BadInput."""
@@ -107,19 +106,43 @@ class DyeRun:
         return memory
 
     @property
-    def t(self) -> float:
-        """Time of the scene [s], from the frame number so that it never drifts."""
-        return float(self.frame / self.loaded.scene.frame_rate)
-
-    @property
     def time(self) -> float:
         """Time of the dyeing [s], which supplies and steps count."""
         return self.t * self.speed
 
-    @property
-    def finished(self) -> bool:
-        """Whether the scene's last frame is done."""
-        return self.frame >= self.loaded.scene.frames
+    def arrays(self) -> Arrays:
+        """See `Stepper`: phi and fixed (dyes, 2, ny, nx)."""
+        return {"phi": self.state.phi, "fixed": self.state.fixed}
+
+    def digested(self) -> list[NDArray[Any]]:
+        """See `Stepper`: amounts, and what finite baths hold."""
+        return [*self.arrays().values(), np.array(list(self.supplies.begun(self.frame * self.steps).values()))]
+
+    def encode(self) -> bytes:
+        """See `Stepper`."""
+        return encode_arrays({name: a.astype(np.float32) for name, a in self.arrays().items()}, self._text())
+
+    def _text(self) -> dict[str, Any]:
+        return {"t": self.t, "time": self.time, "frame": self.frame, "dyes": self.names}
+
+    @staticmethod
+    def decode(payload: bytes) -> Arrays:
+        """See `Stepper`: phi and fixed (dyes, 2, ny, nx)."""
+        arrays, _ = decode_arrays(payload)
+        return {name: arrays[name] for name in ("phi", "fixed")}
+
+    def place(self, index: Sequence[int]) -> str:
+        """See `Stepper`."""
+        dye, layer, row, column = index
+        return f"{self.names[dye]} in the {('weft', 'warp')[layer]} of cell ({column}, {row})"
+
+    def step(self) -> Stepped:
+        """See `Stepper`."""
+        return self.advance()
+
+    def present(self) -> Stepped:
+        """See `Stepper`."""
+        return Stepped(self.frame, self.measure(), 0.0, self.digest())
 
     def measure(self, kept: Float | None = None) -> DyeReport:
         """The present amounts, without a step; compiles what steps need, and those with supplies `kept` up."""
@@ -132,7 +155,7 @@ class DyeRun:
         found: DyeReport = self._solver.plugin.advance(self._keeping, self.state, self.memory, steps, self.dt)
         return found
 
-    def advance(self) -> Frame:
+    def advance(self) -> Stepped:
         """Spread dye for one frame, in pieces between which supplies begin, end or exchange."""
         begin = time.perf_counter()
         self.state.t = self.time
@@ -158,7 +181,7 @@ class DyeRun:
         self.frame += 1
         self.state.t = self.time
         report = replace(report, totals=dict(totals), steps=taken)
-        return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
+        return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
 
     @property
     def supplied(self) -> tuple[float, ...]:
@@ -175,53 +198,37 @@ class DyeRun:
         return float(np.max(shares))
 
     def about(self) -> str:
-        """How the solver's kernels run, in words."""
+        """See `Stepper`."""
         return str(self._solver.plugin.about(self.system))
 
-    def digest(self) -> str:
-        """Hash of the float64 state: equal digests mean equal bits."""
-        hasher = hashlib.blake2b(digest_size=16)
-        hasher.update(np.int64(self.frame).tobytes())
-        hasher.update(np.ascontiguousarray(self.state.phi).data)
-        hasher.update(np.ascontiguousarray(self.state.fixed).data)
-        hasher.update(np.array(list(self.supplies.begun(self.frame * self.steps).values())).data)
-        return hasher.hexdigest()
+    def keep(self) -> Checkpoint:
+        """See `Stepper`: with what supplies gave so far, and B where it has changed."""
+        point = super().keep()
+        resist = {"resist": self.cells.resist} if self.resisted else {}
+        return Checkpoint(
+            point.arrays | resist,
+            self._text() | point.text | {"supply": self.supplies.save(self.frame * self.steps)},
+        )
 
-    def resume(self, point: DyeCheckpoint, added: Sequence[tuple[int, str]] = ()) -> None:
-        """Go on from a checkpoint, with what was added until then as (frame, item), in order.
-
-        Raises BadInput if it does not fit.
-        """
-        for frame, item in added:
-            if frame < point.frame:
-                self.frame = frame
-                self.add(item)
+    def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
+        """See `Stepper`."""
+        for event in changes:
+            if event.frame < point.frame:
+                self.frame = event.frame
+                self.add(str(event.args["item"]))
         self._restore(point)
         # Added at the checkpoint's frame: whether before the checkpoint or after it, once more changes nothing.
-        for frame, item in added:
-            if frame == point.frame:
-                self.add(item)
+        for event in changes:
+            if event.frame == point.frame:
+                self.add(str(event.args["item"]))
 
-    def _restore(self, point: DyeCheckpoint) -> None:
-        held = {"phi": self.state.phi, "fixed": self.state.fixed, **self.memory.arrays}
-        given = {"phi": point.phi, "fixed": point.fixed, **point.memory}
-        if point.resist is not None:
-            held["resist"], given["resist"] = np.empty_like(self.cells.resist), point.resist
-        for name, target in held.items():
-            shape = given[name].shape if name in given else "nothing"
-            if shape != target.shape:
-                raise BadInput(
-                    "the checkpoint does not fit this scene",
-                    value=f"{name} of shape {shape}",
-                    limit=f"{target.shape}",
-                    remedy="resume with the recording's own scene",
-                )
-        if point.resist is not None:
-            self.change_resist(point.resist)
+    def _restore(self, point: Checkpoint) -> None:
+        resist = point.arrays.get("resist")
+        if resist is not None:
+            copy_into({"resist": np.empty_like(self.cells.resist)}, {"resist": resist})
+            self.change_resist(resist)
             self.memory = self._prepare(self.supplies)
-        for name, target in {"phi": self.state.phi, "fixed": self.state.fixed, **self.memory.arrays}.items():
-            np.copyto(target, given[name])
-        self.frame = point.frame
+        self.take_over(point)
         try:
             self.supplies.restore(point.text["supply"], self.frame * self.steps)
         except (KeyError, ValueError, TypeError, AttributeError) as error:

@@ -1,31 +1,106 @@
-"""The dye service: prepares a run and lets its driver go through the frames."""
+"""The dye service: has dye spread, and publishes what only dye has."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import math
+from typing import Any
 
-from nuno.dye.checkpoint import additions, last_checkpoint
-from nuno.dye.driver import Driver
+import numpy as np
+from numpy.typing import NDArray
+
 from nuno.dye.run import DyeRun
-from nuno.recording.reader import open_recording
 from nuno.service import Context
-from nuno_schemas.errors import BadInput
+from nuno.stepping.again import resume
+from nuno.stepping.driver import Driver
+from nuno.stepping.stepped import Stepped
+from nuno.wire.arrays import encode_arrays
+from nuno_schemas.messages import CLOTH, STATUS
 
 
-def resume(dyeing: DyeRun, path: Path) -> None:
-    """Go on from a recording's last checkpoint, with what was added before it."""
-    with open_recording(path) as recording:
-        before = recording.common_checkpoint().t
-        point, frames = last_checkpoint(recording, before), dyeing.loaded.scene.frames
-        if point.frame > frames:
-            raise BadInput(
-                "the recording goes on after the end of the scene",
-                str(path),
-                value=f"frame {point.frame}",
-                limit=f"{frames} frames",
-                remedy="lengthen the scene, for example --set duration=10s",
-            )
-        dyeing.resume(point, [one for one in additions(recording) if one[0] <= point.frame])
+class DyeDriver(Driver):
+    """Runs a dyeing frame by frame: leads and answers control, or follows the simulation of what is dyed."""
+
+    def __init__(self, context: Context, dyeing: DyeRun) -> None:
+        super().__init__(context, dyeing, STATUS if context.loaded.scene.moves else None)
+        self.dyeing = dyeing
+        if (every := self.scene.record.dye_every) is not None:
+            self.every = self.scene.in_frames(every)
+        self.balance = 0.0
+        self.amounts: dict[str, dict[str, float | None]] = {}
+
+    def publish_constant(self) -> None:
+        """The cloth."""
+        self.publish_cloth()
+
+    def publish_cloth(self) -> None:
+        """What viewers and recordings need to know about the cloth: at the start, and when it has changed."""
+        dyeing, cells = self.dyeing, self.dyeing.cells
+        arrays: dict[str, NDArray[Any]] = {"fibre": cells.fibre, "up": cells.up} | {
+            name: np.asarray(getattr(cells, name), np.float32) for name in ("porosity", "twist", "resist")
+        }
+        if cells.yarns is not None:
+            arrays |= {"weft_yarn": cells.yarns[0], "warp_yarn": cells.yarns[1]}
+        if cells.ground is not None:
+            arrays |= {"weft_colour": cells.ground[0], "warp_colour": cells.ground[1]}
+        if cells.photograph is not None:
+            arrays |= {"photograph": cells.photograph.light, "photograph_warp": cells.photograph.warp}
+        text = {"scene": self.scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}
+        text["object"] = self.scene.dye.object if self.scene.dye is not None else None
+        self._put(CLOTH, encode_arrays(arrays, text))
+
+    def add(self, item: str) -> dict[str, Any]:
+        """See `Driver`; a cloth with more resist is published again."""
+        resist = self.dyeing.cells.resist
+        change = super().add(item)
+        if self.dyeing.cells.resist is not resist:
+            self.publish_cloth()
+        return change
+
+    def status_of(self, frame: Stepped) -> dict[str, Any]:
+        """The time of the dyeing, and totals of the amounts."""
+        dyeing, report = self.dyeing, frame.report
+        balance = dyeing.balance(report)
+        self.balance = max(self.balance, balance) if math.isfinite(balance) else math.nan
+        totals = {"mobile": report.mobile, "fixed": report.fixed, "supplied": dyeing.supplied}
+        self.amounts = {
+            name: {one: _finite(value) for one, value in zip(dyeing.names, values, strict=True)}
+            for name, values in totals.items()
+        }
+        return {"time": dyeing.time, "balance": _finite(balance), **self.amounts}
+
+    def facts(self, ended: str) -> dict[str, Any]:
+        """Amounts, balance, limit and sizes for the report."""
+        dyeing = self.dyeing
+        return {
+            "limit": {"dt": dyeing.limit},
+            "cells": dyeing.cells.fibre.size,
+            "dyes": len(dyeing.names),
+            "dye": {
+                **self.amounts,
+                "balance": _finite(self.balance),
+                "given": self.given(),
+                "baths": self.baths(),
+                "ahead": dyeing.supplies.ahead(dyeing.frame * dyeing.steps),
+                "seconds": dyeing.time,
+                "weisz_zollinger": {
+                    one.name: one.weisz_zollinger.model_dump() for one in dyeing.system.dyes if one.weisz_zollinger
+                },
+            },
+        }
+
+    def given(self) -> dict[str, dict[str, float | None]]:
+        """What came from where, by dye."""
+        accounts = zip(self.dyeing.names, self.dyeing.supplies.given, strict=True)
+        return {dye: {name: _finite(amount) for name, amount in account.items()} for dye, account in accounts}
+
+    def baths(self) -> dict[str, float]:
+        """What is left in finite baths, as a share of what they can hold."""
+        return {entry.name: entry.share for entry in self.dyeing.supplies.entries if entry.finite}
+
+
+def _finite(value: float) -> float | None:
+    """A number as JSON can say it."""
+    return value if math.isfinite(value) else None
 
 
 def main(context: Context) -> None:
@@ -33,4 +108,4 @@ def main(context: Context) -> None:
     dyeing = DyeRun(context.loaded, context.options.threads)
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)
-    Driver(context, dyeing).serve()
+    DyeDriver(context, dyeing).serve()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from nuno.dye.painter import DyePainter
 from nuno.export.cloth import Piece
-from nuno.export.dyed import DyePainter
 from nuno.export.dyed_pictures import Changes, changed_painter
 from nuno.recording.reader import Recording
 from nuno.wire.arrays import BadMessage

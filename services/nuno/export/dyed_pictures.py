@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno.export.dyed import PICTURE_SIDE, DyePainter, painter_of
+from nuno.dye.painter import PICTURE_SIDE, DyePainter, painter_of
 from nuno.export.target import Progress, check_target, opened, writing
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded

@@ -13,6 +13,7 @@ from nuno.export.pressure import read_pressure
 from nuno.export.target import opened, writing
 from nuno.moments import Moment, states
 from nuno.recording.reader import Recording
+from nuno.recording.recorded import per_dye
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 
@@ -78,8 +79,6 @@ def _write(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
 
 def _state(recording: Recording, moment: Moment) -> dict[str, NDArray[Any]]:
     """Of cloth x, v and a knit's pressure, of dye phi and fixed."""
-    from nuno.dye.checkpoint import per_dye
-
     arrays: dict[str, NDArray[Any]] = {"t": np.array(moment.t)}
     if moment.fabric is not None:
         arrays |= _with_pressure(recording, {"x": moment.x, "v": moment.v})
@@ -99,10 +98,8 @@ def _with_pressure(recording: Recording, arrays: dict[str, NDArray[Any]]) -> dic
 
 
 def _dye(recording: Recording, t: float | None) -> dict[str, NDArray[Any]]:
-    from nuno.dye.checkpoint import last_checkpoint, per_dye
-
-    point = last_checkpoint(recording, t)
-    return {"phi": per_dye(point.phi), "fixed": per_dye(point.fixed), "t": np.array(point.t)}
+    point = recording.last_checkpoint(t, DYE_CHECKPOINT.name)
+    return {name: per_dye(values) for name, values in point.state.items()} | {"t": np.array(point.t)}
 
 
 def export_csv(source: Recording | Path | str, path: Path) -> Path:

@@ -21,13 +21,21 @@ from nuno_schemas.messages import (
     DYE_STATUS,
     FABRIC,
     GEOMETRY,
+    PENETRATION,
     REPORT,
     STATE,
     STATUS,
+    STATUSES,
 )  # fmt: skip
 
 END = "end"
 """Name of the closing metadata: present only where the recorder was asked to finish."""
+SERIES = ("frame", "t", "steps", "step_seconds", "stretch", "time", "balance")
+"""Of a status; only those that it has."""
+OWN = ("steps", "step_seconds")
+"""Of each service; of the dye of a garment as dye_steps, dye_step_seconds."""
+TABLES = ("energy", "wrinkles", "mobile", "fixed", "supplied")
+"""Mappings in a status: each entry is a column, `energy_kinetic`."""
 
 
 class Recording(RecordedFile):
@@ -94,17 +102,17 @@ class Recording(RecordedFile):
         """Rotation (f, 4) and translation (f, 3) [m] of the bodies' frames, at t [s] or last."""
         return self.arrays(self.last(BODIES.name, t))
 
-    def checkpoints(self) -> Iterator[Checkpoint]:
-        """The float64 states of cloth that a run can be resumed from, in order. Raises BadInput for a damaged one."""
-        for message in self.messages([CHECKPOINT.name]):
+    def checkpoints(self, topic: str = CHECKPOINT.name) -> Iterator[Checkpoint]:
+        """The float64 states of cloth, or by another topic of dye, in order. Raises BadInput for a damaged one."""
+        for message in self.messages([topic]):
             yield self.checkpoint(message)
 
-    def last_checkpoint_message(self, before: float | None = None, topics: tuple[str, ...] = CHECKPOINTS) -> Recorded:
-        """The last checkpoint with t <= before [s] of one of the topics. Raises BadInput where there is none."""
-        found = [m for m in (self.last(topic, before) for topic in topics) if m is not None]
-        if not found:
+    def last_checkpoint(self, before: float | None = None, topic: str = CHECKPOINT.name) -> Checkpoint:
+        """The last of them with t <= before [s]. Raises BadInput where there is none."""
+        message = self.last(topic, before)
+        if message is None:
             raise self._no_checkpoint()
-        return found[0]
+        return self.checkpoint(message)
 
     def common_checkpoint(self) -> Recorded:
         """The last checkpoint at whose time all that the scene steps has one. Raises BadInput where there is none.
@@ -133,14 +141,8 @@ class Recording(RecordedFile):
         remedy = early if every else never
         return BadInput("the recording holds no checkpoint", str(self.path), remedy=remedy)
 
-    def last_checkpoint(self, before: float | None = None) -> Checkpoint:
-        """The last checkpoint of cloth with t <= before [s]. Raises BadInput where there is none."""
-        return self.checkpoint(self.last_checkpoint_message(before, (CHECKPOINT.name,)))
-
     def series(self) -> dict[str, NDArray[Any]]:
-        """Columns over the frames; see nuno.recording.series."""
-        from nuno.recording.series import read_series
-
+        """Columns over the frames; see `read_series`."""
         try:
             return read_series(self)
         except (TypeError, ValueError, OverflowError) as error:
@@ -152,16 +154,17 @@ class Recording(RecordedFile):
         return self.json(message.payload) if message else {}
 
     def checkpoint(self, message: Recorded) -> Checkpoint:
-        """What a message of `sim/checkpoint` holds. Raises BadInput for a damaged one."""
+        """What a message of a checkpoint's topic holds. Raises BadInput for a damaged one."""
         arrays, text = self.arrays(message)
+        names = ("x", "v") if message.topic == CHECKPOINT.name else ("phi", "fixed")
         try:
-            x, v = (np.asarray(arrays[name], np.float64) for name in ("x", "v"))
-            if not (x.ndim == 2 and x.shape[1] == 3 and v.shape == x.shape):
-                raise ValueError(f"x has shape {x.shape} and v {v.shape}")
-            memory = {name.removeprefix("memory/"): a for name, a in arrays.items() if name.startswith("memory/")}
-            fabric = {name: a for name, a in arrays.items() if name.startswith("fabric/")}
-            digest = str(text.get("digest", ""))
-            return Checkpoint(int(text["frame"]), float(text["t"]), digest, x, v, memory, text, fabric)
+            point = Checkpoint(arrays | {name: np.asarray(arrays[name], np.float64) for name in names}, text)
+            shapes = [arrays[name].shape for name in names]
+            if shapes[0] != shapes[1] or not (len(shapes[0]) == 4 or (names[0] == "x" and shapes[0][1:] == (3,))):
+                raise ValueError(f"{names[0]} has shape {shapes[0]} and {names[1]} {shapes[1]}")
+            # Numbers that they cannot do without.
+            _ = point.frame, point.t
+            return point
         except (KeyError, ValueError, TypeError, OverflowError) as error:
             raise BadInput(f"the checkpoint at {message.t:g} s is damaged: {error}", str(self.path)) from None
 
@@ -169,3 +172,33 @@ class Recording(RecordedFile):
 def open_recording(path: Path | str) -> Recording:
     """Open a recording, finished or not. Raises BadInput."""
     return Recording(path)
+
+
+def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
+    """frame, t [s], steps, step_seconds, energy_* [J], stretch, and from the collision service depth [m],
+    inside, mean [m]; of a cloth that is dyed mobile_*, fixed_* and supplied_* by dye, balance, and time, that of
+    the dyeing [s]; NaN where one is missing.
+    """
+    rows: dict[int, dict[str, Any]] = {}
+    for message in recording.messages(STATUSES):
+        value = recording.json(message.payload)
+        own = "dye_" if message.topic == DYE_STATUS.name and not recording.dyed_alone else ""
+        row = {own + name if name in OWN else name: value[name] for name in SERIES if name in value}
+        for name in TABLES:
+            table = value.get(name)
+            row |= {f"{name}_{key}": number for key, number in table.items()} if isinstance(table, dict) else {}
+        rows.setdefault(recording.whole(value.get("frame", -1)), {}).update(row)
+    for message in recording.messages([PENETRATION.name]):
+        value = recording.json(message.payload)
+        rows.setdefault(
+            recording.whole(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}
+        ).update({name: value.get(name) for name in ("depth", "inside", "mean")})
+    names = list(dict.fromkeys(name for row in rows.values() for name in row))
+    return {name: _column([rows[frame].get(name) for frame in sorted(rows)]) for name in names}
+
+
+def _column(values: list[Any]) -> NDArray[Any]:
+    """Whole numbers where all are, else float64 with NaN for what is missing."""
+    if all(isinstance(value, int) for value in values):
+        return np.array(values, np.int64)
+    return np.array([np.nan if value is None else value for value in values], np.float64)

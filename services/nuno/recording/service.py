@@ -6,16 +6,16 @@ import json
 import time
 from typing import Any
 
-from nuno.recording.provenance import assets, describe_run
 from nuno.recording.reader import END, open_recording
 from nuno.recording.restore import copy_until
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
-from nuno.service import Context, ack_topic, each_message
+from nuno.scene.provenance import assets, describe_run
+from nuno.service import Context, each_message
 from nuno.wire.arrays import BadMessage
 from nuno.wire.bus import Inbox, Message
 from nuno.wire.question import Question
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import ACK, FRAMES, REPORT, Ack, Header, Topic
+from nuno_schemas.messages import ACK, FRAMES, REPORT, Header, Topic
 
 ALL = Topic("**", "json", "")
 """One subscription to all topics: between several, messages overtake each other."""
@@ -68,7 +68,6 @@ class Recorder:
 
     def __init__(self, context: Context, inbox: Inbox, writer: RecordingWriter) -> None:
         self._context, self._inbox, self._writer = context, inbox, writer
-        self._acks = context.bus.publisher(ack_topic(context.bus.service))
         self._digests: dict[str, str] = {}
         """Of the last frame, by topic."""
         self._told: set[str] = set()
@@ -94,8 +93,7 @@ class Recorder:
             self._context.event("warning", text, header.frame, header.t)
         if message.topic in FRAMES:
             self._digests[message.topic] = header.digest
-            ack = Ack(service=self._context.bus.service, frame=header.frame)
-            self._acks.put(ack.model_dump_json().encode(), header.frame, header.t)
+            self._context.acknowledge(header.frame, header.t)
 
     def finish(self, question: Question) -> dict[str, Any]:
         """Wait for what was sent, add the report, close the file; counts for the answer."""

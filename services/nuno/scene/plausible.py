@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from nuno.recording.provenance import chosen_by
+from nuno.scene.provenance import chosen_by
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import Path, dotted
 from nuno_schemas.units import Plausible, to_si

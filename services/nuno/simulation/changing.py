@@ -2,43 +2,38 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import Any
+import contextlib
+from abc import abstractmethod
+from copy import copy
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno.cloth import build
 from nuno.cloth.join import join_fabrics
-from nuno.scene.scene_file import Chosen, Loaded
+from nuno.recording.recorded import Checkpoint
+from nuno.scene.scene_file import Chosen
 from nuno.simulation.alter import fabric_arrays, fabric_from, parse
+from nuno.stepping.stepped import Stepper
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Int, Memory, State
+from nuno_schemas.fabric import Fabric, Int, State
 from nuno_schemas.operation import Outcome
 from nuno_schemas.system import StepReport
 
 
-class Changing(ABC):
+class Changing(Stepper):
     """Cloth, its state and its solver, and what operations have made of them."""
 
-    loaded: Loaded
     geometry: Geometry | None
     start_poses: Poses | None
+    poses: Poses | None
     fabric: Fabric
     pieces: list[build.Piece]
     state: State
-    memory: Memory
-    frame: int
-    steps: int
-    dt: float
     slow_frames: NDArray[np.int64]
     balanced: bool
-
-    @property
-    @abstractmethod
-    def t(self) -> float:
-        """Simulation time [s]."""
 
     @abstractmethod
     def measure(self, poses: Poses | None) -> StepReport:
@@ -84,7 +79,7 @@ class Changing(ABC):
             self.applied += 1
         return self.applied > before
 
-    def rehearse(self, poses: Poses | None) -> None:
+    def rehearse(self) -> None:
         """Let the scene's later operations change the cloth as it is now, compile what its steps then need, and have
         everything as it was: the run does not wait for the compiler where their time comes.
 
@@ -95,14 +90,10 @@ class Changing(ABC):
         for applied, chosen in zip(scene.operations, self.loaded.operations, strict=True):
             if round(float(applied.at) * scene.frame_rate) <= self.frame:
                 continue
-            before = dict(vars(self))
-            try:
-                self._alter(names.index(applied.object or names[0]), chosen)
-                self.measure(poses)
-            except BadInput:
-                pass
-            finally:
-                vars(self).update(before)
+            trial = copy(self)
+            with contextlib.suppress(BadInput):
+                trial._alter(names.index(applied.object or names[0]), chosen)
+                trial.measure(self.poses)
 
     def parts(self) -> list[Fabric]:
         """The fabric of each object as it is now."""
@@ -128,26 +119,30 @@ class Changing(ABC):
             np.concatenate([old[: piece.start], new, old[piece.stop :]])
             for old, new in ((self.state.x, made.state.x), (self.state.v, made.state.v))
         )
-        before, kept = dict(vars(self)), dict(self.memory.arrays)
         told = {"frame": self.frame, "t": self.t, "operation": chosen.name, "object": piece.name}
-        self.changes = [*self.changes, told | {"facts": dict(outcome.facts)}]
-        self.crests = [*self.crests, np.asarray(outcome.arrays.get("crests", np.zeros((5, 0))), np.int32)]
+        changed = copy(self)
+        changed.changes = [*self.changes, told | {"facts": dict(outcome.facts)}]
+        changed.crests = [*self.crests, np.asarray(outcome.arrays.get("crests", np.zeros((5, 0))), np.int32)]
         try:
-            self._take(fabrics, State(x, v, self.state.t))
-            self._prepare(kept, source.astype(np.int32))
+            changed._take(fabrics, State(x, v, self.state.t))
+            changed._prepare(self.memory.arrays, source.astype(np.int32))
         except BadInput as error:
-            vars(self).update(before)
             if error.field != "solver.dt":
                 raise
             problem = "the changed cloth would make the present step unstable"
             remedy = "solver: {dt: auto}, a smaller dt, a line of fewer small triangles, or springs: paper"
             raise BadInput(problem, value=f"{self.dt:g} s", limit=error.limit, remedy=remedy) from None
         # A step never grows while a run goes on, and what was at rest is so no more.
-        if before["steps"] > self.steps:
-            self.steps, self.dt = before["steps"], before["dt"]
-        self.slow_frames[0] = 0
-        self.balanced = False
-        self.changes[-1]["measured"] = [self.heights(len(self.changes) - 1)]
+        if self.steps > changed.steps:
+            changed.steps, changed.dt = self.steps, self.dt
+        changed.slow_frames[0] = 0
+        changed.balanced = False
+        changed.changes[-1]["measured"] = [changed.heights(len(changed.changes) - 1)]
+        self.become(changed)
+
+    def become(self, changed: Self) -> None:
+        """Go on as a copy of this that something has been changed in: what is refused has then changed nothing here."""
+        vars(self).update(vars(changed))
 
     def heights(self, number: int) -> dict[str, float]:
         """Mean height of what a change raised over the chord across it, along the normal to chord and line, and length
@@ -184,8 +179,9 @@ class Changing(ABC):
         origins = {str(i): dict(fabrics[i].origin) for i in changed}
         return arrays, {"changes": self.changes, "applied": self.applied, "origins": origins}
 
-    def adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> None:
+    def adopt(self, point: Checkpoint) -> None:
         """Have the objects, and the step, of a checkpoint that `altered` was written to. Raises BadInput."""
+        arrays, text = point.arrays, point.text
         origins: dict[str, dict[str, float]] = text.get("origins", {})
         if not origins:
             return

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from copy import copy, deepcopy
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.choose.cloth import decide
 from nuno.cloth import build
-from nuno.scene.choose import decide
+from nuno.collision.bodies import build_bodies
+from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.scene.override import apply_override, overridden, parts_of
 from nuno.scene.scene_file import Loaded, load
 from nuno.scene.step import choose_step
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
 from nuno.simulation.relax import BALANCED, Relaxation, unsettled
+from nuno.stepping.stepped import Stepped, copy_into, hash_of
+from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, Memory, State
+from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
 from nuno_schemas.system import Forces, StepLimit, StepReport, System
 
 REST_SPEED, REST_TIME = 1e-3, 0.1
@@ -36,18 +43,16 @@ RELAXATION = "relaxation"
 """Array of the memory that damping which finds its own strength goes on from."""
 
 
-@dataclass
-class Frame:
-    """One finished frame."""
-
-    number: int
-    report: StepReport
-    seconds: float
-    digest: str
-
-
 class Simulation(Changing):
-    """A scene's cloth, its solver and its state."""
+    """A scene's cloth, its solver and its state.
+
+    poses says where the bodies are now, and find_poses where at the end of a frame, by its number: as long as nothing
+    else is said, where they are at the start.
+    """
+
+    part, service = "cloth", "simulation"
+    status, published, kept = STATUS, STATE, CHECKPOINT
+    quantities = MappingProxyType({"x": "position", "v": "velocity"})
 
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
@@ -56,7 +61,8 @@ class Simulation(Changing):
         if loaded.scene.until == "balance" and (self.fabric.springs is None or self.fabric.springs.number == 0):
             problem, remedy = "cloth without springs has no tension to be in balance with", "take until: rest"
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
-        self.start_poses = poses
+        self.start_poses = self.poses = poses
+        self.find_poses: Callable[[int], Poses | None] = lambda frame: poses
         self.begin_unchanged()
         self.state: State = build.start_state(self.fabric)
         self.frame = 0
@@ -74,6 +80,16 @@ class Simulation(Changing):
         for operation in self.loaded.operations:
             operation.plugin.compile()
         self.alter_due()
+
+    @classmethod
+    def with_bodies(cls, loaded: Loaded, threads: int = 0) -> Simulation:
+        """One that knows by itself where the scene's bodies are, without a service that it would ask."""
+        if not loaded.scene.bodies:
+            return cls(loaded, None, None, threads)
+        bodies, rate = build_bodies(loaded), loaded.scene.frame_rate
+        simulation = cls(loaded, bodies.geometry, bodies.poses(0.0), threads)
+        simulation.find_poses = lambda frame: bodies.poses(frame / rate)
+        return simulation
 
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
         """(Re)build what follows from the scene; `arrays` is memory to keep, of vertices that were `source` before."""
@@ -97,7 +113,7 @@ class Simulation(Changing):
         if source is not None:
             known = {name: values for name, values in arrays.items() if name in self.memory.arrays}
             arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in known.items()}
-        self._restore(arrays)
+        copy_into(self.memory.arrays, arrays, some=True)
 
     def _find_limit(self) -> StepLimit:
         integrator = self.loaded.integrator
@@ -115,28 +131,45 @@ class Simulation(Changing):
             raise self.loaded.at("objects", error)
         return found
 
-    def _restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        for name, values in arrays.items():
-            target = self.memory.arrays.get(name)
-            if target is None or target.shape != values.shape:
-                raise BadInput(
-                    "the checkpoint does not fit this scene",
-                    value=f"memory {name} of shape {values.shape}",
-                    remedy="resume with the recording's own scene",
-                )
-            np.copyto(target, values)
+    def arrays(self) -> Arrays:
+        """See `Stepper`: x (n, 3) [m] and v (n, 3) [m/s]."""
+        return {"x": self.state.x, "v": self.state.v}
 
-    @property
-    def t(self) -> float:
-        """Simulation time [s], from the frame number so that it never drifts."""
-        return float(self.frame / self.loaded.scene.frame_rate)
+    def encode(self) -> bytes:
+        """See `Stepper`."""
+        return encode_points(self.state.x, self.t)
 
-    def advance(self, start: Poses | None, end: Poses | None) -> Frame:
+    @staticmethod
+    def decode(payload: bytes) -> Arrays:
+        """See `Stepper`: x (n, 3) [m]."""
+        return {"x": decode_points(payload)}
+
+    def place(self, index: Sequence[int]) -> str:
+        """See `Stepper`."""
+        return f"vertex {index[0]}, axis {'xyz'[index[1]]}"
+
+    def step(self) -> Stepped:
+        """See `Stepper`: with the bodies where `find_poses` has them."""
+        end = self.find_poses(self.frame + 1)
+        frame = self.advance(self.poses, end)
+        self.poses = end
+        return frame
+
+    def present(self) -> Stepped:
+        """See `Stepper`."""
+        return Stepped(self.frame, self.measure(self.poses), 0.0, self.digest())
+
+    def present_forces(self) -> Forces:
+        """What acts in the present state, at the start of the next frame."""
+        after = self.find_poses(self.frame + 1)
+        return self.forces(None if after is None or self.poses is None else (self.poses, after))
+
+    def advance(self, start: Poses | None, end: Poses | None) -> Stepped:
         """Simulate one frame between two sets of poses."""
         begin = time.perf_counter()
         self.alter_due()
         poses = (start, end) if start is not None and end is not None else None
-        unmoved = poses is None or _same(*poses)
+        unmoved = poses is None or poses[0].same_place(poses[1])
         self.state.t = self.t
         if self._still and unmoved:
             report = replace(self._report, steps=0, totals={}, seconds={})
@@ -161,7 +194,7 @@ class Simulation(Changing):
             self.relaxation.after(self.state)
         if self.loaded.scene.until == "balance" and report.status == "ok":
             report = self._weigh(report, (end, end) if end is not None else None)
-        return Frame(self.frame, report, time.perf_counter() - begin, self.digest())
+        return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
 
     def _weigh(self, report: StepReport, poses: tuple[Poses, Poses] | None) -> StepReport:
         """The report of a frame after which the cloth is in balance, or must be, with what is left to it."""
@@ -177,22 +210,19 @@ class Simulation(Changing):
 
     @property
     def finished(self) -> bool:
-        """Whether the scene's last frame is done, or its cloth rests and that is its end."""
+        """See `Stepper`; or the scene's cloth rests and that is its end."""
         scene = self.loaded.scene
         rests = scene.until == "rest" and self.slow_frames[0] >= REST_TIME * scene.frame_rate
         rests = (bool(rests) or self.balanced) and self.applied == len(scene.operations)
-        return rests or self.frame >= scene.frames
+        return rests or super().finished
 
     def _content(self) -> str:
         """Hash of all that the next frame follows from."""
-        hasher = hashlib.blake2b(digest_size=16)
         kept = (array for array in self.memory.arrays.values() if array is not self.slow_frames)
-        for array in (self.state.x, self.state.v, *kept):
-            hasher.update(np.ascontiguousarray(array).data)
-        return hasher.hexdigest()
+        return hash_of([self.state.x, self.state.v, *kept])
 
     def about(self) -> str:
-        """How the solver's kernels run, in words."""
+        """See `Stepper`."""
         return str(self.loaded.integrator.plugin.about(self.system))
 
     def shares(self, poses: Poses | None) -> dict[str, float]:
@@ -216,29 +246,21 @@ class Simulation(Changing):
         found: Forces = self.loaded.integrator.plugin.forces(self.system, self.state, self.memory, poses)
         return found
 
-    def digest(self) -> str:
-        """Hash of the float64 state: equal digests mean equal bits."""
-        hasher = hashlib.blake2b(digest_size=16)
-        hasher.update(np.int64(self.frame).tobytes())
-        hasher.update(np.ascontiguousarray(self.state.x).data)
-        hasher.update(np.ascontiguousarray(self.state.v).data)
-        return hasher.hexdigest()
+    def keep(self) -> Checkpoint:
+        """See `Stepper`: with the objects that operations have changed."""
+        point, (fabrics, changes) = super().keep(), self.altered()
+        return Checkpoint(point.arrays | fabrics, changes | point.text)
 
-    def resume(self, frame: int, x: NDArray[Any], v: NDArray[Any], memory: dict[str, NDArray[Any]]) -> None:
-        """Go on from a checkpoint. Raises BadInput if it does not fit."""
-        if x.shape != self.state.x.shape or v.shape != self.state.v.shape:
-            raise BadInput(
-                "the checkpoint does not fit this scene",
-                value=f"{x.shape[0]} vertices",
-                limit=f"{self.fabric.number}",
-                remedy="resume with the recording's own scene",
-            )
-        np.copyto(self.state.x, x)
-        np.copyto(self.state.v, v)
-        self.frame = frame
-        self.applied = max(self.applied, self.due(frame - 1))
+    def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
+        """See `Stepper`; what operations made is in the checkpoint."""
+        for event in changes:
+            if event.text == "set":
+                self.set(str(event.args["item"]))
+        self.adopt(point)
+        self.take_over(point)
+        self.applied = max(self.applied, self.due(self.frame - 1))
         self.state.t = self.t
-        self._restore(memory)
+        self.poses = self.find_poses(self.frame)
 
     def set(self, item: str) -> None:
         """Change a field of the running scene, `gravity=[0, -1.6, 0]`. Raises BadInput."""
@@ -255,37 +277,25 @@ class Simulation(Changing):
             )
         before, kept, step = self.loaded, self.memory.arrays, (self.steps, self.dt)
         # With defaults: what the scene leaves out can be changed in part as well.
-        data = _copied(before.data) | {field: before.value(field)}
+        data = deepcopy(before.data) | {field: before.value(field)}
         lines = overridden(before.lines, apply_override(data, item))
-        changed = load(data, lines, before.file, before.files)
+        changed = copy(self)
+        changed.loaded = load(data, lines, before.file, before.files)
+        finds = _finds_damping(changed.loaded)
         try:
-            self.loaded = changed
-            self._prepare({name: kept[name] for name in kept if name != RELAXATION or _finds_damping(changed)})
-            if step[1] > self.limit.dt and not before.scene.allow_unstable:
-                raise BadInput("unstable", field="solver.dt", limit=f"{self.limit.dt:.4g} s")
+            changed._prepare({name: kept[name] for name in kept if name != RELAXATION or finds})
+            if step[1] > changed.limit.dt and not before.scene.allow_unstable:
+                raise BadInput("unstable", field="solver.dt", limit=f"{changed.limit.dt:.4g} s")
         except BadInput as error:
-            self.loaded = before
-            self._prepare(dict(kept))
             if error.field not in ("solver.dt", "solver.plugin"):
                 raise
             problem, remedy = "that would make the present step unstable", "choose a smaller change"
             raise BadInput(problem, field=key, value=f"{step[1]:g} s", limit=error.limit, remedy=remedy) from None
-        finally:
-            # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
-            self.steps, self.dt = step
+        # The step stays what it was, whatever `dt: auto` would choose for the changed scene.
+        changed.steps, changed.dt = step
+        self.become(changed)
 
 
 def _finds_damping(loaded: Loaded) -> bool:
     """Whether damping finds its own strength."""
     return loaded.scene.damping == "auto"
-
-
-def _same(start: Poses, end: Poses) -> bool:
-    """Whether bodies stand still."""
-    return np.array_equal(start.rotation, end.rotation) and np.array_equal(start.translation, end.translation)
-
-
-def _copied(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _copied(value) for key, value in data.items()}
-    return [_copied(value) for value in data] if isinstance(data, list) else data

@@ -1,35 +1,205 @@
-"""The simulation service: prepares a run and lets its driver go through the frames."""
+"""The simulation service: asks for the bodies, has cloth stepped, and publishes what only cloth has."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno import registry
+from nuno.cloth.edges import edge_yarns, structural_edges
+from nuno.cloth.pressure import find_pressure, has_pressure
+from nuno.cloth.tension import tension_arrays
+from nuno.cloth.worn import start_warnings
+from nuno.cloth.yarns import measure_courses, measure_yarns
 from nuno.collision.ask import ask_geometry, ask_poses
 from nuno.service import Context
-from nuno.simulation.driver import Driver
+from nuno.simulation.alter import name_of
 from nuno.simulation.run import Simulation
+from nuno.stepping.again import resume
+from nuno.stepping.driver import CONTROL, Driver
+from nuno.stepping.publish import WINDOW
+from nuno.stepping.stepped import Report, Stepped
+from nuno.wire.arrays import encode_arrays
 from nuno_schemas.bodies import Poses
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import FABRIC
+from nuno_schemas.system import StepReport
+
+NOW = "sim/ask/now"
+"""What to ask for the cloth as it is: who comes late has missed `sim/fabric`, and a paused run sends no state."""
+DYE_TIMEOUT = 20.0
+"""How long the dye may take to answer [s], which finishes its frame first: shorter than whoever asks here waits, and
+than the end of the run may take."""
 
 
-def resume(context: Context, simulation: Simulation, path: Path, poses: Poses | None) -> Poses | None:
-    """Go on from a recording's last checkpoint, with what was set before it; the poses there."""
-    from nuno.recording.reader import open_recording
-    from nuno.simulation.resume import take_up
+class ClothDriver(Driver):
+    """Runs a simulation frame by frame and answers control."""
 
-    with open_recording(path) as recording:
-        point = recording.last_checkpoint(recording.common_checkpoint().t)
-        frames = context.loaded.scene.frames
-        if point.frame > frames:
-            raise BadInput(
-                "the recording goes on after the end of the scene",
-                str(path),
-                value=f"frame {point.frame}",
-                limit=f"{frames} frames",
-                remedy="lengthen the scene, for example --set duration=10s",
-            )
-        take_up(simulation, recording, point)
-    return ask_poses(context, point.frame)() if poses is not None else None
+    def __init__(self, context: Context, simulation: Simulation) -> None:
+        super().__init__(context, simulation)
+        self.simulation = simulation
+        self.coming: deque[Callable[[], Poses]] = deque()
+        """Poses of the next frames, asked for already."""
+        self.seconds["bodies"] = 0.0
+        self.answers[NOW] = self.encode_now
+        self.inbox.answer(NOW)
+        self.counts: dict[str, int] = {}
+        self.energy: list[dict[str, float]] = []
+        self.stretch = 0.0
+        self.started = False
+        self.rest: dict[str, float] = {}
+        self.warnings: list[str] = []
+        """What is to be said of how the cloth starts."""
+        if simulation.poses is not None:
+            simulation.find_poses = self.next_poses
+            if simulation.geometry is not None and simulation.frame == 0:
+                bodies = simulation.geometry, simulation.poses
+                self.warnings = start_warnings(simulation.fabric, simulation.state.x, *bodies)
+
+    def control(self, request: dict[str, Any]) -> dict[str, Any]:
+        """See `Driver`; what is added, is added to the dye where the scene has any."""
+        if request.get("action") != "add" or self.scene.dye is None or _changes_cloth(request.get("item")):
+            return super().control(request)
+        try:
+            answer = self.context.bus.ask_json(f"{CONTROL}/dye", request, DYE_TIMEOUT)
+        except RunFailed as error:  # of the dye; if it is dead, the supervisor ends the run
+            return {"ok": False, "error": f"{error}; it may still do what it was asked for"}
+        return answer | ({"state": self.state, "before": self.state, "left": self.left} if answer["ok"] else {})
+
+    def add(self, item: str) -> dict[str, Any]:
+        """Let an operation change the cloth at once: what is to be recorded, and what the operation says.
+
+        A checkpoint follows, so that a run resumed at this frame has the change.
+        """
+        said = self.simulation.add(item)
+        if self.started:
+            self.publish_fabric(self.simulation.frame + 1)
+            self.keep()
+        change = self.simulation.changes[-1]
+        return {"field": change["object"], "old": None, "new": change["facts"], "item": said}
+
+    def publish_constant(self) -> None:
+        """The cloth, and what is to be said of its start."""
+        self.started = True
+        for text in self.warnings:
+            self.context.event("warning", text, self.simulation.frame, self.simulation.t)
+        self.publish_fabric(self.simulation.frame)
+
+    def step_frame(self) -> Report:
+        """See `Driver`; cloth that operations change by now is published first."""
+        if self.simulation.alter_due():
+            self.publish_fabric(self.simulation.frame + 1)
+        return super().step_frame()
+
+    def next_poses(self, frame: int) -> Poses:
+        """Poses at the end of the next frame.
+
+        Those of later frames are asked for before the steps wait for these: the collision service answers between two
+        measurements, and what the way there and back takes is shared by as many frames.
+        """
+        start = time.perf_counter()
+        for ahead in range(frame + len(self.coming), min(frame + WINDOW, self.scene.frames) + 1):
+            self.coming.append(ask_poses(self.context, ahead))
+        poses = self.coming.popleft()()
+        self.seconds["bodies"] += time.perf_counter() - start
+        return poses
+
+    def status_of(self, frame: Stepped) -> dict[str, Any]:
+        """Energy, stretch and the wrinkles' size, which the report sums up."""
+        report: StepReport = frame.report
+        if self.scene.until == "balance" and math.isfinite(report.unbalance):
+            self.rest = {"farthest": report.unbalance, "unsettled": report.unsettled}
+        for name, value in report.counts.items():
+            self.counts[name] = max(self.counts.get(name, 0), value)
+        self.energy = [self.energy[0] if self.energy else dict(report.energy), dict(report.energy)]
+        self.stretch = max(self.stretch, report.stretch)
+        return {"energy": dict(report.energy), "stretch": report.stretch, "wrinkles": self.simulation.wrinkles()}
+
+    def publish_fabric(self, frame: int) -> None:
+        """What viewers and recordings need to know about the cloth, from `frame` on."""
+        payload = encode_arrays(*self.describe_fabric())
+        self.context.bus.publisher(FABRIC).put(payload, frame, frame / self.scene.frame_rate)
+
+    def encode_now(self) -> bytes:
+        """What `sim/fabric` says, and x (n, 3) [m], frame and t [s]."""
+        arrays, text = self.describe_fabric()
+        simulation = self.simulation
+        return encode_arrays(arrays | {"x": simulation.state.x}, text | {"frame": simulation.frame, "t": simulation.t})
+
+    def describe_fabric(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and text of `sim/fabric`."""
+        fabric = self.simulation.fabric
+        edges, rest = structural_edges(fabric)
+        arrays: dict[str, NDArray[Any]] = {
+            "faces": fabric.faces,
+            "edges": edges,
+            "edge_rest": rest.astype(np.float32),
+            "pinned": fabric.pinned,
+        }
+        if fabric.uv is not None:
+            arrays["uv"] = fabric.uv
+        yarns = edge_yarns(fabric)
+        if yarns is not None:
+            arrays["edge_yarn"] = yarns
+            if fabric.springs is not None and len(edges) == fabric.springs.number:
+                arrays |= tension_arrays(fabric)
+        text = {
+            "vertices": fabric.number,
+            "scene": self.scene.name,
+            "objects": [vars(piece) for piece in self.simulation.pieces],
+        }
+        return arrays, text
+
+    def pressure(self) -> dict[str, float]:
+        """Of the cloth on its bodies at the end [Pa]; nothing where there is none."""
+        simulation = self.simulation
+        if not has_pressure(simulation.fabric) or not self.scene.bodies or not np.isfinite(simulation.state.x).all():
+            return {}
+        return dict(find_pressure(simulation.loaded, simulation.fabric, simulation.state.x).facts)
+
+    def facts(self, ended: str) -> dict[str, Any]:
+        """Energies, limits and sizes for the report."""
+        simulation, fabric = self.simulation, self.simulation.fabric
+        parts: dict[str, float] = {}
+        if ended in ("done", "stopped") and self.seconds["steps"] > 0.0:
+            parts = {n: share * self.seconds["steps"] for n, share in simulation.shares(simulation.poses).items()}
+        limit = simulation.limit
+        return {
+            "step_seconds": parts,
+            "idle": simulation.idle,
+            "rested": ended == "done" and simulation.frame < self.scene.frames,
+            "limit": {"dt": limit.dt, "omega": limit.omega, "damping": limit.damping},
+            "energy": self.energy,
+            "stretch": self.stretch,
+            "rest": self.rest,
+            "counts": self.counts,
+            "warnings": self.warnings,
+            "facts": {name: value for term in simulation.system.terms for name, value in term.facts.items()},
+            "yarns": measure_yarns(fabric),
+            "courses": measure_courses(fabric, simulation.state.x),
+            "pressure": self.pressure(),
+            "changes": [
+                change | {"measured": [*change["measured"], simulation.heights(i)]}
+                for i, change in enumerate(simulation.changes)
+            ],
+            "vertices": fabric.number,
+            "springs": fabric.springs.number if fabric.springs else 0,
+            "hinges": fabric.hinges.number if fabric.hinges else 0,
+        }
+
+
+def _changes_cloth(item: object) -> bool:
+    """Whether what is to be added is an operation on cloth, not dye."""
+    try:
+        return name_of(str(item)) in registry.installed("nuno.operations")
+    except BadInput:
+        return False
 
 
 def main(context: Context) -> None:
@@ -37,8 +207,10 @@ def main(context: Context) -> None:
     geometry = ask_geometry(context) if context.loaded.scene.bodies else None
     poses = ask_poses(context, 0)() if geometry is not None else None
     simulation = Simulation(context.loaded, geometry, poses, context.options.threads)
+    if geometry is not None:
+        simulation.find_poses = lambda frame: ask_poses(context, frame)()
     if context.options.resume is not None:
-        poses = resume(context, simulation, context.options.resume, poses)
-    simulation.measure(poses)  # compiles what the steps need, so that the run itself is timed without it
-    simulation.rehearse(poses)
-    Driver(context, simulation, poses).serve()
+        resume(simulation, context.options.resume)
+    simulation.present()  # compiles what the steps need, so that the run itself is timed without it
+    simulation.rehearse()
+    ClothDriver(context, simulation).serve()

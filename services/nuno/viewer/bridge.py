@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 
 from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.export.dyed import DyePainter
+from nuno.dye.painter import DyePainter
 from nuno.viewer import layout
 from nuno.viewer.about import about, about_tension
 from nuno.viewer.bodies import Bodies

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from nuno.dye.painter import DyePainter
 from nuno.export.cloth import read_texture
-from nuno.export.dyed import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.restore import restored_scene
 from nuno.viewer.dyed import viewer_painter

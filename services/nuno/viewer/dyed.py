@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from nuno.export.dyed import DyePainter, painter_of
+from nuno.dye.painter import DyePainter, painter_of
 from nuno.scene.scene_file import Loaded
 from nuno.viewer import layout
 from nuno.wire.arrays import decode_arrays

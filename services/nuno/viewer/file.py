@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import rerun as rr
 
-from nuno.export.dyed import DyePainter
+from nuno.dye.painter import DyePainter
 from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.cloth import ReadImage, read_image
 from nuno.viewer.require import part_of

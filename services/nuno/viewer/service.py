@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from nuno.recording.provenance import assets
+from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
-from nuno.service import Context, ack_topic, each_message
+from nuno.service import Context, each_message
 from nuno.viewer.live import LiveView
 from nuno.viewer.require import require
 from nuno.viewer.stream import scene_of
@@ -29,12 +29,11 @@ from nuno_schemas.messages import (
     REPORT,
     STATE,
     STATUS,
-    Ack,
     Topic,
 )
 
 if TYPE_CHECKING:
-    from nuno.export.dyed import DyePainter
+    from nuno.dye.painter import DyePainter
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
 TOPICS = [
@@ -122,9 +121,7 @@ class Viewer:
         if message.topic in FRAMES:
             self.frames += message.topic == self.leader
             if self.acknowledges:
-                ack = Ack(service=self.context.bus.service, frame=header.frame)
-                topic = ack_topic(self.context.bus.service)
-                self.context.bus.publisher(topic).put(ack.model_dump_json().encode(), header.frame, header.t)
+                self.context.acknowledge(header.frame, header.t)
         self.seconds += time.perf_counter() - start
 
     def drain(self) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from nuno_schemas.view import View
 
 if TYPE_CHECKING:
-    from nuno.export.dyed import DyePainter
+    from nuno.dye.painter import DyePainter
     from nuno.scene.scene_file import Loaded
 
 START_SECONDS = 20.0

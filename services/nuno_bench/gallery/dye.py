@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from nuno.dye.painter import DyePainter, painter_of
 from nuno.dye.run import DyeRun
-from nuno.export.dyed import DyePainter, painter_of
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.dye_measures import Dyed, fixed_radius, follows, mottle, spread_radius, streaks

@@ -90,7 +90,7 @@ def _measure(recording: Recording, frames: dict[str, Frame], loaded: Loaded) -> 
     lines = [np.array(line["points"], float) for one in operations for line in one["lines"] if "points" in line]
     if not lines or STAGES[0] not in frames:
         return {}
-    fabric, drawn = recording.last_checkpoint().fabric, frames[STAGES[1]]
+    fabric, drawn = recording.last_checkpoint().arrays, frames[STAGES[1]]
     crests = np.concatenate([fabric[f"fabric/crests/{i}"] for i in range(len(operations))], axis=1)
     places = {STAGES[1]: _raise(loaded, frames[STAGES[0]])} | {stage: frames[stage].x for stage in STAGES[2:]}
     ridges = Drawn(places[STAGES[1]], Pieces(recording).at(drawn.t)[0].faces, crests, lines)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from nuno.choose.cloth import decide
 from nuno.scene import scene_file
-from nuno.scene.choose import decide
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.peers.problem import Sheet

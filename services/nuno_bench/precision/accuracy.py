@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno.dye.choose import PROMISE as DYE_PROMISE
+from nuno.choose.cloth import PROMISE, decide
+from nuno.choose.dye import PROMISE as DYE_PROMISE
+from nuno.choose.trials import GROWTH
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
-from nuno.scene.choose import PROMISE, decide
-from nuno.scene.trials import GROWTH
 from nuno_bench import machine, options
 from nuno_bench.problem.dye import DyeProblem
 from nuno_bench.problem.dye_reference import make_dye_reference

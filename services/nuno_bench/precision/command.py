@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from nuno import registry
+from nuno.choose.cloth import decide
 from nuno.scene import scene_file
-from nuno.scene.choose import decide
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.require import require
 from nuno.words import duration

@@ -35,7 +35,7 @@ def wrinkle(repeats: int) -> list[Result]:
         overrides = ("objects[0].model.resolution=[101, 101]", drawn, "until=duration")
         simulation = Simulation(scene_file.read(scene_file.find(SCENE), overrides), None, None, cores())
         simulation.measure(None)
-        simulation.rehearse(None)
+        simulation.rehearse()
         with watch_compiler() as compiled:
             while simulation.applied == 0:
                 chosen, fabric, state = simulation.loaded.operations[0], simulation.fabric, simulation.state

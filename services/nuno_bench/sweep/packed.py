@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from nuno.recording.provenance import assets
 from nuno.scene import scene_file
+from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 

@@ -15,7 +15,7 @@ from nuno.collision.service import Collision
 from nuno.draw.desk import Desk
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board
-from nuno.export.dyed import painter_of
+from nuno.dye.painter import painter_of
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
 from nuno.scene import scene_file, yaml_lines
@@ -227,7 +227,7 @@ def _texts(name: str) -> list[bytes]:
 def _topic(name: str) -> Kind:
     change = mutate_arrays if TOPICS[name].encoding == "protobuf" else mutate_json
     follows = ("nuno.wire.arrays", "nuno.collision.messages", "nuno_schemas.messages", "nuno.viewer.bridge",
-               "nuno.export.dyed", "nuno.viewer.dyed")  # fmt: skip
+               "nuno.dye.painter", "nuno.viewer.dyed")  # fmt: skip
     return Kind(f"message {name}", partial(_payloads, name), partial(_message, name), change, follows, (BadMessage,))
 
 
@@ -240,7 +240,7 @@ HEADERS = [
 MESSAGES = (
     Kind("message header", lambda folder: HEADERS, _header, mutate_json, ("nuno.wire.bus",), (BadMessage,)),
     *(_topic(name) for name in TOPICS if name not in UNDECODED),
-    _question("control", _control, ("nuno.wire.lockstep", "nuno.simulation.driver")),
+    _question("control", _control, ("nuno.stepping.driver", "nuno.simulation.driver")),
     _question("finish", _finish, ("nuno.service",)),
     _question("poses", _poses, ("nuno.collision.service",)),
     Kind("page request", lambda folder: _texts("page"), _page, mutate_json, ("nuno.draw.desk", "nuno.draw.lines")),

@@ -1,4 +1,4 @@
-"""Frames in lockstep with the services that must see them, under control: what every service that steps shares.
+"""Frames in lockstep with the services that must see them, under control, for cloth and for dye.
 
 Where two step, one leads: it is controlled, and sets the pace. The other follows: it takes each frame that the
 leader has finished, and acknowledges it as whatever must see every frame does, so that both stand still together.
@@ -7,22 +7,21 @@ leader has finished, and acknowledges it as whatever must see every frame does, 
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
 from pydantic import ValidationError
 
 from nuno.service import Context, ack_topic, asks_to_finish
+from nuno.stepping.publish import WINDOW, Publishing
+from nuno.stepping.stepped import Report, Stepper
 from nuno.wire.bus import WAITING_AFTER, Inbox, Message
 from nuno.wire.question import Question
 from nuno.wire.sessions import PATIENCE
-from nuno.work import Report, Work
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import Ack, FrameStatus, Topic
 
-WINDOW = 4
-"""Frames that the steps may run ahead of a service that must see every one."""
 SAID_AGAIN_AFTER = 60.0
 """A run that waits again and again, as for a slow disk, says so this often [s]."""
 CONTROL = "control"
@@ -30,26 +29,23 @@ OF_FOLLOWERS = ("status", "add")
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
 
 
-class Lockstep(ABC):
-    """Runs its work frame by frame and answers control."""
+class Driver(Publishing):
+    """Steps cloth or dye frame by frame, publishes it and answers control."""
 
-    def __init__(self, context: Context, work: Work, follows: Topic | None = None) -> None:
+    def __init__(self, context: Context, stepper: Stepper, follows: Topic | None = None) -> None:
         """`follows` is the topic of the leader's statuses, None for the leader."""
-        self.context, self.work, self.follows = context, work, follows
+        super().__init__(context, stepper)
+        self.follows = follows
         self.due: list[int] = []
         """Frames that the leader has finished, which are still to be followed."""
-        self.kept = -1
-        """Frame of the last checkpoint."""
-        self.scene = context.loaded.scene
         self.state = "paused"
         self.until: int | None = None
         """Frame at which a run that was told to step pauses again."""
         self.finish: Question | None = None
         self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
-        self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
         self.totals: dict[str, int] = {}
         self.message = ""
-        self.begin = work.t
+        self.begin = stepper.t
         self.paused_seconds = 0.0
         self.inbox = Inbox(context.bus, [follows or ack_topic("*")])
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
@@ -60,20 +56,16 @@ class Lockstep(ABC):
         """What else it can be asked, between frames."""
 
     @abstractmethod
-    def publish_start(self) -> None:
-        """Tell what does not change, and the state at the start."""
-
-    @abstractmethod
-    def step_frame(self) -> Report:
-        """Step one frame and publish it."""
-
-    @abstractmethod
-    def publish_checkpoint(self) -> None:
-        """The whole float64 state, enough to go on from in the same bits."""
-
-    @abstractmethod
     def facts(self, ended: str) -> dict[str, Any]:
         """What the report says of this service, beside `summary`."""
+
+    def step_frame(self) -> Report:
+        """Step one frame and publish it."""
+        frame = self.stepper.step()
+        self.seconds["steps"] += frame.seconds
+        self.publish(frame, frame.number % self.every == 0 or frame.report.status != "ok")
+        report: Report = frame.report
+        return report
 
     def listen(self, timeout: float) -> None:
         """Handle one thing, if one comes in time: acknowledgements, control and the end come by one queue, in order."""
@@ -86,7 +78,7 @@ class Lockstep(ABC):
             except ValidationError:
                 self.inbox.refuse(item)
                 return
-            if item.topic != ack_topic(ack.service).name or ack.frame > self.work.frame:
+            if item.topic != ack_topic(ack.service).name or ack.frame > self.stepper.frame:
                 self.inbox.refuse(item)
             elif ack.service in self.acked:
                 self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
@@ -105,7 +97,7 @@ class Lockstep(ABC):
 
         `left` are the frames after which a run that was told to step pauses again, 0 for none.
         """
-        action, work = str(request.get("action")), self.work
+        action, stepper = str(request.get("action")), self.stepper
         before, change = self.state, {}
         if self.follows and action not in OF_FOLLOWERS:
             return {"ok": False, "error": f"{self.context.bus.service} follows; known: {', '.join(OF_FOLLOWERS)}"}
@@ -120,7 +112,7 @@ class Lockstep(ABC):
             if type(frames) is not int or not 1 <= frames <= self.scene.frames:
                 problem = f"step takes a number of frames, 1 to {self.scene.frames}: {frames!r:.60}"
                 return {"ok": False, "error": problem}
-            self.state, self.until = "running", work.frame + frames
+            self.state, self.until = "running", stepper.frame + frames
         elif action == "stop":
             self.state = "stopped"
         elif action in ("set", "add"):
@@ -133,33 +125,33 @@ class Lockstep(ABC):
         if action not in ("start", "status"):
             args = {name: request[name] for name in ("item", "frames") if name in request}
             args |= {name: change.pop(name) for name in ("item",) if name in change}
-            self.context.event("control", action, work.frame, work.t, **args)
+            self.context.event("control", action, stepper.frame, stepper.t, **args)
         return {
             "ok": True,
             "state": self.state,
             "before": before,
             "left": self.left,
-            "frame": work.frame,
+            "frame": stepper.frame,
             "frames": self.scene.frames,
-            "t": work.t,
+            "t": stepper.t,
         } | change
 
     @property
     def left(self) -> int:
         """Frames after which a run that was told to step pauses again, 0 for none."""
-        return self.until - self.work.frame if self.until is not None else 0
+        return self.until - self.stepper.frame if self.until is not None else 0
 
     def change(self, item: str) -> dict[str, Any]:
         """Set a field of the running scene; its name, and what it held before and holds now."""
         field = item.partition("=")[0]
-        before = self.work.loaded.value(field)
-        self.work.set(item)
-        return {"field": field, "old": before, "new": self.work.loaded.value(field)}
+        before = self.stepper.loaded.value(field)
+        self.stepper.set(item)
+        return {"field": field, "old": before, "new": self.stepper.loaded.value(field)}
 
     def add(self, item: str) -> dict[str, Any]:
         """Add to the running scene; the field, and what it holds."""
-        field = self.work.add(item)
-        return {"field": field, "old": None, "new": self.work.loaded.value(field)}
+        field = self.stepper.add(item)
+        return {"field": field, "old": None, "new": self.stepper.loaded.value(field)}
 
     def serve(self) -> None:
         """Be alive, wait for the start, step through the frames, answer the end."""
@@ -171,7 +163,7 @@ class Lockstep(ABC):
             ended = run() if self.finish is None else "failed"
             summary = self.summary(ended, time.perf_counter() - begin)
             if not self.follows:
-                self.context.event("end", ended, self.work.frame, self.work.t, summary=summary)
+                self.context.event("end", ended, self.stepper.frame, self.stepper.t, summary=summary)
             while self.finish is None:
                 self.listen(0.5)
             self.finish.answer_json(self.context.counts(self.inbox) | {"summary": summary})
@@ -179,7 +171,7 @@ class Lockstep(ABC):
     def run(self) -> str:
         """All frames; how it ended: done, stopped, diverged, unconverged or (asked to finish early) failed."""
         self.publish_start()
-        while not self.work.finished:
+        while not self.stepper.finished:
             self.listen(0)
             if self.context.orphaned():  # nobody would end what goes on, nor hear how it ended
                 raise RunFailed("the supervisor has gone")
@@ -187,17 +179,17 @@ class Lockstep(ABC):
             if self.finish is not None or self.state == "stopped":
                 break
             status = self.one_frame().status
-            if status == "unconverged" and self.work.frame >= self.scene.frames:  # a longer one can go on
+            if status == "unconverged" and self.stepper.frame >= self.scene.frames:  # a longer one can go on
                 self.keep()
-                self.wait_for(self.work.frame)
+                self.wait_for(self.stepper.frame)
             if status != "ok":
                 return status
-            if self.until is not None and self.work.frame >= self.until:
+            if self.until is not None and self.stepper.frame >= self.until:
                 self.state, self.until = "paused", None
         self.keep()  # also of a run that was interrupted: it can be gone on from there
         if self.finish is not None:
             return "failed"
-        self.wait_for(self.work.frame)
+        self.wait_for(self.stepper.frame)
         return "stopped" if self.state == "stopped" else "done"
 
     def take_lead(self, message: Message) -> None:
@@ -214,26 +206,19 @@ class Lockstep(ABC):
         while self.finish is None:
             while self.due and self.finish is None:
                 frame = self.due.pop(0)
-                if frame not in (self.work.frame, self.work.frame + 1):
-                    raise RunFailed(f"frame {frame} came after frame {self.work.frame}")
-                if frame > self.work.frame and self.one_frame().status != "ok":
+                if frame not in (self.stepper.frame, self.stepper.frame + 1):
+                    raise RunFailed(f"frame {frame} came after frame {self.stepper.frame}")
+                if frame > self.stepper.frame and self.one_frame().status != "ok":
                     raise RunFailed(self.message or "amounts are no longer finite")
-                ack = Ack(service=self.context.bus.service, frame=frame)
-                topic = ack_topic(self.context.bus.service)
-                self.context.bus.publisher(topic).put(ack.model_dump_json().encode(), frame, self.work.t)
+                self.context.acknowledge(frame, self.stepper.t)
                 self.listen(0)
             if self.finish is None:
                 self.listen(0.5)
         if self.finish.json().get("error"):
             return "failed"
-        if self.kept != self.work.frame:
+        if self.kept != self.stepper.frame:
             self.keep()
         return "done"
-
-    def keep(self) -> None:
-        """Publish a checkpoint of the present frame."""
-        self.publish_checkpoint()
-        self.kept = self.work.frame
 
     def stand_still(self) -> None:
         """Wait while the run is paused; that time is counted apart."""
@@ -248,7 +233,7 @@ class Lockstep(ABC):
         for name, value in report.totals.items():
             self.totals[name] = self.totals.get(name, 0) + value
         self.message = report.message
-        every, frame = self.scene.record.checkpoint_every, self.work.frame
+        every, frame = self.scene.record.checkpoint_every, self.stepper.frame
         if (
             report.status == "ok"
             and every is not None
@@ -258,10 +243,6 @@ class Lockstep(ABC):
             self.keep()
         self.wait_for(self.shown_until(frame - WINDOW))
         return report
-
-    def shown_until(self, frame: int) -> int:
-        """The last frame up to `frame` that was published whole, and is acknowledged; below 0 for none."""
-        return frame
 
     def wait_for(self, frame: int) -> None:
         """Wait until every service that must see `frame` has, and say for whom. Raises RunFailed for a hung one."""
@@ -277,7 +258,8 @@ class Lockstep(ABC):
                 raise RunFailed(text, peer=late[0])
             if waited > WAITING_AFTER and not told and start > self.silent_until:
                 told, text = names, f"frame {frame} is not acknowledged yet (given up after {PATIENCE:g} s)"
-                self.context.event("warning", f"waiting for the {names} service: {text}", self.work.frame, self.work.t)
+                text = f"waiting for the {names} service: {text}"
+                self.context.event("warning", text, self.stepper.frame, self.stepper.t)
         if told and self.finish is None:
             self.context.event("warning", f"the {told} service goes on after {waited:.3g} s")
             self.silent_until = time.perf_counter() + SAID_AGAIN_AFTER
@@ -288,13 +270,16 @@ class Lockstep(ABC):
         return {
             "state": ended,
             "message": self.message,
-            "frame": self.work.frame,
-            "t": self.work.t,
+            "frame": self.stepper.frame,
+            "t": self.stepper.t,
             "began": self.begin,
-            "simulated_seconds": self.work.t - self.begin,
-            "digest": self.work.digest(),
+            "simulated_seconds": self.stepper.t - self.begin,
+            "digest": self.stepper.digest(),
             "wall_seconds": wall - self.paused_seconds,
             "paused_seconds": self.paused_seconds,
             "seconds": self.seconds,
             "totals": self.totals,
+            "steps_per_frame": self.stepper.steps,
+            "dt": self.stepper.dt,
+            "threads": self.stepper.about(),
         } | self.facts(ended)

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nuno import registry
+from nuno.choose.trials import Method, Trials
 from nuno.cloth import build
 from nuno.collision.bodies import Bodies, build_bodies
 from nuno.scene import scene_file
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST, Loaded
-from nuno.scene.trials import Method, Trials
 from nuno_schemas.errors import BadInput
 from nuno_schemas.solver import AUTO, Accuracy
 from nuno_schemas.system import System
@@ -59,7 +59,7 @@ def decide(loaded: Loaded) -> Loaded:
     Raises BadInput for an accuracy that the named solver cannot be given.
     """
     if loaded.scene.dye is not None and loaded.scene.undecided:
-        from nuno.dye.choose import decide_dye  # only a scene of dye loads it
+        from nuno.choose.dye import decide_dye  # only a scene of dye loads it
 
         loaded = decide_dye(loaded)
     scene = loaded.scene

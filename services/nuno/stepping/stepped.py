@@ -1,0 +1,169 @@
+"""What is stepped frame by frame, cloth or dye, independent of how it is sent."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
+from nuno.scene.scene_file import Loaded
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Memory
+from nuno_schemas.messages import Event, Topic
+
+
+class Report(Protocol):
+    """What a solver says of a frame."""
+
+    @property
+    def status(self) -> Literal["ok", "diverged", "unconverged"]: ...
+
+    @property
+    def message(self) -> str: ...
+
+    @property
+    def steps(self) -> int: ...
+
+    @property
+    def totals(self) -> Mapping[str, int]: ...
+
+
+@dataclass
+class Stepped:
+    """A frame that has been stepped: its number, what the solver says of it, wall time [s] and the state's hash."""
+
+    number: int
+    report: Any
+    seconds: float
+    digest: str
+
+
+class Stepper(ABC):
+    """A scene's cloth, or its dye: a state, a solver with its memory, and the frame that it is in.
+
+    dt [s] is the step, of which a frame has `steps`.
+    """
+
+    part: ClassVar[str]
+    """cloth or dye"""
+    service: ClassVar[str]
+    """The service that steps it."""
+    status: ClassVar[Topic]
+    published: ClassVar[Topic]
+    kept: ClassVar[Topic]
+    """Topics of what is said of each frame, and of its float32 and its float64 arrays."""
+    quantities: ClassVar[Mapping[str, str]]
+    """What the arrays of the state are called in words."""
+
+    loaded: Loaded
+    frame: int
+    memory: Memory
+    steps: int
+    dt: float
+
+    @property
+    def t(self) -> float:
+        """Time of the scene [s], from the frame number so that it never drifts."""
+        return float(self.frame / self.loaded.scene.frame_rate)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the scene's last frame is done."""
+        return self.frame >= self.loaded.scene.frames
+
+    @abstractmethod
+    def arrays(self) -> Arrays:
+        """The float64 state itself, by name."""
+
+    @abstractmethod
+    def step(self) -> Stepped:
+        """Step one frame."""
+
+    @abstractmethod
+    def present(self) -> Stepped:
+        """The present frame, without a step; compiles what steps need."""
+
+    @abstractmethod
+    def about(self) -> str:
+        """How the solver's kernels run, in words."""
+
+    @abstractmethod
+    def set(self, item: str) -> None:
+        """Change a field of the running scene. Raises BadInput."""
+
+    @abstractmethod
+    def add(self, item: str) -> str:
+        """Add an item, `list: {...}`, to the running scene; what is to be known of it. Raises BadInput."""
+
+    @abstractmethod
+    def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
+        """Go on from a checkpoint, with the control events of this service until then, in order.
+
+        Raises BadInput where it does not fit.
+        """
+
+    @abstractmethod
+    def encode(self) -> bytes:
+        """The state as it is published, float32."""
+
+    @staticmethod
+    @abstractmethod
+    def decode(payload: bytes) -> Arrays:
+        """What was published, by the names of the state's arrays. Raises BadMessage."""
+
+    @abstractmethod
+    def place(self, index: Sequence[int]) -> str:
+        """An index of one of the state's arrays in words."""
+
+    def digest(self) -> str:
+        """Hash of the float64 state: equal digests mean equal bits."""
+        return hash_of([np.int64(self.frame), *self.digested()])
+
+    def digested(self) -> Iterable[NDArray[Any]]:
+        """What a digest is of, beside the frame's number."""
+        return self.arrays().values()
+
+    def keep(self) -> Checkpoint:
+        """The whole present state, enough to go on from in the same bits."""
+        arrays = self.arrays() | {MEMORY + name: values for name, values in self.memory.arrays.items()}
+        text = {"t": self.t, "frame": self.frame, "digest": self.digest(), "dt": self.dt, "steps": self.steps}
+        return Checkpoint(arrays, text)
+
+    def take_over(self, point: Checkpoint) -> None:
+        """Have the state and the solver's memory of a checkpoint. Raises BadInput where they do not fit."""
+        copy_into(self.arrays(), point.state)
+        copy_into(self.memory.arrays, point.memory)
+        self.frame = point.frame
+
+    def time_frame(self) -> float:
+        """Wall time of the second frame from here on [s]; the first one may compile."""
+        self.step()
+        start = time.perf_counter()
+        self.step()
+        return max(time.perf_counter() - start, 1e-9)
+
+
+def hash_of(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
+    """Hash of the bits of some arrays."""
+    hasher = hashlib.blake2b(digest_size=16)
+    for values in arrays:
+        hasher.update(np.ascontiguousarray(values).data)
+    return hasher.hexdigest()
+
+
+def copy_into(held: Arrays, given: Arrays, some: bool = False) -> None:
+    """Have the values of arrays of the same names, or of only some of them. Raises BadInput for others."""
+    for name in given if some else held | given:
+        here, there = (arrays[name].shape if name in arrays else "nothing" for arrays in (held, given))
+        if here != there:
+            problem, remedy = "the checkpoint does not fit this scene", "resume with the recording's own scene"
+            raise BadInput(problem, value=f"{name} of shape {there}", limit=f"{here}", remedy=remedy)
+    for name, values in given.items():
+        np.copyto(held[name], values)
