@@ -41,7 +41,7 @@ def test_what_a_stock_writer_made_of_a_recording_reads_the_same(
         chunks = recording.layout.chunks
     # Cut in the middle of a chunk: found without an index up to there.
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes((tmp_path / "b.mcap").read_bytes()[: chunks[2].offset + 50])
+    cut.write_bytes((tmp_path / "b.mcap").read_bytes()[: chunks[2].chunk_start_offset + 50])
     with open_recording(cut) as recording:
         assert recording.recovered and len(recording.layout.chunks) == 2
         found = [(m.topic, m.seq, m.payload) for m in recording.messages()]
@@ -98,7 +98,7 @@ def test_a_compressed_chunk_unpacks_to_no_more_than_it_says(
     writer.finish({})
     target = rewritten(tmp_path / "a.mcap", compression=compression)
     with open_recording(target) as recording:
-        size_at = recording.layout.chunks[0].offset + 16
+        size_at = recording.layout.chunks[0].chunk_start_offset + 25
     data = bytearray(target.read_bytes())
     data[size_at : size_at + 8] = (640_000).to_bytes(8, "little")
     target.write_bytes(data)

@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from nuno.recording.chunks import Damaged, chunk_messages
-from nuno.recording.layout import ChunkPlace, Layout, attachment, read_at, read_layout
+from mcap.records import Attachment, ChunkIndex
+
+from nuno.recording.layout import Damaged, Layout, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Recorded
 from nuno.recording.writer import part_of
 from nuno.wire.arrays import BadMessage, decode_arrays
@@ -70,7 +71,8 @@ class RecordedFile:
     def span(self) -> tuple[float, float]:
         """Simulation time [s] of the earliest and the latest message."""
         chunks = self.layout.chunks
-        return min((c.start for c in chunks), default=0) / 1e9, max((c.end for c in chunks), default=0) / 1e9
+        first = min((chunk.message_start_time for chunk in chunks), default=0)
+        return first / 1e9, max((chunk.message_end_time for chunk in chunks), default=0) / 1e9
 
     @property
     def attachments(self) -> tuple[str, ...]:
@@ -79,7 +81,10 @@ class RecordedFile:
 
     def attachment(self, name: str) -> bytes:
         with self._damage_reported():
-            return attachment(read_at(self._stream, self.layout.attachments[name], self.layout.size))[1]
+            record, _ = read_record(self._stream, self.layout.attachments[name], self.layout.size)
+            if not isinstance(record, Attachment):
+                raise Damaged(f"there is no file {name}")
+            return bytes(record.data)
 
     def messages(
         self, topics: Iterable[str] | None = None, start: float | None = None, end: float | None = None
@@ -92,7 +97,7 @@ class RecordedFile:
         first = -1 if start is None else round(start * 1e9)
         last = 2**64 if end is None else round(end * 1e9)
         for chunk in self.layout.chunks:
-            if chunk.channels & wanted and chunk.end >= first and chunk.start < last:
+            if chunk.message_end_time >= first and chunk.message_start_time < last:
                 for message in self._in_chunk(chunk, wanted):
                     if first <= message.log_time < last:
                         yield message
@@ -102,7 +107,7 @@ class RecordedFile:
         wanted = self._channels([topic])
         limit = 2**64 if before is None else round(before * 1e9)
         for chunk in reversed(self.layout.chunks):
-            if chunk.channels & wanted and chunk.start <= limit:
+            if chunk.message_start_time <= limit:
                 found = [m for m in self._in_chunk(chunk, wanted) if m.log_time <= limit]
                 if found:
                     return found[-1]
@@ -117,11 +122,14 @@ class RecordedFile:
             if any(topic.startswith(n[:-1]) if n.endswith("/*") else topic == n for n in names)
         )  # fmt: skip
 
-    def _in_chunk(self, chunk: ChunkPlace, wanted: frozenset[int]) -> Iterator[Recorded]:
+    def _in_chunk(self, chunk: ChunkIndex, wanted: frozenset[int]) -> Iterator[Recorded]:
+        """Messages of some channels in a chunk; one that holds none of them is not read."""
+        if wanted.isdisjoint(chunk.message_index_offsets):
+            return
         with self._damage_reported():
-            body = read_at(self._stream, chunk, self.layout.size)
-            for m in chunk_messages(body, wanted):
-                yield Recorded(self._topics[m.channel], m.sequence, m.log_time, m.publish_time, bytes(m.payload))
+            for m in read_messages(self._stream, chunk, self.layout.size):
+                if m.channel_id in wanted:
+                    yield Recorded(self._topics[m.channel_id], m.sequence, m.log_time, m.publish_time, bytes(m.data))
 
     def arrays(self, message: Recorded | None) -> tuple[Arrays, dict[str, Any]]:
         """Arrays and text of a message; empty for None. Raises BadInput where it is damaged."""

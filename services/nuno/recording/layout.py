@@ -1,7 +1,8 @@
 """Where everything stands in a recording: from the index of a finished file, else by a scan.
 
-No length in the file is believed before it is compared with the file's size, and no chunk
-before its checksum fits.
+Records are the mcap library's, index and chunks are read by its readers. Around them no length in the file is believed
+before it is compared with the file's size, and neither chunk nor index before its checksum fits: the library reads cut
+records short without a word, checks no index, and unpacks whatever a chunk says it holds.
 """
 
 from __future__ import annotations
@@ -9,56 +10,46 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, cast
 
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+import psutil
 from mcap.opcode import Opcode
+from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import (
     Attachment,
-    AttachmentIndex,
     Channel,
+    Chunk,
     ChunkIndex,
+    DataEnd,
     Footer,
+    McapRecord,
+    Message,
     Metadata,
-    MetadataIndex,
     Schema,
-    Statistics,
 )
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
 
-from nuno.recording.chunks import Damaged, channel_of, chunk_records, chunk_times, fits, records
-from nuno.recording.mcap_file import MAGIC, MESSAGE_HEAD
+from nuno.recording.mcap_file import MAGIC
 from nuno_schemas.errors import BadInput
 
-T = TypeVar("T")
-FOOTER_BYTES = 29
-_RECORD = struct.Struct("<BQ")
+PIECE = 1 << 20
+"""Bytes that are unpacked at once."""
+_HEAD = struct.Struct("<BQ")
 
 
-@dataclass(frozen=True)
-class Place:
-    """A record's body in the file."""
-
-    offset: int
-    length: int
-
-
-@dataclass(frozen=True)
-class ChunkPlace(Place):
-    """A chunk's body, its log times [ns] and the channels it holds."""
-
-    start: int
-    end: int
-    channels: frozenset[int]
+class Damaged(Exception):
+    """Bytes that are not what they should be; never leaves this package."""
 
 
 @dataclass
 class Layout:
-    """The table of contents of a recording."""
+    """The table of contents of a recording; attachments are the places of their records in the file."""
 
     size: int
     """Bytes of the file."""
@@ -68,10 +59,10 @@ class Layout:
     """Bytes up to the end of the last whole record."""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkPlace] = field(default_factory=list)
-    attachments: dict[str, Place] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: dict[str, int] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=lambda: defaultdict(int))
+    counts: Counter[int] = field(default_factory=Counter)
 
 
 def read_layout(stream: BinaryIO, path: Path) -> Layout:
@@ -87,61 +78,77 @@ def read_layout(stream: BinaryIO, path: Path) -> Layout:
         return _from_scan(stream, size, path)
 
 
-def read_at(stream: BinaryIO, place: Place, size: int) -> bytes:
-    """A record's body. Raises Damaged where it does not lie in the file."""
-    if place.offset < 0 or place.length < 0 or place.offset + place.length > size:
-        raise Damaged(f"{place.length} bytes at byte {place.offset} of {size}")
-    stream.seek(place.offset)
-    data = stream.read(place.length)
-    if len(data) != place.length:
-        raise Damaged(f"{len(data)} of {place.length} bytes at byte {place.offset}")
-    return data
+def read_record(stream: BinaryIO, at: int, size: int) -> tuple[McapRecord | None, int]:
+    """The record that begins at a byte of a file, None for one of no known kind, and where it ends. Raises Damaged."""
+    head = _read_at(stream, at, _HEAD.size, size)
+    opcode, length = _HEAD.unpack(head)
+    if opcode == 0:  # no record: a system that lost power leaves zeros
+        raise Damaged(f"no record at byte {at}")
+    body = _read_at(stream, at + _HEAD.size, length, size)
+    if opcode not in Opcode.__members__.values():
+        return None, at + _HEAD.size + length
+    if opcode == Opcode.ATTACHMENT and not _fits(int.from_bytes(body[-4:], "little"), memoryview(body)[:-4]):
+        raise Damaged("an attachment's checksum does not fit")
+    with _damage():
+        record = next(StreamReader(io.BytesIO(head + body), skip_magic=True, emit_chunks=True).records)
+    return record, at + _HEAD.size + length
 
 
-def parse(read: Callable[[ReadDataStream], T], body: bytes | memoryview) -> T:
-    """A small record by the library's reader. Raises Damaged."""
+def read_messages(stream: BinaryIO, chunk: ChunkIndex, size: int) -> list[Message]:
+    """The messages of a chunk, in order. Raises Damaged."""
+    record, _ = read_record(stream, chunk.chunk_start_offset, size)
+    if not isinstance(record, Chunk):
+        raise Damaged(f"no chunk at byte {chunk.chunk_start_offset}")
+    return [one for one in _records_of(record) if isinstance(one, Message)]
+
+
+def _read_at(stream: BinaryIO, at: int, length: int, size: int) -> bytes:
+    """A piece of a file. Raises Damaged where it does not lie in the file."""
+    if at < 0 or length < 0 or at + length > size:
+        raise Damaged(f"{length} bytes at byte {at} of {size}")
+    stream.seek(at)
+    return stream.read(length)
+
+
+@contextmanager
+def _damage() -> Iterator[None]:
+    """Whatever the libraries, each of which has errors of its own, make of bytes that are not what they should be."""
     try:
-        return read(ReadDataStream(io.BytesIO(body)))
-    except (McapError, struct.error, ValueError, OverflowError, LookupError, MemoryError) as error:
-        raise Damaged(str(error)) from None
+        yield
+    except Damaged:
+        raise
+    except Exception as error:
+        raise Damaged(f"{type(error).__name__}: {error}") from None
+
+
+def _fits(crc: int, data: bytes | memoryview) -> bool:
+    """Whether a checksum is that of data. By the format, 0 stands for none: what other programs write may have none."""
+    return crc in (0, zlib.crc32(data))
 
 
 def _from_index(stream: BinaryIO, size: int) -> Layout:
-    tail_size = FOOTER_BYTES + len(MAGIC)
-    tail = read_at(stream, Place(size - tail_size, tail_size), size)
-    if tail[:9] != _RECORD.pack(Opcode.FOOTER, FOOTER_BYTES - 9) or not tail.endswith(MAGIC):
+    at = size - FOOTER_SIZE - len(MAGIC)
+    footer, end = read_record(stream, at, size)
+    if not isinstance(footer, Footer) or _read_at(stream, end, len(MAGIC), size) != MAGIC:
         raise Damaged("no footer")
-    footer = parse(Footer.read, tail[9:])
-    summary = read_at(stream, Place(footer.summary_start, size - tail_size - footer.summary_start), size)
-    if not fits(footer.summary_crc, tail[: FOOTER_BYTES - 4], zlib.crc32(summary)):
+    index = _read_at(stream, footer.summary_start, end - 4 - footer.summary_start, size)
+    if not footer.summary_start or not _fits(footer.summary_crc, index):
         raise Damaged("the index's checksum does not fit")
-    layout, found = Layout(size, indexed=True, readable=size), Counter[int]()
-    told: Statistics | None = None
-    for opcode, _, body in records(memoryview(summary)):
-        found[opcode] += 1
-        if opcode == Opcode.CHUNK_INDEX:
-            index = parse(ChunkIndex.read, body)
-            place = index.chunk_start_offset + 9, index.chunk_length - 9
-            times = index.message_start_time, index.message_end_time
-            layout.chunks.append(ChunkPlace(*place, *times, frozenset(index.message_index_offsets)))
-        elif opcode == Opcode.ATTACHMENT_INDEX:
-            entry = parse(AttachmentIndex.read, body)
-            layout.attachments[entry.name] = Place(entry.offset + 9, entry.length - 9)
-        elif opcode == Opcode.METADATA_INDEX:
-            item = parse(MetadataIndex.read, body)
-            _add_metadata(layout, read_at(stream, Place(item.offset + 9, item.length - 9), size))
-        elif opcode == Opcode.STATISTICS:
-            told = parse(Statistics.read, body)
-            layout.counts = told.channel_message_counts
-        else:
-            _add_channel(layout, opcode, body)
+    with _damage():
+        stream.seek(0)
+        reader = SeekingReader(stream, record_size_limit=size)
+        summary = reader.get_summary() or Summary()
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+    told, chunks = summary.statistics, summary.chunk_indexes
     # Other programs may leave out any part of an index; what is not in it is to be found all the same.
-    whole = told is not None and (told.chunk_count, told.attachment_count, told.metadata_count) == (
-        found[Opcode.CHUNK_INDEX], found[Opcode.ATTACHMENT_INDEX], found[Opcode.METADATA_INDEX]
-    )  # fmt: skip
-    if not whole or not all(chunk.channels for chunk in layout.chunks) or (layout.counts and not layout.chunks):
+    listed = len(chunks), len(summary.attachment_indexes), len(summary.metadata_indexes)
+    if told is None or (told.chunk_count, told.attachment_count, told.metadata_count) != listed:
         raise Damaged("the index leaves something out")
-    return layout
+    counts = Counter(told.channel_message_counts)
+    if not all(chunk.message_index_offsets for chunk in chunks) or (counts and not chunks):
+        raise Damaged("the index does not say what chunks hold")
+    places = {one.name: one.offset for one in summary.attachment_indexes}
+    return Layout(size, True, size, summary.schemas, summary.channels, chunks, places, metadata, counts)
 
 
 def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
@@ -151,67 +158,78 @@ def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
     """
     layout = Layout(size, indexed=False, readable=len(MAGIC))
     try:
-        for opcode, place in _each_record(stream, size):
-            if opcode == Opcode.CHUNK:
-                _add_chunk(layout, place, read_at(stream, place, size))
-            elif opcode == Opcode.METADATA:
-                _add_metadata(layout, read_at(stream, place, size))
-            elif opcode == Opcode.ATTACHMENT:
-                layout.attachments[attachment(read_at(stream, place, size))[0]] = place
-            elif opcode == Opcode.DATA_END:
+        while layout.readable < size:
+            at = layout.readable
+            record, end = read_record(stream, at, size)
+            if isinstance(record, Chunk):
+                _add_chunk(layout, record, at, end)
+            elif isinstance(record, Metadata):
+                layout.metadata[record.name] = record.metadata
+            elif isinstance(record, Attachment):
+                layout.attachments[record.name] = at
+            elif isinstance(record, DataEnd):
                 break
-            elif opcode == Opcode.MESSAGE and not layout.chunks:
+            elif isinstance(record, Message) and not layout.chunks:
                 problem, remedy = "its messages stand outside of chunks", "write it with chunks"
                 raise BadInput(problem, str(path), limit=f"{size} bytes", remedy=remedy)
-            layout.readable = place.offset + place.length
+            layout.readable = end
     except Damaged:
         pass
     return layout
 
 
-def _each_record(stream: BinaryIO, size: int) -> Iterator[tuple[int, Place]]:
-    """Opcode and body of each whole record. An open chunk of length 2^64 - 1 ends the file."""
-    at = len(MAGIC)
-    while at + _RECORD.size <= size:
-        opcode, length = _RECORD.unpack(read_at(stream, Place(at, _RECORD.size), size))
-        at += _RECORD.size
-        # Opcode 0 is no record: a system that lost power leaves zeros.
-        if opcode == 0 or at + length > size:
-            return
-        yield opcode, Place(at, length)
-        at += length
+def _add_chunk(layout: Layout, chunk: Chunk, at: int, end: int) -> None:
+    found: Counter[int] = Counter()
+    for record in _records_of(chunk):
+        if isinstance(record, Message):
+            found[record.channel_id] += 1
+        elif isinstance(record, Schema):
+            layout.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            layout.channels[record.id] = record
+    layout.counts += found
+    layout.chunks.append(
+        ChunkIndex(
+            chunk_length=end - at,
+            chunk_start_offset=at,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_end_time=chunk.message_end_time,
+            message_index_length=0,
+            message_index_offsets=dict.fromkeys(found, 0),
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=chunk.uncompressed_size,
+        )
+    )
 
 
-def _add_chunk(layout: Layout, place: Place, body: bytes) -> None:
-    found: dict[int, int] = defaultdict(int)
-    for opcode, _, record in records(chunk_records(body)):
-        if opcode == Opcode.MESSAGE and len(record) >= MESSAGE_HEAD:
-            found[channel_of(record)] += 1
-        else:
-            _add_channel(layout, opcode, record)
-    layout.chunks.append(ChunkPlace(place.offset, place.length, *chunk_times(body), frozenset(found)))
-    for channel, number in found.items():
-        layout.counts[channel] += number
+def _records_of(chunk: Chunk) -> list[McapRecord]:
+    """A chunk's records, when its checksum fits. Raises Damaged."""
+    with _damage():
+        data = _unpack(chunk) if chunk.compression else chunk.data
+        if len(data) != chunk.uncompressed_size:
+            raise Damaged(f"a chunk holds {len(data)} bytes of {chunk.uncompressed_size}")
+        return list(breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True))
 
 
-def _add_channel(layout: Layout, opcode: int, body: memoryview) -> None:
-    if opcode == Opcode.SCHEMA:
-        schema = parse(Schema.read, body)
-        layout.schemas[schema.id] = schema
-    elif opcode == Opcode.CHANNEL:
-        channel = parse(Channel.read, body)
-        layout.channels[channel.id] = channel
+def _unpack(chunk: Chunk) -> bytes:
+    """What a chunk holds: at most what it says and a piece, whatever it would unpack to. Raises Damaged, and more."""
+    opened: Callable[[io.BytesIO], BinaryIO]
+    if chunk.uncompressed_size > psutil.virtual_memory().available:
+        raise Damaged(f"a chunk would unpack to {chunk.uncompressed_size} bytes, more than the memory that is free")
+    # As the format names them: https://mcap.dev/spec/registry.
+    if chunk.compression == "lz4":
+        import lz4.frame
 
+        opened = lz4.frame.open
+    elif chunk.compression == "zstd":
+        import zstandard
 
-def _add_metadata(layout: Layout, body: bytes) -> None:
-    record = parse(Metadata.read, body)
-    layout.metadata[record.name] = record.metadata
-
-
-def attachment(body: bytes) -> tuple[str, bytes]:
-    """Name and bytes of an attachment's body, whose checksum fits. Raises Damaged."""
-    if len(body) < 4 or not fits(struct.unpack("<I", body[-4:])[0], memoryview(body)[:-4]):
-        raise Damaged("an attachment's checksum does not fit")
-
-    record = parse(Attachment.read, body)
-    return str(record.name), bytes(record.data)
+        opened = cast(Callable[[io.BytesIO], BinaryIO], zstandard.open)
+    else:
+        raise Damaged(f"{chunk.compression!r} is none of lz4 and zstd")
+    unpacked = bytearray()
+    with opened(io.BytesIO(chunk.data)) as stream:
+        while len(unpacked) <= chunk.uncompressed_size and (piece := stream.read(PIECE)):
+            unpacked += piece
+    return bytes(unpacked)

@@ -42,10 +42,8 @@ BINARY = "application/octet-stream"
 CHUNK_BYTES = 4 * 2**20
 _MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<BQQQQIIQ")
-MESSAGE_HEAD = _MESSAGE.size - 9
-"""Bytes of a message record before its payload."""
-CHUNK_HEAD = _CHUNK.size - 9
-"""Bytes of an uncompressed chunk record before its records."""
+_RECORD_HEAD = 9
+"""Bytes of any record before its body: opcode and length."""
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -75,7 +73,7 @@ class _OpenChunk:
         self.start = min(self.start, log_time) if self.places else log_time
         self.end = max(self.end, log_time)
         self.places[channel].append((log_time, self.size))
-        length = MESSAGE_HEAD + len(payload)
+        length = _MESSAGE.size - _RECORD_HEAD + len(payload)
         self.add(_MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time))
         self.add(payload)
 
@@ -145,7 +143,8 @@ class McapFile:
         chunk, stream = self._chunk, self._stream
         if chunk.places:
             offset, size, times = stream.tell(), chunk.size, (chunk.start, chunk.end)
-            stream.write(_CHUNK.pack(Opcode.CHUNK, CHUNK_HEAD + size, *times, size, chunk.crc, 0, size))
+            length = _CHUNK.size - _RECORD_HEAD + size
+            stream.write(_CHUNK.pack(Opcode.CHUNK, length, *times, size, chunk.crc, 0, size))
             stream.writelines(chunk.pieces)
             place = after = stream.tell()
             index_places: dict[int, int] = {}
