@@ -52,9 +52,7 @@ def states(
     wanted = sorted(known if frames is None else set(frames))
     for frame in wanted:
         if frame not in known:
-            limit = f"frames {min(known)} to {max(known)}" if known else "it holds none"
-            problem = "no such frame in the recording"
-            raise BadInput(problem, str(recording.path), field="--frame", value=frame, limit=limit)
+            raise recording.no_frame(frame, known)
     with restored_scene(recording) as loaded:
         parts = {name: _Part(recording, make) for name, make in steppers(loaded, threads).items()}
         for frame in wanted:

@@ -17,8 +17,7 @@ import nuno
 from nuno.cli import main
 from nuno.dye.painter import painter_of
 from nuno.export.cloth import read_pieces
-from nuno.export.dyed_object import read_dyed_object
-from nuno.export.dyed_pictures import Changes
+from nuno.export.dyed_pictures import Changes, read_dyed_object
 from nuno.export.pictures import Painter
 from nuno.scene import scene_file
 from nuno_schemas.messages import CLOTH, CONCENTRATION, STATE

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,7 +55,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     if args.csv:
         written.append(tables.export_csv(recording, args.csv))
     written += [drawn()] if drawn else []
-    written += _draw_dyed(recording, args) if recording.dyed_alone else _draw(recording, args)
+    written += _draw(recording, args)
     for suffix in MESHES:
         path = getattr(args, suffix[1:])
         if path and path.suffix.lower() == suffix:
@@ -71,49 +72,25 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
 
 def _prepare_style(recording: Recording, args: argparse.Namespace) -> Callable[[], Path]:
     """Draw a knit by rays; what writes the picture. Raises BadInput."""
-    from nuno.export.yarns import draw_yarn_picture, write_picture
+    from nuno.export.target import write_png
+    from nuno.export.yarns import draw_yarn_picture
 
-    overrides, path = tuple(args.overrides), args.png
+    overrides = tuple(args.overrides)
     picture = draw_yarn_picture(recording, args.style, args.frame, _size(args.size), overrides, _progress)
-
-    def write() -> Path:
-        write_picture(path, picture)
-        return Path(path)
-
-    return write
+    return partial(write_png, args.png, picture)
 
 
 def _draw(recording: Recording, args: argparse.Namespace) -> list[Path]:
-    """Pictures and animations of moving cloth."""
+    """Pictures and animations."""
     from nuno.export import animations, pictures
 
     size, changes = _size(args.size), _changes(args)
     written: list[Path] = []
     if args.png and not args.style:
         written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour, changes))
-    for path in (args.gif, args.mp4):
-        if path:
-            written.append(
-                animations.export_animation(
-                    recording, path, size, args.fps, args.start, args.end, _progress, args.colour, changes
-                )
-            )
-    return written
-
-
-def _draw_dyed(recording: Recording, args: argparse.Namespace) -> list[Path]:
-    """Pictures and animations of dyed cloth."""
-    from nuno.export import animations, dyed_pictures
-
-    changes = _changes(args)
-    written: list[Path] = []
-    if args.png:
-        written.append(dyed_pictures.export_dyed_picture(recording, args.png, args.frame, changes))
-    for path in (args.gif, args.mp4):
-        if path:
-            written.append(
-                animations.export_dyed_animation(recording, path, args.fps, args.start, args.end, _progress, changes)
-            )
+    for path in filter(None, (args.gif, args.mp4)):
+        when = args.fps, args.start, args.end
+        written.append(animations.export_animation(recording, path, size, *when, _progress, args.colour, changes))
     return written
 
 
@@ -160,7 +137,7 @@ def _check_wishes(recording: Recording, args: argparse.Namespace) -> None:
 
 
 def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
-    from nuno.export import camera, cloth, dyed_object, pictures
+    from nuno.export import camera, cloth, dyed_pictures, pictures
 
     arrays = args.forces or (args.npz and args.frame is not None)
     if args.png or arrays or any(getattr(args, suffix[1:]) for suffix in MESHES):
@@ -175,7 +152,7 @@ def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Cha
         if args.colour == "pressure":
             pictures.require_pressure(recording)
         elif args.colour != "stretch":
-            dyed_object.read_dyed_object(recording, replace(changes, overrides=of_dye))
+            dyed_pictures.read_dyed_object(recording, replace(changes, overrides=of_dye))
 
 
 def _check_dyed_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:

@@ -10,39 +10,28 @@ from nuno.cli.export_yarns import add_yarns
 from nuno_schemas.look import DyeView
 
 MESHES = (".obj", ".ply", ".glb")
+FILES = {
+    "npz": "float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
+    "forces": "what acts on cloth in a frame, as .npz: forces by kind, accelerations, masses, springs and tensions",
+    "csv": "energy, stretch, penetration, dye and step time of every frame",
+    "png": "a picture of a frame",
+    "gif": "an animation",
+    "mp4": "an animation (needs nuno[video])",
+    "obj": "the cloth in a frame; a folder: every frame",
+    "ply": "the cloth in a frame; a folder: every frame",
+    "glb": "the cloth and bodies in a frame; a folder: every frame",
+    "rrd": "a file for the rerun viewer",
+    "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
+}
+"""What can be written, by its flag."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="a file, or last")
     what = parser.add_argument_group("what to write (any number of these)")
-    what.add_argument(
-        "--npz",
-        type=Path,
-        metavar="FILE",
-        help="float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
-    )
-    what.add_argument(
-        "--forces",
-        type=Path,
-        metavar="FILE",
-        help="what acts on cloth in a frame, as .npz: forces by kind, accelerations, masses, springs and tensions",
-    )
-    what.add_argument(
-        "--csv", type=Path, metavar="FILE", help="energy, stretch, penetration, dye and step time of every frame"
-    )
-    what.add_argument("--png", type=Path, metavar="FILE", help="a picture of a frame")
-    what.add_argument("--gif", type=Path, metavar="FILE", help="an animation")
-    what.add_argument("--mp4", type=Path, metavar="FILE", help="an animation (needs nuno[video])")
-    for suffix in MESHES:
-        text = "; a folder: every frame"
-        what.add_argument(
-            f"--{suffix[1:]}",
-            type=Path,
-            metavar="FILE",
-            help=f"the cloth{' and bodies' if suffix == '.glb' else ''} in a frame{text}",
-        )
-    what.add_argument("--rrd", type=Path, metavar="FILE", help="a file for the rerun viewer")
-    add_yarns(parser, what)
+    for name, text in FILES.items():
+        what.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
+    add_yarns(parser)
     _add_parts(parser.add_argument_group("which part"))
     _add_drawn(parser.add_argument_group("how pictures and animations are drawn (default: as the scene says)"))
 

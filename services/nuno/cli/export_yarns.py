@@ -14,8 +14,7 @@ from nuno_schemas.errors import BadInput
 SETTINGS = ("samples", "radius", "curl")
 
 
-def add_yarns(parser: argparse.ArgumentParser, what: argparse._ArgumentGroup) -> None:
-    what.add_argument("--yarns", type=Path, metavar="FILE", help="a knit's yarns as curves, .npz or .obj, of a frame")
+def add_yarns(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("yarns as curves")
     group.add_argument(
         "--form",

@@ -165,17 +165,6 @@ def _name_files(options: Options, outcome: supervisor.Outcome) -> None:
         print(f"rerun file {kept['viewer']}  (look: rerun {kept['viewer']})")
 
 
-def _draw(loaded: Loaded, recording: Path, target: Path) -> None:
-    if not loaded.scene.moves:
-        from nuno.export.dyed_pictures import export_dyed_picture
-
-        export_dyed_picture(recording, target)
-        return
-    from nuno.export.pictures import export_picture
-
-    export_picture(recording, target)
-
-
 def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool) -> int:
     """Run, show progress, print the report; the exit code."""
     started = time.perf_counter()
@@ -187,9 +176,11 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
     show_report(report, sys.stdout)
     _name_files(options, outcome)
     if picture and outcome.state in ("done", "stopped") and options.record is not None and options.record.exists():
+        from nuno.export.pictures import export_picture
+
         target = options.record.with_suffix(".png")
         print("drawing the last frame", flush=True)  # the first time, the renderer is compiled
-        _draw(loaded, options.record, target)
+        export_picture(options.record, target)
         print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
     print(f"total      {time.perf_counter() - started:.1f} s")
     _keep_page(options, outcome)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +27,6 @@ GIF_RATES = (50.0, 25.0, 20.0, 12.5, 10.0, 5.0)
 SIZE, DYED_SIDE = (640, 480), 500
 """Of a moving cloth's pictures, and the longer side that a dyed cloth's come near to."""
 PALETTE_PICTURES, PALETTE_PIXELS, PALETTE_POWER = 8, 300_000, 0.7
-Frame = TypeVar("Frame")
 
 
 def export_animation(
@@ -39,50 +40,37 @@ def export_animation(
     colour: Colour = "auto",
     changes: Changes | None = None,
 ) -> Path:
-    """Draw a recording as .gif or .mp4, in real time, from `start` to `end` [s].
+    """Draw a recording as .gif or .mp4, from `start` to `end` [s]: moving cloth in real time, and of a cloth that is
+    dyed alone, which takes hours, one picture a frame.
 
-    Cloth is painted as `colour` says (pictures.py). A GIF's rate is the nearest of 50, 25, 20, 12.5,
-    10 and 5 pictures a second; an MP4's sides are rounded down to even. Raises BadInput for a name
-    that ends otherwise, a size, rate or colour out of range, nothing to show, or (MP4) where
+    Moving cloth is painted as `colour` says (pictures.py), and both as the scene says but for the changes. A GIF's rate
+    is the nearest of 50, 25, 20, 12.5, 10 and 5 pictures a second; an MP4's sides are rounded down to even. Raises
+    BadInput for a name that ends otherwise, a size, rate or colour out of range, nothing to show, or (MP4) where
     imageio-ffmpeg is not installed; RunFailed where the encoder fails.
     """
     encoder = check_animation(path, fps, size)
-    width, height = size or SIZE
     check_colour(colour)
-    with opened(source) as recording:
-        rate = fps if encoder is not None else _gif_rate(fps)
-        numbers = choose_frames(recording, rate, start, end)
-        shown = (width, height) if encoder is None else (width // 2 * 2, height // 2 * 2)
-        some = _spread(numbers)
-        _write(
-            path, encoder, rate,
-            draw_frames(recording, numbers, shown, progress, colour, changes),
-            lambda: draw_frames(recording, some, shown, None, colour, changes),
-        )  # fmt: skip
-    return path
-
-
-def export_dyed_animation(
-    source: Recording | Path | str,
-    path: Path,
-    fps: float = 25.0,
-    start: float | None = None,
-    end: float | None = None,
-    progress: Progress | None = None,
-    changes: Changes | None = None,
-) -> Path:
-    """Draw a recording of dye as .gif or .mp4, one picture a frame: dyeing takes hours.
-
-    As the scene says but for what is given. Raises as `export_animation`.
-    """
-    encoder = check_animation(path, fps)
-    with opened(source) as recording, dyed_pictures(recording, changes, DYED_SIDE) as pictures:
-        rate = fps if encoder is not None else _gif_rate(fps)
-        frames = choose_amounts(recording, start, end)
-        _write(
-            path, encoder, rate,
-            draw_amounts(pictures, frames, progress), lambda: draw_amounts(pictures, _spread(frames)),
-        )  # fmt: skip
+    rate = fps if encoder is not None else min(GIF_RATES, key=lambda known: abs(known - fps))
+    with ExitStack() as stack:
+        recording = stack.enter_context(opened(source))
+        frames: list[Any]
+        draw: Callable[..., Iterator[Picture]]
+        if recording.dyed_alone:
+            frames = choose_amounts(recording, start, end)
+            draw = partial(draw_amounts, stack.enter_context(dyed_pictures(recording, changes, DYED_SIDE)))
+        else:
+            frames, (width, height) = choose_frames(recording, rate, start, end), size or SIZE
+            shown = (width, height) if encoder is None else (width // 2 * 2, height // 2 * 2)
+            draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes)
+        # Some of the frames, evenly, choose a GIF's palette.
+        some = [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
+        if encoder is not None:
+            with writing(path, ".mp4") as new:
+                _write_mp4(encoder, new, draw(frames, progress=progress), rate)
+        else:
+            palette = _choose_palette(draw(some))
+            with writing(path, ".gif") as new:
+                _write_gif(new, draw(frames, progress=progress), rate, palette)
     return path
 
 
@@ -97,28 +85,6 @@ def check_animation(path: Path, fps: float, size: tuple[int, int] | None = None)
         raise BadInput("no such rate", field="--fps", value=fps, limit="1 to 240 pictures a second")
     check_target(path, suffix)
     return _ffmpeg() if suffix == ".mp4" else None
-
-
-def _gif_rate(fps: float) -> float:
-    return min(GIF_RATES, key=lambda known: abs(known - fps))
-
-
-def _spread(frames: list[Frame]) -> list[Frame]:
-    """Some of the frames, evenly."""
-    return [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
-
-
-def _write(
-    path: Path, encoder: Any, rate: float, pictures: Iterator[Picture], some: Callable[[], Iterator[Picture]]
-) -> None:
-    """An animation of pictures; those of `some` choose a GIF's palette."""
-    if encoder is None:
-        palette = _choose_palette(some())
-        with writing(path, ".gif") as new:
-            _write_gif(new, pictures, rate, palette)
-        return
-    with writing(path, ".mp4") as new:
-        _write_mp4(encoder, new, pictures, rate)
 
 
 def _choose_palette(pictures: Iterator[Picture]) -> Image.Image:

@@ -5,15 +5,19 @@ from __future__ import annotations
 import io
 import warnings
 from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import PurePath
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.cloth import build
+from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
+from nuno.recording.restore import restored_scene
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno_schemas.bodies import PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput
@@ -21,6 +25,8 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
 from nuno_schemas.surface import surface
 
+Pressures = Callable[[Float], Float]
+"""Pressure (n,) [Pa] of a knit at positions (n, 3) [m]."""
 INSET = 0.002
 """Bodies are drawn thinner by this much [m]: cloth at rest on them sinks in by about as much."""
 
@@ -210,10 +216,7 @@ def read_frame(recording: Recording, number: int | None = None) -> Frame:
     else:
         message = None
     if message is None:
-        limit = f"frames {min(times)} to {max(times)}" if times else "it holds none"
-        raise BadInput(
-            "no such frame in the recording", str(recording.path), field="--frame", value=number, limit=limit
-        )
+        raise recording.no_frame(number, times)
     frame, digest = recording.marks().get(message.log_time, (message.seq, ""))
     try:
         return Frame(frame, message.t, digest, decode_points(message.payload))
@@ -227,3 +230,19 @@ def check_size(recording: Recording, pieces: list[Piece], frame: Frame) -> None:
     if len(frame.x) < most:
         problem = f"frame {frame.number} has {len(frame.x)} points for {most} vertices"
         raise BadInput(problem, str(recording.path))
+
+
+def read_pressure(recording: Recording) -> Pressures | None:
+    """What finds the pressure of a recording's knit, its scene built again; None where it has none."""
+    arrays, _ = recording.fabric()
+    if "edge_yarn" not in arrays:
+        return None
+    with restored_scene(recording) as loaded:
+        fabric, _ = build.build_fabric(loaded)
+    if not has_pressure(fabric):
+        return None
+
+    def measure(x: Float) -> Float:
+        return np.asarray(find_pressure(loaded, fabric, np.asarray(x, np.float64)).arrays["pressure"])
+
+    return measure

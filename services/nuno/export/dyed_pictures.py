@@ -1,17 +1,17 @@
-"""Pictures and animations of a recording of dye: the cloth, and below it its name, the time and a scale."""
+"""A recording's dyed cloth: pictures of it, with name, time and a scale below, and the texture of an object."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nuno.dye.painter import PICTURE_SIDE, DyePainter, painter_of
-from nuno.export.target import Progress, check_target, opened, writing
+from nuno.export.cloth import Piece
+from nuno.export.target import Progress
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.restore import restored_scene
@@ -24,6 +24,8 @@ from nuno_schemas.messages import CLOTH, CONCENTRATION
 
 CHANGEABLE = re.compile(r"dye\.(picture|dyes[.[]\d+\]?\.colour)\b")
 """Fields of a recorded scene that only change how it is drawn."""
+TEXTURE_SIDE = 1536
+"""Pixels of a texture's longer side that `scale: auto` aims at."""
 INK, PAPER = (58, 58, 62), (250, 249, 246)
 FONT, BAND = 15, 30
 """Heights of text and of the strip below a picture [pixels]."""
@@ -40,25 +42,21 @@ class Changes:
     overrides: tuple[str, ...] = ()
 
 
-class DyedPictures:
-    """Draws the frames of a recording of dye. Raises BadInput for a cloth that is damaged, or cannot be drawn."""
+class Dyed:
+    """The cloth of a recording of dye as a painter draws it. Raises BadInput for one that is damaged, or cannot be."""
 
     def __init__(self, recording: Recording, painter: DyePainter) -> None:
         self.recording, self.painter = recording, painter
-        self.name = str(recording.scene.get("name", ""))
         cloth = recording.last(CLOTH.name)
         if cloth is None:
-            raise BadInput("the recording does not describe its cloth", str(recording.path))
+            raise BadInput("the recording does not describe the cloth that is dyed", str(recording.path))
         with self._damage_reported():
             painter.take_cloth(cloth.payload)
 
-    def draw(self, message: Recorded) -> Picture:
-        """(h, w, 3) sRGB picture of one frame's amounts, with a strip below where there is room for its text."""
+    def picture(self, message: Recorded) -> Picture:
+        """(h, w, 3) sRGB picture of one frame's amounts."""
         with self._damage_reported():
-            picture = self.painter.draw(message.payload)
-        return caption(
-            picture, f"{self.name}   {_view(self.painter)}t = {_time(self.painter.time)}", self.painter.pixel
-        )
+            return self.painter.draw(message.payload)
 
     @contextmanager
     def _damage_reported(self) -> Iterator[None]:
@@ -66,6 +64,47 @@ class DyedPictures:
             yield
         except BadMessage as error:
             raise BadInput(f"the recording is damaged: {error}", str(self.recording.path)) from None
+
+
+class DyedPictures(Dyed):
+    """Draws the frames of a recording of dye."""
+
+    def draw(self, message: Recorded) -> Picture:
+        """(h, w, 3) sRGB picture of one frame's amounts, with a strip below where there is room for its text."""
+        picture, painter = self.picture(message), self.painter
+        name = self.recording.scene.get("name", "")
+        return caption(picture, f"{name}   {_view(painter)}t = {_time(painter.time)}", painter.pixel)
+
+
+class DyedObject(Dyed):
+    """Gives the object that a scene dyes the picture of its cloth as its texture.
+
+    The cloth's cells cover the object's texture coordinates, x to the right being u and y down 1 - v: the picture
+    is an image as any other that is laid on cloth.
+    """
+
+    def __init__(self, recording: Recording, painter: DyePainter, name: str) -> None:
+        super().__init__(recording, painter)
+        self.name = name
+        self._last: tuple[int, Picture] | None = None
+
+    def dress(self, pieces: list[Piece], t: float) -> list[Piece]:
+        """The pieces of cloth, the dyed one with its texture at t [s]. Raises BadInput where amounts are damaged."""
+        return [
+            replace(piece, image=self.texture(t), colour=None)
+            if piece.name == self.name and piece.uv is not None
+            else piece
+            for piece in pieces
+        ]
+
+    def texture(self, t: float) -> Picture | None:
+        """(h, w, 3) sRGB at t [s], or at the last time before it that was recorded; None before the first."""
+        message = self.recording.last(CONCENTRATION.name, t)
+        if message is None:
+            return None
+        if self._last is None or self._last[0] != message.log_time:
+            self._last = message.log_time, self.picture(message)
+        return self._last[1]
 
 
 @contextmanager
@@ -92,24 +131,14 @@ def dyed_pictures(
         yield DyedPictures(recording, painter)
 
 
-def export_dyed_picture(
-    source: Recording | Path | str,
-    path: Path,
-    frame: int | None = None,
-    changes: Changes | None = None,
-) -> Path:
-    """Draw a dyed cloth at one frame (default: the last) as PNG, as its scene says but for what is given.
-
-    Raises BadInput for a frame that is not there, and for a picture that cannot be drawn or written.
-    """
-    from PIL import Image
-
-    with opened(source) as recording, dyed_pictures(recording, changes) as pictures:
-        check_target(path, ".png")
-        picture = pictures.draw(find_amounts(recording, frame))
-        with writing(path, ".png") as new:
-            Image.fromarray(picture).save(new, optimize=True)
-    return path
+def read_dyed_object(recording: Recording, changes: Changes | None = None) -> DyedObject | None:
+    """What is dyed of a recording's objects, None where nothing is. Raises BadInput."""
+    dye = recording.scene.get("dye")
+    name = dye.get("object") if isinstance(dye, dict) else None
+    if name is None:
+        return None
+    with changed_painter(recording, changes or Changes(), TEXTURE_SIDE) as painter:
+        return DyedObject(recording, painter, str(name))
 
 
 def find_amounts(recording: Recording, number: int | None) -> Recorded:
@@ -126,9 +155,7 @@ def find_amounts(recording: Recording, number: int | None) -> Recorded:
         problem, remedy = "the amounts of this frame are not in the recording", "name a frame that is"
         raise BadInput(problem, str(recording.path), field="--frame", value=number, limit=limit, remedy=remedy)
     if message is None:
-        limit = f"frames {min(times)} to {max(times)}" if times else "it holds none"
-        problem = "no such frame in the recording"
-        raise BadInput(problem, str(recording.path), field="--frame", value=number, limit=limit)
+        raise recording.no_frame(number, times)
     return message
 
 

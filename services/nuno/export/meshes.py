@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nuno.export.cloth import Piece, Pieces, body_vertices, check_size, read_bodies, read_frame, read_pieces
-from nuno.export.dyed_object import read_dyed_object
+from nuno.export.dyed_pictures import read_dyed_object
 from nuno.export.paint import BODY, PLAIN, paint_stretch
 from nuno.export.target import Progress, opened, writing
 from nuno.recording.reader import Recording

@@ -15,12 +15,20 @@ from pydantic import BaseModel
 
 from nuno import registry
 from nuno.export.camera import of_camera, place_camera, read_view, z_up
-from nuno.export.cloth import Bodies, Piece, Pieces, body_vertices, check_size, read_bodies, read_frame
-from nuno.export.dyed_object import read_dyed_object
-from nuno.export.dyed_pictures import Changes
+from nuno.export.cloth import (
+    Bodies,
+    Piece,
+    Pieces,
+    Pressures,
+    body_vertices,
+    check_size,
+    read_bodies,
+    read_frame,
+    read_pressure,
+)
+from nuno.export.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
 from nuno.export.paint import BODY, PLAIN, STRETCH, paint_pressure, paint_stretch, paint_yarns
-from nuno.export.pressure import Pressures, read_pressure
-from nuno.export.target import Progress, check_target, opened, writing
+from nuno.export.target import Progress, check_target, opened, write_png
 from nuno.export.tubes import SIDES, tubes
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
@@ -152,23 +160,23 @@ def export_picture(
     colour: Colour = "auto",
     changes: Changes | None = None,
 ) -> Path:
-    """Draw one frame (default: the last) as PNG. Raises BadInput."""
-    from PIL import Image
-
+    """Draw one frame (default: the last) as PNG, of moving cloth or of one that is dyed alone, as the scene says but
+    for what is given. Raises BadInput for a frame that is not there, and for what cannot be drawn or written.
+    """
+    check_target(path, ".png")
+    check_sides(size)
     with opened(source) as recording:
-        check_target(path, ".png")
-        check_sides(size)
+        if recording.dyed_alone:
+            with dyed_pictures(recording, changes) as pictures:
+                return write_png(path, pictures.draw(find_amounts(recording, frame)))
         shown = read_frame(recording, frame)
-        picture = Painter(recording, [shown], size, colour=colour, changes=changes).draw(shown)
-        with writing(path, ".png") as new:
-            Image.fromarray(picture).save(new, optimize=True)
-    return path
+        return write_png(path, Painter(recording, [shown], size, colour=colour, changes=changes).draw(shown))
 
 
 def draw_frames(
     recording: Recording,
     numbers: list[int],
-    size: tuple[int, int] | None,
+    size: tuple[int, int] | None = None,
     progress: Progress | None = None,
     colour: Colour = "auto",
     changes: Changes | None = None,

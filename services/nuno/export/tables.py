@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.export.pressure import read_pressure
+from nuno.export.cloth import read_pressure
 from nuno.export.target import opened, writing
 from nuno.moments import Moment, states
 from nuno.recording.reader import Recording

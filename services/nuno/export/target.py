@@ -8,6 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nuno.recording.reader import Recording, open_recording
 from nuno_schemas.errors import BadInput
 
@@ -65,6 +68,15 @@ def writing(path: Path, suffix: str) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
             new.unlink(missing_ok=True)
+
+
+def write_png(path: Path, picture: NDArray[np.uint8]) -> Path:
+    """Write a picture (height, width, 3) sRGB. Raises BadInput."""
+    from PIL import Image
+
+    with writing(path, ".png") as new:
+        Image.fromarray(picture).save(new, optimize=True)
+    return path
 
 
 def _is_kind(path: Path, suffix: str) -> bool:

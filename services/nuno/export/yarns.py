@@ -18,7 +18,7 @@ from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.collision.bodies import build_bodies
 from nuno.export.camera import place_camera, read_view, z_up
 from nuno.export.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
-from nuno.export.target import Progress, check_target, opened, writing
+from nuno.export.target import Progress, check_target, opened, write_png
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
@@ -53,11 +53,9 @@ def export_yarn_picture(
     `overrides` are key=value of the scene's `view`. Raises BadInput for a recording without yarns, another style or
     field, a frame that is not there, and for what the style cannot draw.
     """
+    check_target(path, ".png")
     with opened(source) as recording:
-        check_target(path, ".png")
-        picture = draw_yarn_picture(recording, style, frame, size, overrides, progress)
-    write_picture(path, picture)
-    return path
+        return write_png(path, draw_yarn_picture(recording, style, frame, size, overrides, progress))
 
 
 def draw_yarn_picture(
@@ -77,14 +75,6 @@ def draw_yarn_picture(
             with_caption(chosen, recording, shown), worn, find_camera(view, worn, size), progress
         )
     return picture
-
-
-def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture as PNG."""
-    from PIL import Image
-
-    with writing(path, ".png") as new:
-        Image.fromarray(picture).save(new, optimize=True)
 
 
 @contextmanager

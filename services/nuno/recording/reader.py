@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +89,12 @@ class Recording(RecordedFile):
                 time: (self.whole(s.get("frame", -1)), str(s.get("digest", ""))) for time, s in statuses
             }
         return self._marks[name]
+
+    def no_frame(self, number: int | None, known: Collection[int]) -> BadInput:
+        """What is said where a frame is asked for that is none of those that are known."""
+        limit = f"frames {min(known)} to {max(known)}" if known else "it holds none"
+        problem = "no such frame in the recording"
+        return BadInput(problem, str(self.path), field="--frame", value=number, limit=limit)
 
     def fabric(self, t: float | None = None) -> tuple[Arrays, dict[str, Any]]:
         """Arrays of the cloth (faces, uv, edges, ...) and their text, at t [s] or last: operations change it."""
