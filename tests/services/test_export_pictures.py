@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -226,13 +225,6 @@ def test_nothing_is_written_where_one_of_several_files_cannot_be(
     assert main(["export", str(path), "--npz", "a.npz", "--csv", "a.csv", *arguments.split()]) == 2
     assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_pictures_and_viewer_use_one_scale() -> None:
-    """Checked in a process of its own: the viewer imports rerun, which few tests need."""
-    code = "from nuno.viewer.cloth import PLAIN, STRETCH; print(STRETCH, PLAIN)"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert shown == f"{paint.STRETCH} {paint.PLAIN}\n"
 
 
 def test_stretch_colours_are_logarithmic() -> None:

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
-from nuno.export.paint import paint_yarns
-from nuno.viewer.bodies import INSET
+from nuno.export.paint import INSET, paint_yarns
+from nuno.recording.writer import part_of
 from nuno.viewer.cloth import pack
 from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.kernels import vertex_normals, vertex_stretch
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
-from nuno.viewer.require import part_of, require
+from nuno.viewer.require import require
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed

@@ -15,6 +15,8 @@ from nuno.replay import Replay
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options, run_service
 from nuno.supervision import runs
+from nuno.viewer.live import keep_page
+from nuno.viewer.require import add_view, choose_view
 from nuno.wire.bus import Bus
 from nuno.wire.health import offer_health
 from nuno.wire.sessions import hub_at
@@ -28,10 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     speed.add_argument("--fast", action="store_true", help="as fast as the subscribers take it")
     parser.add_argument("--start", type=float, default=0.0, metavar="SECONDS", help="begin at this simulation time")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
-    view = parser.add_mutually_exclusive_group()
-    view.add_argument("--view", nargs="?", const="window", choices=["window", "web"], help="show it in rerun")
-    view.add_argument("--no-view", action="store_true", help="only publish")
-    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a file for the rerun viewer")
+    add_view(parser, "only publish")
     parser.add_argument(
         "--listen", metavar="ENDPOINT", help="where subscribers connect (default: a free port on loopback)"
     )
@@ -46,12 +45,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _replay(recording: Recording, args: argparse.Namespace) -> int:
-    from nuno.viewer.require import has_screen, require
-
-    view = args.view
-    if view is None and not args.no_view and args.save is None and has_screen():
-        view = "window"
-    require(view, args.save)
+    view = choose_view(args)
     if args.loop and args.save:
         raise BadInput("a loop has no end to save", field="--save", remedy="leave --loop out")
     name = f"replay-{recording.scene.get('name', 'run')}"
@@ -98,8 +92,4 @@ class _Viewer:
         self.thread.join(10.0)
         if answer.get("file"):
             print(f"rerun file {answer['file']}")
-        if self.view == "web" and answer.get("pid"):
-            from nuno.viewer.live import keep_page
-
-            print("the page stays until you press Ctrl-C", flush=True)
-            keep_page(int(answer["pid"]))
+        keep_page(self.view, answer)

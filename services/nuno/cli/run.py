@@ -21,6 +21,8 @@ from nuno.scene.scene_file import Loaded
 from nuno.service import Options
 from nuno.supervision import log, runs, supervisor
 from nuno.supervision.supervisor import Deployment
+from nuno.viewer.live import keep_page
+from nuno.viewer.require import add_view, choose_view
 from nuno_schemas.errors import BadInput
 
 RESUMABLE = ("duration", "record", "view")
@@ -46,16 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="what happened, as lines of JSON: a file, or - for standard output (default: beside the recording)",
     )
-    view = parser.add_argument_group("viewing").add_mutually_exclusive_group()
-    view.add_argument(
-        "--view",
-        nargs="?",
-        const="window",
-        choices=["window", "web"],
-        help="show the run in rerun: a window (default where there is a screen) or web on loopback",
-    )
-    view.add_argument("--no-view", action="store_true", help="show nothing and draw no picture")
-    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="also write a file for the rerun viewer")
+    add_view(parser, "show nothing and draw no picture")
     parser.add_argument(
         "--paused", action="store_true", help="wait before the first frame until: nuno control RUN resume"
     )
@@ -126,32 +119,17 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
 
 
 def _options(args: argparse.Namespace, run: str) -> Options:
-    from nuno.viewer.require import has_screen, require
-
     record = None
     if not args.no_record:
         target: Path | None = args.record
         record = runs.record_path(target.parent if target else runs.RECORDINGS, run)
         record = target or record
-    view = args.view
-    if view is None and not args.no_view and args.save is None and has_screen():
-        view = "window"
-    require(view, args.save)
+    view = choose_view(args)
     return Options(record=record, save=args.save, view=view, resume=args.resume, threads=args.threads)
 
 
 def _wants_picture(args: argparse.Namespace, options: Options) -> bool:
     return not args.no_view and options.view is None and options.record is not None
-
-
-def _keep_page(options: Options, outcome: supervisor.Outcome) -> None:
-    """Leave the page of a web view there until the user ends it."""
-    pid = outcome.services.get("viewer", {}).get("pid")
-    if options.view == "web" and pid:
-        from nuno.viewer.live import keep_page
-
-        print("the page stays until you press Ctrl-C", flush=True)
-        keep_page(int(pid))
 
 
 def _name_files(options: Options, outcome: supervisor.Outcome) -> None:
@@ -183,7 +161,7 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         export_picture(options.record, target)
         print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
     print(f"total      {time.perf_counter() - started:.1f} s")
-    _keep_page(options, outcome)
+    keep_page(options.view, outcome.services.get("viewer", {}))
     if outcome.problem:
         print(f"\n{outcome.problem}", file=sys.stderr)
         return 1

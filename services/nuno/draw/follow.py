@@ -12,7 +12,8 @@ from typing import Any
 import zenoh
 
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
-from nuno.draw.shown import Bodies, see_now, size_of
+from nuno.collision.surfaces import Surfaces
+from nuno.draw.shown import draw_bodies, see_now, size_of
 from nuno.draw.sight import NO_POINTS, Board, Sight
 from nuno.simulation.service import NOW
 from nuno.supervision import runs
@@ -49,7 +50,7 @@ class Follower:
         self._stop, self._lost = threading.Event(), False
         self._newest: dict[str, Message] = {}
         self._ended = ""
-        self._bodies: Bodies | None = None
+        self._bodies: Surfaces | None = None
         self._poses: Poses | None = None
         self._body = NO_POINTS
         self._stack = contextlib.ExitStack()
@@ -93,7 +94,7 @@ class Follower:
             geometry = None
             with contextlib.suppress(RunFailed, BadMessage):  # a scene without bodies has no such service
                 geometry = decode_geometry(self._bus.ask(GEOMETRY_QUESTION, timeout=ASK))
-            self._bodies = Bodies(geometry, size_of(sight.x))
+            self._bodies = draw_bodies(geometry, size_of(sight.x))
         if len(self._bodies.faces):
             request = json.dumps({"frame": sight.frame}).encode()
             self._place(decode_poses(self._bus.ask(POSES_QUESTION, request, ASK)))

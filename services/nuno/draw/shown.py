@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
-from nuno.draw.sight import NO_FACES, NO_POINTS, Piece, Sight
+from nuno.collision.surfaces import NO_SURFACES, Surfaces
+from nuno.draw.sight import NO_POINTS, Piece, Sight
 from nuno.scene.scene_file import Loaded
 from nuno.wire.arrays import BadMessage
-from nuno_schemas.bodies import Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.surface import surface
@@ -24,20 +25,9 @@ GROUND = 4.0
 """Edge of the patch that a plane is drawn as, in sizes of the cloth."""
 
 
-class Bodies:
-    """A scene's bodies as one mesh, moved by poses; none for a scene without."""
-
-    def __init__(self, geometry: Geometry | None, size: float) -> None:
-        self.vertices, self.faces, self.frames = NO_POINTS, NO_FACES, np.zeros(0, np.int32)
-        if geometry is not None:
-            self.vertices, self.faces, self.frames = surface(geometry, plane_size=GROUND * size)
-
-    def at(self, poses: Poses | None) -> Float:
-        """(b, 3) where their surfaces are [m]."""
-        if poses is None:
-            return self.vertices
-        turns = rotation_matrices(poses.rotation)[self.frames]
-        return np.asarray(np.einsum("nij,nj->ni", turns, self.vertices) + poses.translation[self.frames])
+def draw_bodies(geometry: Geometry | None, size: float) -> Surfaces:
+    """A scene's bodies beside cloth of a size [m]; none for a scene without."""
+    return NO_SURFACES if geometry is None else Surfaces(*surface(geometry, plane_size=GROUND * size))
 
 
 def size_of(x: Float) -> float:
@@ -55,12 +45,12 @@ def see_scene(loaded: Loaded) -> Sight:
     if not len(fabric.faces):
         raise loaded.at("objects[0].model", no_triangles())
     require_springs(loaded, fabric)
-    drawn = Bodies(geometry, size_of(fabric.position))
+    drawn = draw_bodies(geometry, size_of(fabric.position))
     return Sight(
         fabric.position,
         fabric.faces,
         tuple(Piece(piece.name, piece.start, piece.stop, piece.colour) for piece in pieces),
-        drawn.at(poses),
+        drawn.at(poses) if poses is not None else NO_POINTS,
         drawn.faces,
         frames=loaded.scene.frames,
     )

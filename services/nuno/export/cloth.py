@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,11 +14,13 @@ from numpy.typing import NDArray
 from nuno.cloth import build
 from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.collision.messages import decode_geometry, decode_poses
+from nuno.collision.surfaces import Surfaces
+from nuno.export.paint import INSET, read_rgb
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
 from nuno.wire.arrays import BadMessage, decode_points
-from nuno_schemas.bodies import PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
@@ -27,8 +28,6 @@ from nuno_schemas.surface import surface
 
 Pressures = Callable[[Float], Float]
 """Pressure (n,) [Pa] of a knit at positions (n, 3) [m]."""
-INSET = 0.002
-"""Bodies are drawn thinner by this much [m]: cloth at rest on them sinks in by about as much."""
 
 
 @dataclass(frozen=True)
@@ -123,38 +122,21 @@ def read_texture(recording: Recording, texture: str | None) -> NDArray[np.uint8]
 
     Only attachments are read: a path in a file from somewhere else must not pick files here.
     """
-    from PIL import Image
-
     parts = PurePath(texture).parts if texture else ()
     names = [n for n in recording.attachments if parts and parts[-len(PurePath(n).parts) :] == PurePath(n).parts]
     if not names:
         return None
     try:
-        with warnings.catch_warnings():
-            # Pillow only warns of an image that would unpack to gigabytes.
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(recording.attachment(names[0]))) as image:
-                return np.asarray(image.convert("RGB"))
-    except (OSError, ValueError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        return read_rgb(io.BytesIO(recording.attachment(names[0])))
+    except (OSError, ValueError) as error:
         raise BadInput(f"the texture cannot be read: {error}", str(recording.path), value=names[0]) from None
 
 
 @dataclass(frozen=True)
-class Bodies:
-    """Surfaces of all bodies in their frames: vertices (n, 3) [m], faces (f, 3), frame (n,).
+class Bodies(Surfaces):
+    """Bodies without their level floors: `floor` is the height of the highest [m], or None."""
 
-    Level floors are left out: `floor` is the height of the highest [m], or None.
-    """
-
-    vertices: Float
-    faces: Int
-    frame: Int
     floor: float | None
-
-    def at(self, rotation: Float, translation: Float) -> Float:
-        """(n, 3) vertices in the world."""
-        turned = np.einsum("nij,nj->ni", rotation_matrices(rotation)[self.frame], self.vertices)
-        return np.asarray(turned + translation[self.frame])
 
 
 def read_bodies(recording: Recording) -> Bodies | None:
@@ -198,8 +180,7 @@ def body_vertices(recording: Recording, bodies: Bodies | None, t: float) -> Floa
     if message is None or bodies is None:
         return np.zeros((0, 3))
     try:
-        poses = decode_poses(message.payload)
-        return bodies.at(poses.rotation, poses.translation)
+        return bodies.at(decode_poses(message.payload))
     except (BadMessage, IndexError) as error:
         raise BadInput(f"the bodies at {t:g} s are damaged: {error}", str(recording.path)) from None
 

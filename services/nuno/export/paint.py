@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import warnings
+from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +16,25 @@ from nuno_schemas.fabric import Float
 STRETCH = (0.001, 1.0)
 """Ends of the colour map for stretch, logarithmic as in the viewer: wool under its own weight
 stretches by a thousandth, the skirt paper's springs by half."""
+INSET = 0.002
+"""Bodies are drawn thinner by this much [m]: cloth at rest on them sinks in by about as much."""
 PLAIN, BODY = "#d8d3cb", "#b9c0c9"
 YARNS = ("#c98b6b", "#3b5b8c", "#5d8a4f", "#b5523b", "#7d5ba6", "#c9a227")
 """Of kinds of yarn in the order of their names, over again where there are more."""
+
+
+def read_rgb(source: Path | BinaryIO) -> NDArray[np.uint8]:
+    """(h, w, 3) sRGB of an image file. Raises OSError or ValueError for one that cannot be read."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            # Pillow only warns of an image that would unpack to gigabytes.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(source) as image:
+                return np.asarray(image.convert("RGB"))
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise ValueError(str(error)) from None
 
 
 def paint_yarns(kinds: NDArray[np.int8]) -> NDArray[np.float64]:

@@ -64,8 +64,7 @@ class Artist:
         """Yarns, bodies and other cloth of a frame."""
         meshes = []
         if self.bodies is not None and self.shapes is not None and len(self.shapes.vertices):
-            poses = self.bodies.poses(frame.t)
-            at = self.shapes.at(poses.rotation, poses.translation)
+            at = self.shapes.at(self.bodies.poses(frame.t))
             meshes.append(Mesh(z_up(at), self.shapes.faces, two_sided=False))
         if len(self.fabric.faces):
             meshes.append(Mesh(z_up(frame.x), self.fabric.faces))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno.cloth.tension import SPAN
-from nuno.viewer.bodies import INSET
+from nuno.export.paint import INSET
 from nuno.words import duration
 
 

@@ -8,18 +8,18 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from nuno.collision.surfaces import NO_SURFACES, Surfaces
+from nuno.export.paint import BODY, INSET
 from nuno.viewer import layout
 from nuno.viewer.cloth import pack
 from nuno.viewer.kernels import vertex_normals
 from nuno.wire.arrays import BadMessage
-from nuno_schemas.bodies import PLANE, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float
 from nuno_schemas.surface import surface
 
-BODY, GROUND = "#b9c0c9", "#d3d6d9"
-INSET = 0.002
-"""Bodies are drawn thinner by this much [m], so that cloth resting on them is not cut by them."""
+GROUND = "#d3d6d9"
 
 
 class Bodies:
@@ -48,17 +48,14 @@ class Bodies:
                 recording.log(path, solid(vertices[mine], own, GROUND if plain else BODY), static=True, strict=True)
         # Planes have no end and are no part of what should be in view.
         ended = ~np.isin(frames, geometry.frame[geometry.kind == PLANE])
-        self._vertices, self._frames = vertices[ended], frames[ended]
+        self._ended = Surfaces(vertices[ended], NO_SURFACES.faces, frames[ended])
         self._last: Poses | None = None
         self._shown: Poses | None = None
         self._waiting: list[tuple[int, Poses]] = []
 
     def points(self) -> Float:
         """(n, 3) where the bodies' surfaces are now; none before they have been placed."""
-        if self._last is None:
-            return np.zeros((0, 3))
-        turns = rotation_matrices(self._last.rotation)[self._frames]
-        return np.asarray(np.einsum("nij,nj->ni", turns, self._vertices) + self._last.translation[self._frames])
+        return NO_SURFACES.vertices if self._last is None else self._ended.at(self._last)
 
     def move(self, frame: int, poses: Poses) -> None:
         """Where the bodies are in a frame of animation. Raises BadMessage for a wrong number."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,11 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nuno.cloth.tension import SPAN, Tensions
-from nuno.export.paint import paint_yarns
+from nuno.export.paint import PLAIN, STRETCH, paint_yarns, read_rgb
 from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
 from nuno.wire.arrays import BadMessage, origin_of
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 
-STRETCH = (0.001, 1.0)
-"""Ends of the colour map for stretch. The map is logarithmic: wool under its own weight stretches
-by a thousandth, the skirt paper's springs by half, and both are to be seen on one scale."""
-PLAIN = "#d8d3cb"
 SPRING_WIDTH, MASS_SIZE = -2.0, -4.5
 """Radii; negative ones are in pixels on the screen."""
 CROSSING_SIZE = -2.5
@@ -32,15 +27,9 @@ ReadImage = Callable[[str], NDArray[np.uint8] | None]
 
 def read_image(path: str) -> NDArray[np.uint8] | None:
     """(h, w, 3) sRGB of an image file, or None where there is none that can be read."""
-    from PIL import Image
-
     try:
-        with warnings.catch_warnings():
-            # Pillow only warns of an image that would unpack to gigabytes.
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(Path(path)) as image:
-                return np.asarray(image.convert("RGB"))
-    except (OSError, ValueError, Image.DecompressionBombError, Image.DecompressionBombWarning):
+        return read_rgb(Path(path))
+    except (OSError, ValueError):
         return None
 
 

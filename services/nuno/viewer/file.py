@@ -10,9 +10,9 @@ from typing import BinaryIO
 import rerun as rr
 
 from nuno.dye.painter import DyePainter
+from nuno.recording.writer import part_of
 from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.cloth import ReadImage, read_image
-from nuno.viewer.require import part_of
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.view import View
 

@@ -9,7 +9,8 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import psutil
 
@@ -179,14 +180,15 @@ class LiveView:
             self._announce("warning", f"the run goes on without a view: {error}")
 
 
-def keep_page(pid: int) -> None:
-    """Wait until a web viewer ends; an interrupt (Ctrl-C) ends it."""
-    try:
-        viewer = psutil.Process(pid)
+def keep_page(view: str | None, answer: Mapping[str, Any]) -> None:
+    """Leave the page of a web view there until the user ends it (Ctrl-C); `answer` is the viewer service's last."""
+    if view != "web" or not answer.get("pid"):
+        return
+    print("the page stays until you press Ctrl-C", flush=True)
+    with contextlib.suppress(psutil.NoSuchProcess):
+        viewer = psutil.Process(int(answer["pid"]))
         try:
             viewer.wait()
         except KeyboardInterrupt:
             viewer.terminate()
             viewer.wait()
-    except psutil.NoSuchProcess:
-        return

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from pathlib import Path
 
+from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput
 
 VIEWS = ("window", "web")
@@ -16,6 +18,24 @@ MAGIC = b"RRF"
 def has_screen() -> bool:
     """Whether a window can be opened here."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def add_view(parser: argparse.ArgumentParser, told: str) -> None:
+    """Flags of commands that show a run; `told` is what --no-view does."""
+    view = parser.add_argument_group("viewing").add_mutually_exclusive_group()
+    shown = "show it in rerun: a window (default where there is a screen) or web on loopback"
+    view.add_argument("--view", nargs="?", const="window", choices=VIEWS, help=shown)
+    view.add_argument("--no-view", action="store_true", help=told)
+    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="also write a file for the rerun viewer")
+
+
+def choose_view(args: argparse.Namespace) -> str | None:
+    """How a run is shown: a window where there is a screen and nothing else is asked for. Raises BadInput."""
+    view: str | None = args.view
+    if view is None and not args.no_view and args.save is None and has_screen():
+        view = "window"
+    require(view, args.save)
+    return view
 
 
 def require(view: str | None, save: Path | None, option: str = "--save") -> None:
@@ -34,11 +54,6 @@ def require(view: str | None, save: Path | None, option: str = "--save") -> None
         raise BadInput("there is no screen to open a window on", field="--view", value=view, remedy=remedy)
     if save is not None:
         _require_target(save, option)
-
-
-def part_of(path: Path) -> Path:
-    """Where a file is written until it is whole."""
-    return path.with_name(path.name + ".part")
 
 
 def _require_target(path: Path, option: str) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from nuno.recording.writer import part_of
 from nuno.viewer.layout import entity
-from nuno.viewer.require import part_of
 from nuno_bench.report.plots import Panel
 from nuno_bench.report.result import number
 from nuno_schemas.fabric import Float
