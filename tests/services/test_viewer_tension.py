@@ -10,8 +10,8 @@ import pytest
 from scenes import write_scene
 
 from nuno.cloth import build
-from nuno.cloth.edges import structural_edges
 from nuno.cloth.tension import SPAN, Tensions, tension_arrays
+from nuno.cloth.yarns import structural_edges
 from nuno.scene import scene_file
 from nuno.wire.arrays import encode_arrays, encode_points
 from nuno_kernels.forces.yarn_tension import link_tensions
@@ -79,8 +79,8 @@ def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None
 
 
 def test_the_legend_has_the_colours_of_the_tensions_at_its_ticks() -> None:
+    from nuno.viewer.about import SIDE, TOP, tension_legend, ticks
     from nuno.viewer.cloth import TABLE
-    from nuno.viewer.legend import SIDE, TOP, tension_legend, ticks
 
     bar = tension_legend(2.0)[TOP + 1, SIDE:-SIDE].astype(int)
     assert [tension for _, tension in ticks(2.0)] == pytest.approx([0.002, 0.02, 0.2, 2.0])

@@ -14,7 +14,7 @@ from viewer_run import fabric, sheet
 import nuno
 from nuno.cli import main
 from nuno.viewer.cloth import read_image
-from nuno.viewer.textures import with_own_textures
+from nuno.viewer.service import with_own_textures
 from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import FABRIC
 

@@ -10,9 +10,8 @@ import pytest
 from nuno import api
 from nuno.cloth import build, edges
 from nuno.export.cloth import read_pieces
-from nuno.export.paint import PLAIN, YARNS, paint_stretch, paint_yarns
+from nuno.export.paint import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns
 from nuno.export.pictures import Painter
-from nuno.export.tubes import SIDES
 from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
 from nuno_schemas.colour import parse_hex

@@ -18,7 +18,6 @@ from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
 from nuno.draw.refusals import beside, describe, said_by_run
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board, Sight
-from nuno.draw.trial import Trial
 from nuno.scene.scene_file import Loaded
 from nuno.supervision import runs
 from nuno.wire.arrays import BadMessage
@@ -43,7 +42,7 @@ class Desk:
         """What the page began with: lines are saved by their places there."""
         self._own: subprocess.Popen[bytes] | None = None
         self._waiting: threading.Thread | None = None
-        self._trial: Trial | None = None
+        self._trial: keep.Trial | None = None
         self._keeper = keep.Keeper(loaded) if loaded is not None else None
         self._lock = threading.Lock()
         self._acts = {
@@ -177,7 +176,7 @@ class Desk:
         if self.loaded is None or sight.state != "start":
             return {}
         if self._trial is None:
-            self._trial = Trial(self.loaded)
+            self._trial = keep.Trial(self.loaded)
         strokes = read_strokes(request.get("lines"), sight)
         for which in pieces_of(strokes, sight).values():
             lines = by_object([strokes[i] for i in which], sight)

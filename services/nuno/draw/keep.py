@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from nuno import registry
+from nuno.cloth import build
 from nuno.draw.append import append_items, read_text, write_whole
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Sight
-from nuno.draw.trial import OPERATION, Trial
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.scene_file import Loaded, shipped
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric
 
-LIST = "operations"
+LIST, OPERATION = "operations", "wrinkle"
 MARK = "\ufeff"
 """A byte order mark, which some editors begin a file with."""
 Lines = Mapping[str, list[dict[str, Any]]]
@@ -61,6 +63,22 @@ def target(loaded: Loaded) -> Path:
         return own
     names = (f"{loaded.path.stem}-drawn{number}.yaml" for number in ("", *(f"-{n}" for n in range(2, 1000))))
     return next(path for name in names if not (path := Path.cwd() / name).exists())
+
+
+class Trial:
+    """The cloth of a scene's objects at the start, on which lines are tried before they are kept."""
+
+    def __init__(self, loaded: Loaded) -> None:
+        names = [spec.name for spec in loaded.scene.objects]
+        self._fabrics: dict[str, Fabric] = dict(zip(names, build.build_fabrics(loaded), strict=True))
+        self._plugin = registry.load("nuno.operations", OPERATION)
+
+    def apply(self, operation: dict[str, Any]) -> None:
+        """Try an operation, as a scene has it; nothing is kept. Raises BadInput."""
+        fabric = self._fabrics[operation["object"]]
+        beside = ("plugin", "object")
+        config = self._plugin.Config.model_validate({k: v for k, v in operation.items() if k not in beside})
+        self._plugin.apply(config, fabric, build.start_state(fabric), None)
 
 
 class Keeper:

@@ -27,9 +27,8 @@ from nuno.export.cloth import (
     read_pressure,
 )
 from nuno.export.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
-from nuno.export.paint import BODY, PLAIN, STRETCH, paint_pressure, paint_stretch, paint_yarns
+from nuno.export.paint import BODY, PLAIN, SIDES, STRETCH, paint_pressure, paint_stretch, paint_yarns, tubes
 from nuno.export.target import Progress, check_target, opened, write_png
-from nuno.export.tubes import SIDES, tubes
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex

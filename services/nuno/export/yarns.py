@@ -13,8 +13,8 @@ from pydantic import BaseModel
 
 from nuno import registry
 from nuno.cloth.build import build_fabric, place_mesh
-from nuno.cloth.edges import structural_edges
 from nuno.cloth.pressure import find_pressure, has_pressure
+from nuno.cloth.yarns import structural_edges
 from nuno.collision.bodies import build_bodies
 from nuno.export.camera import place_camera, read_view, z_up
 from nuno.export.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces

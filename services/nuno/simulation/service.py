@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import registry
-from nuno.cloth.edges import edge_yarns, structural_edges
 from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.tension import tension_arrays
 from nuno.cloth.worn import start_warnings
-from nuno.cloth.yarns import measure_courses, measure_yarns
+from nuno.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
 from nuno.collision.ask import ask_geometry, ask_poses
 from nuno.service import Context
 from nuno.simulation.alter import name_of

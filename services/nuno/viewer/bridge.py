@@ -14,11 +14,10 @@ import rerun as rr
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
 from nuno.viewer import layout
-from nuno.viewer.about import about, about_tension
+from nuno.viewer.about import about, about_tension, tension_legend
 from nuno.viewer.bodies import Bodies
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth, DyedTexture
-from nuno.viewer.legend import tension_legend
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput

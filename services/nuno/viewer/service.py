@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from nuno.scene.provenance import assets
@@ -11,45 +13,16 @@ from nuno.service import Context, each_message
 from nuno.viewer.live import LiveView
 from nuno.viewer.require import require
 from nuno.viewer.stream import scene_of
-from nuno.viewer.textures import with_own_textures
-from nuno.wire.arrays import BadMessage
+from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno.wire.bus import Inbox, Message
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.messages import (
-    BODIES,
-    CLOTH,
-    CONCENTRATION,
-    DYE_STATUS,
-    EVENT,
-    FABRIC,
-    FRAMES,
-    GEOMETRY,
-    PENETRATION,
-    PICTURE,
-    REPORT,
-    STATE,
-    STATUS,
-    Topic,
-)
+from nuno_schemas.messages import CHECKPOINTS, CLOTH, CONCENTRATION, EVENT, FABRIC, FRAMES, STATE, TOPICS, Topic
 
 if TYPE_CHECKING:
     from nuno.dye.painter import DyePainter
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
-TOPICS = [
-    FABRIC,
-    GEOMETRY,
-    BODIES,
-    STATE,
-    STATUS,
-    PENETRATION,
-    CLOTH,
-    CONCENTRATION,
-    DYE_STATUS,
-    PICTURE,
-    EVENTS,
-    REPORT,
-]
+VIEWED = [topic for topic in TOPICS.values() if topic.recorded and topic.name not in CHECKPOINTS] + [EVENTS]
 CLOTHS = (FABRIC.name, CLOTH.name)
 """What frames are about."""
 MOST_EARLY = 64
@@ -82,7 +55,7 @@ class Viewer:
             self.live = LiveView(options.view, context.bus.run, view, self.announce, again, self.leader)
         self.acknowledges = context.bus.service in options.must_see
         # Without a file a viewer may come late, and then sees what is new.
-        self.inbox = Inbox(context.bus, TOPICS, newest_only=self.file is None)
+        self.inbox = Inbox(context.bus, VIEWED, newest_only=self.file is None)
 
     def announce(self, kind: str, text: str) -> None:
         self.context.event(kind, text)
@@ -164,3 +137,29 @@ def main(context: Context) -> None:
         viewer.close()
         raise
     finish.answer_json(context.counts(viewer.inbox) | viewer.close())
+
+
+def with_own_textures(fabric: bytes, files: Mapping[str, Path]) -> bytes:
+    """A fabric message that names the images of this viewer's scene.
+
+    The simulation names an image by its path on its own disk, at the time of the run. Here the
+    scene may lie elsewhere (another host), or in a recording whose files were unpacked. A path
+    counts as the scene's file whose name it ends in; any other is not read: a message must not
+    pick files here. What is not a fabric message stays as it is, for the views to refuse.
+    """
+    try:
+        arrays, text = decode_arrays(fabric)
+        for piece in text["objects"]:
+            if piece.get("texture"):
+                piece["texture"] = _own(str(piece["texture"]), files)
+    except (BadMessage, KeyError, TypeError, AttributeError):
+        return fabric
+    return encode_arrays(arrays, text)
+
+
+def _own(texture: str, files: Mapping[str, Path]) -> str:
+    parts = PurePath(texture).parts
+    for name, path in files.items():
+        if parts[-len(PurePath(name).parts) :] == PurePath(name).parts:
+            return str(path)
+    return f"{parts[-1]} (not among the scene's files)"
