@@ -6,7 +6,6 @@ with the field and the first row that is amiss.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -15,11 +14,10 @@ from numpy.typing import NDArray
 
 from nuno.handed_dye import DYE_CHECKS
 from nuno.handed_terms import check_term
-from nuno.wrong import Wrong, check_array, check_number, check_type
+from nuno.wrong import Wrong, check_array, check_field, check_number, check_type
 from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Binding, Fabric, Hinges, Memory, Springs, State
-from nuno_schemas.field import DistanceField
 from nuno_schemas.operation import Outcome
 from nuno_schemas.plugin import BodyShape, Mover
 from nuno_schemas.system import StepLimit, StepReport, Term
@@ -138,20 +136,6 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
         raise Wrong(f"fields are {len(shape.fields)}, of {int((shape.kind == FIELD).sum())} primitives that have one")
     for i, field in enumerate(shape.fields):
         check_field(f"fields[{i}]", field)
-
-
-def check_field(what: str, field: DistanceField) -> None:
-    """A distance field whose cells lead to cells and leaves that there are."""
-    check_type(what, field, DistanceField)
-    check_array(f"{what}.low", field.low, np.float64, (3,))
-    check_array(f"{what}.shape", field.shape, np.int32, (3,), 1)
-    check_array(f"{what}.corners", field.corners, np.float32, (None, 32))
-    # Eight parts begin at every cell that is cut.
-    check_array(f"{what}.child", field.child, np.int32, (None,), -len(field.corners), len(field.child) - 8)
-    if math.prod(field.shape.tolist()) > len(field.child):
-        raise Wrong(f"{what}.child has {len(field.child)} cells, fewer than its shape")
-    for name in ("size", "tolerance"):
-        check_number(f"{what}.{name}", getattr(field, name), above=0.0)
 
 
 def check_mover(mover: Mover) -> None:

@@ -1,4 +1,4 @@
-"""One array or number held against what it has to be."""
+"""One array, number or distance field held against what it has to be."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
+
+from nuno_schemas.field import DistanceField
 
 
 class Wrong(Exception):
@@ -59,6 +61,20 @@ def check_number(what: str, value: Any, low: float = -np.inf, above: float = -np
         raise Wrong(f"{what} is {value}")
     if value < low or (above > -np.inf and value <= above):
         raise Wrong(f"{what} is {value}{_limit(low, np.inf, above)}")
+
+
+def check_field(what: str, field: DistanceField) -> None:
+    """A distance field whose cells lead to cells and leaves that there are."""
+    check_type(what, field, DistanceField)
+    check_array(f"{what}.low", field.low, np.float64, (3,))
+    check_array(f"{what}.shape", field.shape, np.int32, (3,), 1)
+    check_array(f"{what}.corners", field.corners, np.float32, (None, 32))
+    # Eight parts begin at every cell that is cut.
+    check_array(f"{what}.child", field.child, np.int32, (None,), -len(field.corners), len(field.child) - 8)
+    if math.prod(field.shape.tolist()) > len(field.child):
+        raise Wrong(f"{what}.child has {len(field.child)} cells, fewer than its shape")
+    for name in ("size", "tolerance"):
+        check_number(f"{what}.{name}", getattr(field, name), above=0.0)
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | tuple[int, ...] | None, ...]) -> bool:

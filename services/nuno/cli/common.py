@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,30 +18,49 @@ if TYPE_CHECKING:
     from nuno.recording.reader import Recording
 
 
+Flags = Mapping[str, tuple[str, str] | tuple[str, str, Callable[[str], object]]]
+"""Flags that take a value: what it is called, help, and what reads it where it is no text."""
+
+
+def add_flags(parser: argparse._ActionsContainer, flags: Flags) -> None:
+    """Add flags that take a value; one whose value is called NAME... may be given again and again."""
+    for flag, (metavar, text, *kind) in flags.items():
+        again: dict[str, Any] = {"action": "append", "default": []} if metavar.endswith("...") else {}
+        parser.add_argument(
+            flag, metavar=metavar.removesuffix("..."), help=text, type=kind[0] if kind else str, **again
+        )
+
+
 def add_scene(parser: argparse.ArgumentParser, optional: bool = False) -> None:
-    parser.add_argument(
-        "scene", nargs="?" if optional else None, help="a YAML file, or the name of a shipped scene (nuno scenes)"
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="overrides",
-        help="change a field of the scene, e.g. solver.dt=1ms; may be repeated",
-    )
-    parser.add_argument(
-        "--root",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="DIR",
-        help="another folder that the scene's files may come from",
-    )
+    text = "a YAML file, or the name of a shipped scene (nuno scenes)"
+    parser.add_argument("scene", nargs="?" if optional else None, help=text)
+    add_set(parser, "change a field of the scene, e.g. solver.dt=1ms; may be repeated")
+    add_flags(parser, {"--root": ("DIR...", "another folder that the scene's files may come from", Path)})
+
+
+def add_set(parser: argparse._ActionsContainer, text: str) -> None:
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help=text)
 
 
 def add_config(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument("--config", metavar="FILE", help="zenoh configuration: TLS, access control")
+    add_flags(parser, {"--config": ("FILE", "zenoh configuration: TLS, access control")})
+
+
+def add_run(parser: argparse._ActionsContainer, needed: bool = False) -> None:
+    """A run that goes on, here or on another host."""
+    default = "" if needed else " (default: last)"
+    parser.add_argument(
+        "run", nargs=None if needed else "?", default="last", help=f"a run's id or its beginning{default}"
+    )
+    add_flags(parser, {"--connect": ("ENDPOINT", "the run's hub, if it is on another host")})
+    add_config(parser)
+
+
+def find_run(args: argparse.Namespace) -> tuple[str, str]:
+    """Id and endpoint of the run that is named. Raises BadInput."""
+    from nuno.supervision import runs
+
+    return (args.run, args.connect) if args.connect else runs.find(args.run)
 
 
 def warn(recording: Recording) -> None:

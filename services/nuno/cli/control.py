@@ -8,9 +8,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from nuno.cli.common import add_config
+from nuno.cli.common import add_run, find_run
 from nuno.stepping.driver import ACTIONS
-from nuno.supervision import runs
 from nuno.supervision.supervisor import control
 from nuno_schemas.errors import BadInput
 
@@ -18,7 +17,7 @@ SLOW = "the run answers when the frame that it is in is done"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", help="a run's id or its beginning, or last")
+    add_run(parser, needed=True)
     parser.add_argument("action", choices=ACTIONS)
     parser.add_argument(
         "item",
@@ -27,18 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "add: dye or resist, e.g. 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}', or lines on cloth, "
         "e.g. 'wrinkle: {lines: [{points: [[0, 0, 0], [0.1, 0, 0]], height: 1 cm}]}'",
     )
-    parser.add_argument("--connect", metavar="ENDPOINT", help="the run's hub, if it is on another host")
-    add_config(parser)
 
 
 def main(args: argparse.Namespace) -> int:
-    run, endpoint = (args.run, args.connect) if args.connect else runs.find(args.run)
+    run, endpoint = find_run(args)
     request: dict[str, object] = {"action": args.action}
     if args.action == "set":
         if not args.item:
-            raise BadInput(
-                "set needs KEY=VALUE", remedy="for example, of cloth that moves: nuno control last set damping=0.5"
-            )
+            remedy = "for example, of cloth that moves: nuno control last set damping=0.5"
+            raise BadInput("set needs KEY=VALUE", remedy=remedy)
         request["item"] = args.item
     if args.action == "add":
         if not args.item:

@@ -14,29 +14,6 @@ from nuno_schemas.errors import BadInput
 SETTINGS = ("samples", "radius", "curl")
 
 
-def add_yarns(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("yarns as curves")
-    group.add_argument(
-        "--form",
-        choices=["smooth", "straight"],
-        help="smooth: loops that hook into each other; straight: links, repaired where they would cut through a body "
-        "(default: smooth)",
-    )
-    group.add_argument("--samples", type=int, metavar="N", help="smooth: points a link (default: 8)")
-    group.add_argument(
-        "--radius",
-        metavar="LENGTH",
-        help="of the yarns, e.g. 30um, or of each kind, e.g. 20um,35um (default: 0.04 of the mean link, thicker for "
-        "yarns of a higher linear density)",
-    )
-    group.add_argument(
-        "--curl",
-        type=float,
-        metavar="SHARE",
-        help="smooth: how far loops reach beyond each other, of the shortest link",
-    )
-
-
 def settings_of(args: argparse.Namespace) -> dict[str, Any]:
     """Settings that the command line gives."""
     given = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}

@@ -8,7 +8,7 @@ import sys
 import threading
 from pathlib import Path
 
-from nuno.cli.common import add_config, warn
+from nuno.cli.common import add_config, add_flags, warn
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.restore import restored_scene
 from nuno.replay import Replay
@@ -28,13 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     speed = parser.add_mutually_exclusive_group()
     speed.add_argument("--rate", type=float, default=1.0, metavar="X", help="simulated seconds a second (default: 1)")
     speed.add_argument("--fast", action="store_true", help="as fast as the subscribers take it")
-    parser.add_argument("--start", type=float, default=0.0, metavar="SECONDS", help="begin at this simulation time")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
     add_view(parser, "only publish")
-    parser.add_argument(
-        "--listen", metavar="ENDPOINT", help="where subscribers connect (default: a free port on loopback)"
-    )
-    parser.add_argument("--run", metavar="ID", help="name of the run it is published as")
+    add_flags(parser, {
+        "--start": ("SECONDS", "begin at this simulation time", float),
+        "--listen": ("ENDPOINT", "where subscribers connect (default: a free port on loopback)"),
+        "--run": ("ID", "name of the run it is published as"),
+    })  # fmt: skip
+    parser.set_defaults(start=0.0)
     add_config(parser)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nuno.choose.cloth import decide
-from nuno.cli.common import add_config, add_scene, load_scene
+from nuno.cli.common import add_config, add_flags, add_scene, load_scene
 from nuno.cli.progress import ProgressLine
 from nuno.process import ending_at_once
 from nuno.recording.reader import open_recording
@@ -32,43 +32,26 @@ RESUMABLE = ("duration", "record", "view")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, optional=True)
     recording = parser.add_argument_group("recording")
-    recording.add_argument(
-        "--record", type=Path, metavar="FILE", help="where the recording goes (default: recordings/<run>.mcap)"
-    )
     recording.add_argument("--no-record", action="store_true", help="do not record")
-    recording.add_argument(
-        "--resume",
-        type=Path,
-        metavar="FILE",
-        help="go on from the last checkpoint of a recording, or of the last, with its own scene",
-    )
-    recording.add_argument(
-        "--log",
-        type=Path,
-        metavar="FILE",
-        help="what happened, as lines of JSON: a file, or - for standard output (default: beside the recording)",
-    )
+    add_flags(recording, {
+        "--record": ("FILE", "where the recording goes (default: recordings/<run>.mcap)", Path),
+        "--resume": ("FILE", "go on from the last checkpoint of a recording, or of the last, with its own scene", Path),
+        "--log": ("FILE", "what happened, as lines of JSON: a file, or - for standard output (default: beside the "
+                  "recording)", Path),
+    })  # fmt: skip
     add_view(parser, "show nothing and draw no picture")
-    parser.add_argument(
-        "--paused", action="store_true", help="wait before the first frame until: nuno control RUN resume"
-    )
+    paused = "wait before the first frame until: nuno control RUN resume"
+    parser.add_argument("--paused", action="store_true", help=paused)
     where = parser.add_argument_group("where services run")
     where.add_argument("--processes", action="store_true", help="one process per service instead of threads")
-    where.add_argument(
-        "--listen", metavar="ENDPOINT", help="listen here, e.g. tcp/127.0.0.1:7447 (default: a free port on loopback)"
-    )
-    where.add_argument(
-        "--connect", metavar="ENDPOINT", help="start no service: services started by hand wait at this hub"
-    )
-    where.add_argument("--run", metavar="ID", help="name of the run (default: scene, time and four random digits)")
     add_config(where)
-    where.add_argument(
-        "--threads",
-        type=int,
-        default=0,
-        metavar="N",
-        help="most threads for kernels (default: all cores); the result is the same",
-    )
+    add_flags(where, {
+        "--listen": ("ENDPOINT", "listen here, e.g. tcp/127.0.0.1:7447 (default: a free port on loopback)"),
+        "--connect": ("ENDPOINT", "start no service: services started by hand wait at this hub"),
+        "--run": ("ID", "name of the run (default: scene, time and four random digits)"),
+        "--threads": ("N", "most threads for kernels (default: all cores); the result is the same", int),
+    })  # fmt: skip
+    parser.set_defaults(threads=0)
 
 
 def main(args: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from nuno.choose.cloth import decide
-from nuno.cli.common import add_config
+from nuno.cli.common import add_config, add_flags, add_set
 from nuno.process import end_process
 from nuno.scene import scene_file
 from nuno.service import MODULES, SUPERVISOR, Options, run_service
@@ -20,6 +20,7 @@ from nuno.supervision.launch import FINISH_TIMEOUT
 from nuno.wire import sessions
 from nuno_schemas.errors import BadInput, RunFailed
 
+LISTEN = "tcp/127.0.0.1:7447"
 PATIENCE = 20.0
 """How long a service waits for its hub [s]: containers start in any order."""
 KEEPERS = ("recorder", "viewer")
@@ -31,32 +32,22 @@ LINGER = 1.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("service", choices=["router", *MODULES])
     parser.add_argument("scene", nargs="?", help="the run's scene (not for the router)")
-    parser.add_argument(
-        "--run", metavar="ID", help="the run that this service belongs to; router: whose services it waits for alone"
-    )
-    parser.add_argument("--connect", metavar="ENDPOINT", help="the hub, e.g. tcp/127.0.0.1:7447")
-    parser.add_argument(
-        "--listen",
-        metavar="ENDPOINT",
-        default="tcp/127.0.0.1:7447",
-        help="where the router listens (default: %(default)s)",
-    )
     add_config(parser)
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
-    parser.add_argument("--root", action="append", default=[], type=Path, metavar="DIR")
-    parser.add_argument(
-        "--must-see",
-        action="append",
-        default=[],
-        metavar="SERVICE",
-        help="simulation: a service that acknowledges every frame",
-    )
-    parser.add_argument("--record", type=Path, metavar="FILE")
-    parser.add_argument("--save", type=Path, metavar="FILE.rrd")
+    add_set(parser, "change a field of the scene; may be repeated")
+    add_flags(parser, {
+        "--run": ("ID", "the run that this service belongs to; router: whose services it waits for alone"),
+        "--connect": ("ENDPOINT", "the hub, e.g. tcp/127.0.0.1:7447"),
+        "--listen": ("ENDPOINT", f"where the router listens (default: {LISTEN})"),
+        "--root": ("DIR...", "another folder that the scene's files may come from", Path),
+        "--must-see": ("SERVICE...", "simulation: a service that acknowledges every frame"),
+        "--record": ("FILE", "recorder: where the recording goes", Path),
+        "--save": ("FILE.rrd", "viewer: a file for the rerun viewer", Path),
+        "--resume": ("FILE", "simulation, dye, recorder: the recording that the run goes on from", Path),
+        "--threads": ("N", "most threads for kernels (default: all cores)", int),
+        "--named": ("NAME", "what errors call a scene that is no file of the user's"),
+    })  # fmt: skip
+    parser.set_defaults(threads=0, listen=LISTEN)
     parser.add_argument("--view", choices=["window", "web"])
-    parser.add_argument("--resume", type=Path, metavar="FILE")
-    parser.add_argument("--threads", type=int, default=0, metavar="N")
-    parser.add_argument("--named", metavar="NAME", help="what errors call a scene that is no file of the user's")
     parser.add_argument("--lifeline", action="store_true", help="end when standard input does: so has the supervisor")
     parser.add_argument("--quiet", action="store_true", help="leave errors that the run hears of to its supervisor")
 

@@ -9,9 +9,8 @@ import sys
 import time
 from collections.abc import Iterator
 
-from nuno.cli.common import add_config
+from nuno.cli.common import add_run, find_run
 from nuno.service import SUPERVISOR
-from nuno.supervision import runs
 from nuno.top import Line, as_json, compare, head, table
 from nuno.wire.bus import Bus
 from nuno.wire.health import Health, ask_health
@@ -23,17 +22,15 @@ PATIENCE = 3.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", nargs="?", default="last", help="a run's id or its beginning (default: last)")
+    add_run(parser)
     parser.add_argument("--once", action="store_true", help="measure for one interval, print that, and end")
     parser.add_argument("--interval", type=float, default=1.0, metavar="SECONDS", help="between two looks (default: 1)")
     parser.add_argument("--json", action="store_true", help="one line of JSON for each look")
-    parser.add_argument("--connect", metavar="ENDPOINT", help="the run's hub, if it is on another host")
-    add_config(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     """Look at the run until it ends or the user has seen enough."""
-    run, endpoint = (args.run, args.connect) if args.connect else runs.find(args.run)
+    run, endpoint = find_run(args)
     with spoke(endpoint, args.config) as session, contextlib.suppress(KeyboardInterrupt):
         looks = filter(None, (compare(*pair) for pair in look(Bus(session, run, "top"), args.interval)))
         if args.once:

@@ -7,9 +7,8 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from nuno.cli.common import add_config
+from nuno.cli.common import add_run, find_run
 from nuno.cli.top import look
-from nuno.supervision import runs
 from nuno.top import align
 from nuno.wire.bus import Bus
 from nuno.wire.health import Health
@@ -40,16 +39,14 @@ class Line:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", nargs="?", default="last", help="a run's id or its beginning (default: last)")
+    add_run(parser)
     parser.add_argument("--interval", type=float, default=1.0, metavar="SECONDS", help="that rates are of (default: 1)")
     parser.add_argument("--json", action="store_true", help="one line of JSON")
-    parser.add_argument("--connect", metavar="ENDPOINT", help="the run's hub, if it is on another host")
-    add_config(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     """Look at the run for one interval."""
-    run, endpoint = (args.run, args.connect) if args.connect else runs.find(args.run)
+    run, endpoint = find_run(args)
     with spoke(endpoint, args.config) as session:
         bus = Bus(session, run, "topics")
         pair = next(look(bus, args.interval), None)

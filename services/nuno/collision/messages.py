@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
+from nuno.wrong import Wrong, check_field
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.field import DistanceField
 
@@ -44,7 +45,7 @@ def decode_geometry(payload: bytes) -> Geometry:
         geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields)
         _check(geometry)
         return geometry
-    except (LookupError, TypeError, ValueError, OverflowError) as error:
+    except (LookupError, TypeError, ValueError, OverflowError, Wrong) as error:
         raise BadMessage(f"geometry without {error}") from None
 
 
@@ -63,27 +64,9 @@ def _check(geometry: Geometry) -> None:
             raise BadMessage(f"geometry whose {name} is {values.dtype} {values.shape}, not {shape}")
         if name in below and values.size and not 0 <= values.min() <= values.max() < below[name]:
             raise BadMessage(f"geometry whose {name} goes from {values.min()} to {values.max()}, of {below[name]}")
-    for field in g.fields:
+    for number, field in enumerate(g.fields):
         if field is not None:
-            _check_field(field)
-
-
-def _check_field(field: DistanceField) -> None:
-    """Raises BadMessage for a tree of cells that leads anywhere but on to later cells and to leaves that are there."""
-    shape, child, corners = field.shape, field.child, field.corners
-    typed = shape.dtype.kind == child.dtype.kind == "i" and corners.dtype.kind == field.low.dtype.kind == "f"
-    if not typed or field.low.shape != (3,) or shape.shape != (3,) or child.ndim != 1 or corners.shape[1:] != (32,):
-        raise BadMessage("a distance field of other shapes")
-    whole, cut = math.prod(shape.tolist()), child >= 0
-    if not (shape.min() > 0 and whole <= len(child) and 0.0 < field.size < math.inf):
-        raise BadMessage(f"a distance field of {shape.tolist()} cells of {field.size} m in {len(child)}")
-    leaves = -1 - child[~cut].astype(np.int64)
-    if (
-        (child[cut] <= np.flatnonzero(cut)).any()
-        or (child[cut] > len(child) - 8).any()
-        or (leaves >= len(corners)).any()
-    ):
-        raise BadMessage("a distance field whose cells lead nowhere")
+            check_field(f"fields[{number}]", field)
 
 
 def _field(

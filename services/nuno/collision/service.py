@@ -28,7 +28,7 @@ class Collision:
         self.rate, self.frames = context.loaded.scene.frame_rate, context.loaded.scene.frames
         self.seconds = 0.0
         self.deepest = self.last = 0.0
-        self.cache: dict[int, Poses] = {}
+        self.cache: dict[int, tuple[Poses, bytes]] = {}
 
     def answer(self, question: Question) -> None:
         """The geometry, or the poses of a frame."""
@@ -40,12 +40,13 @@ class Collision:
             self.inbox.refuse(question)
             question.refuse(f"poses are asked for by frame, 0 to {self.frames}")
             return
-        question.answer(encode_poses(self.poses(frame), frame))
+        question.answer(self.poses(frame)[1])
 
-    def poses(self, frame: int) -> Poses:
-        """Poses of a frame; the last few are kept."""
+    def poses(self, frame: int) -> tuple[Poses, bytes]:
+        """Poses of a frame, and their message; the last few are kept, so that each frame's are encoded once."""
         if frame not in self.cache:
-            self.cache[frame] = self.bodies.poses(frame / self.rate)
+            poses = self.bodies.poses(frame / self.rate)
+            self.cache[frame] = poses, encode_poses(poses, frame)
             while len(self.cache) > KEPT:
                 del self.cache[next(iter(self.cache))]
         return self.cache[frame]
@@ -61,9 +62,7 @@ class Collision:
             self.context.bus.publisher(GEOMETRY).put(
                 encode_geometry(self.bodies.geometry, whole=False), header.frame, header.t
             )
-        self.context.bus.publisher(BODIES).put(
-            encode_poses(self.poses(header.frame), header.frame), header.frame, header.t
-        )
+        self.context.bus.publisher(BODIES).put(self.poses(header.frame)[1], header.frame, header.t)
 
     def measure(self, message: Message) -> None:
         """Measure one published frame, report it and acknowledge it. Raises BadMessage."""
@@ -71,7 +70,7 @@ class Collision:
         points = decode_points(message.payload)
         self.publish(header)
         start = time.perf_counter()
-        depth = penetration(points, self.bodies.geometry, self.poses(header.frame))
+        depth = penetration(points, self.bodies.geometry, self.poses(header.frame)[0])
         inside = depth > 0.0
         deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(

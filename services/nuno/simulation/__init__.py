@@ -1,3 +1,1 @@
-"""Cloth in motion: its state and solver, operations on it, and the service that steps it. Building it is
-`nuno.cloth`.
-"""
+"""Cloth in motion: state, solver, operations on it, and the service that steps it. Building it is `nuno.cloth`."""
