@@ -149,7 +149,7 @@ def test_a_step_counts_the_frames_after_it_was_asked_for(tmp_path: Path, monkeyp
     before, asked = Driver.wait_for, list[int]()
 
     def wait_for(self: Driver, frame: int) -> None:
-        if self.work.frame == 3 and not asked:
+        if self.stepper.frame == 3 and not asked:
             asked.append(self.control({"action": "step", "frames": 2})["left"])
         before(self, frame)
 
