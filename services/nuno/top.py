@@ -15,7 +15,7 @@ HEADINGS = (
 
 
 @dataclass(frozen=True)
-class Line:
+class ServiceLine:
     """One service, over the time between two answers of it.
 
     behind is the number of frames that it has still to take in, and late what they take at the present
@@ -41,7 +41,7 @@ class Line:
     process: str
 
 
-def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[Line]:
+def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[ServiceLine]:
     """A line for each service that answered twice; who leads comes first."""
     both = sorted((h for h in after.values() if h.service in before), key=lambda h: (not h.leads, h.service))
     leader = max((h for h in both if h.leads), key=lambda h: h.frame, default=None)
@@ -49,9 +49,9 @@ def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[L
     return [_line(before, health, leader, pace) for health in both]
 
 
-def _line(before: Mapping[str, Health], now: Health, leader: Health | None, pace: float) -> Line:
+def _line(before: Mapping[str, Health], now: Health, leader: Health | None, pace: float) -> ServiceLine:
     behind = max(0, leader.frame - now.frame) if leader is not None and now.frame >= 0 else 0
-    return Line(
+    return ServiceLine(
         now.service,
         now.leads,
         now.frame,
@@ -79,7 +79,7 @@ def _rate(before: Mapping[str, Health], now: Health, name: str) -> float:
     return (getattr(now, name) - getattr(old, name)) / seconds if seconds > 0.0 else 0.0
 
 
-def head(run: str, lines: list[Line]) -> str:
+def head(run: str, lines: list[ServiceLine]) -> str:
     """Where the run is."""
     first = lines[0]
     if not first.leads:
@@ -89,7 +89,7 @@ def head(run: str, lines: list[Line]) -> str:
     return f"{run}: frame {first.frame}, t = {first.t:.3f} s; {pace}"
 
 
-def table(lines: list[Line]) -> str:
+def table(lines: list[ServiceLine]) -> str:
     """Aligned columns; services of one process share its processor time and memory, which stand at the first."""
     rows, seen = [list(HEADINGS)], set[str]()
     for line in lines:
@@ -115,6 +115,6 @@ def align(rows: Sequence[Sequence[str]], left: Collection[int]) -> str:
     return "\n".join("  ".join(row).rstrip() for row in pad)
 
 
-def as_json(run: str, lines: list[Line]) -> dict[str, object]:
+def as_json(run: str, lines: list[ServiceLine]) -> dict[str, object]:
     """For other programs."""
     return {"run": run, "services": [asdict(line) for line in lines]}

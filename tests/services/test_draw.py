@@ -15,13 +15,14 @@ from draw_desk import SHEET, scene_desk, served, write_sheet
 from live_run import wait_until
 
 import nuno
+from nuno.cloth.build import Piece
 from nuno.draw import keep
 from nuno.draw.append import append_items
 from nuno.draw.guard import MOST_BYTES
 from nuno.draw.lines import by_object, positions, read_strokes
 from nuno.draw.refusals import said_by_run
 from nuno.draw.server import Server
-from nuno.draw.sight import Piece, Sight
+from nuno.draw.sight import Sight
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file, yaml_lines
 from nuno_schemas.errors import BadInput

@@ -12,7 +12,7 @@ from recorded_sheet import Sheet, write
 
 from nuno.cli import main
 from nuno.export.animations import export_animation
-from nuno.export.cloth import Piece
+from nuno.export.cloth import ShownPiece
 from nuno.export.paint import PLAIN, paint_stretch
 from nuno.export.pictures import Colour, Painter, _cloth_mesh
 from nuno.recording.reader import open_recording
@@ -63,7 +63,7 @@ def test_cloth_without_a_colour_is_plain_or_shows_its_stretch(plain: Path) -> No
 
 def test_links_of_a_net_show_their_own_stretch() -> None:
     edges, x = np.array([[0, 1], [1, 2]], np.int32), np.array([[0.0, 0.0, 0.0], [1.01, 0.0, 0.0], [2.51, 0.0, 0.0]])
-    net = Piece("net", 0, 3, np.zeros((0, 3), np.int32), edges, np.ones(2), None, None, None)
+    net = ShownPiece("net", 0, 3, np.zeros((0, 3), np.int32), edges, np.ones(2), None, None, None)
     colours = _cloth_mesh(net, x).colours
     assert colours is not None
     assert np.allclose(colours.reshape(2, -1, 3), paint_stretch(np.array([0.01, 0.5]))[:, None], rtol=1e-12)

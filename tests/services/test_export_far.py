@@ -11,6 +11,7 @@ import trimesh
 from PIL import Image
 from recorded_sheet import RATE, Sheet, items, metadata, write
 
+from nuno.export.cloth import cut_pieces
 from nuno.export.meshes import export_mesh, export_meshes
 from nuno.export.pictures import export_picture
 from nuno.export.tables import export_csv, export_npz
@@ -109,11 +110,12 @@ def test_the_viewer_colours_and_shades_the_same_cloth() -> None:
             """What would be shown."""
 
     near = Sheet()
-    spec = {"name": "cloth", "start": 0, "stop": near.number}
     arrays = {"faces": near.faces, "edges": near.edges, "edge_rest": near.edge_rest}
+    text = {"vertices": near.number, "objects": [{"name": "cloth", "start": 0, "stop": near.number}]}
+    (piece,) = cut_pieces(arrays, text)
     looks = []
     for x in (near.x(0.1), near.x(0.1) + FAR):
-        cloth = Cloth(Silent(), "cloth", spec, arrays, lambda path: None)
+        cloth = Cloth(Silent(), "cloth", piece, lambda path: None)
         cloth.log(x)
         looks.append((cloth.stretch.copy(), cloth.normals.copy()))
     assert looks[0][0].max() > 0.01

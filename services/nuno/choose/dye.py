@@ -53,7 +53,7 @@ FEW_STEPS = 64
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundDye:
     """A solver with the steps a frame that it needs, its error there [largest amounts], and its cost [explicit steps a
     frame]; `tried` is False where the error follows from fewer steps by the order that was seen.
     """
@@ -66,7 +66,7 @@ class Found:
 
 
 @dataclass
-class Trials:
+class DyeTrials:
     """Runs of a scene's first frames, each made once.
 
     frame [s] of dyeing; how many of them are tried; the fewest steps a frame that are; `work` done so far, in cells
@@ -136,12 +136,12 @@ def decide_dye(loaded: Loaded) -> Loaded:
     trials = _begin_trials(loaded, explicit, first, stable)
     long = _settle(trials, LONG, first, PROMISE[accuracy])
     plain = _settle_explicit(trials, explicit, stable, PROMISE[accuracy], long)
-    best, other = (plain, long) if isinstance(plain, Found) else (long, plain)
+    best, other = (plain, long) if isinstance(plain, FoundDye) else (long, plain)
     if isinstance(best, str):
         why = f"{accuracy}: {stable} explicit steps a frame, and how far they are off is not known: {best}; {other}"
         return _written(loaded, FIRST_DYE, trials.frame / stable, why)
     tried = f" (tried on {trials.frames} of {scene.frames} frames)" if trials.frames < scene.frames else ""
-    if isinstance(other, Found):
+    if isinstance(other, FoundDye):
         other = f"{other.name} would take {other.cost:.3g}"
     why = (
         f"{accuracy}: with {best.steps} step{'s' if best.steps > 1 else ''} a frame amounts are off by "
@@ -185,20 +185,20 @@ def _first_on_time(explicit: DyeRun) -> int:
     return steps
 
 
-def _begin_trials(loaded: Loaded, explicit: DyeRun, first: int, stable: int) -> Trials:
+def _begin_trials(loaded: Loaded, explicit: DyeRun, first: int, stable: int) -> DyeTrials:
     """Trials of the frames in which supplies begin and end and some more, or of as many as are affordable."""
     frame = explicit.steps * explicit.dt
     spread = max(_times(explicit), default=0.0) + SPREADING * explicit.limit
     wanted = min(float(loaded.scene.frames), FEWEST_FRAMES + spread / frame)
-    pilot = Trials(loaded, frame, 1, first)
+    pilot = DyeTrials(loaded, frame, 1, first)
     try:
         pilot.run(LONG, first)
     except BadInput:  # as _settle will say
         pilot.work = _stages(explicit, EXPLICIT_TRIAL * stable)
-    return Trials(loaded, frame, max(1, int(min(wanted, 0.2 * MOST_WORK / pilot.work))), first)
+    return DyeTrials(loaded, frame, max(1, int(min(wanted, 0.2 * MOST_WORK / pilot.work))), first)
 
 
-def _settle(trials: Trials, name: str, first: int, promise: float, cheapest: float = math.inf) -> Found | str:
+def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: float = math.inf) -> FoundDye | str:
     """The fewest steps a frame, doubled from `first` on, that keep the promise; or why none do for less than
     `cheapest` explicit steps a frame.
     """
@@ -209,7 +209,7 @@ def _settle(trials: Trials, name: str, first: int, promise: float, cheapest: flo
             if cost >= cheapest:
                 return f"{name} would take {cost:.3g} or more"
             if error <= promise:
-                return Found(name, steps, error, cost)
+                return FoundDye(name, steps, error, cost)
             if trials.work > MOST_WORK:
                 break
             steps, before = 2 * steps, error
@@ -224,12 +224,14 @@ def _settle(trials: Trials, name: str, first: int, promise: float, cheapest: flo
     cost *= times ** (1.0 / ORDER[name])
     if cost >= cheapest:
         return f"{name} would take {cost:.3g} or more"
-    return Found(name, times * steps, promise, cost, tried=False)
+    return FoundDye(name, times * steps, promise, cost, tried=False)
 
 
-def _settle_explicit(trials: Trials, explicit: DyeRun, stable: int, promise: float, long: Found | str) -> Found | str:
+def _settle_explicit(
+    trials: DyeTrials, explicit: DyeRun, stable: int, promise: float, long: FoundDye | str
+) -> FoundDye | str:
     """The same of explicit steps, where they may cost less than what else there is, and can be tried."""
-    cheapest = long.cost if isinstance(long, Found) else math.inf
+    cheapest = long.cost if isinstance(long, FoundDye) else math.inf
     if stable >= cheapest:
         return f"{FIRST_DYE} would take {stable} or more"
     work = _stages(explicit, float(EXPLICIT_TRIAL * stable * trials.frames))

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 from nuno.cli.common import add_run, find_run
 from nuno.service import SUPERVISOR
-from nuno.top import Line, as_json, compare, head, table
+from nuno.top import ServiceLine, as_json, compare, head, table
 from nuno.wire.bus import Bus
 from nuno.wire.health import Health, ask_health
 from nuno.wire.sessions import spoke
@@ -63,7 +63,7 @@ def look(bus: Bus, interval: float) -> Iterator[tuple[dict[str, Health], dict[st
         before = after
 
 
-def _print(run: str, lines: list[Line], as_text: bool) -> None:
+def _print(run: str, lines: list[ServiceLine], as_text: bool) -> None:
     if not as_text:
         print(json.dumps(as_json(run, lines)), flush=True)
     elif lines:
@@ -72,7 +72,7 @@ def _print(run: str, lines: list[Line], as_text: bool) -> None:
         print(f"{run} has ended")
 
 
-def _show(run: str, looks: Iterator[list[Line]]) -> None:
+def _show(run: str, looks: Iterator[list[ServiceLine]]) -> None:
     """In place, on a terminal."""
     from rich.live import Live
     from rich.text import Text

@@ -18,7 +18,7 @@ HEADINGS = ("topic", "type", "encoding", "by", "messages", "bytes each", "a seco
 
 
 @dataclass(frozen=True)
-class Line:
+class TopicLine:
     """One topic of one service: messages and their mean size [bytes] since its start, and what went out in a second
     of the time that it was looked at.
     """
@@ -62,7 +62,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[Line]:
+def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[TopicLine]:
     """A line for each topic of each service that answered twice, in the order of their names."""
     lines = []
     for name in before.keys() & after.keys():
@@ -75,5 +75,5 @@ def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[L
             )
             mean = now.sent_bytes / now.sent if now.sent else 0.0
             rates = (sent / seconds, size / seconds / 1e6) if seconds > 0.0 else (0.0, 0.0)
-            lines.append(Line(now.topic, now.type, now.encoding, name, now.sent, mean, *rates))
+            lines.append(TopicLine(now.topic, now.type, now.encoding, name, now.sent, mean, *rates))
     return sorted(lines, key=lambda line: (line.topic, line.service))

@@ -36,8 +36,8 @@ class Piece:
     name: str
     start: int
     stop: int
-    texture: str | None
-    colour: str | None
+    texture: str | None = None
+    colour: str | None = None
 
 
 def estimate_memory(loaded: Loaded) -> tuple[int, int]:

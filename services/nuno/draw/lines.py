@@ -8,7 +8,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from nuno.draw.sight import Piece, Sight
+from nuno.cloth.build import Piece
+from nuno.draw.sight import Sight
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

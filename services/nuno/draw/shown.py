@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
 from nuno.collision.surfaces import NO_SURFACES, Surfaces
-from nuno.draw.sight import NO_POINTS, Piece, Sight
+from nuno.draw.sight import NO_POINTS, Sight
 from nuno.scene.scene_file import Loaded
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.bodies import Geometry
@@ -49,7 +49,7 @@ def see_scene(loaded: Loaded) -> Sight:
     return Sight(
         fabric.position,
         fabric.faces,
-        tuple(Piece(piece.name, piece.start, piece.stop, piece.colour) for piece in pieces),
+        tuple(pieces),
         drawn.at(poses) if poses is not None else NO_POINTS,
         drawn.faces,
         frames=loaded.scene.frames,
@@ -84,7 +84,9 @@ def no_triangles() -> BadInput:
 def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:
     """A run's answer to where its cloth is, without its bodies. Raises BadMessage."""
     try:
-        pieces = tuple(Piece(o["name"], int(o["start"]), int(o["stop"]), o["colour"]) for o in text["objects"])
+        pieces = tuple(
+            build.Piece(o["name"], int(o["start"]), int(o["stop"]), colour=o["colour"]) for o in text["objects"]
+        )
         x, faces = arrays["x"], arrays["faces"]
         sight = Sight(x, faces, pieces, frame=int(text["frame"]), t=float(text["t"]))
     except (KeyError, TypeError, ValueError) as error:

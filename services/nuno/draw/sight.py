@@ -10,20 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.cloth.build import Piece
 from nuno_schemas.fabric import Float, Int
 
 NO_POINTS = np.zeros((0, 3))
 NO_FACES = np.zeros((0, 3), np.int32)
-
-
-@dataclass(frozen=True)
-class Piece:
-    """One object of the scene: its vertices are `start` to `stop` of all."""
-
-    name: str
-    start: int
-    stop: int
-    colour: str | None = None
+SAID = ("name", "start", "stop", "colour")
+"""What the page is told of a piece of cloth."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +60,7 @@ class Sight:
         names = ("state", "run", "frame", "frames", "t", "message", "number", "shape", "place")
         head = {name: getattr(self, name) for name in names} | {
             "origin": origin.tolist(),
-            "pieces": [vars(piece) for piece in self.pieces],
+            "pieces": [{name: getattr(piece, name) for name in SAID} for piece in self.pieces],
             "arrays": [[name, str(a.dtype), a.size] for name, a in arrays.items()],
         }
         text = json.dumps(head).encode()

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import io
 from bisect import bisect_right
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import PurePath
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno.cloth import build
 from nuno.cloth.pressure import find_pressure, has_pressure
+from nuno.cloth.tension import Tensions
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces
 from nuno.export.paint import INSET, read_rgb
 from nuno.recording.reader import Recording
-from nuno.recording.recorded import Frame
+from nuno.recording.recorded import Arrays, Frame
 from nuno.recording.restore import restored_scene
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno_schemas.bodies import PLANE, Geometry, Poses
@@ -31,12 +33,12 @@ Pressures = Callable[[Float], Float]
 
 
 @dataclass(frozen=True)
-class Piece:
+class ShownPiece:
     """One object of the scene: vertices start to stop of all; indices count from start.
 
     faces (f, 3), edges (e, 2) int32; rest (e,) [m]; uv (n, 2) with v up, or None;
-    image (h, w, 3) uint8 sRGB or None; colour "#rrggbb" or None; yarns (e,) which kind of yarn each edge is,
-    -1 for none, or None where the cloth has no yarns.
+    image (h, w, 3) uint8 sRGB or None, and texture, the name it is to be read by; colour "#rrggbb" or None; yarns (e,)
+    which kind of yarn each edge is, -1 for none, or None where the cloth has no yarns; pinned (n,) what is held.
     """
 
     name: str
@@ -49,6 +51,9 @@ class Piece:
     image: NDArray[np.uint8] | None
     colour: str | None
     yarns: NDArray[np.int8] | None = None
+    texture: str | None = None
+    pinned: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    tensions: Tensions | None = None
 
     def link_stretch(self, x: Float) -> Float:
         """(e,) |d| / rest - 1 of every spring, for x (n, 3) [m] of this piece."""
@@ -70,9 +75,9 @@ class Pieces:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._times = [message.t for message in recording.messages([FABRIC.name])]
-        self._known: dict[int, list[Piece]] = {}
+        self._known: dict[int, list[ShownPiece]] = {}
 
-    def at(self, t: float) -> list[Piece]:
+    def at(self, t: float) -> list[ShownPiece]:
         """The pieces at t [s]."""
         which = max(bisect_right(self._times, t) - 1, 0)
         if which not in self._known:
@@ -80,32 +85,50 @@ class Pieces:
         return self._known[which]
 
 
-def read_pieces(recording: Recording, t: float | None = None) -> list[Piece]:
+def read_pieces(recording: Recording, t: float | None = None) -> list[ShownPiece]:
     """The cloth of a recording at t [s], or last. Raises BadInput where its description is missing or damaged."""
-    arrays, text = recording.fabric(t)
     try:
-        faces, edges = (np.asarray(arrays[name], np.int32).reshape(-1, w) for name, w in (("faces", 3), ("edges", 2)))
-        rest, number = np.asarray(arrays["edge_rest"], np.float64), int(text["vertices"])
-        yarns = np.asarray(arrays["edge_yarn"], np.int8) if "edge_yarn" in arrays else None
-        pieces = []
-        for item in text["objects"]:
-            start, stop = int(item["start"]), int(item["stop"])
-            if not 0 <= start <= stop <= number or len(rest) != len(edges):
-                raise ValueError(f"vertices {start} to {stop} of {number}, {len(rest)} lengths of {len(edges)} springs")
-            if yarns is not None and yarns.shape != rest.shape:
-                raise ValueError(f"{len(yarns)} kinds of yarn for {len(edges)} springs")
-            uv = arrays["uv"][start:stop] if "uv" in arrays else None
-            image = read_texture(recording, item.get("texture")) if uv is not None else None
-            mine = _inside(edges, start, stop)
-            pieces.append(
-                Piece(
-                    str(item["name"]), start, stop, faces[_inside(faces, start, stop)] - start, edges[mine] - start,
-                    rest[mine], uv, image, item.get("colour"), _kinds(yarns, mine),
-                )
-            )  # fmt: skip
+        pieces = cut_pieces(*recording.fabric(t))
     except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
+    return [p if p.uv is None else replace(p, image=read_texture(recording, p.texture)) for p in pieces]
+
+
+def cut_pieces(arrays: Arrays, text: Mapping[str, Any]) -> list[ShownPiece]:
+    """The objects of a fabric message, without images.
+
+    Raises LookupError, ValueError, TypeError, AttributeError or OverflowError for one that does not fit together.
+    """
+    number = int(text["vertices"])
+    faces, edges = (_indices(name, arrays[name], width, number) for name, width in (("faces", 3), ("edges", 2)))
+    lengths = {"edge_rest": len(edges), "edge_yarn": len(edges), "uv": number, "pinned": number}
+    for name, length in lengths.items():
+        if name in arrays and len(arrays[name]) != length:
+            raise ValueError(f"{name} has {len(arrays[name])} rows, not {length}")
+    rest, pinned = np.asarray(arrays["edge_rest"], np.float64), arrays.get("pinned", np.zeros(number)).astype(bool)
+    yarns = np.asarray(arrays["edge_yarn"], np.int8) if "edge_yarn" in arrays else None
+    pieces = []
+    for item in text["objects"]:
+        start, stop = int(item["start"]), int(item["stop"])
+        if not 0 <= start <= stop <= number:
+            raise ValueError(f"an object of vertices {start} to {stop} of {number}")
+        mine = _inside(edges, start, stop)
+        pieces.append(
+            ShownPiece(
+                str(item["name"]), start, stop, faces[_inside(faces, start, stop)] - start, edges[mine] - start,
+                rest[mine], arrays["uv"][start:stop] if "uv" in arrays else None, None, item.get("colour"),
+                _kinds(yarns, mine), item.get("texture"), pinned[start:stop], Tensions.read(arrays, mine),
+            )
+        )  # fmt: skip
     return pieces
+
+
+def _indices(name: str, values: NDArray[Any], width: int, number: int) -> Int:
+    """Rows of so many numbers of vertices. Raises ValueError for others."""
+    fits = values.ndim == 2 and values.shape[1] == width and values.dtype.kind in "iu"
+    if not fits or (values.size and not 0 <= values.min() <= values.max() < number):
+        raise ValueError(f"{name} of {values.dtype} and shape {values.shape} for {number} vertices")
+    return np.asarray(values, np.int32)
 
 
 def _kinds(yarns: NDArray[np.int8] | None, mine: NDArray[np.bool_]) -> NDArray[np.int8] | None:
@@ -114,7 +137,10 @@ def _kinds(yarns: NDArray[np.int8] | None, mine: NDArray[np.bool_]) -> NDArray[n
 
 
 def _inside(indices: Int, start: int, stop: int) -> NDArray[np.bool_]:
-    return np.asarray(((indices >= start) & (indices < stop)).all(axis=1))
+    inside = (indices >= start) & (indices < stop)
+    if (inside.any(axis=1) != inside.all(axis=1)).any():
+        raise ValueError("a face or spring joins two objects")
+    return np.asarray(inside.all(axis=1))
 
 
 def read_texture(recording: Recording, texture: str | None) -> NDArray[np.uint8] | None:
@@ -133,13 +159,13 @@ def read_texture(recording: Recording, texture: str | None) -> NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class Bodies(Surfaces):
+class ShownBodies(Surfaces):
     """Bodies without their level floors: `floor` is the height of the highest [m], or None."""
 
     floor: float | None
 
 
-def read_bodies(recording: Recording) -> Bodies | None:
+def read_bodies(recording: Recording) -> ShownBodies | None:
     """The bodies of a recording, or None where it has none. Raises BadInput."""
     message = recording.last(GEOMETRY.name)
     if message is None:
@@ -151,13 +177,13 @@ def read_bodies(recording: Recording) -> Bodies | None:
         raise BadInput(f"the bodies are damaged: {error}", str(recording.path)) from None
 
 
-def shape_bodies(geometry: Geometry, first: Poses | None) -> Bodies:
+def shape_bodies(geometry: Geometry, first: Poses | None) -> ShownBodies:
     """Surfaces of bodies; `first` are their poses at the start, None where they are not known."""
     # A floor that stands still: what the first poses say holds for the whole run.
     level = _level(geometry, first.rotation) if first else np.zeros(len(geometry.kind), bool)
     moved = first.translation[geometry.frame] if first else np.zeros_like(geometry.a)
     heights = (geometry.a + moved)[level, 1]
-    return Bodies(*surface(_without(geometry, level), INSET), float(heights.max()) if len(heights) else None)
+    return ShownBodies(*surface(_without(geometry, level), INSET), float(heights.max()) if len(heights) else None)
 
 
 def _level(geometry: Geometry, rotation: Float) -> NDArray[np.bool_]:
@@ -174,7 +200,7 @@ def _without(geometry: Geometry, drop: NDArray[np.bool_]) -> Geometry:
     return Geometry(**kept, **rest, vertices=geometry.vertices, faces=geometry.faces[stays], owner=owner)
 
 
-def body_vertices(recording: Recording, bodies: Bodies | None, t: float) -> Float:
+def body_vertices(recording: Recording, bodies: ShownBodies | None, t: float) -> Float:
     """(n, 3) [m] of the bodies at t [s]; empty where there are none."""
     message = recording.last(BODIES.name, t) if bodies is not None else None
     if message is None or bodies is None:
@@ -205,7 +231,7 @@ def read_frame(recording: Recording, number: int | None = None) -> Frame:
         raise BadInput(f"frame {frame} is damaged: {error}", str(recording.path)) from None
 
 
-def check_size(recording: Recording, pieces: list[Piece], frame: Frame) -> None:
+def check_size(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> None:
     """Raises BadInput where a frame's points are not those of the cloth."""
     most = max((piece.stop for piece in pieces), default=0)
     if len(frame.x) < most:

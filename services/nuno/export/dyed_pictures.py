@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nuno.dye.painter import PICTURE_SIDE, DyePainter, painter_of
-from nuno.export.cloth import Piece
+from nuno.export.cloth import ShownPiece
 from nuno.export.target import Progress
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
@@ -88,7 +88,7 @@ class DyedObject(Dyed):
         self.name = name
         self._last: tuple[int, Picture] | None = None
 
-    def dress(self, pieces: list[Piece], t: float) -> list[Piece]:
+    def dress(self, pieces: list[ShownPiece], t: float) -> list[ShownPiece]:
         """The pieces of cloth, the dyed one with its texture at t [s]. Raises BadInput where amounts are damaged."""
         return [
             replace(piece, image=self.texture(t), colour=None)

@@ -7,7 +7,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from nuno.export.cloth import Piece, Pieces, body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.dyed_pictures import read_dyed_object
 from nuno.export.paint import BODY, PLAIN, paint_stretch
 from nuno.export.target import Progress, opened, writing
@@ -76,7 +76,7 @@ def _known(suffix: str, path: Path) -> str:
     return suffix
 
 
-def _finite(recording: Recording, pieces: list[Piece], frame: Frame) -> Frame:
+def _finite(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> Frame:
     check_size(recording, pieces, frame)
     if not np.isfinite(frame.x).all():
         remedy = "name an earlier one with --frame"
@@ -84,7 +84,7 @@ def _finite(recording: Recording, pieces: list[Piece], frame: Frame) -> Frame:
     return frame
 
 
-def _write(suffix: str, stream: BinaryIO, recording: Recording, pieces: list[Piece], frame: Frame) -> None:
+def _write(suffix: str, stream: BinaryIO, recording: Recording, pieces: list[ShownPiece], frame: Frame) -> None:
     if suffix == ".obj":
         _write_obj(stream, pieces, frame)
     elif suffix == ".ply":
@@ -93,7 +93,7 @@ def _write(suffix: str, stream: BinaryIO, recording: Recording, pieces: list[Pie
         stream.write(_glb(recording, pieces, frame))
 
 
-def _write_obj(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
+def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
     """One group per piece. As many digits as give every float64 back; OBJ counts from 1 over all pieces."""
     stream.write(f"# nuno frame {frame.number} at {frame.t!r} s\n".encode())
     for piece in pieces:
@@ -108,7 +108,7 @@ def _write_obj(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
         stream.write(("\n".join(lines) + "\n").encode())
 
 
-def _write_ply(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
+def _write_ply(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:
     """Binary, all pieces as one mesh, positions as double, texture coordinates as s and t."""
     faces = np.concatenate([np.zeros((0, 3), np.int32), *(piece.faces + piece.start for piece in pieces)])
     uvs = [piece.uv for piece in pieces if piece.uv is not None]
@@ -128,7 +128,7 @@ def _write_ply(stream: BinaryIO, pieces: list[Piece], frame: Frame) -> None:
     stream.write(table.tobytes())
 
 
-def _glb(recording: Recording, pieces: list[Piece], frame: Frame) -> bytes:
+def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
     """glTF is y up and right-handed, as the scene is."""
     import trimesh
 
@@ -166,7 +166,7 @@ def _trimesh(x: Float, faces: Int, visual: Any) -> Any:
     return trimesh.Trimesh(x, faces, vertex_normals=normals, process=False, visual=visual)
 
 
-def _visual(piece: Piece, x: Float) -> Any:
+def _visual(piece: ShownPiece, x: Float) -> Any:
     """The texture where there is one, else the colour, else stretch."""
     from PIL import Image
     from trimesh.visual import ColorVisuals, TextureVisuals

@@ -16,10 +16,10 @@ from pydantic import BaseModel
 from nuno import registry
 from nuno.export.camera import of_camera, place_camera, read_view, z_up
 from nuno.export.cloth import (
-    Bodies,
-    Piece,
     Pieces,
     Pressures,
+    ShownBodies,
+    ShownPiece,
     body_vertices,
     check_size,
     read_bodies,
@@ -69,7 +69,7 @@ class Painter:
     def __post_init__(self) -> None:
         check_colour(self.colour)
         self.cloth = Pieces(self.recording)
-        self.bodies: Bodies | None = read_bodies(self.recording)
+        self.bodies: ShownBodies | None = read_bodies(self.recording)
         measured = self.colour in ("stretch", "pressure")
         changes = self.changes or Changes()
         camera, of_dye = of_camera(self.recording, changes.overrides)
@@ -100,7 +100,7 @@ class Painter:
         picture: Picture = self.renderer.render(config, self.meshes(frame), self.camera)
         return picture
 
-    def pieces(self, t: float) -> list[Piece]:
+    def pieces(self, t: float) -> list[ShownPiece]:
         """The cloth at t [s], as it is to be painted."""
         return [_coloured(piece, self.colour) for piece in self.cloth.at(t)]
 
@@ -142,7 +142,7 @@ def check_colour(colour: str) -> None:
         raise BadInput("cloth cannot be painted by that", field="--colour", value=colour, limit=limit)
 
 
-def _coloured(piece: Piece, colour: Colour) -> Piece:
+def _coloured(piece: ShownPiece, colour: Colour) -> ShownPiece:
     """The piece as it is to be painted: by its texture, else its colour, else its yarns, else its stretch."""
     if colour in ("stretch", "pressure"):
         return replace(piece, image=None, colour=None, yarns=None)
@@ -218,7 +218,7 @@ def choose_frames(recording: Recording, fps: float, start: float | None, end: fl
     return [times[known[place]] for place in np.minimum(places, len(known) - 1)]
 
 
-def _cloth_mesh(piece: Piece, x: Float) -> Mesh:
+def _cloth_mesh(piece: ShownPiece, x: Float) -> Mesh:
     """A piece with faces as it is, a net as thin tubes along its springs."""
     if not len(piece.faces):
         vertices, faces, _ = tubes(x, piece.edges)
@@ -230,7 +230,7 @@ def _cloth_mesh(piece: Piece, x: Float) -> Mesh:
     return Mesh(x, piece.faces, _paint(piece, x))
 
 
-def _painted(piece: Piece, x: Float, by_point: Float) -> Mesh:
+def _painted(piece: ShownPiece, x: Float, by_point: Float) -> Mesh:
     """A piece of all points x (n, 3) in their colours (n, 3)."""
     own = slice(piece.start, piece.stop)
     if len(piece.faces):
@@ -254,7 +254,7 @@ def _most(pressure: Pressures, shown: list[Frame]) -> float:
     return float(max(found, default=0.0)) or 1.0
 
 
-def _paint_links(piece: Piece, x: Float) -> Float:
+def _paint_links(piece: ShownPiece, x: Float) -> Float:
     """(e, 3) linear light of a net's links: of their yarns, else the net's own, else of each by its stretch."""
     if piece.yarns is not None:
         return paint_yarns(piece.yarns)
@@ -263,7 +263,7 @@ def _paint_links(piece: Piece, x: Float) -> Float:
     return paint_stretch(piece.link_stretch(x))
 
 
-def _paint(piece: Piece, x: Float) -> Float:
+def _paint(piece: ShownPiece, x: Float) -> Float:
     if piece.colour is not None or not len(piece.edges):
         return np.tile(parse_hex(piece.colour or PLAIN), (len(x), 1))
     return paint_stretch(piece.stretch(x))

@@ -22,7 +22,7 @@ from nuno_schemas.surface import surface
 GROUND = "#d3d6d9"
 
 
-class Bodies:
+class BodiesView:
     """Logs a scene's bodies: meshes at once, poses in batches.
 
     recording  the rerun stream

@@ -13,9 +13,10 @@ import rerun as rr
 
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
+from nuno.export.cloth import cut_pieces
 from nuno.viewer import layout
 from nuno.viewer.about import about, about_tension, tension_legend
-from nuno.viewer.bodies import Bodies
+from nuno.viewer.bodies import BodiesView
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth, DyedTexture
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
@@ -73,7 +74,7 @@ class Bridge:
         self._fabrics: dict[str, int] = {}
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
-        self._bodies: Bodies | None = None
+        self._bodies: BodiesView | None = None
         self._speed = painter.speed if painter is not None else None
         self._dyed_object = painter.object if painter is not None else None
         self._dyed = self._dye(painter) if painter is not None else None
@@ -141,41 +142,22 @@ class Bridge:
 
     def _fabric(self, payload: bytes) -> None:
         arrays, text = decode_arrays(payload)
-        number = int(text["vertices"])
-        for name, width in (("faces", 3), ("edges", 2)):
-            indices = arrays[name]
-            if (
-                indices.ndim != 2
-                or indices.shape[1] != width
-                or (indices.size and not (indices.min() >= 0 and indices.max() < number))
-            ):
-                raise BadMessage(f"{name} of shape {indices.shape} for {number} vertices")
-        if (
-            len(arrays["pinned"]) != number
-            or len(arrays["edge_rest"]) != len(arrays["edges"])
-            or len(arrays.get("uv", arrays["pinned"])) != number
-            or len(arrays.get("edge_yarn", arrays["edges"])) != len(arrays["edges"])
-        ):
-            raise BadMessage("a fabric's arrays differ in length")
-        self._vertices, self._pinned = number, arrays["pinned"].astype(bool)
+        pieces, number = cut_pieces(arrays, text), int(text["vertices"])
+        self._vertices = number
+        self._pinned = arrays["pinned"].astype(bool)
         for cloth in self._cloths:
             cloth.clear()
         self._cloths = []
         # What does not change is static, and hides all that comes later: changed cloth has a place of its own.
-        for spec in text["objects"]:
-            if not 0 <= int(spec["start"]) <= int(spec["stop"]) <= number:
-                raise BadMessage(f"an object of vertices {spec['start']} to {spec['stop']} of {number}")
         version = self._fabrics.setdefault(hashlib.blake2b(payload).hexdigest(), len(self._fabrics))
-        for spec in text["objects"]:
-            place = ("world", "cloth", str(spec["name"]), *([str(version)] if version else []))
-            path = layout.entity(*place)
-            dyed = spec["name"] == self._dyed_object
-            cloth = Cloth(self.recording, path, spec, arrays, self.images, dyed, self.view.links)
+        for piece in pieces:
+            path = layout.entity("world", "cloth", piece.name, *([str(version)] if version else []))
+            dyed = piece.name == self._dyed_object
+            cloth = Cloth(self.recording, path, piece, self.images, dyed, self.view.links)
             self._cloths.append(cloth)
             if cloth.untextured:
-                self._log(
-                    "/log", rr.TextLog(f"the texture of {spec['name']} cannot be read: {spec['texture']}", level="WARN")
-                )
+                text_of = f"the texture of {piece.name} cannot be read: {piece.texture}"
+                self._log("/log", rr.TextLog(text_of, level="WARN"))
         if self._dyed is not None and self._dyed.shown is not None:
             self._wear(self._dyed.shown)
         tensions = [cloth.tensions.most for cloth in self._cloths if cloth.tensions]
@@ -230,7 +212,7 @@ class Bridge:
 
     def _geometry(self, payload: bytes) -> None:
         self.flush()
-        self._bodies = Bodies(self.recording, decode_geometry(payload), 1 if self.live else BATCH)
+        self._bodies = BodiesView(self.recording, decode_geometry(payload), 1 if self.live else BATCH)
         self._log("/plots/penetration", layout.names(["deepest", "mean of those inside"]), static=True)
         self._arrange()
 

@@ -11,10 +11,11 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from nuno.cloth.tension import SPAN, Tensions
+from nuno.cloth.tension import SPAN
+from nuno.export.cloth import ShownPiece
 from nuno.export.paint import PLAIN, STRETCH, paint_yarns, read_rgb
 from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
-from nuno.wire.arrays import BadMessage, origin_of
+from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 
 SPRING_WIDTH, MASS_SIZE = -2.0, -4.5
@@ -47,64 +48,44 @@ class Cloth:
     """Logs one object of a scene below `path`.
 
     recording  the rerun stream
-    spec       the object as in the fabric message: name, start, stop, texture, colour
-    arrays     the fabric message's arrays, of all objects
     dyed       its texture comes with the frames
     links      what colours the links of a net without triangles: yarn, their kinds as in pictures, or tension
-
-    Raises BadMessage where the arrays do not fit together.
     """
 
     def __init__(
         self,
         recording: Any,
         path: str,
-        spec: dict[str, Any],
-        arrays: dict[str, NDArray[Any]],
+        piece: ShownPiece,
         images: ReadImage,
         dyed: bool = False,
         links: str = "stretch",
     ) -> None:
-        self.recording, self.path = recording, path
-        self.start, self.stop = int(spec["start"]), int(spec["stop"])
+        self.recording, self.path, self.start, self.stop = recording, path, piece.start, piece.stop
         n = self.stop - self.start
-        self.faces = self._own(arrays["faces"])
-        self.edges = self._own(arrays["edges"])
-        self.rest = np.ascontiguousarray(arrays["edge_rest"][self._inside(arrays["edges"])], np.float32)
+        self.faces, self.edges = (np.ascontiguousarray(rows, np.int32) for rows in (piece.faces, piece.edges))
+        self.rest = np.ascontiguousarray(piece.rest, np.float32)
         self.stretch = np.zeros(len(self.edges), np.float32)
         self.most = np.zeros(n, np.float32)
         self.normals = np.zeros((n, 3), np.float32)
-        self.dyed = dyed and "uv" in arrays
-        named = spec.get("texture") if not self.dyed else None
-        image = images(named) if named and "uv" in arrays else None
+        self.dyed = dyed and piece.uv is not None
+        named = piece.texture if not self.dyed else None
+        image = images(named) if named and piece.uv is not None else None
         self.untextured = bool(named) and image is None
-        self.coloured = image is None and not self.dyed and not spec.get("colour") and len(self.edges) > 0
+        self.coloured = image is None and not self.dyed and not piece.colour and len(self.edges) > 0
         self.yarns = None
-        mine = self._inside(arrays["edges"])
-        self.tensions = Tensions.read(arrays, mine) if links == "tension" and not len(self.faces) else None
+        self.tensions = piece.tensions if links == "tension" and not len(self.faces) else None
         if self.tensions is not None:
             self.coloured = True
-        elif links == "yarn" and "edge_yarn" in arrays and not len(self.faces) and not spec.get("colour"):
-            self.yarns = pack(paint_yarns(arrays["edge_yarn"][mine].astype(np.int8)))
+        elif links == "yarn" and piece.yarns is not None and not len(self.faces) and not piece.colour:
+            self.yarns = pack(paint_yarns(piece.yarns))
             self.coloured = False
-        self._log_static(spec, arrays, image)
+        self._log_static(piece, image)
 
-    def _inside(self, indices: NDArray[Any]) -> NDArray[np.bool_]:
-        inside = (indices >= self.start) & (indices < self.stop)
-        if (inside.any(axis=1) != inside.all(axis=1)).any():
-            raise BadMessage("a face or spring joins two objects")
-        return np.asarray(inside.all(axis=1))
-
-    def _own(self, indices: NDArray[Any]) -> NDArray[np.int32]:
-        return np.ascontiguousarray(indices[self._inside(indices)] - self.start, np.int32)
-
-    def _log_static(
-        self, spec: dict[str, Any], arrays: dict[str, NDArray[Any]], image: NDArray[np.uint8] | None
-    ) -> None:
-        colour = pack(parse_hex(spec.get("colour") or PLAIN))
+    def _log_static(self, piece: ShownPiece, image: NDArray[np.uint8] | None) -> None:
+        colour = pack(parse_hex(piece.colour or PLAIN))
         if not len(self.faces):
-            pinned = arrays["pinned"][self.start : self.stop]
-            points = np.where(pinned, pack(parse_hex("#c0392b")), pack(parse_hex("#34495e")))
+            points = np.where(piece.pinned, pack(parse_hex("#c0392b")), pack(parse_hex("#34495e")))
             size = MASS_SIZE if self.tensions is None else CROSSING_SIZE
             self._log("masses", rr.Points3D.from_fields(colors=points.astype(np.uint32), radii=size), static=True)
             once = colour if self.yarns is None else self.yarns
@@ -112,10 +93,9 @@ class Cloth:
             self._log("springs", springs, static=True)
             return
         self._log("", rr.Mesh3D.from_fields(triangle_indices=self.faces.astype(np.uint32)), static=True)
-        if image is not None or self.dyed:
+        if piece.uv is not None and (image is not None or self.dyed):
             # v points up on cloth and down in images.
-            uv = np.asarray(arrays["uv"][self.start : self.stop], np.float32).copy()
-            uv[:, 1] = 1.0 - uv[:, 1]
+            uv = np.asarray(piece.uv, np.float32) * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
             self._log("", rr.Mesh3D.from_fields(vertex_texcoords=uv), static=True)
         if image is not None:
             self._log("", texture_of(image), static=True)
