@@ -15,7 +15,6 @@ from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision.plan import make_plan
 from nuno.warnings import scene_warnings
-from nuno.words import factor
 from nuno_schemas.bodies import Geometry, Poses
 
 
@@ -100,23 +99,13 @@ def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tupl
 
 
 def _solver(simulation: Simulation) -> str:
-    limit = simulation.limit.dt
-    most = f"limit {limit * 1e3:.4g} ms" if math.isfinite(limit) else "nothing limits it"
+    told, resolved = simulation.describe_step(simulation.loaded.integrator.name, simulation.limit.dt), ""
     if math.isfinite(simulation.limit.resolved):
-        most += f", solved as configured up to {simulation.limit.resolved * 1e3:.4g} ms"
-    name = simulation.loaded.integrator.name
-    return f"{name}, dt {simulation.dt * 1e3:.4g} ms, {simulation.steps} steps a frame; {most}"
+        resolved = f", solved as configured up to {simulation.limit.resolved * 1e3:.4g} ms"
+    return told + resolved
 
 
 def _cost(simulation: Simulation, seconds: float) -> list[tuple[str, str]]:
     scene, vertices = simulation.loaded.scene, simulation.fabric.number
-    every = scene.record.checkpoint_every
-    checkpoints = 1 + (int(scene.duration / every) if every else 0)
-    size = (12 * scene.frames + 48 * checkpoints) * vertices
-    _, memory = build.estimate_memory(simulation.loaded)
-    rate = 1 / scene.frame_rate / seconds
-    return [
-        ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s"),
-        ("time", f"about {seconds * scene.frames:.2g} s, {factor(rate)} real time (by a frame)"),
-        ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
-    ]
+    size = (12 * scene.frames + 48 * simulation.checkpoints) * vertices
+    return simulation.describe_cost(seconds, size, build.estimate_memory(simulation.loaded)[1])

@@ -44,11 +44,6 @@ def _object(loaded: Loaded) -> str:
     return f"on {dye.object}, " if dye is not None and dye.object is not None else ""
 
 
-def _speed(dyeing: DyeRun) -> str:
-    scene = dyeing.loaded.scene
-    return f", {duration(scene.frames / scene.frame_rate * dyeing.speed)} of dyeing" if dyeing.speed != 1.0 else ""
-
-
 def _supply(entry: Entry) -> str:
     one = entry.supply
     times = f"at {duration(one.start)}"
@@ -58,22 +53,14 @@ def _supply(entry: Entry) -> str:
 
 
 def _solver(dyeing: DyeRun, loaded: Loaded) -> str:
-    most = f"limit {dyeing.limit * 1e3:.4g} ms" if math.isfinite(dyeing.limit) else "nothing limits it"
     name = loaded.dye.solver.name if loaded.dye is not None else ""
-    return f"{name}, dt {dyeing.dt * 1e3:.4g} ms, {dyeing.steps} steps a frame; {most}; {dyeing.about()}"
+    return f"{dyeing.describe_step(name, dyeing.limit)}; {dyeing.about()}"
 
 
 def _cost(dyeing: DyeRun, loaded: Loaded) -> list[tuple[str, str]]:
-    scene, dye, chosen = loaded.scene, loaded.scene.dye, loaded.dye
-    every = scene.record.checkpoint_every
-    checkpoints = 1 + (int(scene.duration / every) if every else 0)
-    rare = scene.record.dye_every
-    shown = scene.frames if rare is None else min(scene.frames, int(scene.duration / rare) + checkpoints)
-    size = (8 * (shown + 1) + 16 * checkpoints) * dyeing.state.phi.size
+    scene, dye, chosen, rare = loaded.scene, loaded.scene.dye, loaded.dye, loaded.scene.record.dye_every
+    shown = scene.frames if rare is None else min(scene.frames, int(scene.duration / rare) + dyeing.checkpoints)
+    size = (8 * (shown + 1) + 16 * dyeing.checkpoints) * dyeing.state.phi.size
     memory = estimate_memory(loaded, dye, chosen)[1] if dye is not None and chosen is not None else 0
-    seconds = dyeing.time_frame()
-    return [
-        ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{_speed(dyeing)}"),
-        ("time", f"about {seconds * scene.frames:.2g} s, {1 / scene.frame_rate / seconds:.1f}x real time (by a frame)"),
-        ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
-    ]
+    speed = f", {duration(scene.frames / scene.frame_rate * dyeing.speed)} of dyeing" if dyeing.speed != 1.0 else ""
+    return dyeing.describe_cost(dyeing.time_frame(), size, memory, speed)

@@ -27,7 +27,7 @@ from nuno.stepping.stepped import Stepped, copy_into, hash_of
 from nuno.wire.arrays import decode_points, encode_points
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Int, Memory, State
+from nuno_schemas.fabric import Int, State
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
 from nuno_schemas.system import Forces, StepLimit, StepReport, System
 
@@ -56,7 +56,6 @@ class Simulation(Changing):
 
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
-        self.fabric: Fabric
         self.fabric, self.pieces = build.build_fabric(loaded, geometry, poses)
         if loaded.scene.until == "balance" and (self.fabric.springs is None or self.fabric.springs.number == 0):
             problem, remedy = "cloth without springs has no tension to be in balance with", "take until: rest"
@@ -74,7 +73,6 @@ class Simulation(Changing):
         self._report = StepReport("ok", 0)
         self._size = float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) if self.fabric.number else 0.0
         self.system: System
-        self.memory: Memory
         self.limit: StepLimit
         self._prepare({})
         for operation in self.loaded.operations:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
 from nuno.scene.scene_file import Loaded
+from nuno.words import factor
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
@@ -141,6 +143,27 @@ class Stepper(ABC):
         copy_into(self.arrays(), point.state)
         copy_into(self.memory.arrays, point.memory)
         self.frame = point.frame
+
+    @property
+    def checkpoints(self) -> int:
+        """How many a run keeps."""
+        every = self.loaded.scene.record.checkpoint_every
+        return 1 + (int(self.loaded.scene.duration / every) if every else 0)
+
+    def describe_step(self, solver: str, limit: float) -> str:
+        """A solver by its name, its step and the longest stable one [s], for `nuno plan`."""
+        most = f"limit {limit * 1e3:.4g} ms" if math.isfinite(limit) else "nothing limits it"
+        return f"{solver}, dt {self.dt * 1e3:.4g} ms, {self.steps} steps a frame; {most}"
+
+    def describe_cost(self, seconds: float, size: int, memory: int, more: str = "") -> list[tuple[str, str]]:
+        """What a run will take, by the seconds of a frame, bytes recorded and bytes of memory, for `nuno plan`."""
+        scene = self.loaded.scene
+        rate = factor(1 / scene.frame_rate / seconds)
+        return [
+            ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{more}"),
+            ("time", f"about {seconds * scene.frames:.2g} s, {rate} real time (by a frame)"),
+            ("storage", f"{size / 1e6:.3g} MB recorded, at most {memory / 2**20:.3g} MiB of memory for the cloth"),
+        ]
 
     def time_frame(self) -> float:
         """Wall time of the second frame from here on [s]; the first one may compile."""
