@@ -75,6 +75,17 @@ def test_a_saved_file_holds_each_frames_positions_to_the_last_bit(saved: Path) -
         assert np.array_equal(np.float32(points), decode_points(sent[frame]).astype(np.float32))
 
 
+def test_a_saved_file_shades_each_frame_by_its_own_shape(saved: Path) -> None:
+    """Arrays that rerun still holds are not those of the next frame."""
+    faces = np.int32(read(saved, CLOTH, "Mesh3D:triangle_indices", static=True)[0])
+    shown, normals = (read(saved, CLOTH, f"Mesh3D:vertex_{what}") for what in ("positions", "normals"))
+    assert sorted(normals) == list(range(20))
+    for frame, points in shown.items():
+        expected = np.zeros((len(points), 3), np.float32)
+        vertex_normals(np.float32(points), faces, expected)
+        assert np.abs(np.float32(normals[frame]) - expected).max() < 1e-3
+
+
 def test_two_conversions_of_one_run_are_equal(tmp_path: Path) -> None:
     fed = list(messages(5, 8, 6))
     for entity, column in ((CLOTH, "Mesh3D:vertex_colors"), ("/plots/energy", "Scalars:scalars")):

@@ -122,8 +122,9 @@ class Cloth:
             edge_stretch(near, self.edges, self.rest, self.stretch)
         if len(self.faces):
             vertex_normals(near, self.faces, self.normals)
+            # rerun holds what it is given, and writes it later: of the next frame, if it were the same array.
             mesh = rr.Mesh3D.from_fields(
-                vertex_positions=x, vertex_normals=self.normals, vertex_colors=self._vertex_colours()
+                vertex_positions=x, vertex_normals=self.normals.copy(), vertex_colors=self._vertex_colours()
             )
             self._log("", mesh)
             return
