@@ -23,6 +23,7 @@ from nuno.service import Options
 from nuno.stepping import driver
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Outcome
+from nuno.wire import laggards
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import hub_at, identity, spoke
 from nuno_schemas.messages import STATE
@@ -62,7 +63,9 @@ def deaf(endpoint: str, key: str) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-def test_who_reads_nothing_holds_up_nobody() -> None:
+def test_who_reads_nothing_is_named_and_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(laggards, "LOOK_SECONDS", 0.0)
+    monkeypatch.setattr(laggards, "BEHIND_SECONDS", 0.05)
     run = "deaf-run"
     with (
         hub_at(None, None, [identity(run, "recorder")]) as (session, endpoint),
@@ -86,7 +89,13 @@ def test_who_reads_nothing_holds_up_nobody() -> None:
         # Blocking for the deaf one would have taken all of SILENCE_SECONDS.
         assert time.monotonic() - begin < 60.0
         assert not inbox.counts.missing[STATE.name]
+        said: list[str] = []
+        watch = laggards.Laggards(session, {identity(run, "recorder"): "recorder"})
+        wait_until(lambda: watch.look(said.append) or bool(said))  # type: ignore[func-returns-value]
         token.undeclare()
+    assert len(said) == 1
+    assert "reads nothing and misses messages" in said[0]
+    assert f"process {foreign.pid}," in said[0]
 
 
 class Watched:

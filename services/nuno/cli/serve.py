@@ -18,6 +18,7 @@ from nuno.service import MODULES, SUPERVISOR, Options, run_service
 from nuno.supervision import runs
 from nuno.supervision.launch import FINISH_TIMEOUT
 from nuno.wire import sessions
+from nuno.wire.laggards import LOOK_SECONDS, Laggards
 from nuno_schemas.errors import BadInput, RunFailed
 
 LISTEN = "tcp/127.0.0.1:7447"
@@ -100,8 +101,10 @@ def _route(args: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     # Of a run that is not known by name, everyone is waited for.
-    services = [sessions.identity(args.run, name) for name in (SUPERVISOR, *MODULES)] if args.run else None
-    with sessions.hub(args.listen, args.config, services):
+    services = {sessions.identity(args.run, name): name for name in (SUPERVISOR, *MODULES)} if args.run else {}
+    with sessions.hub(args.listen, args.config, list(services) or None) as session:
         print(f"router at {args.listen}", flush=True)
-        stop.wait()
+        laggards = Laggards(session, services)
+        while not stop.wait(LOOK_SECONDS):
+            laggards.look(lambda text: print(text, file=sys.stderr, flush=True))
     return 0

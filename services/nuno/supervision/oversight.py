@@ -18,6 +18,8 @@ from nuno.supervision.plan import Plan
 from nuno.supervision.silence import Silence
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.health import offer_health
+from nuno.wire.laggards import Laggards
+from nuno.wire.sessions import identity
 from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic
@@ -79,6 +81,7 @@ class Supervisor:
         """What is wrong with the connection to the hub, "" for nothing."""
         self.broken = ""
         """What was wrong with it as services finished."""
+        self.laggards = Laggards(session, {identity(run, name): name for name in plan.services})
         self.silence = Silence(self.bus, plan.leader)
         self.exited: Callable[[], dict[str, str]] = dict
         """Services whose thread or process is over, with a reason; set by what starts them."""
@@ -183,6 +186,7 @@ class Supervisor:
         while self.ended is None:
             self._drain(progress, timeout=0.2)
             if progress is not None:
+                self.laggards.look(lambda text: self.say(text, progress))
                 self.silence.look(lambda text: self.say(text, progress))
             if broken := self.cut_off():
                 return broken
