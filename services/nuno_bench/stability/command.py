@@ -16,14 +16,14 @@ from nuno_bench.problem.observe import Problem
 from nuno_bench.report import markdown, page, plots
 from nuno_bench.stability import page as shown
 from nuno_bench.stability.sweep import Mapped, measure_all, settings_of
-from nuno_bench.sweep import executor, kept
+from nuno_bench.sweep import executor, kept, places
 from nuno_schemas.errors import BadInput
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
     options.add_seconds(parser, "--budget", 180.0, "wall time for each scene")
-    executor.add_arguments(parser)
+    places.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
@@ -35,7 +35,7 @@ def main(args: argparse.Namespace) -> int:
     for path in paths:
         markdown.check_section(args.docs, f"stability {path.stem}")
     kept.check([_rows(args, path) for path in paths], args.resume)
-    with executor.opened(args) as where:
+    with places.opened(args) as where:
         mapped = [_map(args, path, solvers, where) for path in paths]
     if args.rrd is not None:
         from nuno_bench.report import rerun
@@ -47,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
 def _choose(args: argparse.Namespace, paths: Sequence[Path]) -> list[str]:
     """Names of the solvers. Raises BadInput before anything runs."""
     options.require_budget(args.budget)
-    executor.check(args)
+    places.check(args)
     for path in paths:
         if scene_file.read(path, args.overrides).solver is None:
             remedy = "nuno bench precision holds solvers of dye against each other"

@@ -6,7 +6,6 @@ this machine. Results are the same bits wherever they come from; only times diff
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import os
 import platform
@@ -15,14 +14,12 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import islice
 from typing import Any, Protocol, TypeVar
 
 from nuno import registry
-from nuno_bench import machine
 from nuno_schemas.errors import BadInput
 
 Task = TypeVar("Task")
@@ -177,41 +174,3 @@ def versions() -> dict[str, str]:
         names = sorted(registry.installed(group))
         found |= {f"{kind} {name}": registry.package_version(group, name) for name in names}
     return found
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--jobs", type=int, metavar="N", help="processes on this machine (default: all cores)")
-    parser.add_argument(
-        "--dask", metavar="ADDRESS", help="a Dask scheduler whose workers compute the points: tcp://HOST:8786"
-    )
-
-
-def check(args: argparse.Namespace) -> None:
-    """Raises BadInput for numbers and combinations that no executor has."""
-    if args.jobs is not None and args.dask is not None:
-        raise BadInput("either --jobs or --dask says where points are computed", value=f"{args.jobs}, {args.dask}")
-    if args.jobs is not None and args.jobs < 1:
-        raise BadInput("at least one process is needed", field="--jobs", value=args.jobs)
-
-
-@contextmanager
-def opened(args: argparse.Namespace) -> Iterator[Executor]:
-    """The executor that the arguments ask for, all cores where they ask for none.
-
-    Raises BadInput, within seconds, where a cluster cannot be reached or has another version of nuno.
-    """
-    check(args)
-    made: Any
-    if args.dask is not None:
-        from nuno_bench.sweep.cluster import Cluster
-
-        made = Cluster(args.dask)
-    elif (number := args.jobs or machine.cores()) > 1:
-        made = Processes(number)
-    else:
-        yield Here()
-        return
-    try:
-        yield made
-    finally:
-        made.close()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from nuno_bench import machine, options
 from nuno_bench.report import markdown, plots
-from nuno_bench.sweep import executor
+from nuno_bench.sweep import executor, places
 from nuno_bench.sweep.kept import Kept, hint, require
 from nuno_bench.validation import page as shown
 from nuno_bench.validation import suite
@@ -19,7 +19,7 @@ from nuno_schemas.errors import BadInput
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="cases by name or its beginning (default: all)")
     options.add_shared(parser, "--solvers", "--resume", "--out", "--json", "--html", "--docs")
-    executor.add_arguments(parser)
+    places.add_arguments(parser)
     parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
 
 
@@ -32,12 +32,12 @@ def main(args: argparse.Namespace) -> int:
         print("\n".join(f"{case.name:{width}}  {case.law} ({case.source})" for case in cases))
         return 0
     _check_files(args)
-    executor.check(args)
+    places.check(args)
     path = args.out / "validate.rows.jsonl"
     if args.resume:
         require([path])
     asked = [[[case.name for case in part.cases], list(part.solvers)] for part in parts]
-    with executor.opened(args) as where:
+    with places.opened(args) as where:
         kept = Kept(path, {"parts": asked, "versions": executor.versions()}, args.resume)
         with hint(kept.path):
             outcomes = suite.check_all(parts, where, kept, lambda text: print(text, file=sys.stderr))

@@ -21,8 +21,8 @@ from nuno.recording.writer import check_payload, topic_of
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno.service import Context, Options, asks_to_finish
-from nuno.simulation.driver import Driver
 from nuno.simulation.run import Simulation
+from nuno.simulation.service import ClothDriver
 from nuno.wire.arrays import BadMessage, encode_picture
 from nuno.wire.bus import Bus, Inbox
 from nuno.wire.question import Question
@@ -173,7 +173,7 @@ def _asked(make: Callable[[Context], Callable[[Question], None]], folder: Path) 
 
 def _control(context: Context) -> Callable[[Question], None]:
     simulation = Simulation(context.loaded, None, None, 1)
-    driver = Driver(context, simulation, None)
+    driver = ClothDriver(context, simulation)
 
     def answer(question: Question) -> None:
         said = driver.control(question.json())
@@ -240,7 +240,7 @@ HEADERS = [
 MESSAGES = (
     Kind("message header", lambda folder: HEADERS, _header, mutate_json, ("nuno.wire.bus",), (BadMessage,)),
     *(_topic(name) for name in TOPICS if name not in UNDECODED),
-    _question("control", _control, ("nuno.stepping.driver", "nuno.simulation.driver")),
+    _question("control", _control, ("nuno.stepping.driver", "nuno.simulation.service")),
     _question("finish", _finish, ("nuno.service",)),
     _question("poses", _poses, ("nuno.collision.service",)),
     Kind("page request", lambda folder: _texts("page"), _page, mutate_json, ("nuno.draw.desk", "nuno.draw.lines")),

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import nuno
-from nuno.dye.checkpoint import read_checkpoints
 from nuno.export.cloth import read_bodies, read_pieces
 from nuno.recording.reader import Recording
 from nuno.recording.recover import recover
 from nuno.recording.restore import control_events, restored_scene
 from nuno.scene import scene_file
 from nuno_schemas.errors import BadInput
+from nuno_schemas.messages import DYE_CHECKPOINT
 from soak.fuzz.containers import RECORDING
 from soak.fuzz.kind import TAU3, Kind, Read, require
 from soak.fuzz.mutate import mutate_text
@@ -99,7 +99,7 @@ PARTS: tuple[Any, ...] = (
     _frames,
     lambda recording: recording.series(),
     lambda recording: list(recording.checkpoints()),
-    lambda recording: list(read_checkpoints(recording)),
+    lambda recording: list(recording.checkpoints(DYE_CHECKPOINT.name)),
     lambda recording: recording.common_checkpoint(),
     lambda recording: (recording.report(), recording.poses(), recording.geometry()),
     lambda recording: None if recording.dyed_alone else read_pieces(recording),
