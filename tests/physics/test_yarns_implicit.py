@@ -10,12 +10,12 @@ import pytest
 from nets import make_system, start
 from yarn_nets import balance, chains, line
 
+from nuno_integrators.implicit import linear_solve as solver
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.factor import factorise, make_factor, solve_factored
 from nuno_integrators.implicit.matrix import Linear, fill, make_linear
 from nuno_integrators.implicit.plan import make_plan
 from nuno_integrators.implicit.plugin import TRBDF2, ImplicitEuler
-from nuno_integrators.implicit.plugin import linear_solve as solver
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.step.packing import pack, to_rows

@@ -15,7 +15,8 @@ import pytest
 
 from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
-from nuno.simulation.run import Frame, Simulation
+from nuno.simulation.run import Simulation
+from nuno.stepping.stepped import Stepped
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -35,7 +36,7 @@ class Played:
         rate = loaded.scene.frame_rate
         poses = [bodies.poses(i / rate) if bodies else None for i in range(loaded.scene.frames + 1)]
         self.simulation = Simulation(loaded, bodies.geometry if bodies else None, poses[0], 1)
-        self.frames: list[Frame] = []
+        self.frames: list[Stepped] = []
         self.plugin = loaded.integrator.plugin
         start = self.simulation.measure(poses[0])
         path, speed, self.energy = [self.simulation.state.x.copy()], [self.simulation.state.v.copy()], [start.energy]

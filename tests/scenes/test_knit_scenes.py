@@ -9,8 +9,8 @@ import pytest
 
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
+from nuno_integrators.implicit import linear_solve as solver
 from nuno_integrators.implicit.plugin import ImplicitEuler
-from nuno_integrators.implicit.plugin import linear_solve as solver
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Fabric, Float, State

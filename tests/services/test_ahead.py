@@ -16,7 +16,7 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno.words import roughly
 from nuno_bench.gallery import command as gallery
-from nuno_bench.gallery.kind import Columns, Kind, Shown
+from nuno_bench.gallery.kind import Kind, Shown
 from nuno_bench.sweep.executor import Here
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.validation import suite
@@ -57,12 +57,11 @@ def test_a_gallery_says_first_how_long_it_takes_and_then_what_is_left(
     """Three scenes that are expected to take 60, 120 and 180 s; the first takes a thousandth of that."""
     scenes = {name: write_scene(tmp_path).rename(tmp_path / f"{name}.yaml") for name in ("one", "two", "three")}
 
-    def run_scene(path: Path) -> Shown[None]:
+    def run_scene(path: Path) -> Shown:
         time.sleep(0.06)
-        return Shown(path.stem, "", [], [[path.stem]], [path.stem, ""], None)
+        return Shown(path.stem, "")
 
-    columns = Columns(("scene",), "")
-    kind = Kind("t", "l", lambda: scenes, run_scene, lambda shown: [], (columns,), Columns(("scene", "n"), ""), "")
+    kind = Kind("t", "l", lambda: scenes, run_scene, (), "")
     expected = iter((60.0, 120.0, 180.0))
     monkeypatch.setattr(gallery, "KINDS", {"knit": kind})
     monkeypatch.setattr(gallery, "run_seconds", lambda loaded: next(expected))

@@ -19,7 +19,8 @@ from nuno_bench.precision.findings import fit_order, judge
 from nuno_bench.precision.page import Findings
 from nuno_bench.precision.settings import choose_solvers
 from nuno_bench.precision.sweep import MORE, Runner
-from nuno_bench.problem.observe import GROUP, Problem, Reference, simulate
+from nuno_bench.problem.observe import Problem, simulate
+from nuno_bench.problem.reference import GROUP, Reference
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepReport

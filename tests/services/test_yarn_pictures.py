@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from nuno import api
-from nuno.cloth import build, edges
+from nuno.cloth import build
+from nuno.cloth.yarns import edge_yarns
 from nuno.export.cloth import read_pieces
 from nuno.export.paint import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns
 from nuno.export.pictures import Painter
@@ -35,7 +36,7 @@ def test_every_edge_knows_its_yarn() -> None:
     """The soft one is the first, the stiff one the second."""
     net = fabric()
     assert net.springs is not None
-    kinds = edges.edge_yarns(net)
+    kinds = edge_yarns(net)
     assert kinds is not None
     assert np.array_equal(kinds, (net.springs.k == 10.0).astype(np.int8))
 
