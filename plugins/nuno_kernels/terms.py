@@ -22,6 +22,7 @@ from numba.extending import overload
 
 from nuno_kernels import FLAGS
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
 
 
 class Measured(NamedTuple):
@@ -33,6 +34,19 @@ class Measured(NamedTuple):
     stretch: float = 0.0
     shortest: float = float("inf")
     zero_length: int = 0
+
+
+class Displaced(NamedTuple):
+    """A step of xpbd under way: x (3, n) [m] at its start, u (3, n) how far vertices have moved [m], y and w (3, n)
+    scratch, mobility (1, n) [s^2/kg] (see nuno_integrators.xpbd.constraints), and 1 / the step [1/s].
+    """
+
+    x: Float
+    u: Float
+    y: Float
+    w: Float
+    mobility: Float
+    inverse_step: float
 
 
 @dataclass(frozen=True)
@@ -53,11 +67,10 @@ class Kernels:
     multiply(term, rows, block, origin, u, out)    adds the matrix' product with u (3, n) to out (3, w)
     assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_integrators.implicit.factor
 
-    carry(term, x, u, y, w, s)                     of xpbd: displacements u of carried vertices; y, w (3, n) are scratch
-    project(term, x, u, y, w, s, inverse_step, mobility, held, threads)   of xpbd: solves for a body; see
-                                                   nuno_contact.penalty.projection
-    sweep(batches, batch, x, u, mobility, inverse_step)   of batches of constraints: solves those of one batch, in place
-                                                   in the displacements u (3, n); see nuno_integrators.xpbd.constraints
+    carry(term, moved, s)                          of xpbd: puts displacements of carried vertices into `Displaced`
+    project(term, moved, s, held, threads)         of xpbd: solves for a body; see nuno_contact.penalty.projection
+    sweep(batches, batch, moved)                   of batches of constraints: solves those of one batch, in place in the
+                                                   displacements; see nuno_integrators.xpbd.constraints
     forget(batches)                                of batches of constraints: begins a step without forces
 
     Called from Python:

@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field
 from nuno_knit.paths import Paths, find_paths, mean_length
 from nuno_knit.quantities import Length, Reach
 from nuno_knit.skin import Skin
-from nuno_knit.strings import LIES, LOST, lay_over
+from nuno_knit.strings import LIES, LOST, Footed, lay_over
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, State
@@ -136,7 +136,7 @@ def repair(paths: Paths, x: Float, skin: Skin | None, tolerance: float) -> Repai
     if not np.isfinite(x[paths.vertex]).all():
         raise BadInput("yarns that are not finite cannot be laid over a body", field="x")
     found, normals = skin.look(x)
-    laid = lay_over(skin.joined, x, skin.facing[found.face], found.distance, found.face, pairs, tolerance)
+    laid = lay_over(skin.joined, Footed(x, skin.facing[found.face], found.distance, found.face), pairs, tolerance)
     status, count = laid.status.copy(), np.diff(laid.ptr)
     gained, face = laid.points, laid.face
     halves: dict[int, tuple[Float, Int]] = {}
@@ -160,7 +160,7 @@ def halve(skin: Skin, ends: Float, tolerance: float, times: int) -> tuple[Float,
     points = np.concatenate([ends[:1], middle, ends[1:]])
     at, _ = skin.look(points)
     pairs = np.array([[0, 1], [1, 2]], np.int32)
-    laid = lay_over(skin.joined, points, skin.facing[at.face], at.distance, at.face, pairs, tolerance)
+    laid = lay_over(skin.joined, Footed(points, skin.facing[at.face], at.distance, at.face), pairs, tolerance)
     parts: list[Float] = []
     faces: list[Int] = []
     complete = True

@@ -11,7 +11,7 @@ the plane's line joins both points.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from nuno_schemas.fabric import Float, Int
 
 
 @kernel
-def upper_hull(count: int, length: float, tolerance: float, u: Any, w: Any, order: Any) -> int:
+def upper_hull(count: int, length: float, tolerance: float, u: Float, w: Float, order: NDArray[np.int64]) -> int:
     """How many of `count` points (u, w) make the upper hull of them, (0, 0) and (length, 0); order[:..] are those.
 
     Points that rise above the way without them by no more than `tolerance` [m] are left out.
@@ -50,7 +50,7 @@ def upper_hull(count: int, length: float, tolerance: float, u: Any, w: Any, orde
 
 
 @kernel
-def thin_hull(count: int, length: float, tolerance: float, u: Any, w: Any, order: Any) -> int:
+def thin_hull(count: int, length: float, tolerance: float, u: Float, w: Float, order: NDArray[np.int64]) -> int:
     """Leave points of a hull out as long as all those left out stay within `tolerance` of the way: see upper_hull."""
     kept, x0, y0, last = 0, 0.0, 0.0, 0
     for k in range(1, count + 1):
@@ -71,46 +71,13 @@ LIES, CLEAR, LOST = 1, 0, -1
 """What became of a chord: laid over the mesh, outside of it as it is, or no way was found."""
 
 
-@kernel
-def lay_chords(
-    begin: int, points: Any, normals: Any, distance: Any, foot: Any, pairs: Any, tolerance: float, vertices: Any,
-    faces: Any, across: Any, ptr: Any, around: Any, status: Any, ends: Any, added: Any, face_of: Any,
-) -> int:  # fmt: skip
-    """Lay chords `begin` and on over the mesh; returns the first that finds no room in `added` any more.
+class Footed(NamedTuple):
+    """Points (n, 3) [m] near a mesh: normals (n, 3), distance (n,) [m] and triangle (n,) of its closest point."""
 
-    Chord k gains points added[ends[k]:ends[k + 1]] (.., 3), each on an edge of triangle face_of[..].
-    """
-    u, w = np.empty(STEPS), np.empty(STEPS)
-    met, order = np.empty((STEPS, 2), np.int64), np.empty(STEPS, np.int64)
-    for k in range(begin, pairs.shape[0]):
-        i, j, at = pairs[k, 0], pairs[k, 1], ends[k]
-        if at + STEPS > added.shape[0]:
-            return k
-        ends[k + 1], status[k] = at, CLEAR
-        dx, dy, dz = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
-        # No point of a chord is nearer to the mesh than its end less the way from there.
-        if max(distance[i], 0.0) + max(distance[j], 0.0) >= math.sqrt(dx * dx + dy * dy + dz * dz):
-            continue
-        chord = make_chord(points, normals, i, j)
-        start = find_start(chord, foot[i], vertices, faces, ptr, around) if chord.length > 0.0 else -1
-        count = -1
-        if start >= 0:
-            below = 2.0 * max(-distance[i], -distance[j], 0.0)
-            count = follow_section(chord, start, below, vertices, faces, across, u, w, met)
-        if count < 0:
-            status[k] = LOST
-            continue
-        kept = upper_hull(count, chord.length, tolerance, u, w, order)
-        for m in range(kept):
-            face, edge = met[order[m], 0], met[order[m], 1]
-            first, second = faces[face, edge], faces[face, (edge + 1) % 3]
-            t = edge_share(chord, first, second, vertices)
-            for c in range(3):
-                added[at + m, c] = vertices[first, c] + t * (vertices[second, c] - vertices[first, c])
-            face_of[at + m] = face
-        if kept > 0:
-            status[k], ends[k + 1] = LIES, at + kept
-    return int(pairs.shape[0])
+    points: Float
+    normals: Float
+    distance: Float
+    foot: Int
 
 
 class Laid(NamedTuple):
@@ -122,20 +89,55 @@ class Laid(NamedTuple):
     face: Int
 
 
-def lay_over(
-    mesh: Joined, points: Float, normals: Float, distance: Float, foot: Int, pairs: Int, tolerance: float
-) -> Laid:
-    """Chords between points (n, 3) [m], pairs (s, 2) of them, as strings over a closed mesh.
+@kernel
+def lay_chords(begin: int, near: Footed, pairs: NDArray[np.int64], tolerance: float, mesh: Joined, laid: Laid) -> int:
+    """Lay chords `begin` and on over the mesh; returns the first that finds no room in laid.points any more."""
+    points, distance, status, ends, added = near.points, near.distance, laid.status, laid.ptr, laid.points
+    vertices, faces = mesh.vertices, mesh.faces
+    u, w = np.empty(STEPS), np.empty(STEPS)
+    met, order = np.empty((STEPS, 2), np.int64), np.empty(STEPS, np.int64)
+    for k in range(begin, pairs.shape[0]):
+        i, j, at = pairs[k, 0], pairs[k, 1], ends[k]
+        if at + STEPS > added.shape[0]:
+            return k
+        ends[k + 1], status[k] = at, CLEAR
+        dx, dy, dz = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+        # No point of a chord is nearer to the mesh than its end less the way from there.
+        if max(distance[i], 0.0) + max(distance[j], 0.0) >= math.sqrt(dx * dx + dy * dy + dz * dz):
+            continue
+        chord = make_chord(points, near.normals, i, j)
+        start = find_start(chord, near.foot[i], vertices, faces, mesh.ptr, mesh.around) if chord.length > 0.0 else -1
+        count = -1
+        if start >= 0:
+            below = 2.0 * max(-distance[i], -distance[j], 0.0)
+            count = follow_section(chord, start, below, vertices, faces, mesh.across, u, w, met)
+        if count < 0:
+            status[k] = LOST
+            continue
+        kept = upper_hull(count, chord.length, tolerance, u, w, order)
+        for m in range(kept):
+            face, edge = met[order[m], 0], met[order[m], 1]
+            first, second = faces[face, edge], faces[face, (edge + 1) % 3]
+            t = edge_share(chord, first, second, vertices)
+            for c in range(3):
+                added[at + m, c] = vertices[first, c] + t * (vertices[second, c] - vertices[first, c])
+            laid.face[at + m] = face
+        if kept > 0:
+            status[k], ends[k + 1] = LIES, at + kept
+    return int(pairs.shape[0])
 
-    normals (n, 3), distance (n,) [m] and foot (n,) are those of the mesh at each point's closest point. Where
-    a chord lies no deeper than `tolerance` [m] it is left as it is.
+
+def lay_over(mesh: Joined, near: Footed, pairs: Int, tolerance: float) -> Laid:
+    """Chords between points, pairs (s, 2) of them, as strings over a closed mesh.
+
+    Where a chord lies no deeper than `tolerance` [m] it is left as it is.
     """
-    pairs = np.ascontiguousarray(pairs, np.int64)
-    status, ends = np.zeros(len(pairs), np.int8), np.zeros(len(pairs) + 1, np.int64)
-    added, face = np.empty((len(pairs) + 2 * STEPS, 3)), np.empty(len(pairs) + 2 * STEPS, np.int32)
+    every = np.ascontiguousarray(pairs, np.int64)
+    status, ends = np.zeros(len(every), np.int8), np.zeros(len(every) + 1, np.int64)
+    added, face = np.empty((len(every) + 2 * STEPS, 3)), np.empty(len(every) + 2 * STEPS, np.int32)
     done = 0
-    while done < len(pairs):
-        done = lay_chords(done, points, normals, distance, foot, pairs, tolerance, *mesh, status, ends, added, face)
-        if done < len(pairs):
+    while done < len(every):
+        done = lay_chords(done, near, every, tolerance, mesh, Laid(status, ends, added, face))
+        if done < len(every):
             added, face = np.concatenate([added, np.empty_like(added)]), np.concatenate([face, np.empty_like(face)])
     return Laid(status, ends, added[: ends[-1]].copy(), face[: ends[-1]].copy())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,15 +14,35 @@ from nuno_wrinkle.near import BENDING, Near, Rule, damping_of, ones, stiffness_o
 from nuno_wrinkle.raised import Raised, Region
 
 
-def bend_springs(
-    fabric: Fabric, springs: Springs, across: Int, raised: Raised, mass: Float, model: Mapping[str, float], rule: Rule,
-    moved: Bool, edges: Edges, share: Float,
-) -> Springs:  # fmt: skip
+@dataclass(frozen=True)
+class Remade:
+    """A raised surface whose net is being made: of n + m vertices, with e edges of the region's triangles."""
+
+    fabric: Fabric
+    raised: Raised
+    near: Near
+    model: Mapping[str, float]
+    rule: Rule
+    edges: Edges
+    moved: Bool
+    """(n + m,) vertices that are new or smoothed"""
+    mass: Float
+    """(n + m,) [kg]"""
+    rest: Float
+    """(e,) rest lengths [m]"""
+    share: Float
+    """(e,) mean stretch of the old triangles at each edge"""
+    areas: tuple[Float, Float]
+    """of the region's triangles at rest [m^2], before and after"""
+
+
+def bend_springs(made: Remade, springs: Springs, across: Int) -> Springs:
     """The same with bending springs across new edges, and without those across edges that are gone.
 
     Across an old edge, one that could not be flipped, a spring that would double a structural one is left out. Across
     a new edge it is not: of a triangle without neighbours the division makes three, along its sides.
     """
+    fabric, raised, model, moved, edges = made.fabric, made.raised, made.model, made.moved, made.edges
     if not model["k_bend"]:
         return springs
     old = raised.changed[raised.changed < len(fabric.faces)]
@@ -47,14 +68,14 @@ def bend_springs(
     rest[turned] *= _length(raised.x, one, other) / _length(raised.flat, one, other)
     doubled = edges.rows(keys_of(after[:, 2:]))[1] & (after[:, :2] < fabric.number).all(axis=1)
     pairs = np.ascontiguousarray(after[~doubled, 2:])
-    length = _length(raised.x, *pairs.T) / share[edges.rows(keys_of(after[~doubled, :2]))[0]]
-    k = stiffness_of(length, model["k_bend"], model["r_bend"], rule)
+    length = _length(raised.x, *pairs.T) / made.share[edges.rows(keys_of(after[~doubled, :2]))[0]]
+    k = stiffness_of(length, model["k_bend"], model["r_bend"], made.rule)
     return Springs(
         np.concatenate([springs.first.compress(kept, axis=0), pairs]),
         *ones(int(kept.sum()) + len(pairs)),
         np.concatenate([springs.k[kept], k]),
         np.concatenate([rest[kept], length]),
-        np.concatenate([springs.c[kept], damping_of(k, pairs, mass, model["damping_ratio"])]),
+        np.concatenate([springs.c[kept], damping_of(k, pairs, made.mass, model["damping_ratio"])]),
         np.concatenate([springs.kind[kept], np.full(len(pairs), BENDING, np.int8)]),
     )
 
@@ -63,13 +84,11 @@ def _length(x: Float, one: Int, other: Int) -> Float:
     return np.asarray(np.linalg.norm(x[other] - x[one], axis=1))
 
 
-def build_hinges(
-    fabric: Fabric, raised: Raised, near: Near, region: Region, edges: Edges, rest: Float,
-    areas: tuple[Float, Float], kept: float | None, moved: Bool, mass: Float, springs: Springs,
-) -> Hinges | None:  # fmt: skip
+def build_hinges(made: Remade, springs: Springs, region: Region, kept: float | None) -> Hinges | None:
     """Hinges across the edges of changed triangles made anew; those of rigidity `kept` [N m] have the folds of the
     line at rest.
     """
+    fabric, raised, near, edges, mass = made.fabric, made.raised, made.near, made.edges, made.mass
     old = fabric.hinges
     if old is None:
         return None
@@ -79,18 +98,18 @@ def build_hinges(
     key = keys_of(quads[near_by, :2])
     gone = near_by[was.rows(key)[1]]
     place, _ = near.edges.rows(keys_of(quads[gone, :2]))
-    total = np.bincount(near.edges.of_face.reshape(-1), np.repeat(areas[0], 3))
+    total = np.bincount(near.edges.of_face.reshape(-1), np.repeat(made.areas[0], 3))
     rigidity = float((k[gone] * total[place] / np.square(near.rest[place])).mean()) if len(gone) else 0.0
     anew = quads_of(raised.faces, raised.across, raised.changed)
     place, _ = edges.rows(keys_of(anew[:, :2]))
-    total = np.bincount(edges.of_face.reshape(-1), np.repeat(areas[1], 3))
-    shape = np.square(rest[place]) / total[place]
+    total = np.bincount(edges.of_face.reshape(-1), np.repeat(made.areas[1], 3))
+    shape = np.square(made.rest[place]) / total[place]
     stiff, folds = rigidity * shape, np.zeros(len(anew))
     if kept is not None:
         pinned = np.append(fabric.pinned, np.zeros(len(mass) - fabric.number, np.bool_))
         stiff = np.maximum(stiff, np.minimum(kept * shape, most_stiffness(raised.x, anew, mass, pinned, springs)))
         folds = fold_angles(raised.x, anew) - fold_angles(raised.flat, anew)
-        turned = near_by[any_of(moved, quads[near_by])]
+        turned = near_by[any_of(made.moved, quads[near_by])]
         angle[turned] += fold_angles(raised.x, quads[turned]) - fold_angles(raised.flat, quads[turned])
     stays = np.ones(len(quads), np.bool_)
     stays[gone] = False

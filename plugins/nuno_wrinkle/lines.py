@@ -15,7 +15,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.lines import MOST_POINTS, Line
 from nuno_schemas.plugin import Files
-from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, walk_line
+from nuno_wrinkle.surface import NO_BORDER, NO_CROWDED, TOUCH, WAY, Passed, Way, walk_line
 
 INSIDE = 1e-3
 """Least barycentric coordinate of a line's points: on an edge a point would belong to two triangles."""
@@ -167,7 +167,8 @@ def _walk(
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     total[-1, 0] = TOUCH * max(float(step.max()), 1e-300)
     path = np.empty(2 * len(faces) + len(face), np.int32)
-    ended, point, passed = walk_line(x, faces, across, face, at, points, normal, float(line.height), total, up, path)
+    way = Way(face, at, points, normal, float(line.height))
+    ended, point, passed = walk_line(x, faces, across, way, Passed(total, up, path))
     if ended != WAY:
         _refuse(ended, i, point, len(line.points or line.texture or line.on_faces or ()))
     chain = path[:passed]

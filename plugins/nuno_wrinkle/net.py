@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
-from nuno_wrinkle.edges import Edges, any_of, edges_of, heron, pairs_of
-from nuno_wrinkle.folds import bend_springs, build_hinges
+from nuno_wrinkle.edges import any_of, edges_of, heron, pairs_of
+from nuno_wrinkle.folds import Remade, bend_springs, build_hinges
 from nuno_wrinkle.near import STRUCTURAL, Near, Rule, damping_of, ones, stiffness_of
 from nuno_wrinkle.raised import Raised, Region
 
@@ -58,9 +58,9 @@ def build_net(
     before = heron(near.rest[near.edges.of_face])
     after = heron(rest[edges.of_face])
     mass = _masses(fabric, raised, moved, before, after, model["density"])
-    structural = _structural(fabric, raised, near, edges, rest, stays, mass, model, rule)
-    springs = bend_springs(fabric, structural, across, raised, mass, model, rule, moved, edges, share)
-    hinges = build_hinges(fabric, raised, near, region, edges, rest, (before, after), kept, moved, mass, springs)
+    made = Remade(fabric, raised, near, model, rule, edges, moved, mass, rest, share, (before, after))
+    springs = bend_springs(made, _structural(made, stays), across)
+    hinges = build_hinges(made, springs, region, kept)
     return Net(springs, hinges, mass, float(after.sum() - before.sum()))
 
 
@@ -83,12 +83,9 @@ def _masses(fabric: Fabric, raised: Raised, moved: Bool, before: Float, after: F
     return np.where(anew, total, old + gained)
 
 
-def _structural(
-    fabric: Fabric, raised: Raised, near: Near, edges: Edges, rest: Float, stays: Bool, mass: Float,
-    model: Mapping[str, float], rule: Rule,
-) -> Springs:  # fmt: skip
+def _structural(made: Remade, stays: Bool) -> Springs:
     """All old springs but those whose edges are gone, then those of new edges."""
-    old = fabric.springs
+    old, near, edges, rest = made.fabric.springs, made.near, made.edges, made.rest
     assert old is not None
     at, gone = edges.rows(near.edges.key)
     gone = ~gone
@@ -97,12 +94,13 @@ def _structural(
     kept = np.ones(old.number, np.bool_)
     kept[near.spring[gone]] = False
     pairs = pairs_of(edges.key[~stays])
-    k = stiffness_of(rest[~stays], model["k_std"], model["r_avg"], rule)
+    k = stiffness_of(rest[~stays], made.model["k_std"], made.model["r_avg"], made.rule)
+    c = damping_of(k, pairs, made.mass, made.model["damping_ratio"])
     return Springs(
         np.concatenate([old.pairs().compress(kept, axis=0), pairs]),
         *ones(int(kept.sum()) + len(pairs)),
         np.concatenate([old.per_spring(old.k)[kept], k]),
         np.concatenate([length[kept], rest[~stays]]),
-        np.concatenate([old.per_spring(old.c)[kept], damping_of(k, pairs, mass, model["damping_ratio"])]),
+        np.concatenate([old.per_spring(old.c)[kept], c]),
         np.concatenate([np.repeat(old.kind, old.count)[kept], np.full(len(pairs), STRUCTURAL, np.int8)]),
     )

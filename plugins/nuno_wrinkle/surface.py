@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nuno_kernels import kernel
@@ -53,9 +55,36 @@ def link_faces(faces: Int, n: int) -> Int:
     return across
 
 
+class Way(NamedTuple):
+    """A polyline of height `height` [m] over triangles: its points' triangles (p,), barycentric coordinates (p, 3),
+    places (p, 3) [m], and normals (p, 3) of the surface there.
+    """
+
+    face: Int
+    at: Float
+    points: Float
+    normal: Float
+    height: float
+
+
+class Passed(NamedTuple):
+    """What lines leave behind on f triangles.
+
+    total (f + 1, 5)  length times the middle of each part (barycentric), length, length times height; total[f, 0] is
+                      the least length that a part counts
+    up    (f, 2)      whether a valley, a ridge goes through
+    path  (q,)        triangles of one line in their order
+    """
+
+    total: Float
+    up: Bool
+    path: Int
+
+
 @kernel
-def _count(i: int, entry: Float, leave: Float, x: Float, faces: Int, height: float, total: Float, up: Bool) -> None:
-    """Add one line's part in triangle i, from `entry` to `leave` (3,) barycentric, to total (f, 5) and up (f, 2)."""
+def _count(i: int, entry: Float, leave: Float, x: Float, faces: Int, height: float, passed: Passed) -> None:
+    """Add one line's part in triangle i, from `entry` to `leave` (3,) barycentric."""
+    total = passed.total
     length = 0.0
     for k in range(3):
         d = 0.0
@@ -67,56 +96,46 @@ def _count(i: int, entry: Float, leave: Float, x: Float, faces: Int, height: flo
         total[i, c] += 0.5 * length * (entry[c] + leave[c])
     total[i, 3] += length
     total[i, 4] += length * height
-    up[i, 1 if height > 0.0 else 0] = True
+    passed.up[i, 1 if height > 0.0 else 0] = True
 
 
 @kernel
-def walk_line(
-    x: Float, faces: Int, across: Int, face: Int, at: Float, points: Float, normal: Float, height: float, total: Float,
-    up: Bool, path: Int,
-) -> tuple[int, int, int]:  # fmt: skip
+def walk_line(x: Float, faces: Int, across: Int, way: Way, passed: Passed) -> tuple[int, int, int]:
     """Follow a polyline over the triangles; how it ended, at which point, and how many triangles were passed.
-
-    face (p,), at (p, 3), points (p, 3), normal (p, 3)  the points' triangles, barycentric coordinates, places [m], and
-                                                        normals of the surface
-    total (f + 1, 5)  out: length times the middle of each part (barycentric), length, length times height;
-                      total[f, 0] is the least length that a part counts
-    up (f, 2)         out: whether a valley, a ridge goes through
-    path (q,)         out: triangles in their order
 
     Between two points a line goes where the plane through both, along the mean of their normals, cuts the surface
     (nuno_kernels.meshes.section).
     """
-    passed = 0
+    face, at, path, count = way.face, way.at, passed.path, 0
     entry, leave = np.empty(3), np.empty(3)
     for p in range(len(face) - 1):
-        chord = make_chord(points, normal, p, p + 1)
+        chord = make_chord(way.points, way.normal, p, p + 1)
         here, goal = face[p], face[p + 1]
         entry[:] = at[p]
         for _ in range(faces.shape[0] + 1):
-            if passed == len(path):
-                return NO_WAY, p, passed
-            path[passed] = here
-            passed += 1
+            if count == len(path):
+                return NO_WAY, p, count
+            path[count] = here
+            count += 1
             if here == goal:
-                _count(here, entry, at[p + 1], x, faces, height, total, up)
+                _count(here, entry, at[p + 1], x, faces, way.height, passed)
                 break
             out = crossed_edge(chord, here, True, x, faces) if chord.length > 0.0 else -1
             if out < 0:
-                return NO_WAY, p, passed
+                return NO_WAY, p, count
             ahead = (out + 1) % 3
             cut = edge_share(chord, faces[here, out], faces[here, ahead], x)
             leave[:] = 0.0
             leave[out], leave[ahead] = 1.0 - cut, cut
-            _count(here, entry, leave, x, faces, height, total, up)
+            _count(here, entry, leave, x, faces, way.height, passed)
             after = across[here, out]
             if after < 0:
-                return (NO_BORDER if after == BORDER else NO_CROWDED), p, passed
+                return (NO_BORDER if after == BORDER else NO_CROWDED), p, count
             entry[:] = 0.0
             for c in range(3):
                 if faces[after, c] == faces[here, ahead] and across[after, c] == here:
                     entry[c], entry[(c + 1) % 3] = cut, 1.0 - cut
             here = after
         else:
-            return NO_WAY, p, passed
-    return WAY, -1, passed
+            return NO_WAY, p, count
+    return WAY, -1, count

@@ -65,18 +65,18 @@ def fall(x, v, mass, gravity, contact, s0, s1, steps, dt, force):
     ds = (s1 - s0) / steps
     for step in range(steps):
         force[:] = 0.0
-        add_contact(x, v, s0 + step * ds, contact, force)
+        add_contact(contact, x, v, s0 + step * ds, force, None)
         for c in range(3):
             for i in range(x.shape[1]):
                 v[c, i] += dt * (force[c, i] / mass[i] + gravity[c])
                 x[c, i] += dt * v[c, i]
-        commit_contact(x, v, s0 + (step + 1) * ds, contact)
+        commit_contact(contact, x, v, s0 + (step + 1) * ds, None)
 
 
 def settle(contact, x, v, s=0.0):
     """End a step at x, v: an evaluation and the commit that goes by it."""
-    add_contact(x, v, s, contact, np.zeros_like(x))
-    commit_contact(x, v, s, contact)
+    add_contact(contact, x, v, s, np.zeros_like(x), None)
+    commit_contact(contact, x, v, s, None)
 
 
 def points(*rows):

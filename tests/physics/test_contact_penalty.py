@@ -5,13 +5,7 @@ import numpy as np
 import pytest
 from contact_world import STILL, G, box, capsule, contact_for, fall, geometry, move, plane, points
 
-from nuno_contact.penalty.contact import (
-    add_contact,
-    add_contact_parallel,
-    commit_contact,
-    commit_contact_parallel,
-    count_contacts,
-)
+from nuno_contact.penalty.contact import add_contact, commit_contact, count_contacts
 from nuno_contact.penalty.plugin import Penalty, PenaltyConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
@@ -21,7 +15,7 @@ DOWN = np.array([0.0, -G, 0.0])
 
 def force_on(contact, x, v=None, s=0.0):
     force = np.zeros_like(x)
-    add_contact(x, np.zeros_like(x) if v is None else v, s, contact, force)
+    add_contact(contact, x, np.zeros_like(x) if v is None else v, s, force, None)
     return force
 
 
@@ -134,8 +128,8 @@ def test_skipping_distant_primitives_changes_no_bit():
         force, other = force_on(contact, x, v, 0.5), force_on(shuffled, y, w, 0.5)
         assert force[:, order].tobytes() == other.tobytes()
         assert (np.abs(force).sum(axis=0) > 0.0).sum() > 500
-        commit_contact(x, v, 0.5, contact)
-        commit_contact(y, w, 0.5, shuffled)
+        commit_contact(contact, x, v, 0.5, None)
+        commit_contact(shuffled, y, w, 0.5, None)
         assert contact.anchor_frame[:, order].tobytes() == shuffled.anchor_frame.tobytes()
         x += 0.01 * v
         y += 0.01 * w
@@ -153,11 +147,11 @@ def test_any_number_of_threads_gives_equal_bytes(threads):
         for s in (0.1, 0.6, 1.0):
             force = force_on(serial, x, v, s)
             other = np.zeros_like(x)
-            add_contact_parallel(x, v, s, parallel, other)
+            add_contact(parallel, x, v, s, other, threads)
             assert np.abs(force).max() > 0.0
             assert force.tobytes() == other.tobytes()
-            commit_contact(x, v, s, serial)
-            commit_contact_parallel(x, v, s, parallel)
+            commit_contact(serial, x, v, s, None)
+            commit_contact(parallel, x, v, s, threads)
             assert serial.anchor.tobytes() == parallel.anchor.tobytes()
             assert serial.anchor_frame.tobytes() == parallel.anchor_frame.tobytes()
             x += 0.02 * v
@@ -187,7 +181,7 @@ def test_resuming_from_stored_anchors_ends_in_the_same_bits():
 def test_no_vertices_and_far_from_the_origin():
     contact = contact_for(geometry(plane()), np.zeros(0), 1.0)
     assert force_on(contact, np.zeros((3, 0))).shape == (3, 0)
-    commit_contact(np.zeros((3, 0)), np.zeros((3, 0)), 1.0, contact)
+    commit_contact(contact, np.zeros((3, 0)), np.zeros((3, 0)), 1.0, None)
     assert count_contacts(contact) == {"touching": 0, "on_capsule_axis": 0}
     far = contact_for(geometry(capsule((1e6, 0, 0), (1e6, 1, 0), 0.1)), np.ones(1), 10.0)
     np.testing.assert_allclose(force_on(far, points((1e6 + 0.05, 0.5, 0)))[:, 0], [0.5, 0.0, 0.0], atol=1e-8)

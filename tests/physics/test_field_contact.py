@@ -12,7 +12,7 @@ from contact_world import G, capsule, contact_for, fall, geometry, move
 from nuno_contact.fields.build import build_field
 from nuno_contact.fields.sample import sample_field
 from nuno_contact.figures.leg import leg_mesh
-from nuno_contact.penalty.contact import Contact, add_contact, add_contact_parallel, count_contacts
+from nuno_contact.penalty.contact import Contact, add_contact, count_contacts
 from nuno_kernels.meshes.closest_point import closest_points
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.bodies import FIELD, Geometry, rotation_matrices
@@ -34,7 +34,7 @@ def field_body(x: Float, faces: Int, tolerance: float, friction: float = 0.0) ->
 
 def forces(contact: Contact, x: Float, v: Float, parallel: bool = False) -> Float:
     force = np.zeros_like(x)
-    (add_contact_parallel if parallel else add_contact)(x, v, 0.0, contact, force)
+    add_contact(contact, x, v, 0.0, force, 2 if parallel else None)
     return force
 
 

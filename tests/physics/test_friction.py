@@ -117,14 +117,14 @@ def test_an_anchor_passes_from_frame_to_frame_without_a_jump():
     settle(contact, x, v)
     assert contact.anchor_frame[0, 0] == 0
     x[2] += 0.14
-    add_contact(x, v, 0.0, contact, before := force.copy())
+    add_contact(contact, x, v, 0.0, before := force.copy(), None)
     settle(contact, x, v)
     assert contact.anchor_frame[0, 0] == 0
     x[2] += 0.02
-    add_contact(x, v, 0.0, contact, between := force.copy())
+    add_contact(contact, x, v, 0.0, between := force.copy(), None)
     settle(contact, x, v)
     assert contact.anchor_frame[0, 0] == 1
-    add_contact(x, v, 0.0, contact, after := force.copy())
+    add_contact(contact, x, v, 0.0, after := force.copy(), None)
     np.testing.assert_allclose(after, between, atol=1e-12)
     assert abs(before[2, 0]) > 5.0
 
@@ -139,7 +139,7 @@ def test_friction_is_never_more_than_mu_times_the_normal_force():
         settle(contact, x, v)
         x, v = x + 0.05 * rng.normal(size=(3, n)), rng.normal(size=(3, n))
         force = np.zeros((3, n))
-        add_contact(x, v, 0.0, contact, force)
+        add_contact(contact, x, v, 0.0, force, None)
         assert (force[1] >= 0.0).all()
         tangential = np.hypot(force[0], force[2])
         assert (tangential <= MU * force[1] * (1.0 + 1e-12)).all()
@@ -154,7 +154,7 @@ def test_leaving_the_body_drops_the_anchor():
     assert contact.anchor_frame[0, 0] == 0
     settle(contact, points((0.0, 1e-9, 0.0)), v)
     assert contact.anchor_frame[0, 0] == -1
-    add_contact(points((0.2, -0.1, 0.0)), v, 0.0, contact, force := np.zeros((3, 1)))
+    add_contact(contact, points((0.2, -0.1, 0.0)), v, 0.0, force := np.zeros((3, 1)), None)
     np.testing.assert_array_equal(force[:, 0], [0.0, 5.0, 0.0])
 
 

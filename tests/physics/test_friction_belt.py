@@ -16,7 +16,7 @@ def pull(x, v, mass, k, rest, c, weight, contact, s0, s1, steps, dt, force):
     ds, total, n = (s1 - s0) / steps, 0.0, x.shape[1]
     for step in range(steps):
         force[:] = 0.0
-        add_contact(x, v, s0 + step * ds, contact, force)
+        add_contact(contact, x, v, s0 + step * ds, force, None)
         force[1, n - 1] -= weight
         for i in range(n - 1):
             d = x[:, i + 1] - x[:, i]
@@ -28,7 +28,7 @@ def pull(x, v, mass, k, rest, c, weight, contact, s0, s1, steps, dt, force):
         for i in range(1, n):
             v[:, i] += dt * (force[:, i] / mass[i] - 40.0 * v[:, i])
             x[:, i] += dt * v[:, i]
-        commit_contact(x, v, s0 + (step + 1) * ds, contact)
+        commit_contact(contact, x, v, s0 + (step + 1) * ds, None)
     return total / steps
 
 

@@ -28,9 +28,21 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.fields.cut import BYTES_PER_LEAF, CODES, DEEPEST, SHARE, Builder, Cells, Leaves, are_torn, too_large
+from nuno_contact.fields.cut import (
+    BYTES_PER_LEAF,
+    CODES,
+    DEEPEST,
+    SHARE,
+    Builder,
+    Cells,
+    Leaves,
+    are_torn,
+    grid_of,
+    too_large,
+)  # fmt: skip
 from nuno_contact.fields.exact import Exact
 from nuno_contact.fields.join import check_places
+from nuno_contact.fields.sample import join_fields
 from nuno_kernels import threads_available
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
@@ -122,11 +134,9 @@ def find_bad(builder: Builder, leaves: Leaves, made: DistanceField, x: Float) ->
     least = np.abs(leaves.tests).min(axis=1)
     allowed = SHARE_AFTER * builder.allowed(np.maximum(0.0, least - 0.433013 * size))
     bad = np.zeros(len(allowed), np.bool_)
-    head = np.array([[*made.low, 1.0 / made.size, *made.shape, 0.0]])
     check_places(
-        leaves.tests, allowed, x, SHARE_AFTER * builder.tolerance, leaves.at, leaves.level, int(leaves.level.max()),
-        made.shape, head, made.child, made.corners, bad,
-    )  # fmt: skip
+        leaves.tests, allowed, x, SHARE_AFTER * builder.tolerance, grid_of(leaves, made), join_fields([made]), bad
+    )
     if not builder.exact.closed:
         bad &= ~are_torn(leaves.tests, size)
     return bad & (leaves.level < DEEPEST) & (0.866026 * size > 0.5 * SHARE * builder.tolerance)

@@ -9,14 +9,19 @@ there; where the distance is smooth it falls by four.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import prange
+from numpy.typing import NDArray
 
-from nuno_contact.fields.winding import winding
+from nuno_contact.fields.winding import Dipoles, winding
 from nuno_kernels import forced_inline, kernel, parallel_kernel
-from nuno_kernels.meshes.closest_point import DEPTH, closest
+from nuno_kernels.meshes.closest_point import Room, Vector, closest, make_room
+from nuno_kernels.meshes.tree import Tree
+from nuno_kernels.step.blocks import Long
+from nuno_schemas.fabric import Float
+
+Single = NDArray[np.float32]
 
 BLOCK = 256
 """Points handled together."""
@@ -26,48 +31,37 @@ ON_SURFACE = 1e-9
 
 
 @kernel
-def exact(
-    px: float, py: float, pz: float, start: int, boxes: Any, child: Any, corners: Any, face: Any, faces: Any,
-    edges: Any, vertex_normals: Any, edge_normals: Any, leaf_dipoles: Any, node_dipoles: Any, waiting: Any, bound: Any,
-) -> Any:  # fmt: skip
-    """(signed distance [m], its unit gradient x, y, z, place of the nearest triangle).
+def exact(p: Vector, start: int, tree: Tree, dipoles: Dipoles | None, room: Room) -> tuple[float, Vector, int]:
+    """(signed distance [m], its unit gradient, place of the nearest triangle), the search starting in place `start`.
 
     With dipoles (nuno_contact.fields.winding) the sign is the winding number's, else the pseudonormal's.
     """
-    place, _, _, qx, qy, qz, distance, nx, ny, nz = closest(
-        px, py, pz, start, 0, boxes, child, corners, face, faces, edges, vertex_normals, edge_normals, waiting, bound
-    )
-    gx, gy, gz = px - qx, py - qy, pz - qz
-    if leaf_dipoles is not None:
-        inside = winding(px, py, pz, boxes, child, corners, leaf_dipoles, node_dipoles, waiting) > 0.5
+    near = closest(p, start, 0, tree, room)
+    distance, (gx, gy, gz) = near.distance, (p[0] - near.point[0], p[1] - near.point[1], p[2] - near.point[2])
+    if dipoles is not None:
+        inside = winding(p, tree, dipoles, room) > 0.5
         distance = -abs(distance) if inside else abs(distance)
     size = distance
-    if abs(distance) <= ON_SURFACE * (abs(px) + abs(py) + abs(pz)):
-        gx, gy, gz = nx, ny, nz
-        size = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if abs(distance) <= ON_SURFACE * (abs(p[0]) + abs(p[1]) + abs(p[2])):
+        gx, gy, gz = near.normal
+        size = math.sqrt(gx * gx + gy * gy + gz * gz)
     if size == 0.0:
-        return distance, 0.0, 0.0, 0.0, place
-    return distance, gx / size, gy / size, gz / size, place
+        return distance, (0.0, 0.0, 0.0), near.place
+    return distance, (gx / size, gy / size, gz / size), near.place
 
 
 @parallel_kernel
-def measure_points(
-    points: Any, near: Any, boxes: Any, child: Any, corners: Any, face: Any, faces: Any, edges: Any,
-    vertex_normals: Any, edge_normals: Any, leaf_dipoles: Any, node_dipoles: Any, out: Any,
-) -> None:  # fmt: skip
+def measure_points(points: Float, near: Long, tree: Tree, dipoles: Dipoles | None, out: Float) -> None:
     """out (n, 4) exact distance and gradient at points (n, 3); near (n,) places to start with and then found."""
     for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
-        waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+        room = make_room()
         for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
-            d, gx, gy, gz, near[i] = exact(
-                points[i, 0], points[i, 1], points[i, 2], near[i], boxes, child, corners, face, faces, edges,
-                vertex_normals, edge_normals, leaf_dipoles, node_dipoles, waiting, bound,
-            )  # fmt: skip
-            out[i, 0], out[i, 1], out[i, 2], out[i, 3] = d, gx, gy, gz
+            p = (points[i, 0], points[i, 1], points[i, 2])
+            out[i, 0], (out[i, 1], out[i, 2], out[i, 3]), near[i] = exact(p, near[i], tree, dipoles, room)
 
 
 @forced_inline
-def blend_lattice(lattice: Any, cell: int, p: int, part: int) -> float:
+def blend_lattice(lattice: Single, cell: int, p: int, part: int) -> float:
     """Quantity `part` at point p of a cell's lattice, interpolated from the cell's corners."""
     i, j, k = p // 9, p // 3 % 3, p % 3
     value = 0.0
@@ -79,7 +73,7 @@ def blend_lattice(lattice: Any, cell: int, p: int, part: int) -> float:
 
 
 @parallel_kernel
-def measure_errors(lattice: Any, size: float, near: float, found: Any) -> None:
+def measure_errors(lattice: Single, size: float, near: float, found: Float) -> None:
     """found (m, 3) of cells of edge `size` [m] with lattices (m, 27, 4): the largest error of the interpolation [m],
     the least distance to the surface [m], and, of cells that it may pass through, the least cosine between
     interpolated and exact gradient at points within `near` [m] or half of its edge.

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.fields.cells import LATTICE, measure_errors
-from nuno_contact.fields.exact import Exact, Long
-from nuno_contact.fields.join import join_leaves
+from nuno_contact.fields.exact import Exact
+from nuno_contact.fields.join import Grid, join_leaves
+from nuno_kernels.step.blocks import Long
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
@@ -167,8 +168,13 @@ class Builder:
         made = DistanceField(
             self.low, self.size, self.shape, self.tolerance, self.band, child.astype(np.int32), corners
         )
-        join_leaves(leaves.at, leaves.level, int(leaves.level.max()), self.shape, made.child, corners)
+        join_leaves(grid_of(leaves, made))
         return made
+
+
+def grid_of(leaves: Leaves, made: DistanceField) -> Grid:
+    """Leaves among the cells of the field that was made of them."""
+    return Grid(leaves.at, leaves.level, int(leaves.level.max()), made.shape, made.child, made.corners)
 
 
 def too_large(leaves: int, most: int, tolerance: float) -> BadInput:

@@ -11,7 +11,7 @@ Outside of its box a field is that of the box's nearest point, and so much longe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -19,6 +19,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_kernels import forced_inline, parallel_kernel, threads_available
+from nuno_kernels.bodies.poses import Index
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
 
@@ -41,6 +42,9 @@ class Fields(NamedTuple):
     corners: NDArray[np.float32]
 
 
+Leaf = tuple[Index, float, float, float, float]
+
+
 def join_fields(fields: Sequence[DistanceField]) -> Fields:
     """At least one field in the layout of the kernels."""
     cells = np.cumsum([0, *(len(field.child) for field in fields)])
@@ -61,8 +65,9 @@ def clamp_to(value: float, most: float) -> float:
 
 
 @forced_inline
-def find_leaf(px: float, py: float, pz: float, q: int, head: Any, child: Any) -> Any:
+def find_leaf(px: float, py: float, pz: float, q: int, fields: Fields) -> Leaf:
     """(leaf, the point's place in it from 0 to 1 along x, y, z, and how far the point is outside of the box [m])."""
+    head, child = fields.head, fields.child
     scale = head[q, 3]
     u, v, w = (px - head[q, 0]) * scale, (py - head[q, 1]) * scale, (pz - head[q, 2]) * scale
     nx, ny, nz = head[q, 4], head[q, 5], head[q, 6]
@@ -82,7 +87,7 @@ def find_leaf(px: float, py: float, pz: float, q: int, head: Any, child: Any) ->
 
 
 @forced_inline
-def blend(corners: Any, leaf: Any, part: Any, x: float, y: float, z: float) -> Any:
+def blend(corners: NDArray[np.float32], leaf: Index, part: Index, x: float, y: float, z: float) -> float:
     """Quantity `part` of a leaf, 0 the distance and 1 to 3 the gradient, trilinear between its corners."""
     row = corners[leaf]
     a = row[part] + z * (row[part + np.uint64(4)] - row[part])
@@ -90,20 +95,21 @@ def blend(corners: Any, leaf: Any, part: Any, x: float, y: float, z: float) -> A
     c = row[part + np.uint64(16)] + z * (row[part + np.uint64(20)] - row[part + np.uint64(16)])
     d = row[part + np.uint64(24)] + z * (row[part + np.uint64(28)] - row[part + np.uint64(24)])
     a, c = a + y * (b - a), c + y * (d - c)
-    return a + x * (c - a)
+    return float(a + x * (c - a))
 
 
 @forced_inline
-def sample_distance(px: float, py: float, pz: float, q: int, head: Any, child: Any, corners: Any) -> Any:
+def sample_distance(px: float, py: float, pz: float, q: int, fields: Fields) -> float:
     """Distance [m] of a point from field q."""
-    leaf, x, y, z, away = find_leaf(px, py, pz, q, head, child)
-    return blend(corners, leaf, np.uint64(0), x, y, z) + away
+    leaf, x, y, z, away = find_leaf(px, py, pz, q, fields)
+    return blend(fields.corners, leaf, np.uint64(0), x, y, z) + away
 
 
 @forced_inline
-def sample(px: float, py: float, pz: float, q: int, head: Any, child: Any, corners: Any) -> Any:
+def sample(px: float, py: float, pz: float, q: int, fields: Fields) -> tuple[float, float, float, float]:
     """Distance [m] of a point from field q and the gradient there, interpolated: about of length 1."""
-    leaf, x, y, z, away = find_leaf(px, py, pz, q, head, child)
+    leaf, x, y, z, away = find_leaf(px, py, pz, q, fields)
+    corners = fields.corners
     return (
         blend(corners, leaf, np.uint64(0), x, y, z) + away,
         blend(corners, leaf, np.uint64(1), x, y, z),
@@ -113,11 +119,11 @@ def sample(px: float, py: float, pz: float, q: int, head: Any, child: Any, corne
 
 
 @parallel_kernel
-def sample_points(points: Any, q: int, head: Any, child: Any, corners: Any, out: Any) -> None:
-    """out (n, 4): distance [m] and gradient at points (n, 3), blocks of them on several threads."""
+def sample_points(points: Float, fields: Fields, out: Float) -> None:
+    """out (n, 4): distance [m] and gradient at points (n, 3) of the first field, blocks of them on several threads."""
     for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
         for i in range(np.uint64(block * BLOCK), np.uint64(min((block + 1) * BLOCK, points.shape[0]))):
-            d, gx, gy, gz = sample(points[i, 0], points[i, 1], points[i, 2], q, head, child, corners)
+            d, gx, gy, gz = sample(points[i, 0], points[i, 1], points[i, 2], 0, fields)
             out[i, 0], out[i, 1], out[i, 2], out[i, 3] = d, gx, gy, gz
 
 
@@ -130,5 +136,5 @@ def sample_field(field: DistanceField, points: Float, threads: int | None = None
     out = np.empty((len(points), 4))
     available = threads_available()[0]
     numba.set_num_threads(max(1, min(threads or available, available)))
-    sample_points(points, 0, *join_fields([field]), out)
+    sample_points(points, join_fields([field]), out)
     return out

@@ -13,12 +13,14 @@ A group is far from a point that is more than BETA times its radius away from it
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno_kernels import kernel
 from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.meshes.closest_point import Room, Vector
 from nuno_kernels.meshes.tree import Tree
 from nuno_schemas.fabric import Float
 
@@ -27,7 +29,7 @@ BETA = 2.3
 
 
 @kernel
-def solid_angle(px: float, py: float, pz: float, corners: Any, place: int) -> float:
+def solid_angle(px: float, py: float, pz: float, corners: Float, place: int) -> float:
     """Solid angle of a triangle (A. van Oosterom, J. Strackee 1983), positive where its inside is seen."""
     row, j = 9 * (place // WIDTH), place % WIDTH
     ax, ay, az = corners[row, j] - px, corners[row + 1, j] - py, corners[row + 2, j] - pz
@@ -42,21 +44,30 @@ def solid_angle(px: float, py: float, pz: float, corners: Any, place: int) -> fl
 
 
 @kernel
-def far_angle(px: float, py: float, pz: float, dipole: Any, i: int) -> Any:
+def far_angle(px: float, py: float, pz: float, dipole: Float, i: int) -> float:
     """Solid angle of a group of triangles; NaN where the point is too near for it."""
     x, y, z = dipole[i, 3] - px, dipole[i, 4] - py, dipole[i, 5] - pz
     square = x * x + y * y + z * z
     if square <= BETA * BETA * dipole[i, 6]:
         return math.nan
-    return (dipole[i, 0] * x + dipole[i, 1] * y + dipole[i, 2] * z) / (square * math.sqrt(square))
+    return float((dipole[i, 0] * x + dipole[i, 1] * y + dipole[i, 2] * z) / (square * math.sqrt(square)))
+
+
+class Dipoles(NamedTuple):
+    """What groups of triangles act as: leaves (L, 8) and nodes (N, 8) of a tree, with area vector [m^2], middle [m],
+    squared radius [m^2], and of leaves how many triangles they have.
+    """
+
+    leaves: Float
+    nodes: Float
 
 
 @kernel
-def winding(
-    px: float, py: float, pz: float, boxes: Any, child: Any, corners: Any, leaf_dipoles: Any, node_dipoles: Any,
-    waiting: Any,
-) -> float:  # fmt: skip
-    """Winding number of a tree's mesh about a point; `waiting` (DEPTH,) int64 is scratch."""
+def winding(p: Vector, tree: Tree, dipoles: Dipoles, room: Room) -> float:
+    """Winding number of a tree's mesh about a point."""
+    px, py, pz = p
+    boxes, child, corners, waiting = tree.boxes, tree.child, tree.corners, room.waiting
+    leaf_dipoles, node_dipoles = dipoles.leaves, dipoles.nodes
     total = 0.0
     waiting[0] = 0
     top = 1
@@ -81,10 +92,8 @@ def winding(
     return total / (4.0 * math.pi)
 
 
-def make_dipoles(tree: Tree) -> tuple[Float, Float]:
-    """(L, 8) and (N, 8) of leaves and nodes: area vector [m^2], middle [m], squared radius [m^2], and of leaves how
-    many triangles they have.
-    """
+def make_dipoles(tree: Tree) -> Dipoles:
+    """The dipoles of a tree's leaves and nodes."""
     count = len(tree.faces)
     corner = tree.corners.reshape(-1, 9, WIDTH).transpose(0, 2, 1).reshape(-1, 3, 3)[:count]
     a, b, c = corner[:, 0], corner[:, 0] + corner[:, 1], corner[:, 0] + corner[:, 2]
@@ -92,11 +101,11 @@ def make_dipoles(tree: Tree) -> tuple[Float, Float]:
     leaves, nodes = np.zeros((len(tree.corners) // 9, 8)), np.zeros((len(tree.child), 8))
     gather_leaves(area, (a + b + c) / 3.0, np.stack([a, b, c], axis=1), leaves)
     gather_nodes(tree.boxes, tree.child, leaves, nodes)
-    return leaves, nodes
+    return Dipoles(leaves, nodes)
 
 
 @kernel
-def gather_leaves(area: Any, centre: Any, corner: Any, leaves: Any) -> None:
+def gather_leaves(area: Float, centre: Float, corner: Float, leaves: Float) -> None:
     """Dipoles of leaves from area vectors (f, 3), centroids (f, 3) and corners (f, 3, 3) in the order of places."""
     for leaf in range(leaves.shape[0]):
         low, high = WIDTH * leaf, min(WIDTH * (leaf + 1), area.shape[0])
@@ -119,7 +128,7 @@ def gather_leaves(area: Any, centre: Any, corner: Any, leaves: Any) -> None:
 
 
 @kernel
-def gather_nodes(boxes: Any, child: Any, leaves: Any, nodes: Any) -> None:
+def gather_nodes(boxes: Float, child: NDArray[np.int64], leaves: Float, nodes: Float) -> None:
     """Dipoles of nodes from those of their children, which stand after them. Their middle weighs by area vectors'
     lengths, and their radius reaches round their children's.
     """

@@ -42,19 +42,17 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from nuno_contact.fields.sample import join_fields
 from nuno_contact.penalty.distance import FIELD, find_bounds
 from nuno_contact.penalty.poses import pose_bodies, set_poses
-from nuno_contact.penalty.response import add_body, commit_body, drop_anchors, find_deepest
+from nuno_contact.penalty.response import add_body, bodies_of, commit_body, fields_of, find_deepest, touch_of
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
 
-__all__ = [
-    "Contact", "add_contact", "add_contact_parallel", "commit_contact", "commit_contact_parallel",
-    "count_contacts", "make_contact", "set_poses",
-]  # fmt: skip
+__all__ = ["Contact", "add_contact", "commit_contact", "count_contacts", "make_contact", "set_poses"]
 
 BLOCK = 256
 """Vertices handled together, about a ring or two of a skirt: 64 have tighter bounds, but what a
@@ -121,7 +119,7 @@ class Contact(NamedTuple):
     """(B, 2) vertices touching after the last step; evaluations without a normal so far"""
     field_head: Float | None = None
     """Distance fields as nuno_contact.fields.sample.Fields has them, read only; None where no body is one"""
-    field_cells: Int | None = None
+    field_child: Int | None = None
     field_corners: NDArray[np.float32] | None = None
 
 
@@ -136,89 +134,67 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
     """Add the contact force [N] on the vertices of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     find_bounds(x, low, high, contact.bounds, block)
+    bodies, fields = bodies_of(contact), fields_of(contact)
     for body in range(contact.friction.shape[0]):
-        if find_deepest(
-            x, low, high, contact.first[body], contact.first[body + 1], contact.kind, contact.frame, contact.posed,
-            contact.frames, contact.bounds, block, contact.distance, contact.deepest, contact.near, body,
-            contact.field_head, contact.field_cells, contact.field_corners,
-        ):  # fmt: skip
-            contact.tally[block, 1] += add_body(
-                x, v, low, high, body, contact.kind, contact.frame, contact.stiffness, contact.damping,
-                contact.friction, contact.posed, contact.frames, contact.deepest, contact.anchor,
-                contact.anchor_frame, contact.rate[0], contact.field_head, contact.field_cells,
-                contact.field_corners, force,
-            )  # fmt: skip
+        if find_deepest(x, low, high, block, body, contact, fields):
+            on_axis = add_body(x, v, low, high, touch_of(contact, body, contact.rate[0]), bodies, fields, force)
+            contact.tally[block, 1] += on_axis
 
 
 @kernel
 def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
     """Set, drag along or drop the friction anchors of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    touching = 0
+    touching, anchor_frame, bodies, fields = 0, contact.anchor_frame, bodies_of(contact), fields_of(contact)
     for body in range(contact.friction.shape[0]):
         if contact.near[body, block]:
-            touching += commit_body(
-                x, v, low, high, body, contact.kind, contact.frame, contact.stiffness, contact.damping,
-                contact.friction, contact.posed, contact.frames, contact.deepest, contact.anchor,
-                contact.anchor_frame, contact.rate[0], contact.field_head, contact.field_cells,
-                contact.field_corners,
-            )  # fmt: skip
+            touching += commit_body(x, v, low, high, touch_of(contact, body, contact.rate[0]), bodies, fields)
         else:
-            drop_anchors(low, high, body, contact.anchor_frame)
+            for i in range(low, high):
+                anchor_frame[body, i] = -1
     contact.tally[block, 0] = touching
 
 
-@kernel
-def add_contact(x: Float, v: Float, s: float, contact: Contact, force: Float) -> None:
-    """Add the contact force [N] on vertices x, v (3, n) at fraction s of the interval to force."""
-    pose_bodies(s, contact)
-    for block in range(contact.bounds.shape[0]):
+@parallel_kernel
+def add_parallel(x: Float, v: Float, contact: Contact, force: Float) -> None:
+    """`add_block` for all blocks on several threads."""
+    for block in prange(contact.bounds.shape[0]):
         add_block(block, x, v, contact, force)
 
 
+@parallel_kernel
+def commit_parallel(x: Float, v: Float, contact: Contact) -> None:
+    """`commit_block` for all blocks on several threads."""
+    for block in prange(contact.bounds.shape[0]):
+        commit_block(block, x, v, contact)
+
+
 @kernel
-def commit_contact(x: Float, v: Float, s: float, contact: Contact) -> None:
+def add_contact(contact: Contact, x: Float, v: Float, s: float, force: Float, threads: int | None) -> None:
+    """Add the contact force [N] on vertices x, v (3, n) at fraction s of the interval to force (3, n).
+
+    The same bits with any number of threads; None is for one.
+    """
+    pose_bodies(s, contact)
+    if threads is None:
+        for block in range(contact.bounds.shape[0]):
+            add_block(block, x, v, contact, force)
+    else:
+        add_parallel(x, v, contact, force)
+
+
+@kernel
+def commit_contact(contact: Contact, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Update the friction anchors after a completed step that ends at fraction s.
 
     Goes by what touched at the last `add_contact`, which every step calls before.
     """
     pose_bodies(s, contact)
-    for block in range(contact.bounds.shape[0]):
-        commit_block(block, x, v, contact)
-
-
-@parallel_kernel
-def add_contact_parallel(x: Float, v: Float, s: float, contact: Contact, force: Float) -> None:
-    """add_contact on several threads: the same bits."""
-    pose_bodies(s, contact)
-    for block in prange(contact.bounds.shape[0]):
-        add_block(block, x, v, contact, force)
-
-
-@parallel_kernel
-def commit_contact_parallel(x: Float, v: Float, s: float, contact: Contact) -> None:
-    """commit_contact on several threads: the same bits."""
-    pose_bodies(s, contact)
-    for block in prange(contact.bounds.shape[0]):
-        commit_block(block, x, v, contact)
-
-
-@kernel
-def add_after(contact: Contact, x: Float, v: Float, s: float, force: Float, threads: Any) -> None:
-    """Add the contact force [N] to force (3, n), on one thread or several."""
     if threads is None:
-        add_contact(x, v, s, contact, force)
+        for block in range(contact.bounds.shape[0]):
+            commit_block(block, x, v, contact)
     else:
-        add_contact_parallel(x, v, s, contact, force)
-
-
-@kernel
-def settle_contact(contact: Contact, x: Float, v: Float, s: float, threads: Any) -> None:
-    """Update the friction anchors after a step, on one thread or several."""
-    if threads is None:
-        commit_contact(x, v, s, contact)
-    else:
-        commit_contact_parallel(x, v, s, contact)
+        commit_parallel(x, v, contact)
 
 
 def limit_approach(contact: Contact, rate: float) -> None:
@@ -229,8 +205,8 @@ def limit_approach(contact: Contact, rate: float) -> None:
 register(
     Contact,
     name="contact",
-    after=add_after,
-    settle=settle_contact,
+    after=add_contact,
+    settle=commit_contact,
     interval=set_poses,
     approach=limit_approach,
     project="nuno_contact.penalty.projection:project",
@@ -294,9 +270,7 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
 
 def pack_fields(fields: Sequence[DistanceField]) -> dict[str, NDArray[Any]]:
     """The arrays of distance fields, read only: solvers share them."""
-    from nuno_contact.fields.sample import join_fields
-
-    head, cells, corners = join_fields(fields)
-    for array in (head, cells, corners):
+    joined = join_fields(fields)
+    for array in joined:
         array.setflags(write=False)
-    return {"field_head": head, "field_cells": cells, "field_corners": corners}
+    return {f"field_{name}": array for name, array in joined._asdict().items()}

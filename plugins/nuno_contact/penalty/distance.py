@@ -23,6 +23,7 @@ indices, which would keep LLVM from vectorising (0.8 instead of 4 ns a distance)
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,18 @@ from nuno_kernels.lanes.choose import any_below, higher, lane, lower
 from nuno_kernels.lanes.simd import WIDTH, load, read, splat
 from nuno_schemas.fabric import Float
 
+Vector = tuple[float, float, float]
 Reading = tuple[float, float, float, float, int]
 """Distance [m], normal x, y, z, and 1 for a point on a capsule's axis, else 0."""
+
+
+class Deepest(NamedTuple):
+    """What n vertices are deepest inside of, of the primitives of one body that were looked at so far."""
+
+    distance: Float
+    """(n,) the least of the distances [m], 0 where none is negative"""
+    primitive: NDArray[np.int64]
+    """(n,) which it is, -1 where none is"""
 
 
 CAPSULE, PLANE, BOX, FIELD = 0, 1, 2, 4
@@ -106,10 +117,8 @@ def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames
 
 
 @kernel
-def lower_capsule(
-    x: Float, low: int, high: int, posed: Float, p: int, distance: Float, deepest: NDArray[np.int64], body: int
-) -> None:
-    """distance[i] = min(distance[i], that to this capsule), and deepest[body, i] = p where it is less.
+def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
+    """Lower the distances of vertices [low, high) of x (3, n) to those to capsule p, where they are less.
 
     Most vertices near a capsule are outside of it: eight at a time are looked at without a root,
     against the squared radius and 16 ulp, more than the rounding of the root and of r^2. Only
@@ -119,7 +128,7 @@ def lower_capsule(
     dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
     inverse, radius = posed[p, 6], posed[p, 7]
     limit = (1.0 + 16.0 * EPSILON) * radius * radius
-    zero, one = splat(0.0), splat(1.0)
+    zero, one, distance, primitive = splat(0.0), splat(1.0), deepest.distance, deepest.primitive
     for q in range(low, high, WIDTH):
         m = min(WIDTH, high - q)
         vx, vy, vz = read(x, 0, q, m) - ax, read(x, 1, q, m) - ay, read(x, 2, q, m) - az
@@ -131,44 +140,33 @@ def lower_capsule(
                 s = min(max((ex * dx + ey * dy + ez * dz) * inverse, 0.0), 1.0)
                 ex, ey, ez = ex - s * dx, ey - s * dy, ez - s * dz
                 d = math.sqrt(ex * ex + ey * ey + ez * ez) - radius
-                least, which = distance[i], deepest[body, i]
+                least, which = distance[i], primitive[i]
                 distance[i] = min(least, d)
-                deepest[body, i] = p if d < least else which
+                primitive[i] = p if d < least else which
 
 
 @kernel
-def lower_plane(
-    x: Float, low: int, high: int, posed: Float, p: int, distance: Float, deepest: NDArray[np.int64], body: int
-) -> None:
+def lower_plane(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
     """As lower_capsule, for a plane."""
+    distance, primitive = deepest.distance, deepest.primitive
     ax, ay, az = posed[p, 0], posed[p, 1], posed[p, 2]
     nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
     for i in range(np.uint64(low), np.uint64(high)):
         d = (x[0, i] - ax) * nx + (x[1, i] - ay) * ny + (x[2, i] - az) * nz
-        least, which = distance[i], deepest[body, i]
+        least, which = distance[i], primitive[i]
         distance[i] = min(least, d)
-        deepest[body, i] = p if d < least else which
+        primitive[i] = p if d < least else which
 
 
 @kernel
-def lower_box(
-    x: Float,
-    low: int,
-    high: int,
-    posed: Float,
-    p: int,
-    frames: Float,
-    f: int,
-    distance: Float,
-    deepest: NDArray[np.int64],
-    body: int,
-) -> None:
+def lower_box(x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest) -> None:
     """As lower_capsule, for a box, with branches."""
+    distance, primitive = deepest.distance, deepest.primitive
     for i in range(low, high):
         d = box_distance(x[0, i], x[1, i], x[2, i], posed, p, frames, f)[0]
         if d < distance[i]:
             distance[i] = d
-            deepest[body, i] = p
+            primitive[i] = p
 
 
 @kernel

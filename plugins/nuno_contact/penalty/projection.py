@@ -19,115 +19,103 @@ it left. Bodies that a vertex touches together follow each other, as constraints
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 from numba import prange
 
-from nuno_contact.penalty.contact import BLOCK
+from nuno_contact.fields.sample import Fields
+from nuno_contact.penalty.contact import BLOCK, Contact
 from nuno_contact.penalty.distance import find_bounds
+from nuno_contact.penalty.field_distance import Bodies
 from nuno_contact.penalty.poses import pose_bodies
-from nuno_contact.penalty.response import find_deepest, respond
+from nuno_contact.penalty.response import (
+    Touch,
+    bodies_of,
+    fields_of,
+    find_deepest,
+    hold_back,
+    respond,
+    rub,
+    touch_of,
+)  # fmt: skip
 from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels.terms import Displaced
+from nuno_schemas.fabric import Float
 
 
 @kernel
-def place_block(low: int, high: int, x: Any, u: Any, inverse_step: float, held: Any, y: Any, w: Any) -> None:
+def place_block(low: int, high: int, moved: Displaced, held: Float | None) -> None:
     """y = x + u and w = u / h on vertices [low, high), what contact did taken back from u first."""
+    x, u, y, w = moved.x, moved.u, moved.y, moved.w
     for row in range(3):
         for i in range(np.uint64(low), np.uint64(high)):
             if held is not None:
                 u[row, i] -= held[row, i]
                 held[row, i] = 0.0
             y[row, i] = x[row, i] + u[row, i]
-            w[row, i] = u[row, i] * inverse_step
+            w[row, i] = u[row, i] * moved.inverse_step
 
 
 @kernel
 def push_body(
-    low: int, high: int, body: int, u: Any, y: Any, w: Any, inverse_step: float, mobility: Any, held: Any,
-    kind: Any, frame: Any, stiffness: Any, damping: Any, friction: Any, posed: Any, frames: Any,
-    deepest: Any, anchor: Any, anchor_frame: Any, head: Any, cells: Any, corners: Any,
-) -> int:  # fmt: skip
+    low: int, high: int, moved: Displaced, held: Float | None, touch: Touch, bodies: Bodies, fields: Fields | None
+) -> int:
     """Solve one body's contact with vertices [low, high); returns how many lay on a capsule's axis."""
-    on_axis, mu = 0, friction[body]
+    u, y, w, mobility, inverse_step = moved.u, moved.y, moved.w, moved.mobility, moved.inverse_step
+    on_axis, deepest, stiffness, damping, anchor_frame = (
+        0, touch.deepest, touch.stiffness, touch.damping, touch.anchor_frame
+    )  # fmt: skip
     for i in range(np.uint64(low), np.uint64(high)):
-        if deepest[body, i] < 0:
+        if deepest[i] < 0:
             continue
-        p = np.uint64(deepest[body, i])
-        k, c = stiffness[body, i], damping[body, i]
-        _, normal, ex, ey, ez, nx, ny, nz, tx, ty, tz, mark = respond(
-            y, w, i, body, p, kind[p], np.uint64(frame[p]), k, c, posed, frames, anchor, anchor_frame, inverse_step,
-            head, cells, corners,
-        )  # fmt: skip
-        on_axis += mark
-        normal *= 1.0 / (1.0 + (k + c * inverse_step) * mobility[0, i])
+        k, c = stiffness[i], damping[i]
+        found = respond(y, w, i, touch, bodies, fields)
+        on_axis += found.mark
+        push = found.push * (1.0 / (1.0 + (k + c * inverse_step) * mobility[0, i]))
         # A vertex without anchor is held by the dashpot alone.
-        across = k if anchor_frame[body, i] >= 0 else 0.0
+        across = k if anchor_frame[i] >= 0 else 0.0
         share = 1.0 / (1.0 + (across + c * inverse_step) * mobility[0, i])
-        fx, fy, fz = share * (-k * ex - c * tx), share * (-k * ey - c * ty), share * (-k * ez - c * tz)
-        size, limit = math.sqrt(fx * fx + fy * fy + fz * fz), mu * normal
-        kept = limit / size if size > limit else 1.0
-        force = (normal * nx + kept * fx, normal * ny + kept * fy, normal * nz + kept * fz)
+        fx, fy, fz = rub(k, c, found)
+        force = hold_back(found, (share * fx, share * fy, share * fz), push, touch.friction * push)
         for row in range(3):
-            moved = mobility[0, i] * force[row]
-            u[row, i] += moved
-            y[row, i] += moved
-            w[row, i] += moved * inverse_step
+            step = mobility[0, i] * force[row]
+            u[row, i] += step
+            y[row, i] += step
+            w[row, i] += step * inverse_step
             if held is not None:
-                held[row, i] += moved
+                held[row, i] += step
     return on_axis
 
 
 @kernel
-def push_block(
-    block: int, x: Any, u: Any, y: Any, w: Any, inverse_step: float, mobility: Any, held: Any, contact: Any
-) -> None:
+def push_block(block: int, contact: Contact, moved: Displaced, held: Float | None) -> None:
     """Solve the contact of one block's vertices; bodies are posed already."""
-    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    place_block(low, high, x, u, inverse_step, held, y, w)
+    y, bodies, fields = moved.y, bodies_of(contact), fields_of(contact)
+    low, high = block * BLOCK, min((block + 1) * BLOCK, y.shape[1])
+    place_block(low, high, moved, held)
     find_bounds(y, low, high, contact.bounds, block)
     for body in range(contact.friction.shape[0]):
-        if find_deepest(
-            y, low, high, contact.first[body], contact.first[body + 1], contact.kind, contact.frame, contact.posed,
-            contact.frames, contact.bounds, block, contact.distance, contact.deepest, contact.near, body,
-            contact.field_head, contact.field_cells, contact.field_corners,
-        ):  # fmt: skip
-            contact.tally[block, 1] += push_body(
-                low, high, body, u, y, w, inverse_step, mobility, held, contact.kind, contact.frame,
-                contact.stiffness, contact.damping, contact.friction, contact.posed, contact.frames,
-                contact.deepest, contact.anchor, contact.anchor_frame, contact.field_head, contact.field_cells,
-                contact.field_corners,
-            )  # fmt: skip
-
-
-@kernel
-def push_out(
-    x: Any, u: Any, y: Any, w: Any, s: float, inverse_step: float, mobility: Any, held: Any, contact: Any
-) -> None:
-    """Solve all contact with the bodies as they are at fraction s, in place in u (3, n); y, w (3, n) are scratch."""
-    pose_bodies(s, contact)
-    for block in range(contact.bounds.shape[0]):
-        push_block(block, x, u, y, w, inverse_step, mobility, held, contact)
+        if find_deepest(y, low, high, block, body, contact, fields):
+            on_axis = push_body(low, high, moved, held, touch_of(contact, body, moved.inverse_step), bodies, fields)
+            contact.tally[block, 1] += on_axis
 
 
 @parallel_kernel
-def push_out_parallel(
-    x: Any, u: Any, y: Any, w: Any, s: float, inverse_step: float, mobility: Any, held: Any, contact: Any
-) -> None:
-    """push_out on several threads: the same bits."""
-    pose_bodies(s, contact)
+def push_parallel(contact: Contact, moved: Displaced, held: Float | None) -> None:
+    """`push_block` for all blocks on several threads."""
     for block in prange(contact.bounds.shape[0]):
-        push_block(block, x, u, y, w, inverse_step, mobility, held, contact)
+        push_block(block, contact, moved, held)
 
 
 @kernel
-def project(
-    contact: Any, x: Any, u: Any, y: Any, w: Any, s: float, inverse_step: float, mobility: Any, held: Any, threads: Any
-) -> None:
-    """push_out on one thread or several."""
+def project(contact: Contact, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
+    """Solve all contact with the bodies as they are at fraction s, in place in `moved`.
+
+    The same bits with any number of threads; None is for one. `held` (3, n) keeps what contact moved vertices by [m]
+    where sweeps are repeated, and is None where they are not.
+    """
+    pose_bodies(s, contact)
     if threads is None:
-        push_out(x, u, y, w, s, inverse_step, mobility, held, contact)
+        for block in range(contact.bounds.shape[0]):
+            push_block(block, contact, moved, held)
     else:
-        push_out_parallel(x, u, y, w, s, inverse_step, mobility, held, contact)
+        push_parallel(contact, moved, held)

@@ -1,245 +1,227 @@
 """What a vertex meets and how the body answers: the deepest primitive, forces, anchors.
 
 Indices that address arrays per vertex are unsigned, as in nuno_contact.penalty.distance: numba then leaves the
-test for negative indices out. Loops see arrays, never the Contact tuple: reading a field of a
-tuple counts a reference, atomically, each time round.
+test for negative indices out. Loops over vertices read the arrays of tuples before they begin: reading a field of a
+tuple counts a reference, atomically, each time round, wherever the compiler cannot tell that it need not.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.penalty.distance import BOX, CAPSULE, FIELD, are_apart, lower_box, lower_capsule, lower_plane
-from nuno_contact.penalty.field_distance import lower_field, primitive_distance
+from nuno_contact.fields.sample import Fields
+from nuno_contact.penalty.distance import (
+    BOX,
+    CAPSULE,
+    FIELD,
+    Deepest,
+    Vector,
+    are_apart,
+    lower_box,
+    lower_capsule,
+    lower_plane,
+)  # fmt: skip
+from nuno_contact.penalty.field_distance import Bodies, lower_field, primitive_distance
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.bodies.poses import Index
 from nuno_schemas.fabric import Float, Int
 
-Response = tuple[float, float, float, float, float, float, float, float, float, float, float, int]
+if TYPE_CHECKING:
+    from nuno_contact.penalty.contact import Contact
+
+
+class Touch(NamedTuple):
+    """What n vertices are to one body: the rows of Contact's arrays of these names for it."""
+
+    stiffness: Float
+    damping: Float
+    friction: float
+    rate: float
+    deepest: NDArray[np.int64]
+    anchor: Float
+    """(3, n)"""
+    anchor_frame: Int
+
+
+class Response(NamedTuple):
+    """How a primitive answers a vertex."""
+
+    distance: float
+    """signed [m]"""
+    push: float
+    """N, along the normal [N]"""
+    stretch: Vector
+    """elongation of the friction spring in the tangent plane [m]"""
+    normal: Vector
+    slip: Vector
+    """tangential velocity relative to the body [m/s]"""
+    mark: int
+    """1 where there is no normal of its own"""
+
+
+@forced_inline
+def fields_of(contact: Contact) -> Fields | None:
+    """The distance fields of bodies, None where none is one: what reads them is then not compiled."""
+    return join_parts(contact.field_head, contact.field_child, contact.field_corners)
+
+
+@forced_inline
+def join_parts(head: Float | None, child: Int | None, corners: NDArray[np.float32] | None) -> Fields | None:
+    """Fields of three arrays, None of three None: numba prunes by what is an argument."""
+    if head is None or child is None or corners is None:
+        return None
+    return Fields(head, child, corners)
+
+
+@forced_inline
+def touch_of(contact: Contact, body: int, rate: float) -> Touch:
+    """What the vertices are to one body, dashpots bounded by `rate` [1/s] (see Contact.rate)."""
+    return Touch(
+        contact.stiffness[body], contact.damping[body], contact.friction[body], rate, contact.deepest[body],
+        contact.anchor[body], contact.anchor_frame[body],
+    )  # fmt: skip
+
+
+@forced_inline
+def bodies_of(contact: Contact) -> Bodies:
+    """The posed bodies."""
+    return Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
 
 
 @kernel
-def find_deepest(
-    x: Float,
-    low: int,
-    high: int,
-    first: int,
-    last: int,
-    kind: NDArray[np.int8],
-    frame: Int,
-    posed: Float,
-    frames: Float,
-    bounds: Float,
-    block: int,
-    distance: Float,
-    deepest: NDArray[np.int64],
-    near: NDArray[np.bool_],
-    body: int,
-    head: Any,
-    cells: Any,
-    corners: Any,
-) -> bool:
-    """Deepest of primitives [first, last) for vertices [low, high), into row `body` of deepest
-    (-1 where a vertex is inside of none), and near[body, block]: whether any can be inside.
+def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: Contact, fields: Fields | None) -> bool:
+    """Find the body's deepest primitive for vertices [low, high), into contact.deepest[body] (-1 where a vertex is
+    inside of none), and into contact.near[body, block] whether any can be inside, which is returned.
 
     A block that stays out of reach is not written again.
     """
+    kind, posed, frames, bounds, near = contact.kind, contact.posed, contact.frames, contact.bounds, contact.near
+    deepest = Deepest(contact.distance, contact.deepest[body])
     was_near = near[body, block]
     near[body, block] = False
-    for p in range(first, last):
+    for p in range(contact.first[body], contact.first[body + 1]):
         if are_apart(kind[p], posed, p, bounds, block):
             continue
         if not near[body, block]:
             near[body, block] = True
             for i in range(np.uint64(low), np.uint64(high)):
-                distance[i], deepest[body, i] = 0.0, -1
+                deepest.distance[i], deepest.primitive[i] = 0.0, -1
         if kind[p] == CAPSULE:
-            lower_capsule(x, low, high, posed, p, distance, deepest, body)
+            lower_capsule(x, low, high, posed, p, deepest)
         elif kind[p] == BOX:
-            lower_box(x, low, high, posed, p, frames, frame[p], distance, deepest, body)
+            lower_box(x, low, high, posed, p, frames, contact.frame[p], deepest)
         elif kind[p] != FIELD:
-            lower_plane(x, low, high, posed, p, distance, deepest, body)
-        elif head is not None:
-            lower_field(x, low, high, posed, p, frames, frame[p], head, cells, corners, distance, deepest, body)
+            lower_plane(x, low, high, posed, p, deepest)
+        elif fields is not None:
+            lower_field(x, low, high, posed, p, frames, contact.frame[p], fields, deepest)
     if was_near and not near[body, block]:
         for i in range(np.uint64(low), np.uint64(high)):
-            deepest[body, i] = -1
+            deepest.primitive[i] = -1
     return bool(near[body, block])
 
 
 @forced_inline
-def respond(
-    x: Float,
-    v: Float,
-    i: Index,
-    body: int,
-    p: Index,
-    kind: int,
-    f: Index,
-    k: float,
-    c: float,
-    posed: Float,
-    frames: Float,
-    anchor: Float,
-    anchor_frame: Int,
-    rate: float,
-    head: Any,
-    cells: Any,
-    corners: Any,
-) -> Response:
-    """Contact of vertex i with primitive p, which moves with frame f.
+def respond(x: Float, v: Float, i: Index, touch: Touch, bodies: Bodies, fields: Fields | None) -> Response:
+    """Contact of vertex i, of positions and velocities x, v (3, n), with the primitive that it is deepest in.
 
     The dashpot sees an approach of depth times `rate` [1/s] at most: see Contact.rate.
-
-    Returns the signed distance [m], N [N], the elongation of the friction spring in the tangent
-    plane [m], the normal, the tangential velocity relative to the body [m/s], the on-axis mark.
     """
+    p = np.uint64(touch.deepest[i])
+    f, frames = np.uint64(bodies.frame[p]), bodies.frames
     px, py, pz = x[0, i], x[1, i], x[2, i]
-    distance, nx, ny, nz, on_axis = primitive_distance(px, py, pz, kind, posed, p, frames, f, head, cells, corners)
+    distance, nx, ny, nz, mark = primitive_distance((px, py, pz), p, f, bodies, fields)
     rx, ry, rz = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
     ux = v[0, i] - frames[f, 12] - (frames[f, 16] * rz - frames[f, 17] * ry)
     uy = v[1, i] - frames[f, 13] - (frames[f, 17] * rx - frames[f, 15] * rz)
     uz = v[2, i] - frames[f, 14] - (frames[f, 15] * ry - frames[f, 16] * rx)
     un = ux * nx + uy * ny + uz * nz
-    normal = max(0.0, -k * distance - c * max(un, rate * distance))
+    push = max(0.0, -touch.stiffness[i] * distance - touch.damping[i] * max(un, touch.rate * distance))
     ex, ey, ez = 0.0, 0.0, 0.0
-    if anchor_frame[body, i] >= 0:
-        g = np.uint64(anchor_frame[body, i])
-        ax, ay, az = anchor[body, 0, i], anchor[body, 1, i], anchor[body, 2, i]
+    if touch.anchor_frame[i] >= 0:
+        g = np.uint64(touch.anchor_frame[i])
+        ax, ay, az = touch.anchor[0, i], touch.anchor[1, i], touch.anchor[2, i]
         ex = px - (frames[g, 9] + frames[g, 0] * ax + frames[g, 1] * ay + frames[g, 2] * az)
         ey = py - (frames[g, 10] + frames[g, 3] * ax + frames[g, 4] * ay + frames[g, 5] * az)
         ez = pz - (frames[g, 11] + frames[g, 6] * ax + frames[g, 7] * ay + frames[g, 8] * az)
         en = ex * nx + ey * ny + ez * nz
         ex, ey, ez = ex - en * nx, ey - en * ny, ez - en * nz
-    return distance, normal, ex, ey, ez, nx, ny, nz, ux - un * nx, uy - un * ny, uz - un * nz, on_axis
+    slip = (ux - un * nx, uy - un * ny, uz - un * nz)
+    return Response(distance, push, (ex, ey, ez), (nx, ny, nz), slip, mark)
 
 
 @forced_inline
-def place_anchor(
-    x: Float,
-    i: Index,
-    body: int,
-    f: Index,
-    ex: float,
-    ey: float,
-    ez: float,
-    stretch: float,
-    limit: float,
-    frames: Float,
-    anchor: Float,
-    anchor_frame: Int,
-) -> None:
-    """Anchor of a touching vertex after a step: left alone while it sticks, else dragged along
-    until the spring's force `stretch` [N] is `limit` [N].
+def rub(k: float, c: float, found: Response) -> Vector:
+    """Force [N] of the friction spring k [N/m] and its dashpot c [N s/m], before Coulomb's limit."""
+    e, t = found.stretch, found.slip
+    return -k * e[0] - c * t[0], -k * e[1] - c * t[1], -k * e[2] - c * t[2]
+
+
+@forced_inline
+def hold_back(found: Response, friction: Vector, push: float, limit: float) -> Vector:
+    """Force [N] of `push` along the normal and of friction, no longer than `limit`."""
+    n = found.normal
+    size = math.sqrt(friction[0] * friction[0] + friction[1] * friction[1] + friction[2] * friction[2])
+    share = limit / size if size > limit else 1.0
+    return push * n[0] + share * friction[0], push * n[1] + share * friction[1], push * n[2] + share * friction[2]
+
+
+@forced_inline
+def place_anchor(x: Float, i: Index, found: Response, limit: float, touch: Touch, bodies: Bodies) -> None:
+    """Anchor of a touching vertex after a step: left alone while it sticks, else dragged along until the spring's
+    force is `limit` [N].
     """
-    if anchor_frame[body, i] == f and stretch <= limit:
+    anchor, anchor_frame, frames = touch.anchor, touch.anchor_frame, bodies.frames
+    f = np.uint64(bodies.frame[np.uint64(touch.deepest[i])])
+    ex, ey, ez = found.stretch
+    stretch = touch.stiffness[i] * math.sqrt(ex * ex + ey * ey + ez * ez)
+    if anchor_frame[i] == f and stretch <= limit:
         return
     share = limit / stretch if stretch > limit else 1.0
     ax = x[0, i] - share * ex - frames[f, 9]
     ay = x[1, i] - share * ey - frames[f, 10]
     az = x[2, i] - share * ez - frames[f, 11]
     for c in range(3):
-        anchor[body, c, i] = frames[f, c] * ax + frames[f, 3 + c] * ay + frames[f, 6 + c] * az
-    anchor_frame[body, i] = f
+        anchor[c, i] = frames[f, c] * ax + frames[f, 3 + c] * ay + frames[f, 6 + c] * az
+    anchor_frame[i] = f
 
 
 @kernel
 def add_body(
-    x: Float,
-    v: Float,
-    low: int,
-    high: int,
-    body: int,
-    kind: NDArray[np.int8],
-    frame: Int,
-    stiffness: Float,
-    damping: Float,
-    friction: Float,
-    posed: Float,
-    frames: Float,
-    deepest: NDArray[np.int64],
-    anchor: Float,
-    anchor_frame: Int,
-    rate: float,
-    head: Any,
-    cells: Any,
-    corners: Any,
-    force: Float,
+    x: Float, v: Float, low: int, high: int, touch: Touch, bodies: Bodies, fields: Fields | None, force: Float
 ) -> int:
     """Add one body's force [N] on vertices [low, high); returns how many lay on a capsule's axis."""
-    on_axis = 0
-    mu = friction[body]
+    on_axis, deepest, stiffness, damping = 0, touch.deepest, touch.stiffness, touch.damping
     for i in range(np.uint64(low), np.uint64(high)):
-        if deepest[body, i] < 0:
+        if deepest[i] < 0:
             continue
-        p = np.uint64(deepest[body, i])
-        k, c = stiffness[body, i], damping[body, i]
-        _, normal, ex, ey, ez, nx, ny, nz, tx, ty, tz, mark = respond(
-            x, v, i, body, p, kind[p], np.uint64(frame[p]), k, c, posed, frames, anchor, anchor_frame, rate,
-            head, cells, corners,
-        )  # fmt: skip
-        fx, fy, fz = -k * ex - c * tx, -k * ey - c * ty, -k * ez - c * tz
-        size, limit = math.sqrt(fx * fx + fy * fy + fz * fz), mu * normal
-        share = limit / size if size > limit else 1.0
-        force[0, i] += normal * nx + share * fx
-        force[1, i] += normal * ny + share * fy
-        force[2, i] += normal * nz + share * fz
-        on_axis += mark
+        found = respond(x, v, i, touch, bodies, fields)
+        friction = rub(stiffness[i], damping[i], found)
+        fx, fy, fz = hold_back(found, friction, found.push, touch.friction * found.push)
+        force[0, i] += fx
+        force[1, i] += fy
+        force[2, i] += fz
+        on_axis += found.mark
     return on_axis
 
 
 @kernel
-def commit_body(
-    x: Float,
-    v: Float,
-    low: int,
-    high: int,
-    body: int,
-    kind: NDArray[np.int8],
-    frame: Int,
-    stiffness: Float,
-    damping: Float,
-    friction: Float,
-    posed: Float,
-    frames: Float,
-    deepest: NDArray[np.int64],
-    anchor: Float,
-    anchor_frame: Int,
-    rate: float,
-    head: Any,
-    cells: Any,
-    corners: Any,
-) -> int:
+def commit_body(x: Float, v: Float, low: int, high: int, touch: Touch, bodies: Bodies, fields: Fields | None) -> int:
     """Set, drag along or drop the anchors of vertices [low, high); returns how many touch."""
-    touching = 0
-    mu = friction[body]
+    touching, deepest, anchor_frame = 0, touch.deepest, touch.anchor_frame
     for i in range(np.uint64(low), np.uint64(high)):
-        kept = anchor_frame[body, i]
-        anchor_frame[body, i] = kept if deepest[body, i] >= 0 else np.int32(-1)
+        kept = anchor_frame[i]
+        anchor_frame[i] = kept if deepest[i] >= 0 else np.int32(-1)
     for i in range(np.uint64(low), np.uint64(high)):
-        if deepest[body, i] < 0:
+        if deepest[i] < 0:
             continue
-        p = np.uint64(deepest[body, i])
-        f, k = np.uint64(frame[p]), stiffness[body, i]
-        distance, normal, ex, ey, ez, _, _, _, _, _, _, _ = respond(
-            x, v, i, body, p, kind[p], f, k, damping[body, i], posed, frames, anchor, anchor_frame, rate, head, cells,
-            corners,
-        )  # fmt: skip
-        if distance >= 0.0:
-            anchor_frame[body, i] = -1
+        found = respond(x, v, i, touch, bodies, fields)
+        if found.distance >= 0.0:
+            anchor_frame[i] = -1
             continue
         touching += 1
-        stretch, limit = k * math.sqrt(ex * ex + ey * ey + ez * ez), mu * normal
-        place_anchor(x, i, body, f, ex, ey, ez, stretch, limit, frames, anchor, anchor_frame)
+        place_anchor(x, i, found, touch.friction * found.push, touch, bodies)
     return touching
-
-
-@kernel
-def drop_anchors(low: int, high: int, body: int, anchor_frame: Int) -> None:
-    """Forget the anchors of vertices [low, high)."""
-    for i in range(np.uint64(low), np.uint64(high)):
-        anchor_frame[body, i] = -1

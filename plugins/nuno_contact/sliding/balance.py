@@ -9,17 +9,16 @@ at.
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numpy as np
 from numba import prange
 
-from nuno_contact.sliding.planes import PARALLEL
-from nuno_contact.sliding.slides import BLOCK, pose_slides
+from nuno_contact.sliding.planes import PARALLEL, Vector
+from nuno_contact.sliding.slides import BLOCK, Slides, pose_slides, tree_of
 from nuno_contact.sliding.vertex import slide
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.bodies.poses import to_frame, turn_in, turn_out
-from nuno_kernels.meshes.closest_point import DEPTH, closest
+from nuno_kernels.meshes.closest_point import closest, make_room
+from nuno_schemas.fabric import Float
 
 TRIAL = 1e-3
 """Length of the movement that is tried, as a share of the gap: it turns by no more than that round an edge."""
@@ -29,7 +28,7 @@ square of the angle that the surface's normal turned by on the way."""
 
 
 @kernel
-def along_planes(m: Any, n1: Any, n2: Any, planes: int) -> tuple[float, float, float]:
+def along_planes(m: Vector, n1: Vector, n2: Vector, planes: int) -> Vector:
     """The part of a movement along one plane, or along the line where two meet."""
     if planes == 2:
         x, y, z = n1[1] * n2[2] - n1[2] * n2[1], n1[2] * n2[0] - n1[0] * n2[2], n1[0] * n2[1] - n1[1] * n2[0]
@@ -42,9 +41,9 @@ def along_planes(m: Any, n1: Any, n2: Any, planes: int) -> tuple[float, float, f
 
 
 @kernel
-def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
+def hold_block(block: int, x: Float, force: Float, s: Slides) -> None:
     """Hold the forces (3, n) on a block's vertices off all bodies, in place."""
-    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    room, tree = make_room(), tree_of(s)
     for body in range(s.root.shape[0]):
         f, gap = s.frame[body], s.gap[body]
         length = TRIAL * gap
@@ -56,27 +55,21 @@ def hold_block(block: int, x: Any, force: Any, s: Any) -> None:
             px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, f)
             g = turn_in(g, s.frames, f)
             m = (length / size * g[0], length / size * g[1], length / size * g[2])
-            _, _, _, _, _, _, distance, _, _, _ = closest(
-                px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges,
-                s.vertex_normals, s.edge_normals, waiting, bound,
-            )  # fmt: skip
+            distance = closest((px, py, pz), s.nearest[body, i], s.root[body], tree, room).distance
             if distance > NEAR * gap:
                 continue
             # Held where it is: what would put it back to the gap is no force, and friction none of that.
-            made, n1, n2, planes, _, _, _ = slide(
-                (px, py, pz), m, s.clear[body, i], s.place[body, i], s.root[body], distance,
-                s.friction[body], s.boxes, s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals,
-                s.edge_normals, waiting, bound,
-            )  # fmt: skip
-            if planes == 0:
+            clear, near, root, mu = s.clear[body, i], s.nearest[body, i], s.root[body], s.friction[body]
+            end = slide((px, py, pz), m, clear, near, root, distance, mu, tree, room)
+            if end.planes == 0:
                 continue
-            g = turn_out(along_planes(made, n1, n2, planes), s.frames, f)
+            g = turn_out(along_planes(end.made, end.n1, end.n2, end.planes), s.frames, f)
             for c in range(3):
                 force[c, i] = size / length * g[c]
 
 
 @parallel_kernel
-def hold_forces(s: Any, x: Any, force: Any) -> None:
+def hold_forces(s: Slides, x: Float, force: Float) -> None:
     """Hold the forces (3, n) on vertices x (3, n) off the bodies as they are at the end of the interval, in place."""
     pose_slides(1.0, s)
     for block in prange(s.tally.shape[0]):

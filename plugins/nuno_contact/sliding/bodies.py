@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.sliding.slides import BLOCK, Slides
+from nuno_kernels.lanes.simd import WIDTH
 from nuno_kernels.meshes.tree import Tree
 from nuno_schemas.fabric import Float
 
@@ -45,13 +46,14 @@ def make_slides(bodies: Sequence[Slid], frames: int, mass: Float) -> Slides:
         child=np.concatenate([moved_children(tree.child, nodes[k], leaves[k]) for k, tree in enumerate(trees)]),
         corners=np.concatenate([tree.corners for tree in trees]),
         face=np.concatenate([t.face + np.int32(triangles[k]) for k, t in enumerate(trees)]),
+        place=np.concatenate([t.place + np.int32(WIDTH * leaves[k]) for k, t in enumerate(trees)]),
         faces=np.concatenate([t.faces + np.int32(corners[k]) for k, t in enumerate(trees)]),
         edges=np.concatenate([t.edges + np.int32(sides[k]) for k, t in enumerate(trees)]),
         vertex_normals=np.concatenate([tree.vertex_normals for tree in trees]),
         edge_normals=np.concatenate([tree.edge_normals for tree in trees]),
         before=np.full((b, 3, n), np.nan),
         clear=np.full((b, n), -np.inf),
-        place=np.repeat((8 * leaves[:-1]).astype(np.int64)[:, None], n, axis=1),
+        nearest=np.repeat((WIDTH * leaves[:-1]).astype(np.int64)[:, None], n, axis=1),
         planes=np.zeros((b, 7, n)),
         impulse=np.zeros((blocks, b, 3)),
         tally=np.zeros((blocks, 2), np.int64),

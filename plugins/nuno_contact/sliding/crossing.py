@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to, lower, where_not_negative
-from nuno_kernels.lanes.simd import load, splat
-from nuno_kernels.meshes.closest_point import take_nearest
+from nuno_kernels.lanes.simd import Lanes, load, splat
+from nuno_kernels.meshes.closest_point import Room, Vector, take_nearest
+from nuno_kernels.meshes.tree import Tree
+from nuno_schemas.fabric import Float
 
 OVERLAP = 1e-9
 """Triangles count as larger by this share, so that nothing slips through between two of them."""
@@ -16,11 +16,9 @@ BEYOND = 1.0 + 2.0**-40
 
 
 @forced_inline
-def leaf_crossings(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, corners: Any, leaf: int
-) -> Any:  # fmt: skip
+def leaf_crossings(p: Vector, d: Vector, corners: Float, leaf: int) -> Lanes:
     """Shares of the movement from p by d after which it enters a leaf's eight triangles; 2 where it does not."""
-    row = 9 * leaf
+    (px, py, pz), (dx, dy, dz), row = p, d, 9 * leaf
     ax, ay, az = px - load(corners, row, 0), py - load(corners, row + 1, 0), pz - load(corners, row + 2, 0)
     bx, by, bz = load(corners, row + 3, 0), load(corners, row + 4, 0), load(corners, row + 5, 0)
     cx, cy, cz = load(corners, row + 6, 0), load(corners, row + 7, 0), load(corners, row + 8, 0)
@@ -38,15 +36,14 @@ def leaf_crossings(
 
 
 @kernel
-def first_crossing(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, root: int, boxes: Any, child: Any,
-    corners: Any, face: Any, waiting: Any,
-) -> tuple[float, int]:  # fmt: skip
+def first_crossing(p: Vector, d: Vector, root: int, tree: Tree, room: Room) -> tuple[float, int]:
     """(share of the movement, place of the triangle) where the movement from p by d first enters the mesh
     through the outside of a triangle; (2, -1) where it does not.
 
-    `waiting` (DEPTH,) int64 is scratch. Boxes are tested against the box of the movement, which is short.
+    Boxes are tested against the box of the movement, which is short.
     """
+    (px, py, pz), (dx, dy, dz) = p, d
+    boxes, child, corners, face, waiting = tree.boxes, tree.child, tree.corners, tree.face, room.waiting
     x0, x1 = min(px, px + dx), max(px, px + dx)
     y0, y1 = min(py, py + dy), max(py, py + dy)
     z0, z1 = min(pz, pz + dz), max(pz, pz + dz)
@@ -58,7 +55,7 @@ def first_crossing(
         node = waiting[top]
         if node < 0:
             leaf = -1 - node
-            best, which = take_nearest(leaf_crossings(px, py, pz, dx, dy, dz, corners, leaf), leaf, face, best, which)
+            best, which = take_nearest(leaf_crossings(p, d, corners, leaf), leaf, face, best, which)
             continue
         row = 6 * node
         x = higher(load(boxes, row, 0) - x1, x0 - load(boxes, row + 3, 0))

@@ -18,16 +18,17 @@ them would need one of its own.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
 from nuno_contact.sliding.vertex import slide, slow_down
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import forced_inline, kernel, parallel_kernel
 from nuno_kernels.bodies.poses import pose_frame, to_frame, turn_out, write_interval
-from nuno_kernels.meshes.closest_point import DEPTH, closest
+from nuno_kernels.meshes.closest_point import closest, make_room
+from nuno_kernels.meshes.tree import Tree
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
@@ -62,6 +63,7 @@ class Slides(NamedTuple):
     child: NDArray[np.int64]
     corners: Float
     face: Int
+    place: Int
     faces: Int
     edges: Int
     vertex_normals: Float
@@ -70,8 +72,8 @@ class Slides(NamedTuple):
     """(b, 3, n) where vertices were after the last step, in the body's frame [m]; NaN at first"""
     clear: Float
     """(b, n) how far they may move without meeting the surface [m]; negative inside"""
-    place: NDArray[np.int64]
-    """(b, n) the triangle that was nearest"""
+    nearest: NDArray[np.int64]
+    """(b, n) place of the triangle that was nearest"""
     planes: Float
     """(b, 7, n) normals, in the body's frame, of the planes that held vertices off in the last step, and how many"""
     impulse: Float
@@ -80,63 +82,62 @@ class Slides(NamedTuple):
     """(B, 2) vertices touching after the last step; vertices that were put back so far"""
 
 
+@forced_inline
+def tree_of(s: Slides) -> Tree:
+    """The trees of all bodies as one."""
+    return Tree(
+        s.boxes, s.child, s.corners, s.face, s.place, s.faces, s.edges, s.vertex_normals, s.edge_normals
+    )  # fmt: skip
+
+
 @kernel
-def slide_block(
-    block: int, x: Any, v: Any, body: int, root: int, f: int, mu: float, gap: float, mass: Any, frames: Any,
-    boxes: Any, child: Any, corners: Any, face: Any, faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any,
-    before: Any, clear: Any, place: Any, held: Any, impulse: Any, tally: Any,
-) -> None:  # fmt: skip
+def slide_block(block: int, x: Float, v: Float, body: int, s: Slides) -> None:
     """Hold the vertices of one block off one body, in place in x and v (3, n)."""
-    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    room, tree, f, mu, gap, root = make_room(), tree_of(s), s.frame[body], s.friction[body], s.gap[body], s.root[body]
+    mass, frames, before, clear, nearest = s.mass, s.frames, s.before[body], s.clear[body], s.nearest[body]
+    held, impulse, tally = s.planes[body], s.impulse[block, body], s.tally
     for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
-        held[body, 6, i] = 0.0
+        held[6, i] = 0.0
         if mass[i] == 0.0:
             continue
         px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], frames, f)
-        start = (before[body, 0, i], before[body, 1, i], before[body, 2, i])
+        start = (before[0, i], before[1, i], before[2, i])
         m = (px - start[0], py - start[1], pz - start[2])
-        free = clear[body, i]
+        free = clear[i]
         left = free - (1.0 + 1e-9) * math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
-        before[body, 0, i], before[body, 1, i], before[body, 2, i] = px, py, pz
-        clear[body, i] = left
+        before[0, i], before[1, i], before[2, i] = px, py, pz
+        clear[i] = left
         if left > gap or not (abs(px) + abs(py) + abs(pz) < math.inf):
             continue
-        made, n1, n2, planes, distance, at, back = slide(
-            start, m, free, place[body, i], root, gap, mu, boxes, child, corners, face, faces, edges,
-            vertex_normals, edge_normals, waiting, bound,
-        )  # fmt: skip
-        clear[body, i], place[body, i] = distance, at
-        if planes == 0:
+        end = slide(start, m, free, nearest[i], root, gap, mu, tree, room)
+        clear[i], nearest[i] = end.distance, end.place
+        if end.planes == 0:
             continue
-        p = (start[0] + made[0], start[1] + made[1], start[2] + made[2])
-        before[body, 0, i], before[body, 1, i], before[body, 2, i] = p
+        p = (start[0] + end.made[0], start[1] + end.made[1], start[2] + end.made[2])
+        before[0, i], before[1, i], before[2, i] = p
         for c in range(3):
-            held[body, c, i], held[body, 3 + c, i] = n1[c], n2[c]
-        held[body, 6, i] = planes
+            held[c, i], held[3 + c, i] = end.n1[c], end.n2[c]
+        held[6, i] = end.planes
         moved = turn_out(p, frames, f)
         x[0, i], x[1, i], x[2, i] = moved[0] + frames[f, 9], moved[1] + frames[f, 10], moved[2] + frames[f, 11]
-        change = slow_down(v, i, (x[0, i], x[1, i], x[2, i]), n1, n2, planes, mu, frames, f)
+        change = slow_down(v, i, (x[0, i], x[1, i], x[2, i]), end.n1, end.n2, end.planes, mu, frames, f)
         for c in range(3):
             v[c, i] += change[c]
-            impulse[block, body, c] -= mass[i] * change[c]
+            impulse[c] -= mass[i] * change[c]
         tally[block, 0] += 1
-        tally[block, 1] += 1 if back else 0
+        tally[block, 1] += 1 if end.back else 0
 
 
 @kernel
-def slide_bodies(block: int, x: Any, v: Any, s: Any) -> None:
+def slide_bodies(block: int, x: Float, v: Float, s: Slides) -> None:
     """Hold the vertices of one block off all bodies, one after the other."""
     s.tally[block, 0] = 0
     for body in range(s.root.shape[0]):
-        slide_block(
-            block, x, v, body, s.root[body], s.frame[body], s.friction[body], s.gap[body], s.mass, s.frames, s.boxes,
-            s.child, s.corners, s.face, s.faces, s.edges, s.vertex_normals, s.edge_normals, s.before, s.clear,
-            s.place, s.planes, s.impulse, s.tally,
-        )  # fmt: skip
+        slide_block(block, x, v, body, s)
 
 
 @kernel
-def slow_block(block: int, x: Any, v: Any, s: Any) -> None:
+def slow_block(block: int, x: Float, v: Float, s: Slides) -> None:
     """Hold velocities v (3, n) of one block off the planes that hold its vertices."""
     for body in range(s.root.shape[0]):
         for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
@@ -153,63 +154,70 @@ def slow_block(block: int, x: Any, v: Any, s: Any) -> None:
 
 
 @kernel
-def slow_slides(x: Any, v: Any, s: Any) -> None:
-    """Hold velocities v (3, n) off the planes that hold vertices x (3, n) since commit_slides, with friction."""
-    for block in range(s.tally.shape[0]):
-        slow_block(block, x, v, s)
-
-
-@parallel_kernel
-def slow_slides_parallel(x: Any, v: Any, s: Any) -> None:
-    """slow_slides on several threads: the same bits."""
-    for block in prange(s.tally.shape[0]):
-        slow_block(block, x, v, s)
-
-
-@kernel
-def pose_slides(at: float, s: Any) -> None:
+def pose_slides(at: float, s: Slides) -> None:
     """Pose all frames at a fraction of the interval."""
     for f in range(s.frames.shape[0]):
         pose_frame(at, f, s.rotation0, s.origin0, s.spin, s.shift, s.frames)
 
 
-@kernel
-def commit_slides(x: Any, v: Any, at: float, s: Any) -> None:
-    """Hold all vertices x, v (3, n) off the bodies after a step that ends at fraction `at` of the interval."""
-    pose_slides(at, s)
-    for block in range(s.tally.shape[0]):
-        slide_bodies(block, x, v, s)
-
-
 @parallel_kernel
-def commit_slides_parallel(x: Any, v: Any, at: float, s: Any) -> None:
-    """commit_slides on several threads: the same bits."""
-    pose_slides(at, s)
+def slide_parallel(x: Float, v: Float, s: Slides) -> None:
+    """`slide_bodies` for all blocks on several threads."""
     for block in prange(s.tally.shape[0]):
         slide_bodies(block, x, v, s)
 
 
+@parallel_kernel
+def slow_parallel(x: Float, v: Float, s: Slides) -> None:
+    """`slow_block` for all blocks on several threads."""
+    for block in prange(s.tally.shape[0]):
+        slow_block(block, x, v, s)
+
+
 @kernel
-def find_block_room(block: int, x: Any, s: Any) -> None:
+def hold_slides(s: Slides, x: Float, v: Float, at: float, threads: int | None) -> None:
+    """Hold all vertices x, v (3, n) off the bodies after a step that ends at fraction `at` of the interval.
+
+    The same bits with any number of threads; None is for one.
+    """
+    pose_slides(at, s)
+    if threads is None:
+        for block in range(s.tally.shape[0]):
+            slide_bodies(block, x, v, s)
+    else:
+        slide_parallel(x, v, s)
+
+
+@kernel
+def slow_slides(s: Slides, x: Float, v: Float, threads: int | None) -> None:
+    """Hold velocities v (3, n) off the planes that hold vertices x (3, n) since `hold_slides`, with friction."""
+    if threads is None:
+        for block in range(s.tally.shape[0]):
+            slow_block(block, x, v, s)
+    else:
+        slow_parallel(x, v, s)
+
+
+@kernel
+def find_block_room(block: int, x: Float, s: Slides) -> None:
     """`find_room` for the vertices of one block."""
-    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    room, tree, frames = make_room(), tree_of(s), s.frames
     for body in range(s.root.shape[0]):
+        before, clear, nearest = s.before[body], s.clear[body], s.nearest[body]
+        f, root, gap = s.frame[body], s.root[body], s.gap[body]
         for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
-            px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, s.frame[body])
-            ex, ey, ez = px - s.before[body, 0, i], py - s.before[body, 1, i], pz - s.before[body, 2, i]
-            s.before[body, 0, i], s.before[body, 1, i], s.before[body, 2, i] = px, py, pz
-            left = s.clear[body, i] - (1.0 + 1e-9) * math.sqrt(ex * ex + ey * ey + ez * ez)
-            if not left > s.gap[body] and abs(px) + abs(py) + abs(pz) < math.inf:
-                place, _, _, _, _, _, left, _, _, _ = closest(
-                    px, py, pz, s.place[body, i], s.root[body], s.boxes, s.child, s.corners, s.face, s.faces,
-                    s.edges, s.vertex_normals, s.edge_normals, waiting, bound,
-                )  # fmt: skip
-                s.place[body, i] = place
-            s.clear[body, i] = left
+            px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], frames, f)
+            ex, ey, ez = px - before[0, i], py - before[1, i], pz - before[2, i]
+            before[0, i], before[1, i], before[2, i] = px, py, pz
+            left = clear[i] - (1.0 + 1e-9) * math.sqrt(ex * ex + ey * ey + ez * ez)
+            if not left > gap and abs(px) + abs(py) + abs(pz) < math.inf:
+                near = closest((px, py, pz), nearest[i], root, tree, room)
+                left, nearest[i] = near.distance, near.place
+            clear[i] = left
 
 
 @parallel_kernel
-def find_room(s: Any, x: Any) -> None:
+def find_room(s: Slides, x: Float) -> None:
     """Take vertices x (3, n) as they are at the start of the interval for the start of their next movement.
 
     One that has not gone on from where it was, as after a jump, is looked up anew.
@@ -217,24 +225,6 @@ def find_room(s: Any, x: Any) -> None:
     pose_slides(0.0, s)
     for block in prange(s.tally.shape[0]):
         find_block_room(block, x, s)
-
-
-@kernel
-def hold_slides(slides: Any, x: Any, v: Any, s: float, threads: Any) -> None:
-    """Hold all vertices off the bodies, on one thread or several."""
-    if threads is None:
-        commit_slides(x, v, s, slides)
-    else:
-        commit_slides_parallel(x, v, s, slides)
-
-
-@kernel
-def slow_held(slides: Any, x: Any, v: Any, threads: Any) -> None:
-    """Hold velocities off the planes that hold the vertices, on one thread or several."""
-    if threads is None:
-        slow_slides(x, v, slides)
-    else:
-        slow_slides_parallel(x, v, slides)
 
 
 def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:
@@ -252,7 +242,7 @@ register(
     Slides,
     name="slides",
     hold=hold_slides,
-    slow=slow_held,
+    slow=slow_slides,
     begin=find_room,
     unbalance="nuno_contact.sliding.balance:hold_forces",
     interval=set_slide_poses,

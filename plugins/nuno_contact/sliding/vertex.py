@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 from nuno_contact.sliding.crossing import first_crossing
-from nuno_contact.sliding.planes import hold_off
+from nuno_contact.sliding.planes import Vector, hold_off
 from nuno_kernels import kernel
 from nuno_kernels.bodies.poses import turn_out
-from nuno_kernels.meshes.closest_point import closest
+from nuno_kernels.meshes.closest_point import Answer, Room, closest
+from nuno_kernels.meshes.tree import Tree
+from nuno_schemas.fabric import Float
 
 ROUNDS = 12
 """Times that a movement is looked at: the last two planes it meets hold it off together."""
@@ -25,38 +27,48 @@ could fall through a part of the gap unseen would feel no friction on the way, w
 
 
 @kernel
-def outward(p: Any, near: Any, distance: float, normal: Any) -> tuple[float, float, float]:
-    """Unit direction out of the surface at the closest point `near` of p; the pseudonormal where p lies on it."""
-    x, y, z = p[0] - near[0], p[1] - near[1], p[2] - near[2]
+def outward(p: Vector, near: Answer) -> Vector:
+    """Unit direction out of the surface at the closest point of p; the pseudonormal where p lies on it."""
+    x, y, z, distance = p[0] - near.point[0], p[1] - near.point[1], p[2] - near.point[2], near.distance
     if abs(distance) < 1e-9 * (abs(p[0]) + abs(p[1]) + abs(p[2])):
-        x, y, z = normal
+        x, y, z = near.normal
         distance = math.sqrt(x * x + y * y + z * z)
     return x / distance, y / distance, z / distance
 
 
+class Slid(NamedTuple):
+    """What became of a movement: what is left of it [m], the normals of the last planes that held it off and how many
+    there were, the distance that is left [m], the nearest triangle's place, and whether the vertex was put back.
+    """
+
+    made: Vector
+    n1: Vector
+    n2: Vector
+    planes: int
+    distance: float
+    place: int
+    back: bool
+
+
 @kernel
 def slide(
-    start: Any, m: Any, clear: float, place: int, root: int, gap: float, mu: float, boxes: Any, child: Any,
-    corners: Any, face: Any, faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any,
-    waiting: Any, bound: Any,
-) -> Any:  # fmt: skip
+    start: Vector, m: Vector, clear: float, place: int, root: int, gap: float, mu: float, tree: Tree, room: Room
+) -> Slid:
     """A vertex's movement m from `start`, in the body's frame, where it would enter or come nearer than `gap`.
 
-    `clear` is the distance at the start, or less. Returns the movement it makes, the planes' normals n1 and n2,
-    how many of them there are, the distance left, the nearest triangle's place, and whether it was put back.
+    `clear` is the distance at the start, or less; `place` that of a triangle which may be near.
     """
     n1 = n2 = (0.0, 0.0, 0.0)
     h1 = h2 = 0.0
     planes = 0
     made = m
     distance = clear
+    corners = tree.corners
     for turn in range(ROUNDS):
         length = math.sqrt(made[0] * made[0] + made[1] * made[1] + made[2] * made[2])
         share, at = 2.0, -1
         if clear > 0.0 and length >= clear:
-            share, at = first_crossing(
-                start[0], start[1], start[2], made[0], made[1], made[2], root, boxes, child, corners, face, waiting
-            )
+            share, at = first_crossing(start, made, root, tree, room)
         if share <= 1.0:
             row, j = 9 * (at // 8), at % 8
             bx, by, bz = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
@@ -68,13 +80,12 @@ def slide(
             place, distance = at, -1.0
         else:
             p = (start[0] + made[0], start[1] + made[1], start[2] + made[2])
-            place, _, _, x, y, z, distance, nx, ny, nz = closest(
-                p[0], p[1], p[2], place, root, boxes, child, corners, face, faces, edges, vertex_normals,
-                edge_normals, waiting, bound,
-            )  # fmt: skip
+            near = closest(p, place, root, tree, room)
+            place, distance = near.place, near.distance
             if distance >= (gap if planes == 0 else TOUCHING * gap):
-                return made, n1, n2, planes, distance, place, False
-            n2 = outward(p, (x, y, z), distance, (nx, ny, nz))
+                return Slid(made, n1, n2, planes, distance, place, False)
+            n2 = outward(p, near)
+            x, y, z = near.point
             h2 = gap + (x - start[0]) * n2[0] + (y - start[1]) * n2[1] + (z - start[2]) * n2[2]
         if turn == ROUNDS - 1:
             break
@@ -82,12 +93,14 @@ def slide(
         made = hold_off(m, n2, h2, n1, h1, planes == 2, mu)
         n1, h1, n2, h2 = n2, h2, n1, h1
     if distance > 0.0 or clear <= 0.0:
-        return made, n1, n2, planes, distance, place, False
-    return (0.0, 0.0, 0.0), n1, n2, planes, clear, place, True
+        return Slid(made, n1, n2, planes, distance, place, False)
+    return Slid((0.0, 0.0, 0.0), n1, n2, planes, clear, place, True)
 
 
 @kernel
-def slow_down(v: Any, i: int, at: Any, n1: Any, n2: Any, planes: int, mu: float, frames: Any, f: int) -> Any:
+def slow_down(
+    v: Float, i: int, at: Vector, n1: Vector, n2: Vector, planes: int, mu: float, frames: Float, f: int
+) -> Vector:
     """Hold the velocity of vertex i at `at` off the body's planes; returns the change of velocity [m/s]."""
     a, b = turn_out(n1, frames, f), turn_out(n2, frames, f)
     rx, ry, rz = at[0] - frames[f, 9], at[1] - frames[f, 10], at[2] - frames[f, 11]

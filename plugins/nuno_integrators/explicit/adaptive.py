@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, Told, Work, source_of
-from nuno_integrators.explicit.combine import combine
+from nuno_integrators.explicit.combine import Buffers, Stage, combine
 from nuno_integrators.explicit.stepsize import (
     ACCEPTED,
     AT,
     PENDING,
     REJECTED,
     SMALLEST,
-    Buffers,
+    Interval,
     Pair,
     advance_adaptive,
     attempt,
     attempt_interpreted,
-)
+)  # fmt: skip
 from nuno_integrators.explicit.tableaux import DOP853, DOPRI5, Tableau
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels.lanes.simd import WIDTH
@@ -100,7 +100,7 @@ class Adaptive(Compiled):
         blocks = block_count(n)
         x, v, y, u = np.empty((4, 3, n))
         buffers = Buffers(x, v, y, u, k, k.reshape(3 * stages, n), np.empty(blocks), np.empty((blocks, 1, WIDTH)))
-        pair = Pair(table.a, table.aa, table.c, table.errors, table.position_errors)
+        pair = Pair(table.stages, table.estimate, table.a, table.aa, table.c, table.errors, table.position_errors)
         control = np.array([0.0, 0.0, np.inf, 1e-4])
         known_ahead = not packed.bodies and not any(term.in_python for term in system.terms)
         free = max(1, int((~fabric.pinned).sum()))
@@ -123,22 +123,8 @@ class Adaptive(Compiled):
             b.x[...], b.v[...] = work.x, work.v
             control[AT] = control[PENDING] = 0.0
         counts = np.zeros(2, np.int64)
-        call = source_of(advance_adaptive, extra)
-        table = self.tableau
-        whole = call(
-            b,
-            work.pair,
-            table.stages,
-            table.estimate,
-            control,
-            counts,
-            span,
-            min(dt, work.longest),
-            work.landing,
-            work.allowed,
-            packed,
-            extra,
-        )
+        interval = Interval(span, min(dt, work.longest), work.landing, work.allowed)
+        whole = source_of(advance_adaptive, extra)(b, work.pair, control, counts, interval, packed, extra)
         if control[PENDING] > 0.0 and whole:
             self._read_inside(work, packed, span)
             control[AT] -= span
@@ -151,18 +137,15 @@ class Adaptive(Compiled):
 
     def compile(self, work: AdaptiveWork, packed: Packed, extra: Any) -> None:
         """An interval of no length ends before its first step."""
-        control, table = np.array([0.0, 0.0, 0.0, 1.0]), self.tableau
-        call = source_of(advance_adaptive, extra)
-        call(
-            work.b, work.pair, table.stages, table.estimate, control, np.zeros(2, np.int64),
-            0.0, 0.0, work.landing, work.allowed, packed, extra,
-        )  # fmt: skip
+        b, table, interval = work.b, self.tableau, Interval(0.0, 0.0, work.landing, work.allowed)
+        control, counts = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(2, np.int64)
+        source_of(advance_adaptive, extra)(b, work.pair, control, counts, interval, packed, extra)
         if not work.landing:
             # What reads a state inside of a step: no stages, and into arrays of its own.
-            attempt(work.b, work.pair, 0, 0, 0.0, 0.0, 1.0, packed, None)
-            b, weights = work.b, table.output(0.0)
-            ends = np.empty_like(b.x), np.empty_like(b.v)
-            combine(b.x, b.v, b.flat, 0.0, 0.0, weights @ table.a, weights, len(table.c), *ends, packed.threads)
+            attempt(b, work.pair, 0, 0, 0.0, 0.0, 1.0, packed, None)
+            weights = table.output(0.0)
+            stage = Stage(0.0, 0.0, weights @ table.a, weights, len(table.c))
+            combine(b, stage, np.empty_like(b.x), np.empty_like(b.v), packed.threads)
 
     def _goes_on(self, work: AdaptiveWork, packed: Packed, span: float) -> bool:
         """Whether the pending step leads to the present state; its slopes are made again after a resume."""
@@ -173,7 +156,7 @@ class Adaptive(Compiled):
             return True
         now_x, now_v = work.x.copy(), work.v.copy()
         stages, h, start = self.tableau.stages, float(control[PENDING]), float(control[AT])
-        attempt(work.b, work.pair, stages, 0, h, start, span, packed, None)
+        attempt(work.b, work.pair, 0, stages, h, start, span, packed, None)
         control[AT] += span
         self._read_inside(work, packed, span)
         control[AT] -= span
@@ -187,20 +170,19 @@ class Adaptive(Compiled):
         if len(table.c) > table.stages:
             y, u = b.y.copy(), b.u.copy()
             start = float(work.control[AT])
-            attempt(b, work.pair, len(table.c), table.stages, h, start, span, packed, None)
+            attempt(b, work.pair, table.stages, len(table.c), h, start, span, packed, None)
             b.y[...], b.u[...] = y, u
         theta = (span - float(work.control[AT])) / h
         weights = table.output(theta)
-        combine(
-            b.x, b.v, b.flat, theta * h, h, weights @ table.a, weights, len(table.c), work.x, work.v, packed.threads
-        )
+        stage = Stage(theta * h, h, weights @ table.a, weights, len(table.c))
+        combine(b, stage, work.x, work.v, packed.threads)
 
     def step_at_rest(self, work: AdaptiveWork, extra: Any) -> Any:
         def steps_of_no_length(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
             work.b.x[...], work.b.v[...] = x, v
             call = attempt if force is None else attempt_interpreted
             for _ in range(steps):
-                call(work.b, work.pair, self.tableau.stages, 0, 0.0, 0.0, 1.0, p, force)
+                call(work.b, work.pair, 0, self.tableau.stages, 0.0, 0.0, 1.0, p, force)
 
         return steps_of_no_length
 

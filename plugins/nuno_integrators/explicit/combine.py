@@ -11,23 +11,45 @@ the memory.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.lanes.simd import WIDTH, read, splat, store, write
 from nuno_kernels.step.blocks import BLOCK
+from nuno_schemas.fabric import Float
+
+
+class Buffers(NamedTuple):
+    """The start (x, v) of the pending step, its end (y, u), and slopes k (s, 3, n), twice the same memory."""
+
+    x: Float
+    v: Float
+    y: Float
+    u: Float
+    k: Float
+    flat: Float
+    """(3 s, n)"""
+    sums: Float
+    wait: Float
+
+
+class Stage(NamedTuple):
+    """y = x + ch v + h^2 sum position_j k_j and u = v + h sum velocity_j k_j, over the first `slopes` of them."""
+
+    ch: float
+    h: float
+    position: Float
+    velocity: Float
+    slopes: int
 
 
 @kernel
-def combine_block(
-    block: int, x: Any, v: Any, k: Any, ch: float, h: float, position: Any, velocity: Any, count: int, y: Any, u: Any
-) -> None:
-    """y = x + ch v + h^2 sum position_j k_j and u = v + h sum velocity_j k_j on a block's vertices.
-
-    k is (stages * 3, n); the first `count` of the weights are read.
-    """
+def combine_block(block: int, b: Buffers, stage: Stage, y: Float, u: Float) -> None:
+    """A stage (y, u) on a block's vertices."""
+    x, v, k, position, velocity = b.x, b.v, b.flat, stage.position, stage.velocity
+    ch, h, count = stage.ch, stage.h, stage.slopes
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     for row in range(3):
         for p in range(low, high, WIDTH):
@@ -44,28 +66,24 @@ def combine_block(
 
 
 @parallel_kernel
-def combine_parallel(
-    x: Any, v: Any, k: Any, ch: float, h: float, position: Any, velocity: Any, count: int, y: Any, u: Any
-) -> None:
+def combine_parallel(b: Buffers, stage: Stage, y: Float, u: Float) -> None:
     """All blocks on several threads."""
-    for block in prange((x.shape[1] + BLOCK - 1) // BLOCK):
-        combine_block(block, x, v, k, ch, h, position, velocity, count, y, u)
+    for block in prange((y.shape[1] + BLOCK - 1) // BLOCK):
+        combine_block(block, b, stage, y, u)
 
 
 @kernel
-def combine(
-    x: Any, v: Any, k: Any, ch: float, h: float, position: Any, velocity: Any, count: int, y: Any, u: Any, threads: Any
-) -> None:
-    """A stage (y, u) from the state (x, v), all (3, n), and the slopes k (stages * 3, n)."""
+def combine(b: Buffers, stage: Stage, y: Float, u: Float, threads: int | None) -> None:
+    """A stage (y, u) (3, n) from the state and the slopes in b."""
     if threads is None:
-        for block in range((x.shape[1] + BLOCK - 1) // BLOCK):
-            combine_block(block, x, v, k, ch, h, position, velocity, count, y, u)
+        for block in range((y.shape[1] + BLOCK - 1) // BLOCK):
+            combine_block(block, b, stage, y, u)
     else:
-        combine_parallel(x, v, k, ch, h, position, velocity, count, y, u)
+        combine_parallel(b, stage, y, u)
 
 
 @kernel
-def add_squares(block: int, k: Any, weights: Any, wait: Any) -> float:
+def add_squares(block: int, k: Float, weights: Float, wait: Float) -> float:
     """Sum over a block of (sum_j weights_j k_j)^2; `wait` (1, 8) is scratch."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, k.shape[1])
     total = splat(0.0)
@@ -85,14 +103,14 @@ def add_squares(block: int, k: Any, weights: Any, wait: Any) -> float:
 
 
 @parallel_kernel
-def square_parallel(k: Any, weights: Any, sums: Any, wait: Any) -> None:
+def square_parallel(k: Float, weights: Float, sums: Float, wait: Float) -> None:
     """The sums of all blocks on several threads."""
     for block in prange(sums.shape[0]):
         sums[block] = add_squares(block, k, weights, wait[block])
 
 
 @kernel
-def square(k: Any, weights: Any, sums: Any, wait: Any, threads: Any) -> float:
+def square(k: Float, weights: Float, sums: Float, wait: Float, threads: int | None) -> float:
     """Sum over all vertices of |sum_j weights_j k_j|^2, in an order that no thread changes.
 
     sums (blocks,) and wait (blocks, 1, 8) are scratch; a pinned vertex has slopes 0.

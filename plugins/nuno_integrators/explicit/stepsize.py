@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_integrators.compiled import source_of
-from nuno_integrators.explicit.combine import combine, square
+from nuno_integrators.explicit.combine import Buffers, Stage, combine, square
 from nuno_kernels import kernel, shared_source
-from nuno_kernels.step.acceleration import commit, evaluate
+from nuno_kernels.step.acceleration import Packed, commit, evaluate
+from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0
@@ -23,6 +24,8 @@ LANDED = 1e-9
 class Pair(NamedTuple):
     """A tableau as compiled code reads it; see nuno_integrators.explicit.tableaux.Tableau."""
 
+    stages: int
+    estimate: int
     a: Float
     aa: Float
     c: Float
@@ -30,17 +33,15 @@ class Pair(NamedTuple):
     position_errors: Float
 
 
-class Buffers(NamedTuple):
-    """The start (x, v) of the pending step, its end (y, u), and slopes k (s, 3, n), twice the same memory."""
+class Interval(NamedTuple):
+    """What the steps of one interval keep to: its length [s], the longest step [s], whether one must land on the
+    interval's end, and the error that a step may make [m], times the root of the number of vertices.
+    """
 
-    x: Float
-    v: Float
-    y: Float
-    u: Float
-    k: Float
-    flat: Float
-    sums: Float
-    wait: Float
+    span: float
+    longest: float
+    landing: bool
+    allowed: float
 
 
 AT, PENDING, NEXT, BEFORE = 0, 1, 2, 3
@@ -53,7 +54,7 @@ ACCEPTED, REJECTED = 0, 1
 
 @kernel
 def attempt(
-    b: Any, pair: Any, stages: int, first: int, h: float, start: float, span: float, p: Any, extra: Any
+    b: Buffers, pair: Pair, first: int, stages: int, h: float, start: float, span: float, p: Packed, extra: Any
 ) -> None:
     """Stages `first` to `stages` - 1 of a step of h from (b.x, b.v); the last leaves the end in (b.y, b.u)."""
     for i in range(first, stages):
@@ -61,7 +62,7 @@ def attempt(
         if i == 0:
             evaluate(b.x, b.v, s, b.k[0], p, extra)
         else:
-            combine(b.x, b.v, b.flat, pair.c[i] * h, h, pair.aa[i], pair.a[i], i, b.y, b.u, p.threads)
+            combine(b, Stage(pair.c[i] * h, h, pair.aa[i], pair.a[i], i), b.y, b.u, p.threads)
             evaluate(b.y, b.u, s, b.k[i], p, extra)
 
 
@@ -69,14 +70,14 @@ attempt_interpreted = source_of(attempt, True)
 
 
 @shared_source
-def estimated(b: Any, pair: Any, which: int, h: float, threads: Any) -> float:
+def estimated(b: Buffers, pair: Pair, which: int, h: float, threads: int | None) -> float:
     """One of the pair's estimates [m], root of the sum over the vertices: of h times velocities, and of positions."""
     velocity = np.sqrt(square(b.flat, pair.errors[which], b.sums, b.wait, threads))
     return float(h * h * (velocity + np.sqrt(square(b.flat, pair.position_errors[which], b.sums, b.wait, threads))))
 
 
 @shared_source
-def estimate_error(b: Any, pair: Any, h: float, allowed: float, p: Any) -> float:
+def estimate_error(b: Buffers, pair: Pair, h: float, allowed: float, p: Packed) -> float:
     """Estimated error over the allowed: root mean square over the vertices, of positions and of h times velocities.
 
     `allowed` is in metres times the root of the number of vertices. Of two estimates e5 and e3 the
@@ -101,7 +102,7 @@ def choose_length(wish: float, left: float, longest: float, landing: bool) -> fl
 
 
 @kernel
-def take(control: Any, h: float, error: float, alpha: float, again: bool) -> None:
+def take(control: Float, h: float, error: float, alpha: float, again: bool) -> None:
     """Leave a step of h pending whose error is allowed, and choose the next; `again` after one that was not."""
     error = max(error, 1e-4)
     wish = SAFETY * control[BEFORE] ** 0.04 / error**alpha
@@ -114,15 +115,15 @@ def take(control: Any, h: float, error: float, alpha: float, again: bool) -> Non
 
 @kernel
 def advance_adaptive(
-    b: Any, pair: Any, stages: int, estimate: int, control: Any, counts: Any,
-    span: float, longest: float, landing: bool, allowed: float, p: Any, extra: Any,
-) -> bool:  # fmt: skip
-    """Step to the end of an interval of `span`: until the pending step ends beyond it, or just there.
+    b: Buffers, pair: Pair, control: Float, counts: Long, interval: Interval, p: Packed, extra: Any
+) -> bool:
+    """Step to the end of an interval: until the pending step ends beyond it, or just there.
 
     A step that is accepted stays pending until the next is tried, so that the state at the end of
     the interval can be read inside of it. False where the step has become too small.
     """
-    alpha = 1.0 / (estimate + 1) - 0.75 * 0.04
+    span, stages = interval.span, pair.stages
+    alpha = 1.0 / (pair.estimate + 1) - 0.75 * 0.04
     first, again = 0, False
     while True:
         h = control[PENDING]
@@ -143,14 +144,14 @@ def advance_adaptive(
             if over > -LANDED * h:
                 control[AT] = 0.0
                 return True
-        h = choose_length(control[NEXT], span - control[AT], longest, landing)
+        h = choose_length(control[NEXT], span - control[AT], interval.longest, interval.landing)
         if not h > SMALLEST * span:
             return False
         if extra is None:
-            attempt(b, pair, stages, first, h, control[AT], span, p, None)
+            attempt(b, pair, first, stages, h, control[AT], span, p, None)
         else:
-            attempt_interpreted(b, pair, stages, first, h, control[AT], span, p, extra)
-        error = estimate_error(b, pair, h, allowed, p)
+            attempt_interpreted(b, pair, first, stages, h, control[AT], span, p, extra)
+        error = estimate_error(b, pair, h, interval.allowed, p)
         if error <= 1.0:
             counts[ACCEPTED] += 1
             take(control, h, error, alpha, again)

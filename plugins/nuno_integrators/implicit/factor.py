@@ -73,15 +73,22 @@ def add_diagonal(fronts: Any, diagonal: Any, values: Any) -> None:
             values[0, at + 2 * width + 2] += diagonal[2, v]
 
 
-@kernel
-def subtract(
-    u: Any, at: int, width: int, depth: int, low: int, high: int, end: int, out: Any, to: int, reach: int
-) -> None:
-    """out[c, r] -= sum over k < depth of u[k, c] u[k, r] for low <= c < high and c <= r < end.
+class Rows(NamedTuple):
+    """Rows of a matrix in a flat array: row k begins at values[0, at + k width]."""
 
-    Row k of u begins at u[0, at + k width], row c of out at out[0, to + (c - low) reach], its column r at r - low
-    from there. Whole tiles are computed, and what is left of the diagonal or beyond `end` has no meaning.
+    values: Float
+    at: int
+    width: int
+
+
+@kernel
+def subtract(rows: Rows, depth: int, low: int, high: int, end: int, to: Rows) -> None:
+    """to[c - low, r - low] -= sum over k < depth of rows[k, c] rows[k, r] for low <= c < high and c <= r < end.
+
+    Whole tiles are computed, and what is left of the diagonal or beyond `end` has no meaning.
     """
+    u, at, width = rows.values, rows.at, rows.width
+    out, reach = to.values, to.width
     for r in range(low, end, 2 * WIDTH):
         for c in range(low, min(high, r + 2 * WIDTH), TILE):
             a0 = b0 = c0 = d0 = a1 = b1 = c1 = d1 = splat(0.0)
@@ -94,7 +101,7 @@ def subtract(
                 b0, b1 = fused(b, left, b0), fused(b, right, b1)
                 c0, c1 = fused(g, left, c0), fused(g, right, c1)
                 d0, d1 = fused(d, left, d0), fused(d, right, d1)
-            place = to + (c - low) * reach + r - low
+            place = to.at + (c - low) * reach + r - low
             store(out, 0, place, load(out, 0, place) - a0)
             store(out, 0, place + WIDTH, load(out, 0, place + WIDTH) - a1)
             place += reach
@@ -113,7 +120,7 @@ def eliminate(u: Any, at: int, width: int, own: int, size: int) -> bool:
     """Turn a front's own rows of A into rows of U; False at a pivot that is not positive."""
     for first in range(0, own, PANEL):
         last = min(first + PANEL, own)
-        subtract(u, at, width, first, first, last, size, u, at + first * width + first, width)
+        subtract(Rows(u, at, width), first, first, last, size, Rows(u, at + first * width + first, width))
         for k in range(first, last):
             row = at + k * width
             for r in range(k, size, WIDTH):
@@ -167,7 +174,8 @@ def factorise_fronts(fronts: Any, values: Any, scratch: Any) -> bool:
         if not eliminate(values, at, width, own, size):
             return False
         if size > own:
-            subtract(values, at, width, own, own, size, size, scratch, fronts.rest[f], fronts.reach[f])
+            left = Rows(scratch, fronts.rest[f], fronts.reach[f])
+            subtract(Rows(values, at, width), own, own, size, size, left)
             if fronts.fresh[f] & 2:
                 clear(fronts.parent[f], fronts, scratch)
             pass_on(f, fronts, values, scratch)

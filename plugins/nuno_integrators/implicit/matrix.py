@@ -63,7 +63,7 @@ def make_linear(packed: Packed) -> Linear:
 
 
 @kernel
-def invert(own: Any, inverse: Any, v: int, diagonal: Any, at: int) -> None:
+def invert(own: Float, inverse: Float, v: int, diagonal: Float, at: int) -> None:
     """Inverse of vertex v's diagonal block, by cofactors."""
     xx, yy, zz = own[0, v] + diagonal[0, at], own[1, v] + diagonal[1, at], own[2, v] + diagonal[2, at]
     xy, xz, yz = own[3, v] + diagonal[3, at], own[4, v] + diagonal[4, at], own[5, v] + diagonal[5, at]
@@ -84,34 +84,40 @@ class Tangent(NamedTuple):
     follow: float
 
 
+class Diagonals(NamedTuple):
+    """The fields of Linear of these names: threads take no tuple of tuples."""
+
+    inverse_mass: Float
+    own: Float
+    inverse: Float
+
+
 @kernel
 def fill_block(
-    block: int, forces: Any, on: Any, rows: Any, x: Any, before: Any, tangent: Any, inverse_mass: Any, own: Any,
-    inverse: Any,
-) -> None:  # fmt: skip
+    block: int, forces: Any, on: Bool, rows: Any, x: Float, before: Float, tangent: Tangent, diagonals: Diagonals
+) -> None:
     """Linearise a block's forces at x (3, n) and invert its diagonal blocks."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     diagonal = np.zeros((6, high - low + PADDING))
     fill_rows(forces, on, rows, block, x, before, tangent.rate, tangent.floor, tangent.follow)
     sum_diagonal(forces, on, rows, block, low, diagonal)
     for v in range(low, high):
-        if inverse_mass[v] > 0.0:
-            invert(own, inverse, v, diagonal, v - low)
+        if diagonals.inverse_mass[v] > 0.0:
+            invert(diagonals.own, diagonals.inverse, v, diagonal, v - low)
 
 
-fill_parallel = each_block(fill_block, "x, before, tangent, inverse_mass, own, inverse", linear=True)
+fill_parallel = each_block(fill_block, "x, before, tangent, diagonals", linear=True)
 
 
 @kernel
-def fill_blocks(x: Any, before: Any, tangent: Any, a: Any, threads: Any) -> None:
+def fill_blocks(x: Float, before: Float, tangent: Tangent, a: Linear, threads: int | None) -> None:
     """All blocks, on one thread or several."""
+    diagonals = Diagonals(a.inverse_mass, a.own, a.inverse)
     if threads is None:
         for block in range(a.sums.shape[0]):
-            fill_block(block, a.forces, a.forces_on, a.rows, x, before, tangent, a.inverse_mass, a.own, a.inverse)
+            fill_block(block, a.forces, a.forces_on, a.rows, x, before, tangent, diagonals)
     else:
-        fill_parallel(
-            a.forces, a.forces_on, a.rows, x, before, tangent, a.inverse_mass, a.own, a.inverse, a.sums.shape[0]
-        )  # fmt: skip
+        fill_parallel(a.forces, a.forces_on, a.rows, x, before, tangent, diagonals, a.sums.shape[0])
 
 
 def fill(

@@ -34,10 +34,10 @@ from typing import Any, NamedTuple
 from nuno_kernels import kernel
 from nuno_kernels.forces.hinges import FLAT, cross, dot, listed_corner, minus, times
 from nuno_kernels.lanes.choose import where_greater, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.step.blocks import Long
-from nuno_kernels.terms import each, each_block, register
-from nuno_schemas.fabric import Float, Int
+from nuno_kernels.terms import Displaced, each, each_block, register
+from nuno_schemas.fabric import Bool, Float, Int
 
 
 class RunBatches(NamedTuple):
@@ -88,20 +88,28 @@ class HingeBatches(NamedTuple):
     kept: Float | None
 
 
+class Constraints(NamedTuple):
+    """A system's constraints: (colours + 1,) bounds over the batches, the batches of each kind, and which kinds act."""
+
+    colour: Long
+    kinds: tuple[Any, ...]
+    on: Bool
+
+
 @kernel
-def plus(a: Any, b: Any) -> Any:
+def plus(a: Triple, b: Triple) -> Triple:
     """a + b of two triples."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @kernel
-def kept_rows(kept: Any, p: int) -> Any:
+def kept_rows(kept: Float, p: int) -> Triple:
     """Eight forces from (3, w)."""
     return load(kept, 0, p), load(kept, 1, p), load(kept, 2, p)
 
 
 @kernel
-def keep_rows(kept: Any, p: int, f: Any) -> None:
+def keep_rows(kept: Float, p: int, f: Triple) -> None:
     """Eight forces into (3, w)."""
     store(kept, 0, p, f[0])
     store(kept, 1, p, f[1])
@@ -109,28 +117,31 @@ def keep_rows(kept: Any, p: int, f: Any) -> None:
 
 
 @kernel
-def spring_pull(
-    dx: Any, dy: Any, dz: Any, ux: Any, uy: Any, uz: Any, mobility: Any, k: Any, rest: Any, rate: Any
-) -> Any:
+def spring_pull(d: Triple, u: Triple, mobility: Lanes, k: Lanes, rest: Lanes, rate: Lanes) -> Triple:
     """Forces on the i ends of eight springs.
 
     d is the vector from i to j at the step's start, u how it changed since without the spring; `rate` is
     c / h and `mobility` that of both ends. Springs of length 0 have no direction and exert no force.
     """
-    px, py, pz = dx + ux, dy + uy, dz + uz
+    px, py, pz = plus(d, u)
     square = px * px + py * py + pz * pz
     length = root(square)
-    missing = k * (length - rest) * length + rate * (ux * px + uy * py + uz * pz)
+    missing = k * (length - rest) * length + rate * (u[0] * px + u[1] * py + u[2] * pz)
     f = where_not_zero(square, missing / (square * (1.0 + (k + rate) * mobility)))
     return f * px, f * py, f * pz
 
 
 @kernel
-def sweep_spring_runs(
-    batch: int, x: Any, u: Any, mobility: Any, inverse_step: float,
-    start: Any, task: Any, constants: Any, each: Any, kept: Any,
-) -> None:  # fmt: skip
-    """Solve a batch's runs in their order, in place in u (3, n)."""
+def read_rows(a: Float, p: int, m: int) -> Triple:
+    """Up to eight columns of (3, n)."""
+    return read(a, 0, p, m), read(a, 1, p, m), read(a, 2, p, m)
+
+
+@kernel
+def sweep_spring_runs(batch: int, moved: Displaced, runs: RunBatches, each: bool | None, kept: Float | None) -> None:
+    """Solve a batch's runs in their order, in place in the displacements; `each` and `kept` are the runs'."""
+    x, u, mobility, inverse_step = moved.x, moved.u, moved.mobility, moved.inverse_step
+    start, task, constants = runs.start, runs.task, runs.constants
     for t in range(start[batch], start[batch + 1]):
         i, j, count, at, column = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4]
         for q in range(0, count, WIDTH):
@@ -141,15 +152,11 @@ def sweep_spring_runs(
             rest = splat(constants[1, where]) if each is None else read(constants, 1, where, m)
             c = splat(constants[2, where]) if each is None else read(constants, 2, where, m)
             mi, mj = read(mobility, 0, a, m), read(mobility, 0, b, m)
-            ui = read(u, 0, a, m), read(u, 1, a, m), read(u, 2, a, m)
-            uj = read(u, 0, b, m), read(u, 1, b, m), read(u, 2, b, m)
+            ui, uj = read_rows(u, a, m), read_rows(u, b, m)
             if kept is not None:
                 ui, uj = minus(ui, times(mi, kept_rows(kept, p))), plus(uj, times(mj, kept_rows(kept, p)))
-            f = spring_pull(
-                read(x, 0, b, m) - read(x, 0, a, m), read(x, 1, b, m) - read(x, 1, a, m),
-                read(x, 2, b, m) - read(x, 2, a, m), uj[0] - ui[0], uj[1] - ui[1], uj[2] - ui[2],
-                mi + mj, k, rest, inverse_step * c,
-            )  # fmt: skip
+            d = minus(read_rows(x, b, m), read_rows(x, a, m))
+            f = spring_pull(d, minus(uj, ui), mi + mj, k, rest, inverse_step * c)
             for row in range(3):
                 if kept is not None:
                     store(kept, row, p, f[row])
@@ -158,20 +165,18 @@ def sweep_spring_runs(
 
 
 @kernel
-def sweep_spring_lists(
-    batch: int, x: Any, u: Any, mobility: Any, inverse_step: float, start: Any, ends: Any, constants: Any, kept: Any
-) -> None:
-    """Solve a batch's listed springs in their order, in place in u (3, n)."""
+def sweep_spring_lists(batch: int, moved: Displaced, lists: SpringBatches, kept: Float | None) -> None:
+    """Solve a batch's listed springs in their order, in place in the displacements; `kept` is the lists'."""
+    x, u, mobility, inverse_step = moved.x, moved.u, moved.mobility, moved.inverse_step
+    start, ends, constants = lists.start, lists.ends, lists.constants
     for p in range(start[batch], start[batch + 1], WIDTH):
         mi, mj = gather(mobility, 0, ends, 0, p), gather(mobility, 0, ends, 1, p)
         d = minus(listed_corner(x, ends, 1, p), listed_corner(x, ends, 0, p))
-        moved = minus(listed_corner(u, ends, 1, p), listed_corner(u, ends, 0, p))
+        change = minus(listed_corner(u, ends, 1, p), listed_corner(u, ends, 0, p))
         if kept is not None:
-            moved = plus(moved, times(mi + mj, kept_rows(kept, p)))
-        f = spring_pull(
-            d[0], d[1], d[2], moved[0], moved[1], moved[2], mi + mj,
-            load(constants, 0, p), load(constants, 1, p), inverse_step * load(constants, 2, p),
-        )  # fmt: skip
+            change = plus(change, times(mi + mj, kept_rows(kept, p)))
+        k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
+        f = spring_pull(d, change, mi + mj, k, rest, inverse_step * c)
         change = f
         if kept is not None:
             change = minus(f, kept_rows(kept, p))
@@ -181,8 +186,11 @@ def sweep_spring_lists(
             add_at(u, row, ends, 1, p, 0.0 - mj * change[row])
 
 
+Parts = tuple[Lanes, Triple, Triple, Triple, Triple]
+
+
 @kernel
-def hinge_parts(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any) -> Any:
+def hinge_parts(x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes) -> Parts:
     """Moments k sin(angle - rest) of eight hinges, and at x0 and x1 minus, at x2 and x3 plus the angle's gradient.
 
     r = 1 / (|n1|^2 |n2|^2 |e|^2) as in nuno_kernels.forces.hinges.hinge_forces, 0 for a triangle without area.
@@ -200,17 +208,19 @@ def hinge_parts(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any) -> A
 
 
 @kernel
-def moved_corner(x: Any, u: Any, ends: Any, which: int, p: int) -> Any:
+def moved_corner(x: Float, u: Float, ends: Int, which: int, p: int) -> Triple:
     """Positions x + u of one corner of eight hinges."""
     return plus(listed_corner(x, ends, which, p), listed_corner(u, ends, which, p))
 
 
 @kernel
-def sweep_hinges(batch: int, x: Any, u: Any, mobility: Any, start: Any, ends: Any, constants: Any, kept: Any) -> None:
-    """Solve a batch's hinges in their order, in place in u (3, n).
+def sweep_hinges(batch: int, moved: Displaced, hinges: HingeBatches, kept: Float | None) -> None:
+    """Solve a batch's hinges in their order, in place in the displacements; `kept` is the hinges'.
 
     Forces are f0 and f1 on x0 and x1, minus f2 and f3 on x2 and x3, with f0 = f2 + f3 - f1; (9, p) are kept.
     """
+    x, u, mobility = moved.x, moved.u, moved.mobility
+    start, ends, constants = hinges.start, hinges.ends, hinges.constants
     for p in range(start[batch], start[batch + 1], WIDTH):
         m0, m1 = gather(mobility, 0, ends, 0, p), gather(mobility, 0, ends, 1, p)
         m2, m3 = gather(mobility, 0, ends, 2, p), gather(mobility, 0, ends, 3, p)
@@ -242,25 +252,25 @@ def sweep_hinges(batch: int, x: Any, u: Any, mobility: Any, start: Any, ends: An
 
 
 @kernel
-def solve_spring_runs(runs: Any, batch: int, x: Any, u: Any, mobility: Any, inverse_step: float) -> None:
+def solve_spring_runs(runs: RunBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's runs: fields that may be None are arguments, for numba prunes by these."""
-    sweep_spring_runs(batch, x, u, mobility, inverse_step, runs.start, runs.task, runs.constants, runs.each, runs.kept)
+    sweep_spring_runs(batch, moved, runs, runs.each, runs.kept)
 
 
 @kernel
-def solve_springs(lists: Any, batch: int, x: Any, u: Any, mobility: Any, inverse_step: float) -> None:
+def solve_springs(lists: SpringBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's listed springs."""
-    sweep_spring_lists(batch, x, u, mobility, inverse_step, lists.start, lists.ends, lists.constants, lists.kept)
+    sweep_spring_lists(batch, moved, lists, lists.kept)
 
 
 @kernel
-def solve_hinges(hinges: Any, batch: int, x: Any, u: Any, mobility: Any, inverse_step: float) -> None:
+def solve_hinges(hinges: HingeBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's hinges."""
-    sweep_hinges(batch, x, u, mobility, hinges.start, hinges.ends, hinges.constants, hinges.kept)
+    sweep_hinges(batch, moved, hinges, hinges.kept)
 
 
 @kernel
-def clear(array: Any) -> None:
+def clear(array: Float | None) -> None:
     """Zeros, where there is an array."""
     if array is not None:
         array[:] = 0.0
@@ -276,27 +286,29 @@ register(RunBatches, name="springs", sweep=solve_spring_runs, forget=forget_kept
 register(SpringBatches, name="springs", sweep=solve_springs, forget=forget_kept)
 register(HingeBatches, name="hinges", sweep=solve_hinges, forget=forget_kept)
 
-sweep_each = each("sweep", "batch, x, u, mobility, inverse_step")
+sweep_each = each("sweep", "batch, moved")
 forget = each("forget", "")
 
 
 @kernel
-def solve_batch(
-    place: int, kinds: Any, on: Any, first: int, x: Any, u: Any, mobility: Any, inverse_step: float
-) -> None:
+def solve_batch(place: int, kinds: Any, on: Bool, first: int, moved: Displaced) -> None:
     """Solve all of a batch, so many after the first."""
-    sweep_each(kinds, on, first + place, x, u, mobility, inverse_step)
+    sweep_each(kinds, on, first + place, moved)
 
 
-solve_colour = each_block(solve_batch, "first, x, u, mobility, inverse_step")
+solve_colour = each_block(solve_batch, "first, moved")
 
 
 @kernel
-def sweep(x: Any, u: Any, mobility: Any, inverse_step: float, colour: Any, kinds: Any, on: Any, threads: Any) -> None:
-    """Solve every element once, in place in u (3, n); batches of one colour share no vertex, and may have threads."""
+def sweep(moved: Displaced, constraints: Constraints, threads: int | None) -> None:
+    """Solve every element once, in place in the displacements.
+
+    Batches of one colour share no vertex, and may have threads.
+    """
+    colour, kinds, on = constraints.colour, constraints.kinds, constraints.on
     if threads is None:
         for batch in range(colour[-1]):
-            sweep_each(kinds, on, batch, x, u, mobility, inverse_step)
+            sweep_each(kinds, on, batch, moved)
     else:
         for c in range(colour.shape[0] - 1):
-            solve_colour(kinds, on, colour[c], x, u, mobility, inverse_step, colour[c + 1] - colour[c])
+            solve_colour(kinds, on, colour[c], moved, colour[c + 1] - colour[c])

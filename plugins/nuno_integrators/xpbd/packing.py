@@ -9,11 +9,11 @@ elements side by side never meet at a vertex. All of it depends on the fabric al
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from nuno_integrators.xpbd.constraints import HingeBatches, RunBatches, SpringBatches
+from nuno_integrators.xpbd.constraints import Constraints, HingeBatches, RunBatches, SpringBatches
 from nuno_kernels import kernel
 from nuno_kernels.forces.hinges import HingeLists, HingeRuns
 from nuno_kernels.forces.springs import SpringLists, SpringRuns
@@ -22,21 +22,13 @@ from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_kernels.step.packing import call_each
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float
+from nuno_schemas.fabric import Float
 
 MOST_BATCHES = 4096
 """Sets of blocks that are told apart: beyond, vertices are in no order, and what crosses blocks is one batch."""
 
 COLOURS = 62
 """Colours of elements within a batch that a vertex's mask holds; what finds none free goes alone."""
-
-
-class Constraints(NamedTuple):
-    """A system's constraints: (colours + 1,) bounds over the batches, the batches of each kind, and which kinds act."""
-
-    colour: Long
-    kinds: tuple[Any, ...]
-    on: Bool
 
 
 @dataclass(frozen=True)

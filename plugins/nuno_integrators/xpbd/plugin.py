@@ -27,8 +27,8 @@ from pydantic import Field
 from nuno_integrators.compiled import Compiled, Told, Work, lacking, source_of
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.stability import measure_rates, stable_step
-from nuno_integrators.xpbd.packing import Constraints, pack_constraints
-from nuno_integrators.xpbd.step import advance_xpbd
+from nuno_integrators.xpbd.packing import pack_constraints
+from nuno_integrators.xpbd.step import Swept, advance_xpbd
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.packing import call_each, silence, silence_bodies
 from nuno_kernels.terms import kernels_of
@@ -55,13 +55,9 @@ class XPBDConfig(Config):
 
 @dataclass
 class XPBDWork(Work):
-    """`others` are the forces without constraint, None where there are none; mobility (1, n) is scratch."""
+    """What the compiled loop works on."""
 
-    constraints: Constraints
-    others: Packed | None
-    mobility: Float
-    held: Float | None
-    iterations: int
+    own: Swept
 
 
 class XPBD(Compiled):
@@ -88,10 +84,8 @@ class XPBD(Compiled):
             others = silence_bodies(silence(packed, *solved))._replace(damping=0.0)
         held = np.zeros((3, n)) if repeated and any(kernels_of(term).project for term in packed.bodies) else None
         x, v = np.empty((2, 3, n))
-        constraints = pack_constraints(packed, repeated)
-        return XPBDWork(
-            packed, x, v, np.empty((4, 3, n)), constraints, others, np.empty((1, n)), held, config.iterations
-        )
+        own = Swept(others, pack_constraints(packed, repeated), np.empty((1, n)), held, config.iterations)
+        return XPBDWork(packed, x, v, np.empty((4, 3, n)), own)
 
     def limit(self, config: XPBDConfig, system: System, state: State) -> StepLimit:
         """Only forces without a constraint limit the step; `resolved` follows from config.residual."""
@@ -114,25 +108,21 @@ class XPBD(Compiled):
 
     def go(self, work: XPBDWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
         call_each(packed, "approach", 1.0 / dt)
-        source_of(advance_xpbd, extra)(
-            work.x, work.v, work.stages, steps, dt, packed, extra, work.others, work.constraints, work.mobility,
-            work.held, work.iterations,
-        )  # fmt: skip
-        return Told(steps, "", {"iterations": steps * work.iterations})
+        source_of(advance_xpbd, extra)(work.x, work.v, work.stages, steps, dt, packed, extra, work.own)
+        return Told(steps, "", {"iterations": steps * work.own.iterations})
 
     def compile(self, work: XPBDWork, packed: Packed, extra: Any) -> None:
         self.go(work, packed, extra, 0, 1.0)
 
     def step_at_rest(self, work: XPBDWork, extra: Any) -> Any:
         def at_rest(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
-            c, others = work.constraints, work.others
+            c, others = work.own.constraints, work.own.others
             if others is not None:
                 others = others._replace(forces_on=others.forces_on & p.forces_on)
             acting = {kernels_of(term).name for term, on in zip(p.forces, p.forces_on, strict=True) if on}
             c = c._replace(on=np.array([kernels_of(kind).name in acting for kind in c.kinds], np.bool_))
-            source_of(advance_xpbd, force)(
-                x, v, stages, steps, AT_REST, p, force, others, c, work.mobility, work.held, work.iterations
-            )
+            own = work.own._replace(others=others, constraints=c)
+            source_of(advance_xpbd, force)(x, v, stages, steps, AT_REST, p, force, own)
 
         return at_rest
 

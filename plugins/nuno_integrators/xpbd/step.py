@@ -2,43 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
 
-from nuno_integrators.xpbd.constraints import clear, forget, sweep
-from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.step.acceleration import commit, evaluate
+from nuno_integrators.xpbd.constraints import Constraints, clear, forget, sweep
+from nuno_kernels import kernel, parallel_kernel, shared_source
+from nuno_kernels.step.acceleration import Own, Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.terms import each
+from nuno_kernels.terms import Displaced, each
+from nuno_schemas.fabric import Float
 
-carry = each("carry", "x, u, y, w, s")
-project = each("project", "x, u, y, w, s, inverse_step, mobility, held, threads")
+carry = each("carry", "moved, s")
+project = each("project", "moved, s, held, threads")
 
 
 @kernel
-def predict_block(
-    block: int, v: Any, u: Any, a: Any, dt: float, inverse_mass: Any, gravity: Any, damping: float, mobility: Any
-) -> None:
+def predict_block(block: int, v: Float, u: Float, a: Float | None, mobility: Float, own: Own) -> None:
     """Displacement u without constraints, and mobility h^2 / (m (1 + h damping)), on a block's vertices.
 
     `a` (3, n) holds gravity and explicit forces, or is None. Pinned vertices move at their velocity.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, u.shape[1])
-    kept = 1.0 / (1.0 + dt * damping)
+    inverse_mass, gravity, dt = own.inverse_mass, own.gravity, own.dt
+    kept = 1.0 / (1.0 + dt * own.damping)
     for i in range(np.uint64(low), np.uint64(high)):
         mobility[0, i] = dt * dt * kept * inverse_mass[i]
     for row in range(3):
         g = gravity[row]
         for i in range(np.uint64(low), np.uint64(high)):
             pull = g if a is None else a[row, i]
-            own = kept * (dt * v[row, i] + dt * dt * pull)
-            u[row, i] = own if inverse_mass[i] > 0.0 else dt * v[row, i]
+            free = kept * (dt * v[row, i] + dt * dt * pull)
+            u[row, i] = free if inverse_mass[i] > 0.0 else dt * v[row, i]
 
 
 @kernel
-def arrive_block(block: int, x: Any, v: Any, u: Any, inverse_step: float) -> None:
+def arrive_block(block: int, x: Float, v: Float, u: Float, inverse_step: float) -> None:
     """x += u and v = u / h on a block's vertices."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, u.shape[1])
     for row in range(3):
@@ -48,35 +48,31 @@ def arrive_block(block: int, x: Any, v: Any, u: Any, inverse_step: float) -> Non
 
 
 @parallel_kernel
-def predict_parallel(
-    v: Any, u: Any, a: Any, dt: float, inverse_mass: Any, gravity: Any, damping: float, mobility: Any
-) -> None:
-    """All blocks on several threads."""
+def predict_parallel(v: Float, u: Float, a: Float | None, mobility: Float, own: Own) -> None:
+    """`predict_block` for all blocks on several threads."""
     for block in prange((u.shape[1] + BLOCK - 1) // BLOCK):
-        predict_block(block, v, u, a, dt, inverse_mass, gravity, damping, mobility)
+        predict_block(block, v, u, a, mobility, own)
 
 
 @parallel_kernel
-def arrive_parallel(x: Any, v: Any, u: Any, inverse_step: float) -> None:
-    """All blocks on several threads."""
+def arrive_parallel(x: Float, v: Float, u: Float, inverse_step: float) -> None:
+    """`arrive_block` for all blocks on several threads."""
     for block in prange((u.shape[1] + BLOCK - 1) // BLOCK):
         arrive_block(block, x, v, u, inverse_step)
 
 
 @kernel
-def predict(
-    v: Any, u: Any, a: Any, dt: float, inverse_mass: Any, gravity: Any, damping: float, mobility: Any, threads: Any
-) -> None:
+def predict(v: Float, u: Float, a: Float | None, mobility: Float, own: Own, threads: int | None) -> None:
     """Fill u (3, n) and mobility (1, n)."""
     if threads is None:
         for block in range((u.shape[1] + BLOCK - 1) // BLOCK):
-            predict_block(block, v, u, a, dt, inverse_mass, gravity, damping, mobility)
+            predict_block(block, v, u, a, mobility, own)
     else:
-        predict_parallel(v, u, a, dt, inverse_mass, gravity, damping, mobility)
+        predict_parallel(v, u, a, mobility, own)
 
 
 @kernel
-def arrive(x: Any, v: Any, u: Any, inverse_step: float, threads: Any) -> None:
+def arrive(x: Float, v: Float, u: Float, inverse_step: float, threads: int | None) -> None:
     """Move x, v (3, n) by u."""
     if threads is None:
         for block in range((u.shape[1] + BLOCK - 1) // BLOCK):
@@ -85,29 +81,47 @@ def arrive(x: Any, v: Any, u: Any, inverse_step: float, threads: Any) -> None:
         arrive_parallel(x, v, u, inverse_step)
 
 
-@kernel
-def advance_xpbd(
-    x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any, others: Any, c: Any, mobility: Any,
-    held: Any, iterations: int,
-) -> None:  # fmt: skip
-    """`steps` steps of x, v (3, n); stages (4, 3, n).
+@shared_source
+def evaluate_others(x: Float, v: Float, s: float, a: Float, others: Packed | None, extra: Any) -> None:
+    """Acceleration [m/s^2] of the forces without constraint, where there are any."""
+    if others is not None:
+        evaluate(x, v, s, a, others, extra)
 
-    `others` (Packed, or None) are the forces without constraint, c the Constraints, mobility (1, n) and
-    held (3, n, or None) scratch.
-    """
-    u, y, w = stages[0], stages[1], stages[2]
-    a = None if others is None else stages[3]
-    inverse_step = 1.0 / dt
+
+@shared_source
+def felt(a: Float, others: Packed | None) -> Float | None:
+    """What `evaluate_others` has found, None where it found nothing."""
+    return None if others is None else a
+
+
+class Swept(NamedTuple):
+    """What an XPBD step works on beside a system."""
+
+    others: Packed | None
+    """the forces without constraint, None where there are none"""
+    constraints: Constraints
+    mobility: Float
+    """(1, n) scratch"""
+    held: Float | None
+    """(3, n) scratch, or None: see nuno_contact.penalty.projection"""
+    iterations: int
+
+
+@kernel
+def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Any, own: Swept) -> None:
+    """`steps` steps of x, v (3, n); stages (4, 3, n) is scratch."""
+    c, inverse_step = own.constraints, 1.0 / dt
+    moved = Displaced(x, stages[0], stages[1], stages[2], own.mobility, inverse_step)
+    acting = Own(p.inverse_mass, p.gravity, p.damping, dt)
     for step in range(steps):
-        if others is not None:
-            evaluate(x, v, step / steps, stages[3], others, extra)
-        predict(v, u, a, dt, p.inverse_mass, p.gravity, p.damping, mobility, p.threads)
+        evaluate_others(x, v, step / steps, stages[3], own.others, extra)
+        predict(v, moved.u, felt(stages[3], own.others), own.mobility, acting, p.threads)
         end = (step + 1) / steps
-        carry(p.bodies, p.bodies_on, x, u, y, w, end)
+        carry(p.bodies, p.bodies_on, moved, end)
         forget(c.kinds, c.on)
-        clear(held)
-        for _ in range(iterations):
-            sweep(x, u, mobility, inverse_step, c.colour, c.kinds, c.on, p.threads)
-            project(p.bodies, p.bodies_on, x, u, y, w, end, inverse_step, mobility, held, p.threads)
-        arrive(x, v, u, inverse_step, p.threads)
+        clear(own.held)
+        for _ in range(own.iterations):
+            sweep(moved, c, p.threads)
+            project(p.bodies, p.bodies_on, moved, end, own.held, p.threads)
+        arrive(x, v, moved.u, inverse_step, p.threads)
         commit(x, v, end, p.bodies, p.bodies_on, p.threads)

@@ -6,14 +6,14 @@ moves on a straight line: x = o(s) + R(s) local, v = shift/T + spin/T x (x - o(s
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.bodies.poses import pose_frame, write_interval
 from nuno_kernels.step.blocks import Long
-from nuno_kernels.terms import register
+from nuno_kernels.terms import Displaced, register
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
 
@@ -38,7 +38,7 @@ class Bindings(NamedTuple):
 
 
 @kernel
-def place_bound(bindings: Any, x: Any, v: Any, s: float) -> None:
+def place_bound(bindings: Bindings, x: Float, v: Float, s: float) -> None:
     """Put the bound vertices of x, v (3, n) where they are at fraction s of the interval."""
     for f in range(bindings.frames.shape[0]):
         pose_frame(s, f, bindings.rotation0, bindings.origin0, bindings.spin, bindings.shift, bindings.frames)
@@ -54,9 +54,10 @@ def place_bound(bindings: Any, x: Any, v: Any, s: float) -> None:
 
 
 @kernel
-def carry_bound(bindings: Any, x: Any, u: Any, y: Any, w: Any, s: float) -> None:
-    """Displacements u (3, n) of bound vertices from x to where they are at fraction s; y, w (3, n) are scratch."""
-    place_bound(bindings, y, w, s)
+def carry_bound(bindings: Bindings, moved: Displaced, s: float) -> None:
+    """Displacements of bound vertices, from x to where they are at fraction s."""
+    x, u, y = moved.x, moved.u, moved.y
+    place_bound(bindings, y, moved.w, s)
     for b in range(bindings.vertices.shape[0]):
         i = bindings.vertices[b]
         for row in range(3):

@@ -14,10 +14,8 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import higher, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
-from nuno_kernels.step.blocks import (
-    Long,
-)
+from nuno_kernels.lanes.simd import WIDTH, Triple, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int
 
@@ -126,9 +124,11 @@ def listed_lock(p: int, constants: Any, row: int, locks: Any) -> Any:
 
 @kernel
 def run_forces(
-    x: Any, v: Any, i: int, j: int, m: int, at: int, constants: Any, each: Any, damped: Any, locks: Any
-) -> Any:
-    """Forces on the i ends of up to eight springs of a run."""
+    x: Float, v: Float, ends: tuple[int, int], m: int, at: int, constants: Float, each: bool | None,
+    damped: bool | None, locks: bool | None,
+) -> Triple:  # fmt: skip
+    """Forces on the i ends of up to eight springs of a run, of which the first has the `ends` i and j."""
+    i, j = ends
     dx = read(x, 0, j, m) - read(x, 0, i, m)
     dy = read(x, 1, j, m) - read(x, 1, i, m)
     dz = read(x, 2, j, m) - read(x, 2, i, m)
@@ -158,7 +158,7 @@ def add_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> 
         for q in range(0, count, WIDTH):
             m = min(WIDTH, count - q)
             where = at if each is None else at + q
-            f = run_forces(x, v, i + q, j + q, m, where, constants, each, runs.damped, runs.locks)
+            f = run_forces(x, v, (i + q, j + q), m, where, constants, each, runs.damped, runs.locks)
             for row in range(3):
                 g = f[row]
                 if side & 1:

@@ -27,6 +27,11 @@ WIDTH = 8
 LANES = ir.VectorType(ir.DoubleType(), WIDTH)
 _I32 = ir.IntType(32)
 
+Lanes = Any
+"""Eight float64 lanes as one value in compiled code, which Python itself has not."""
+Triple = tuple[Lanes, Lanes, Lanes]
+"""x, y, z of eight vectors."""
+
 
 class _VectorType(types.Type):
     def __init__(self) -> None:

@@ -20,16 +20,16 @@ double precision, answers an eighth as fast or less, since it makes its tree ane
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numba import prange
+from numpy.typing import NDArray
 
 from nuno_kernels import forced_inline, kernel, parallel_kernel, threads_available
 from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
-from nuno_kernels.lanes.simd import WIDTH, load, splat
+from nuno_kernels.lanes.simd import WIDTH, Lanes, load, splat
 from nuno_kernels.meshes.tree import Tree, in_eights
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -43,7 +43,7 @@ FARTHEST = 1e154
 
 
 @forced_inline
-def leaf_distances(px: float, py: float, pz: float, corners: Any, leaf: int) -> Any:
+def leaf_distances(px: float, py: float, pz: float, corners: Float, leaf: int) -> Lanes:
     """Squared distances [m^2] of a point to a leaf's eight triangles, as a vector."""
     row = 9 * leaf
     zero, one = splat(0.0), splat(1.0)
@@ -73,7 +73,7 @@ def leaf_distances(px: float, py: float, pz: float, corners: Any, leaf: int) -> 
 
 
 @forced_inline
-def take_nearest(values: Any, leaf: int, face: Any, best: float, which: int) -> tuple[float, int]:
+def take_nearest(values: Lanes, leaf: int, face: Int, best: float, which: int) -> tuple[float, int]:
     """(squared distance, place) of the best so far and a leaf's eight triangles."""
     bits = lanes_up_to(values, best)
     while bits != 0:
@@ -85,15 +85,31 @@ def take_nearest(values: Any, leaf: int, face: Any, best: float, which: int) -> 
     return best, which
 
 
-@kernel
-def find_place(
-    px: float, py: float, pz: float, start: int, root: int, boxes: Any, child: Any, corners: Any, face: Any,
-    waiting: Any, bound: Any,
-) -> int:  # fmt: skip
-    """Place of the nearest triangle of the tree from node `root` on, the search starting with that in place `start`.
+Vector = tuple[float, float, float]
 
-    `waiting` (DEPTH,) int64 and `bound` (DEPTH,) are scratch.
-    """
+
+class Room(NamedTuple):
+    """Scratch of a search: nodes that wait to be looked at, and how far each is away."""
+
+    waiting: NDArray[np.int64]
+    """(DEPTH,)"""
+    bound: Float
+    """(DEPTH,) squared distances [m^2]"""
+
+
+@forced_inline
+def make_room() -> Room:
+    """Room for one search at a time."""
+    return Room(np.empty(DEPTH, np.int64), np.empty(DEPTH))
+
+
+@kernel
+def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
+    """Place of the nearest triangle of the tree from node `root` on, the search starting with that in place `start`."""
+    px, py, pz = p
+    boxes, child, corners, face, waiting, bound = (
+        tree.boxes, tree.child, tree.corners, tree.face, room.waiting, room.bound
+    )  # fmt: skip
     zero = splat(0.0)
     own = start // WIDTH
     best, which = take_nearest(leaf_distances(px, py, pz, corners, own), own, face, math.inf, start)
@@ -137,7 +153,7 @@ def clamp(value: float) -> float:
 
 
 @kernel
-def read_triangle(px: float, py: float, pz: float, place: int, corners: Any) -> tuple[float, float, int]:
+def read_triangle(px: float, py: float, pz: float, place: int, corners: Float) -> tuple[float, float, int]:
     """Coordinates (s, t) of the closest point a + s (b - a) + t (c - a) of a triangle, and where it lies:
     0 inside, 1 to 3 on the edge a-b, b-c or c-a, 4 to 6 at the corner a, b or c.
     """
@@ -178,16 +194,25 @@ def read_triangle(px: float, py: float, pz: float, place: int, corners: Any) -> 
     return s, t, part
 
 
-Answer = tuple[int, float, float, float, float, float, float, float, float, float]
+class Answer(NamedTuple):
+    """What is nearest to a point: a triangle's place, where in it (s, t), that point [m], the signed distance [m], and
+    the pseudonormal there, of any length.
+    """
+
+    place: int
+    s: float
+    t: float
+    point: Vector
+    distance: float
+    normal: Vector
 
 
 @kernel
-def closest(
-    px: float, py: float, pz: float, start: int, root: int, boxes: Any, child: Any, corners: Any, face: Any,
-    faces: Any, edges: Any, vertex_normals: Any, edge_normals: Any, waiting: Any, bound: Any,
-) -> Answer:  # fmt: skip
-    """(place, s, t, closest point, signed distance [m], and the pseudonormal there, of any length)."""
-    place = find_place(px, py, pz, start, root, boxes, child, corners, face, waiting, bound)
+def closest(p: Vector, start: int, root: int, tree: Tree, room: Room) -> Answer:
+    """What is nearest to a point of the tree from node `root` on, the search starting in place `start`."""
+    px, py, pz = p
+    corners, face = tree.corners, tree.face
+    place = find_place(p, start, root, tree, room)
     s, t, part = read_triangle(px, py, pz, place, corners)
     row, j = 9 * (place // WIDTH), place % WIDTH
     bx, by, bz = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
@@ -198,38 +223,19 @@ def closest(
     if part == 0:
         nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     elif part < 4:
-        number = edges[face[place], part - 1]
-        nx, ny, nz = edge_normals[number, 0], edge_normals[number, 1], edge_normals[number, 2]
+        number, normals = tree.edges[face[place], part - 1], tree.edge_normals
+        nx, ny, nz = normals[number, 0], normals[number, 1], normals[number, 2]
     else:
-        number = faces[face[place], part - 4]
-        nx, ny, nz = vertex_normals[number, 0], vertex_normals[number, 1], vertex_normals[number, 2]
+        number, normals = tree.faces[face[place], part - 4], tree.vertex_normals
+        nx, ny, nz = normals[number, 0], normals[number, 1], normals[number, 2]
     dx, dy, dz = px - qx, py - qy, pz - qz
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
     if dx * nx + dy * ny + dz * nz < 0.0:
         distance = -distance
-    return place, s, t, qx, qy, qz, distance, nx, ny, nz
+    return Answer(place, s, t, (qx, qy, qz), distance, (nx, ny, nz))
 
 
-@parallel_kernel
-def find_closest(
-    points: Any, start: Any, boxes: Any, child: Any, corners: Any, face: Any, place: Any, faces: Any, edges: Any,
-    vertex_normals: Any, edge_normals: Any, near: Any, triangle: Any, weights: Any, distance: Any,
-) -> None:  # fmt: skip
-    """The closest points of points (n, 3), blocks of them on several threads: see `closest_points`."""
-    for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
-        waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
-        for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
-            at, s, t, x, y, z, d, _, _, _ = closest(
-                points[i, 0], points[i, 1], points[i, 2], place[start[i]], 0, boxes, child, corners, face, faces,
-                edges, vertex_normals, edge_normals, waiting, bound,
-            )  # fmt: skip
-            near[i, 0], near[i, 1], near[i, 2] = x, y, z
-            weights[i, 0], weights[i, 1], weights[i, 2] = 1.0 - s - t, s, t
-            triangle[i], distance[i] = face[at], d
-
-
-@dataclass(frozen=True)
-class Closest:
+class Closest(NamedTuple):
     """Closest points of a mesh.
 
     point    (n, 3) [m]
@@ -242,6 +248,24 @@ class Closest:
     face: Int
     weights: Float
     distance: Float
+
+
+@kernel
+def find_block(block: int, points: Float, start: Int, tree: Tree, found: Closest) -> None:
+    """The closest points of a block of points (n, 3)."""
+    room, (point, face, weights, distance) = make_room(), found
+    for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
+        near = closest((points[i, 0], points[i, 1], points[i, 2]), tree.place[start[i]], 0, tree, room)
+        point[i, 0], point[i, 1], point[i, 2] = near.point
+        weights[i, 0], weights[i, 1], weights[i, 2] = 1.0 - near.s - near.t, near.s, near.t
+        face[i], distance[i] = tree.face[near.place], near.distance
+
+
+@parallel_kernel
+def find_closest(points: Float, start: Int, tree: Tree, found: Closest) -> None:
+    """`find_block` for all blocks on several threads. numba takes a loop for dead that itself writes into a tuple."""
+    for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
+        find_block(block, points, start, tree, found)
 
 
 def closest_points(tree: Tree, points: Float, start: Int | None = None, threads: int | None = None) -> Closest:
@@ -261,15 +285,12 @@ def closest_points(tree: Tree, points: Float, start: Int | None = None, threads:
     found = Closest(np.empty((n, 3)), np.empty(n, np.int32), np.empty((n, 3)), np.empty(n))
     available = threads_available()[0]
     numba.set_num_threads(max(1, min(threads or available, available)))
-    find_closest(
-        points, begin, tree.boxes, tree.child, tree.corners, tree.face, tree.place, tree.faces, tree.edges,
-        tree.vertex_normals, tree.edge_normals, found.point, found.face, found.weights, found.distance,
-    )  # fmt: skip
+    find_closest(points, begin, tree, found)
     return found
 
 
 @kernel
-def scan(points: Any, corners: Any, face: Any, triangle: Any, weights: Any, distance: Any) -> None:
+def scan(points: Float, corners: Float, face: Int, triangle: Int, weights: Float, distance: Float) -> None:
     """Look at every triangle for each point: see `scan_triangles`."""
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]

@@ -56,6 +56,17 @@ class Packed(NamedTuple):
     frozen_damping: float = 0.0
 
 
+class Own(NamedTuple):
+    """What acts on each vertex by itself, the fields of Packed of these names, and the step [s]. Threads take no
+    Packed, which holds tuples of terms.
+    """
+
+    inverse_mass: Float
+    gravity: Float
+    damping: float
+    dt: float
+
+
 @kernel
 def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
     """Turn a block's forces into accelerations, in place; pinned vertices get none."""
@@ -69,34 +80,21 @@ def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, da
 
 
 @kernel
-def step_block(
-    block: int, x: Any, v: Any, force: Any, dt: float, inverse_mass: Any, gravity: Any, damping: float,
-    to_x: Any, to_v: Any,
-) -> None:  # fmt: skip
+def step_block(block: int, x: Float, v: Float, force: Float, own: Own, to_x: Float, to_v: Float) -> None:
     """A step of symplectic Euler from x, v (3, n) and a block's forces (3, w), with the bits of `finish_block`
     and `add_twice`, but in one pass.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    inverse_mass, gravity, damping, dt = own.inverse_mass, own.gravity, own.damping, own.dt
     for row in range(3):
         g = gravity[row]
         for p in range(np.uint64(low), np.uint64(high)):
             w = inverse_mass[p]
-            own = g - damping * v[row, p]
-            a = w * force[row, p - np.uint64(low)] + (own if w > 0.0 else 0.0)
+            free = g - damping * v[row, p]
+            a = w * force[row, p - np.uint64(low)] + (free if w > 0.0 else 0.0)
             moved = v[row, p] + dt * a
             to_v[row, p] = moved
             to_x[row, p] = x[row, p] + dt * moved
-
-
-class Own(NamedTuple):
-    """What acts on each vertex by itself, the fields of Packed of these names, and the step [s]. Threads take no
-    Packed, which holds tuples of terms.
-    """
-
-    inverse_mass: Float
-    gravity: Float
-    damping: float
-    dt: float
 
 
 @kernel
@@ -105,20 +103,19 @@ def force_block(block: int, forces: Any, on: Any, own: Any, late: Any, x: Any, v
     or, where dt is 0, accelerations into to_x, newtons if `late`. One function for both: each kind would compile all
     forces anew.
     """
-    inverse_mass, gravity, damping, dt = own.inverse_mass, own.gravity, own.damping, own.dt
     origin = block * BLOCK
     width = min(BLOCK, x.shape[1] - origin)
     force = np.zeros((3, width + PADDING))
     add_blocks(forces, on, block, origin, x, v, force)
-    if dt != 0.0:
-        step_block(block, x, v, force, dt, inverse_mass, gravity, damping, to_x, to_v)
+    if own.dt != 0.0:
+        step_block(block, x, v, force, own, to_x, to_v)
     else:
         for q in range(0, width, WIDTH):
             m = min(WIDTH, width - q)
             for row in range(3):
                 write(to_x, row, origin + q, m, load(force, row, q))
         if late is None:
-            finish_block(block, v, to_x, inverse_mass, gravity, damping)
+            finish_block(block, v, to_x, own.inverse_mass, own.gravity, own.damping)
 
 
 force_parallel = each_block(force_block, "own, late, x, v, to_x, to_v")
