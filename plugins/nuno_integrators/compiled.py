@@ -21,7 +21,7 @@ from nuno_integrators.rest import unbalance
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import threads_available
 from nuno_kernels.forces.energy import measure_energy
-from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, evaluate
 from nuno_kernels.step.packing import call_each, pack, python_terms, silence_bodies, thread_count, to_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
@@ -78,15 +78,15 @@ class Compiled(ABC):
         """Buffers of the method."""
 
     @abstractmethod
-    def go(self, work: Any, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
+    def go(self, work: Any, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         """Bring work.x and work.v from the start of an interval of steps * dt [s] to its end."""
 
     @abstractmethod
-    def compile(self, work: Any, packed: Packed, extra: Any) -> None:
+    def compile(self, work: Any, packed: Packed, extra: Extra) -> None:
         """Compile what `go` needs, changing nothing: a run's own time is then without it."""
 
     @abstractmethod
-    def step_at_rest(self, work: Any, extra: Any) -> Any:
+    def step_at_rest(self, work: Any, extra: Extra) -> Any:
         """A function (x, v, stages, steps, dt, packed, extra) of the cost of the method's steps, for `profile`."""
 
     def adapt(self, packed: Packed) -> Packed:
@@ -166,7 +166,7 @@ class Compiled(ABC):
         """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v)."""
 
 
-def _enter(system: System, state: State, work: Work, end: float) -> Any:
+def _enter(system: System, state: State, work: Work, end: float) -> Extra:
     """Put the state into the kernels' layout; the forces written in Python, or None."""
     if work.pace is not None:
         numba.set_num_threads(work.pace.choose() if state.t < end else work.pace.threads)
@@ -187,7 +187,7 @@ def lacking(terms: Sequence[Term], role: str) -> list[str]:
     )
 
 
-def source_of(loop: Any, extra: Any) -> Any:
+def source_of(loop: Any, extra: object) -> Any:
     """A compiled loop; with a force written in Python the same source runs interpreted, over compiled parts."""
     return loop if extra is None else loop.py_func
 

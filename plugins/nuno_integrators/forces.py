@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from nuno_kernels.forces.yarn_tension import link_tensions
-from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, evaluate
 from nuno_kernels.step.packing import call_each, own_copy, parts, silence
 from nuno_kernels.terms import kernels_of, role_of
 from nuno_schemas.bodies import Poses
@@ -23,7 +21,13 @@ def own_bodies(packed: Packed) -> Packed:
 
 
 def find_forces(
-    system: System, state: State, packed: Packed, x: Float, v: Float, extra: Any, poses: tuple[Poses, Poses] | None
+    system: System,
+    state: State,
+    packed: Packed,
+    x: Float,
+    v: Float,
+    extra: Extra,
+    poses: tuple[Poses, Poses] | None,
 ) -> Forces:
     """The forces in a state, which is also in x and v (3, n), with bodies as at the start of `poses`.
 
@@ -34,7 +38,7 @@ def find_forces(
     mass, names = system.fabric.mass[:, None], parts(packed)
     bare = packed._replace(inverse_mass=np.ones(x.shape[1]), gravity=np.zeros(3), damping=0.0)
 
-    def force(variant: Packed, python: Any = None) -> Float:
+    def force(variant: Packed, python: Extra = None) -> Float:
         found = np.empty_like(x)
         evaluate(x, v, 0.0, found, variant, python)
         return np.ascontiguousarray(found.T)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.step.packing import own_copy, parts, silence
 from nuno_schemas.fabric import Float
 
@@ -26,7 +26,7 @@ MOST = 64
 """Steps run together at most."""
 
 
-def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, extra: Any) -> Mapping[str, float]:
+def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, extra: Extra) -> Mapping[str, float]:
     """Seconds per step by part: the names of its terms, "python" where a force is written
     in Python, and "other": attachments, gravity, the update. Together they are a whole step.
 
@@ -37,7 +37,7 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
     own = packed._replace(bodies=tuple(own_copy(term) for term in packed.bodies))
     place, speed = x.copy(), v.copy()
 
-    def run(variant: Packed, force: Any, steps: int) -> float:
+    def run(variant: Packed, force: Extra, steps: int) -> float:
         began = time.perf_counter()
         loop(place, speed, stages, steps, BRIEF, variant, force)
         return (time.perf_counter() - began) / steps

@@ -13,14 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import measure_energy
-from nuno_kernels.step.acceleration import Packed, evaluate
-from nuno_kernels.step.packing import Extra, pack, python_terms, reads_velocity, silence_bodies, to_rows
+from nuno_kernels.step.acceleration import Extra, Packed, evaluate
+from nuno_kernels.step.packing import pack, python_terms, reads_velocity, silence_bodies, to_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import System
@@ -33,7 +32,7 @@ MARGIN = 0.02
 
 
 @kernel
-def weigh(u: Any, w: Any, mass: Any) -> float:
+def weigh(u: Float, w: Float, mass: Float) -> float:
     """Sum of mass u.w over all vertices, in one fixed order."""
     total = 0.0
     for row in range(3):
@@ -118,7 +117,7 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
     return float(np.sqrt(squared)), rate + sum(term.damping_rate for term in system.terms)
 
 
-def _prepare(system: System, state: State) -> tuple[Packed, Extra | None, Float, Float, float]:
+def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float, float]:
     """What is differentiated, and the reach of the differences [m].
 
     The reach is 1e-5 of the shortest spring: curvature then spoils 1e-10 of a product and rounding

@@ -34,7 +34,7 @@ from nuno_integrators.explicit.stepsize import (
 from nuno_integrators.explicit.tableaux import DOP853, DOPRI5, Tableau
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.step.blocks import block_count
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
@@ -117,7 +117,7 @@ class Adaptive(Compiled):
         found = super().limit(config, system, state)
         return StepLimit(float("inf"), found.omega, found.damping)
 
-    def go(self, work: AdaptiveWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
+    def go(self, work: AdaptiveWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         b, control, span = work.b, work.control, steps * dt
         if not self._goes_on(work, packed, span):
             b.x[...], b.v[...] = work.x, work.v
@@ -135,7 +135,7 @@ class Adaptive(Compiled):
         problem = "" if whole else f"no step above {SMALLEST * span:.2g} s meets the tolerance"
         return Told(accepted, problem, {"steps": accepted, "rejected_steps": rejected})
 
-    def compile(self, work: AdaptiveWork, packed: Packed, extra: Any) -> None:
+    def compile(self, work: AdaptiveWork, packed: Packed, extra: Extra) -> None:
         """An interval of no length ends before its first step."""
         b, table, interval = work.b, self.tableau, Interval(0.0, 0.0, work.landing, work.allowed)
         control, counts = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(2, np.int64)
@@ -177,8 +177,10 @@ class Adaptive(Compiled):
         stage = Stage(theta * h, h, weights @ table.a, weights, len(table.c))
         combine(b, stage, work.x, work.v, packed.threads)
 
-    def step_at_rest(self, work: AdaptiveWork, extra: Any) -> Any:
-        def steps_of_no_length(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
+    def step_at_rest(self, work: AdaptiveWork, extra: Extra) -> Any:
+        def steps_of_no_length(
+            x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra
+        ) -> None:
             work.b.x[...], work.b.v[...] = x, v
             call = attempt if force is None else attempt_interpreted
             for _ in range(steps):

@@ -9,12 +9,12 @@ import numpy as np
 from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add_twice
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import commit, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_schemas.fabric import Float
 
 
 @kernel
-def advance_euler(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+def advance_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
     """`steps` steps of x, v (3, n); stages (1, 3, n)."""
     a = stages[0]
     for step in range(steps):

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno_integrators.compiled import Compiled, Told, Work, source_of
-from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import System
 
@@ -33,12 +33,12 @@ class Explicit(Compiled):
         """The loop for a system."""
         return type(self).loop
 
-    def go(self, work: Work, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
+    def go(self, work: Work, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         source_of(self.loop_for(packed), extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         return Told(steps)
 
-    def compile(self, work: Work, packed: Packed, extra: Any) -> None:
+    def compile(self, work: Work, packed: Packed, extra: Extra) -> None:
         self.go(work, packed, extra, 0, 0.0)
 
-    def step_at_rest(self, work: Work, extra: Any) -> Any:
+    def step_at_rest(self, work: Work, extra: Extra) -> Any:
         return source_of(self.loop_for(work.packed), extra)

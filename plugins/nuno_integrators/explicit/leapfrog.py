@@ -13,12 +13,12 @@ import numpy as np
 from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add, add_twice
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import evaluate, hold, settle, slow
+from nuno_kernels.step.acceleration import Extra, Packed, evaluate, hold, settle, slow
 from nuno_schemas.fabric import Float
 
 
 @kernel
-def advance_leapfrog(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+def advance_leapfrog(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
     """`steps` steps of x, v (3, n); stages (3, 3, n).
 
     Half a kick comes first: x + v dt + a dt^2/2 is x + (v + a dt/2) dt, one update less.

@@ -9,12 +9,12 @@ import numpy as np
 from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add, add_twice
 from nuno_kernels import kernel, shared_source
-from nuno_kernels.step.acceleration import Packed, commit, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_schemas.fabric import Float
 
 
 @shared_source
-def evaluate_stage(y: Any, u: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
+def evaluate_stage(y: Float, u: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) -> None:
     """a = acceleration at the stage (y, u); damping frozen at the step's start acts on its v."""
     evaluate(y, u, s, a, p, extra)
     if p.frozen_damping != 0.0:
@@ -22,7 +22,7 @@ def evaluate_stage(y: Any, u: Any, v: Any, s: float, a: Any, p: Any, extra: Any)
 
 
 @kernel
-def advance_rk4(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+def advance_rk4(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
     """`steps` steps of x, v (3, n); stages (5, 3, n).
 
     Stage i is (y, u) with slopes (u, a). The weighted slopes gather in (nx, nv) while the stages

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from nuno_integrators.compiled import source_of
 from nuno_integrators.explicit.combine import Buffers, Stage, combine, square
 from nuno_kernels import kernel, shared_source
-from nuno_kernels.step.acceleration import Packed, commit, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 
@@ -54,7 +54,7 @@ ACCEPTED, REJECTED = 0, 1
 
 @kernel
 def attempt(
-    b: Buffers, pair: Pair, first: int, stages: int, h: float, start: float, span: float, p: Packed, extra: Any
+    b: Buffers, pair: Pair, first: int, stages: int, h: float, start: float, span: float, p: Packed, extra: Extra
 ) -> None:
     """Stages `first` to `stages` - 1 of a step of h from (b.x, b.v); the last leaves the end in (b.y, b.u)."""
     for i in range(first, stages):
@@ -115,7 +115,7 @@ def take(control: Float, h: float, error: float, alpha: float, again: bool) -> N
 
 @kernel
 def advance_adaptive(
-    b: Buffers, pair: Pair, control: Float, counts: Long, interval: Interval, p: Packed, extra: Any
+    b: Buffers, pair: Pair, control: Float, counts: Long, interval: Interval, p: Packed, extra: Extra
 ) -> bool:
     """Step to the end of an interval: until the pending step ends beyond it, or just there.
 

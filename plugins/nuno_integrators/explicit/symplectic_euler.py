@@ -9,12 +9,12 @@ import numpy as np
 from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add_twice
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Packed, add_forces, commit, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate
 from nuno_schemas.fabric import Float
 
 
 @kernel
-def advance_symplectic_euler(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+def advance_symplectic_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
     """`steps` steps of x, v (3, n); stages (2, 3, n)."""
     a = stages[0]
     for step in range(steps):
@@ -24,7 +24,7 @@ def advance_symplectic_euler(x: Any, v: Any, stages: Any, steps: int, dt: float,
 
 
 @kernel
-def advance_at_once(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
     """The same to the last bit, where nothing adds to the forces after the blocks: each step in one pass over the
     vertices instead of two, from one pair of arrays to another, and with one meeting of the threads.
     """

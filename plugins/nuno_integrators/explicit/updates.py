@@ -5,17 +5,16 @@ A parallel region costs its threads a meeting; two updates that follow each othe
 
 from __future__ import annotations
 
-from typing import Any
-
 from numba import prange
 
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.lanes.simd import WIDTH, read, write
 from nuno_kernels.step.blocks import BLOCK
+from nuno_schemas.fabric import Float
 
 
 @kernel
-def add_block(block: int, out: Any, y: Any, h: float, k: Any) -> None:
+def add_block(block: int, out: Float, y: Float, h: float, k: Float) -> None:
     """out = y + h k on a block's vertices."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, out.shape[1])
     for p in range(low, high, WIDTH):
@@ -25,7 +24,7 @@ def add_block(block: int, out: Any, y: Any, h: float, k: Any) -> None:
 
 
 @parallel_kernel
-def add_twice_parallel(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any) -> None:
+def add_twice_parallel(first: Float, y: Float, h: float, k: Float, second: Float, z: Float, g: float, m: Float) -> None:
     """first = y + h k, then second = z + g m, block by block on several threads."""
     for block in prange((first.shape[1] + BLOCK - 1) // BLOCK):
         add_block(block, first, y, h, k)
@@ -33,14 +32,14 @@ def add_twice_parallel(first: Any, y: Any, h: float, k: Any, second: Any, z: Any
 
 
 @parallel_kernel
-def add_parallel(out: Any, y: Any, h: float, k: Any) -> None:
+def add_parallel(out: Float, y: Float, h: float, k: Float) -> None:
     """out = y + h k, block by block on several threads."""
     for block in prange((out.shape[1] + BLOCK - 1) // BLOCK):
         add_block(block, out, y, h, k)
 
 
 @kernel
-def add(out: Any, y: Any, h: float, k: Any, threads: Any) -> None:
+def add(out: Float, y: Float, h: float, k: Float, threads: int | None) -> None:
     """out = y + h k, all (3, n)."""
     if threads is None:
         for block in range((out.shape[1] + BLOCK - 1) // BLOCK):
@@ -50,7 +49,9 @@ def add(out: Any, y: Any, h: float, k: Any, threads: Any) -> None:
 
 
 @kernel
-def add_twice(first: Any, y: Any, h: float, k: Any, second: Any, z: Any, g: float, m: Any, threads: Any) -> None:
+def add_twice(
+    first: Float, y: Float, h: float, k: Float, second: Float, z: Float, g: float, m: Float, threads: int | None
+) -> None:
     """first = y + h k, then second = z + g m, all (3, n); the second may use the first."""
     if threads is None:
         for block in range((first.shape[1] + BLOCK - 1) // BLOCK):

@@ -18,14 +18,22 @@ from nuno_integrators.implicit.matrix import Linear
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.terms import each, each_block
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Bool, Float
 
 multiply_forces = each("multiply", "block, origin, u, out", linear=True)
 
 
 @kernel
 def multiply_block(
-    block: int, forces: Any, on: Any, rows: Any, inverse_mass: Any, own: Any, u: Any, out: Any, sums: Any
+    block: int,
+    forces: tuple[Any, ...],
+    on: Bool,
+    rows: tuple[Any, ...],
+    inverse_mass: Float,
+    own: Float,
+    u: Float,
+    out: Float,
+    sums: Float,
 ) -> None:
     """out = A u on a block's vertices, 0 where pinned; its part of u.A u into sums."""
     origin = block * BLOCK
@@ -51,7 +59,7 @@ multiply_parallel = each_block(multiply_block, "inverse_mass, own, u, out, sums"
 
 
 @kernel
-def descend_block(block: int, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, step: float) -> float:
+def descend_block(block: int, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, step: float) -> float:
     """x += step p, r -= step q, z = A's inverse diagonal blocks times r; returns the block's part of r.z."""
     total = 0.0
     for v in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
@@ -68,7 +76,7 @@ def descend_block(block: int, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: A
 
 
 @kernel
-def turn_block(block: int, z: Any, p: Any, turn: float) -> None:
+def turn_block(block: int, z: Float, p: Float, turn: float) -> None:
     """p = z + turn p."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, p.shape[1])
     for row in range(3):
@@ -77,21 +85,23 @@ def turn_block(block: int, z: Any, p: Any, turn: float) -> None:
 
 
 @parallel_kernel
-def turn_parallel(sums: Any, z: Any, p: Any, turn: float) -> None:
+def turn_parallel(sums: Float, z: Float, p: Float, turn: float) -> None:
     """All blocks on several threads: before a product, which reads its neighbours' p."""
     for block in prange(sums.shape[0]):
         turn_block(block, z, p, turn)
 
 
 @parallel_kernel
-def descend_parallel(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, step: float) -> None:
+def descend_parallel(
+    sums: Float, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, step: float
+) -> None:
     """All blocks on several threads."""
     for block in prange(sums.shape[0]):
         sums[block] = descend_block(block, inverse, x, r, z, p, q, step)
 
 
 @kernel
-def turn_and_multiply(turn: float, a: Any, threads: Any) -> float:
+def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
     """p = z + turn p and q = A p; p.q."""
     blocks = a.sums.shape[0]
     if threads is None:
@@ -106,7 +116,9 @@ def turn_and_multiply(turn: float, a: Any, threads: Any) -> float:
 
 
 @kernel
-def descend(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, step: float, threads: Any) -> float:
+def descend(
+    sums: Float, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, step: float, threads: int | None
+) -> float:
     """x += step p, r -= step q, z = M r; r.z."""
     if threads is None:
         for block in range(sums.shape[0]):
@@ -117,7 +129,7 @@ def descend(sums: Any, inverse: Any, x: Any, r: Any, z: Any, p: Any, q: Any, ste
 
 
 @kernel
-def iterate(tolerance: float, most: int, a: Any, threads: Any) -> int:
+def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
     """Conjugate gradients from x = 0; see `solve`."""
     a.x[:] = 0.0
     a.p[:] = 0.0

@@ -10,7 +10,7 @@ anew every time and knows no 3 x 3 blocks; CHOLMOD, whose fronts are under the G
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,7 +59,7 @@ def compile_factor(a: Linear) -> None:
 
 
 @kernel
-def add_diagonal(fronts: Any, diagonal: Any, values: Any) -> None:
+def add_diagonal(fronts: Fronts, diagonal: Float, values: Float) -> None:
     """Put the diagonal blocks of the vertices that each front eliminates in their places."""
     for f in range(fronts.own.shape[0]):
         width = fronts.width[f]
@@ -116,7 +116,7 @@ def subtract(rows: Rows, depth: int, low: int, high: int, end: int, to: Rows) ->
 
 
 @kernel
-def eliminate(u: Any, at: int, width: int, own: int, size: int) -> bool:
+def eliminate(u: Float, at: int, width: int, own: int, size: int) -> bool:
     """Turn a front's own rows of A into rows of U; False at a pivot that is not positive."""
     for first in range(0, own, PANEL):
         last = min(first + PANEL, own)
@@ -139,7 +139,7 @@ def eliminate(u: Any, at: int, width: int, own: int, size: int) -> bool:
 
 
 @kernel
-def pass_on(f: int, fronts: Any, values: Any, scratch: Any) -> None:
+def pass_on(f: int, fronts: Fronts, values: Float, scratch: Float) -> None:
     """Add what a front leaves to its parent's."""
     above = fronts.parent[f]
     own, width, reach = fronts.own[above], fronts.width[above], fronts.reach[above]
@@ -158,14 +158,14 @@ def pass_on(f: int, fronts: Any, values: Any, scratch: Any) -> None:
 
 
 @kernel
-def clear(f: int, fronts: Any, scratch: Any) -> None:
+def clear(f: int, fronts: Fronts, scratch: Float) -> None:
     """Nothing is left of a front yet."""
     rows = TILE * ((3 * (fronts.size[f] - fronts.own[f]) + TILE - 1) // TILE)
     scratch[0, fronts.rest[f] : fronts.rest[f] + rows * fronts.reach[f]] = 0.0
 
 
 @kernel
-def factorise_fronts(fronts: Any, values: Any, scratch: Any) -> bool:
+def factorise_fronts(fronts: Fronts, values: Float, scratch: Float) -> bool:
     """All fronts, children before parents; False at a pivot that is not positive."""
     for f in range(fronts.own.shape[0]):
         own, size, at, width = 3 * fronts.own[f], 3 * fronts.size[f], fronts.panel[f], fronts.width[f]
@@ -183,7 +183,7 @@ def factorise_fronts(fronts: Any, values: Any, scratch: Any) -> bool:
 
 
 @kernel
-def solve_fronts(fronts: Any, values: Any, local: Any, r: Any, x: Any) -> None:
+def solve_fronts(fronts: Fronts, values: Float, local: Float, r: Float, x: Float) -> None:
     """x (3, n) = A^-1 r: U^T y = r from the first front to the last, then U x = y back."""
     x[:] = r
     sums = np.empty((1, WIDTH))
@@ -211,7 +211,7 @@ def solve_fronts(fronts: Any, values: Any, local: Any, r: Any, x: Any) -> None:
 
 
 @kernel
-def collect(f: int, fronts: Any, x: Any, local: Any) -> None:
+def collect(f: int, fronts: Fronts, x: Float, local: Float) -> None:
     """A front's part of x (3, n), and zeros after it."""
     for q in range(fronts.size[f]):
         for row in range(3):
@@ -220,7 +220,7 @@ def collect(f: int, fronts: Any, x: Any, local: Any) -> None:
 
 
 @kernel
-def distribute(f: int, fronts: Any, local: Any, x: Any, count: int) -> None:
+def distribute(f: int, fronts: Fronts, local: Float, x: Float, count: int) -> None:
     """The first `count` vertices of a front's part back into x (3, n)."""
     for q in range(count):
         for row in range(3):

@@ -15,7 +15,7 @@ EPSILON = float(np.finfo(float).eps)
 
 
 @kernel
-def rotate(a: Any, vectors: Any, p: int, q: int) -> None:
+def rotate(a: Float, vectors: Float, p: int, q: int) -> None:
     """One rotation of Jacobi's method, which makes a[p, q] zero (Golub & Van Loan, Matrix Computations, 8.5)."""
     if a[p, q] == 0.0:
         return
@@ -32,7 +32,7 @@ def rotate(a: Any, vectors: Any, p: int, q: int) -> None:
 
 
 @kernel
-def keep_positive(a: Any, vectors: Any, values: Any) -> None:
+def keep_positive(a: Float, vectors: Float, values: Float) -> None:
     """Replace the symmetric a (3, 3) by its part with positive eigenvalues; the others are scratch."""
     minor = a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
     rest = a[0, 1] * a[1, 2] - a[1, 1] * a[0, 2]
@@ -57,7 +57,7 @@ def keep_positive(a: Any, vectors: Any, values: Any) -> None:
 
 
 @kernel
-def add_stiffness(base: Any, moved: Any, scale: Any, own: Any) -> None:
+def add_stiffness(base: Float, moved: Float, scale: Any, own: Float) -> None:
     """Add to own (6, n) what the accelerations base (3, n) lose as all vertices move along each axis, (3, 3, n):
     scale (n,) times the differences, mass over the way.
     """

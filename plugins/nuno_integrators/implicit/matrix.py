@@ -94,7 +94,14 @@ class Diagonals(NamedTuple):
 
 @kernel
 def fill_block(
-    block: int, forces: Any, on: Bool, rows: Any, x: Float, before: Float, tangent: Tangent, diagonals: Diagonals
+    block: int,
+    forces: tuple[Any, ...],
+    on: Bool,
+    rows: tuple[Any, ...],
+    x: Float,
+    before: Float,
+    tangent: Tangent,
+    diagonals: Diagonals,
 ) -> None:
     """Linearise a block's forces at x (3, n) and invert its diagonal blocks."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])

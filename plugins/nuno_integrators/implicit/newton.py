@@ -10,14 +10,13 @@ axis. Contact and friction are exact that way; a triangle's wind is lumped.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from nuno_integrators.implicit.linear_solve import Counts, Solver, compile_solver, make_solver, solve_linear
 from nuno_integrators.implicit.lumped import add_stiffness
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, evaluate
 from nuno_kernels.step.packing import call_each, parts, silence
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Float
@@ -35,7 +34,7 @@ EPSILON = float(np.finfo(float).eps)
 
 
 @kernel
-def missing_force(a: Any, u: Any, vhat: Any, g: float, mass: Any, out: Any) -> float:
+def missing_force(a: Float, u: Float, vhat: Float, g: float, mass: Float, out: Float) -> float:
     """out = mass (a - (u - vhat) / g), 0 for mass 0; the largest of its norms."""
     largest = 0.0
     for p in range(out.shape[1]):
@@ -50,7 +49,7 @@ def missing_force(a: Any, u: Any, vhat: Any, g: float, mass: Any, out: Any) -> f
 
 
 @kernel
-def along(r: Any, d: Any) -> float:
+def along(r: Float, d: Float) -> float:
     """r.d of (3, n) arrays."""
     total = 0.0
     for row in range(3):
@@ -92,7 +91,7 @@ def make_stage(packed: Packed, position: Float, size: float, python: bool) -> St
 
 
 def solve_stage(
-    st: Stage, packed: Packed, extra: Any, xhat: Float, vhat: Float, g: float, s: float,
+    st: Stage, packed: Packed, extra: Extra, xhat: Float, vhat: Float, g: float, s: float,
     start: Float, limits: tuple[float, int],
 ) -> tuple[bool, float]:  # fmt: skip
     """Solve for st.x, st.v from their present guess st.v; whether it converged, and the residual [N].
@@ -127,7 +126,7 @@ def limit_approach(packed: Packed, g: float) -> None:
     call_each(packed, "approach", 1.0 / g)
 
 
-def _solve_newton(st: Stage, packed: Packed, extra: Any, g: float, s: float, exact: bool) -> bool:
+def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, exact: bool) -> bool:
     """The Newton step into st.solver.linear.x; False if the stage is to be begun anew."""
     _fill_own(st, packed, extra, g, s)
     st.counts.newton += 1
@@ -136,7 +135,7 @@ def _solve_newton(st: Stage, packed: Packed, extra: Any, g: float, s: float, exa
     return done
 
 
-def compile_stage(st: Stage, packed: Packed, extra: Any, x: Float, v: Float) -> None:
+def compile_stage(st: Stage, packed: Packed, extra: Extra, x: Float, v: Float) -> None:
     """Compile what `solve_stage` needs, by solving for no force at (x, v)."""
     st.x[...], st.v[...] = x, v
     _evaluate(st, packed, extra, st.v, 1.0, 0.0)
@@ -153,13 +152,13 @@ def _rounding(st: Stage, g: float) -> float:
     return 16.0 * EPSILON * (st.scale * place + float(st.mass.max(initial=0.0)) * speed / g)
 
 
-def _evaluate(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: float) -> float:
+def _evaluate(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: float) -> float:
     evaluate(st.x, st.v, s, st.a, packed, extra)
     st.counts.evaluations += 1
     return float(missing_force(st.a, st.v, vhat, g, st.mass, st.residual))
 
 
-def _search(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: float) -> float:
+def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: float) -> float:
     """Go along the solution d in st.solver.linear.x, less far where the residual along it turns round.
 
     For conservative forces residual.d is minus the slope of the step's energy along d, which a
@@ -184,7 +183,7 @@ def _search(st: Stage, packed: Packed, extra: Any, vhat: Float, g: float, s: flo
     return worst
 
 
-def _fill_own(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None:
+def _fill_own(st: Stage, packed: Packed, extra: Extra, g: float, s: float) -> None:
     """What acts on each vertex by itself, and its inertia, into the matrix."""
     own = st.solver.linear.own
     own[:3] = st.mass / (g * g) + (packed.damping / g) * st.mass
@@ -194,7 +193,7 @@ def _fill_own(st: Stage, packed: Packed, extra: Any, g: float, s: float) -> None
         _add_others(st, st.others._replace(bodies_on=packed.bodies_on, damping=packed.damping), extra, g, s)
 
 
-def _add_others(st: Stage, others: Packed, extra: Any, g: float, s: float) -> None:
+def _add_others(st: Stage, others: Packed, extra: Extra, g: float, s: float) -> None:
     """Add each vertex's own stiffness, symmetric and without negative parts."""
     base, moved = np.empty_like(st.a), np.empty((3, *st.a.shape))
     evaluate(st.x, st.v, s, base, others, extra)

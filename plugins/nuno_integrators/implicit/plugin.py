@@ -24,7 +24,7 @@ from nuno_integrators.compiled import Compiled, Told, Work, lacking
 from nuno_integrators.explicit.adaptive import cloth_size
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import Stage, compile_stage, limit_approach, make_stage, solve_stage
-from nuno_kernels.step.acceleration import Packed, commit, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
@@ -94,7 +94,7 @@ class Implicit(Compiled):
         told = f"; without a matrix, by differences: {', '.join(names)}" if names else ""
         return super().about(system) + told
 
-    def go(self, work: ImplicitWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
+    def go(self, work: ImplicitWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         work.stage.solver.counts = Counts()
         taken, span = 0, steps * dt
         for step in range(steps):
@@ -105,7 +105,7 @@ class Implicit(Compiled):
                 return Told(taken, message, _totals(work.stage.counts, taken))
         return Told(taken, "", _totals(work.stage.counts, taken))
 
-    def compile(self, work: ImplicitWork, packed: Packed, extra: Any) -> None:
+    def compile(self, work: ImplicitWork, packed: Packed, extra: Extra) -> None:
         compile_stage(work.stage, packed, extra, work.x, work.v)
         # By its signature: called, it would let friction forget where it holds.
         held = (work.x, work.v, 1.0, packed.bodies, packed.bodies_on, packed.threads)
@@ -113,7 +113,7 @@ class Implicit(Compiled):
         kernel.compile(tuple(numba.typeof(value) for value in held))
 
     def _step(
-        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, depth: int
+        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, depth: int
     ) -> tuple[int, float | None]:
         """One step, halved as often as needed: steps taken, and the residual it failed with, None where it did not."""
         solver, (tolerance, most) = work.stage.solver, work.limits
@@ -135,7 +135,14 @@ class Implicit(Compiled):
         return first + second, failed
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
+        self,
+        work: ImplicitWork,
+        packed: Packed,
+        extra: Extra,
+        start: float,
+        h: float,
+        span: float,
+        limits: Limits,
     ) -> tuple[bool, float]:
         """Leave the state after a step of h in work.stage; whether it converged, and the residual [N].
 
@@ -143,8 +150,8 @@ class Implicit(Compiled):
         """
         raise NotImplementedError
 
-    def step_at_rest(self, work: ImplicitWork, extra: Any) -> Any:
-        def forces_only(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
+    def step_at_rest(self, work: ImplicitWork, extra: Extra) -> Any:
+        def forces_only(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
             for _ in range(steps):
                 evaluate(x, v, 0.0, stages[0], p, force)
 
@@ -169,7 +176,14 @@ class ImplicitEuler(Implicit):
     order: ClassVar[int] = 1
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
+        self,
+        work: ImplicitWork,
+        packed: Packed,
+        extra: Extra,
+        start: float,
+        h: float,
+        span: float,
+        limits: Limits,
     ) -> tuple[bool, float]:
         work.stage.v[...] = work.v
         return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, limits)
@@ -186,7 +200,14 @@ class TRBDF2(Implicit):
     order: ClassVar[int] = 2
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Any, start: float, h: float, span: float, limits: Limits
+        self,
+        work: ImplicitWork,
+        packed: Packed,
+        extra: Extra,
+        start: float,
+        h: float,
+        span: float,
+        limits: Limits,
     ) -> tuple[bool, float]:
         """With g = gamma h / 2 both stages are x = x^ + g v: x^ = x + g v at first, then the backward formula's."""
         st, (xhat, vhat), g = work.stage, work.stages, 0.5 * GAMMA * h

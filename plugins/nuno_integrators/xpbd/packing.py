@@ -22,7 +22,7 @@ from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_kernels.step.packing import call_each
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, Int
 
 MOST_BATCHES = 4096
 """Sets of blocks that are told apart: beyond, vertices are in no order, and what crosses blocks is one batch."""
@@ -168,7 +168,7 @@ def _places(count: Long) -> Long:
     return np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
 
 
-def _at_home(start: Long, target: Any, vertices: int) -> Long:
+def _at_home(start: Long, target: Int, vertices: int) -> Long:
     """Columns of a block's copies whose first vertex the block owns: every element once, no padding."""
     block = np.repeat(np.arange(start.shape[0] - 1), np.diff(start))
     return np.flatnonzero(target < np.minimum(BLOCK, vertices - block * BLOCK))
@@ -216,7 +216,7 @@ def _distinct(home: Long) -> Long:
 
 
 @kernel
-def colour_elements(elements: Any, batch: Any, taken: Any, seen: Any, colour: Any) -> None:
+def colour_elements(elements: Long, batch: Long, taken: Long, seen: Long, colour: Long) -> None:
     """The least colour that no element before it in its batch has at any of its vertices, into colour (s,).
 
     taken and seen (n,) are scratch: colours at a vertex as bits, and the batch that these are of.

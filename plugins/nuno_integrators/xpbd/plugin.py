@@ -29,7 +29,7 @@ from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_integrators.xpbd.packing import pack_constraints
 from nuno_integrators.xpbd.step import Swept, advance_xpbd
-from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.step.packing import call_each, silence, silence_bodies
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.errors import BadInput
@@ -106,16 +106,16 @@ class XPBD(Compiled):
         told = f"; without a constraint, as at the start of each step: {', '.join(names)}" if names else ""
         return super().about(system) + told
 
-    def go(self, work: XPBDWork, packed: Packed, extra: Any, steps: int, dt: float) -> Told:
+    def go(self, work: XPBDWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         call_each(packed, "approach", 1.0 / dt)
         source_of(advance_xpbd, extra)(work.x, work.v, work.stages, steps, dt, packed, extra, work.own)
         return Told(steps, "", {"iterations": steps * work.own.iterations})
 
-    def compile(self, work: XPBDWork, packed: Packed, extra: Any) -> None:
+    def compile(self, work: XPBDWork, packed: Packed, extra: Extra) -> None:
         self.go(work, packed, extra, 0, 1.0)
 
-    def step_at_rest(self, work: XPBDWork, extra: Any) -> Any:
-        def at_rest(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Any) -> None:
+    def step_at_rest(self, work: XPBDWork, extra: Extra) -> Any:
+        def at_rest(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
             c, others = work.own.constraints, work.own.others
             if others is not None:
                 others = others._replace(forces_on=others.forces_on & p.forces_on)

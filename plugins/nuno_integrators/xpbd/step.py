@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
 
 from nuno_integrators.xpbd.constraints import Constraints, clear, forget, sweep
 from nuno_kernels import kernel, parallel_kernel, shared_source
-from nuno_kernels.step.acceleration import Own, Packed, commit, evaluate
+from nuno_kernels.step.acceleration import Extra, Own, Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import Displaced, each
 from nuno_schemas.fabric import Float
@@ -82,7 +82,7 @@ def arrive(x: Float, v: Float, u: Float, inverse_step: float, threads: int | Non
 
 
 @shared_source
-def evaluate_others(x: Float, v: Float, s: float, a: Float, others: Packed | None, extra: Any) -> None:
+def evaluate_others(x: Float, v: Float, s: float, a: Float, others: Packed | None, extra: Extra) -> None:
     """Acceleration [m/s^2] of the forces without constraint, where there are any."""
     if others is not None:
         evaluate(x, v, s, a, others, extra)
@@ -108,7 +108,7 @@ class Swept(NamedTuple):
 
 
 @kernel
-def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Any, own: Swept) -> None:
+def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, own: Swept) -> None:
     """`steps` steps of x, v (3, n); stages (4, 3, n) is scratch."""
     c, inverse_step = own.constraints, 1.0 / dt
     moved = Displaced(x, stages[0], stages[1], stages[2], own.mobility, inverse_step)

@@ -9,7 +9,7 @@ the velocity shift/T + (spin/T) x (p - o(s)).
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from nuno_schemas.bodies import Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 
 Index = int | np.uint64
+Vector = tuple[float, float, float]
 
 
 class Frames(Protocol):
@@ -81,7 +82,7 @@ def pose_frame(s: float, f: int, rotation0: Float, origin0: Float, spin: Float, 
 
 
 @forced_inline
-def turn_in(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
+def turn_in(v: Vector, frames: Float, f: Index) -> tuple[float, float, float]:
     """A vector of the world in the axes of frame f."""
     return (
         frames[f, 0] * v[0] + frames[f, 3] * v[1] + frames[f, 6] * v[2],
@@ -91,7 +92,7 @@ def turn_in(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
 
 
 @forced_inline
-def turn_out(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
+def turn_out(v: Vector, frames: Float, f: Index) -> tuple[float, float, float]:
     """A vector in the axes of frame f in those of the world."""
     return (
         frames[f, 0] * v[0] + frames[f, 1] * v[1] + frames[f, 2] * v[2],
@@ -101,6 +102,6 @@ def turn_out(v: Any, frames: Any, f: Index) -> tuple[float, float, float]:
 
 
 @forced_inline
-def to_frame(px: float, py: float, pz: float, frames: Any, f: Index) -> tuple[float, float, float]:
+def to_frame(px: float, py: float, pz: float, frames: Float, f: Index) -> tuple[float, float, float]:
     """A place in the world in the axes of frame f, from its origin."""
     return turn_in((px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]), frames, f)

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels import kernel
+from nuno_kernels.forces.linear_layout import Linear
+from nuno_schemas.fabric import Float
 
 
 @kernel
-def assemble_springs(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
+def assemble_springs(linear: Linear, places: Any, diagonal: Float, values: Float) -> None:
     """Add springs, alpha I + w w^T each."""
     rows, vertices = linear.rows, places.vertices
     block = np.empty(6)
@@ -36,7 +38,7 @@ def assemble_springs(linear: Any, places: Any, diagonal: Any, values: Any) -> No
 
 
 @kernel
-def assemble_hinges(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
+def assemble_hinges(linear: Linear, places: Any, diagonal: Float, values: Float) -> None:
     """Add hinges, g g^T each; the rows hold g at corner 1, -g at 2 and at 3, and corner 0 balances them."""
     rows, vertices = linear.rows, places.vertices
     g = np.empty((4, 3))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from nuno_kernels import kernel
+from nuno_kernels.forces.hinges import HingeLists, HingeRuns
+from nuno_kernels.forces.linear_layout import LinearLists, LinearRuns
+from nuno_kernels.forces.springs import SpringLists, SpringRuns
+from nuno_schemas.fabric import Float
 
 
 @kernel
-def add_outer(out: Any, at: int, across: float, x: float, y: float, z: float) -> None:
+def add_outer(out: Float, at: int, across: float, x: float, y: float, z: float) -> None:
     """Add across I + (x, y, z) (x, y, z)^T to column `at` of (6, w), nothing negative of it."""
     across = max(across, 0.0)
     out[0, at] += across + x * x
@@ -20,7 +22,7 @@ def add_outer(out: Any, at: int, across: float, x: float, y: float, z: float) ->
 
 
 @kernel
-def sum_spring_runs(runs: Any, linear: Any, block: int, origin: int, out: Any) -> None:
+def sum_spring_runs(runs: SpringRuns, linear: LinearRuns, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks of a block's runs to (6, w)."""
     task, rows = linear.task, linear.rows
     for t in range(linear.start[block], linear.start[block + 1]):
@@ -33,7 +35,7 @@ def sum_spring_runs(runs: Any, linear: Any, block: int, origin: int, out: Any) -
 
 
 @kernel
-def add_hinge(out: Any, corner: int, at: int, g: Any, c: int) -> None:
+def add_hinge(out: Float, corner: int, at: int, g: Float, c: int) -> None:
     """Add one corner's block of the hinge in column `c` of g (9, .) to column `at` of (6, w)."""
     if corner == 0:
         add_outer(out, at, 0.0, g[3, c] + g[6, c] - g[0, c], g[4, c] + g[7, c] - g[1, c], g[5, c] + g[8, c] - g[2, c])
@@ -43,7 +45,7 @@ def add_hinge(out: Any, corner: int, at: int, g: Any, c: int) -> None:
 
 
 @kernel
-def sum_hinge_runs(runs: Any, linear: Any, block: int, origin: int, out: Any) -> None:
+def sum_hinge_runs(runs: HingeRuns, linear: LinearRuns, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks of a block's hinge runs to (6, w)."""
     task = linear.task
     for t in range(linear.start[block], linear.start[block + 1]):
@@ -54,7 +56,7 @@ def sum_hinge_runs(runs: Any, linear: Any, block: int, origin: int, out: Any) ->
 
 
 @kernel
-def sum_spring_lists(lists: Any, linear: Any, block: int, origin: int, out: Any) -> None:
+def sum_spring_lists(lists: SpringLists, linear: LinearLists, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks of a block's listed springs to (6, w)."""
     rows = linear.rows
     for c in range(linear.start[block], linear.start[block + 1]):
@@ -63,7 +65,7 @@ def sum_spring_lists(lists: Any, linear: Any, block: int, origin: int, out: Any)
 
 
 @kernel
-def sum_hinge_lists(lists: Any, linear: Any, block: int, origin: int, out: Any) -> None:
+def sum_hinge_lists(lists: HingeLists, linear: LinearLists, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks of a block's listed hinges to (6, w)."""
     for c in range(linear.start[block], linear.start[block + 1]):
         for corner in range(4):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from nuno_kernels import inlined, kernel
-from nuno_kernels.forces.hinges import FLAT, cross, dot
+from nuno_kernels.forces.hinges import FLAT, HingeLists, HingeRuns, cross, dot
 from nuno_kernels.forces.springs import SpringLists, SpringRuns
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK
@@ -33,7 +33,9 @@ class Energy(NamedTuple):
 
 
 @inlined
-def measure_spring(x: Any, i: int, j: int, constants: Any, c: int, locks: Any, stretch: float, shortest: float) -> Any:
+def measure_spring(
+    x: Float, i: int, j: int, constants: Float, c: int, locks: bool | None, stretch: float, shortest: float
+) -> tuple[float, float, float, int]:
     """Energy of one spring, and the running stretch, shortest length and zero-length mark."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     length, k, rest = math.sqrt(dx * dx + dy * dy + dz * dz), constants[0, c], constants[1, c]
@@ -48,7 +50,7 @@ def measure_spring(x: Any, i: int, j: int, constants: Any, c: int, locks: Any, s
 
 
 @kernel
-def measure_spring_runs(runs: Any, x: Any) -> Any:
+def measure_spring_runs(runs: SpringRuns, x: Float) -> tuple[float, float, float, int]:
     """Energy, stretch, shortest length and number of zero-length springs.
 
     A spring that two blocks compute counts where its i end is at home.
@@ -68,7 +70,7 @@ def measure_spring_runs(runs: Any, x: Any) -> Any:
 
 
 @kernel
-def measure_spring_lists(lists: Any, x: Any) -> Any:
+def measure_spring_lists(lists: SpringLists, x: Float) -> tuple[float, float, float, int]:
     """The same of listed springs."""
     energy, stretch, shortest, zeros = 0.0, -1.0, math.inf, 0
     start, ends, constants = lists.start, lists.ends, lists.constants
@@ -85,13 +87,13 @@ def measure_spring_lists(lists: Any, x: Any) -> Any:
 
 
 @inlined
-def edge(x: Any, i: int, j: int) -> Any:
+def edge(x: Float, i: int, j: int) -> tuple[float, float, float]:
     """x_j - x_i."""
     return x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
 
 
 @kernel
-def measure_hinge(x: Any, i0: int, i1: int, i2: int, i3: int, k_cos: float, k_sin: float) -> float:
+def measure_hinge(x: Float, i0: int, i1: int, i2: int, i3: int, k_cos: float, k_sin: float) -> float:
     """Energy of one hinge.
 
     1 - cos(d) is taken as sin(d)^2 / (1 + cos(d)), which keeps its digits where d is small.
@@ -109,7 +111,7 @@ def measure_hinge(x: Any, i0: int, i1: int, i2: int, i3: int, k_cos: float, k_si
 
 
 @kernel
-def measure_hinge_runs(runs: Any, x: Any) -> float:
+def measure_hinge_runs(runs: HingeRuns, x: Float) -> float:
     """Energy of all hinges in runs, each counted where its first vertex is at home."""
     energy, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
@@ -121,7 +123,7 @@ def measure_hinge_runs(runs: Any, x: Any) -> float:
 
 
 @kernel
-def measure_hinge_lists(lists: Any, x: Any) -> float:
+def measure_hinge_lists(lists: HingeLists, x: Float) -> float:
     """The same of listed hinges."""
     energy, start, corners, constants = 0.0, lists.start, lists.corners, lists.constants
     for block in range(start.shape[0] - 1):
@@ -145,7 +147,7 @@ def energy_of_spring_lists(lists: SpringLists, x: Float) -> Measured:
 
 
 @kernel
-def measure_vertices(x: Any, v: Any, mass: Any, gravity: Any) -> Any:
+def measure_vertices(x: Float, v: Float, mass: Float, gravity: Float) -> tuple[float, float]:
     """Kinetic and gravitational energy for x, v (3, n) and masses (n,) [kg]."""
     kinetic, potential = 0.0, 0.0
     for p in range(x.shape[1]):

@@ -22,13 +22,13 @@ folded hinge has no jump. A triangle without area has no normal: its hinge exert
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import where_greater
-from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.step.blocks import (
     Long,
     assign_runs,
@@ -83,31 +83,33 @@ class HingeLists(NamedTuple):
 
 
 @kernel
-def cross(a: Any, b: Any) -> Any:
+def cross(a: Triple, b: Triple) -> Triple:
     """a x b of two triples."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
-def dot(a: Any, b: Any) -> Any:
+def dot(a: Triple, b: Triple) -> Lanes:
     """a.b of two triples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel
-def minus(a: Any, b: Any) -> Any:
+def minus(a: Triple, b: Triple) -> Triple:
     """a - b of two triples."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel
-def times(w: Any, a: Any) -> Any:
+def times(w: Lanes, a: Triple) -> Triple:
     """w a of a number and a triple."""
     return w * a[0], w * a[1], w * a[2]
 
 
 @kernel
-def hinge_forces(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any, curved: Any) -> Any:
+def hinge_forces(
+    x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes, curved: bool | None
+) -> tuple[Triple, Triple, Triple]:
     """Pull on x1 and push on x2 and x3 of eight hinges: force 1, minus force 2, minus force 3.
 
     All quotients come from one, r = 1/(|n1|^2 |n2|^2 |e|^2), which is set to 0 where a triangle has
@@ -128,13 +130,13 @@ def hinge_forces(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any, cur
 
 
 @kernel
-def listed_corner(x: Any, corners: Any, which: int, p: int) -> Any:
+def listed_corner(x: Float, corners: Int, which: int, p: int) -> Triple:
     """Positions of one corner of eight hinges."""
     return gather(x, 0, corners, which, p), gather(x, 1, corners, which, p), gather(x, 2, corners, which, p)
 
 
 @kernel
-def add_hinge_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+def add_hinge_lists(lists: HingeLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add a block's listed hinges to its forces (3, w)."""
     start, corners, constants = lists.start, lists.corners, lists.constants
     for p in range(start[block], start[block + 1], WIDTH):
@@ -151,13 +153,13 @@ def add_hinge_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: 
 
 
 @kernel
-def run_corner(x: Any, i: int, m: int) -> Any:
+def run_corner(x: Float, i: int, m: int) -> Triple:
     """Positions of one corner of up to eight hinges of a run."""
     return read(x, 0, i, m), read(x, 1, i, m), read(x, 2, i, m)
 
 
 @kernel
-def add_hinge_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+def add_hinge_runs(runs: HingeRuns, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add a block's runs to its forces (3, w); `origin` is the block's first vertex.
 
     Forces wait until a run is through: added corner by corner at once, a read would overlap the

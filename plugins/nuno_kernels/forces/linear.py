@@ -13,8 +13,6 @@ Every block keeps copies of its own for the elements that cross its border, as t
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from nuno_kernels import kernel
@@ -22,6 +20,7 @@ from nuno_kernels.forces.hinges import (
     FLAT,
     LONGEST,
     HingeLists,
+    HingeRuns,
     cross,
     dot,
     listed_corner,
@@ -33,27 +32,47 @@ from nuno_kernels.forces.linear_layout import (
     HINGE_ROWS,
     SPRING_ROWS,
     LinearLists,
+    LinearRuns,
+    Rows,
     linear_lists,
     linear_runs,
     listed_elements,
     run_elements,
 )
-from nuno_kernels.forces.springs import FAR, SpringLists, listed_lock, run_constant, run_lock, tensions
+from nuno_kernels.forces.springs import (
+    FAR,
+    Lock,
+    SpringLists,
+    SpringRuns,
+    listed_lock,
+    run_constant,
+    run_lock,
+    tensions,
+)
 from nuno_kernels.forces.springs import LONGEST as LONGEST_SPRINGS
 from nuno_kernels.lanes.choose import higher, where_greater, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
+from nuno_schemas.fabric import Float, Int
 
 
 @kernel
-def slope_at(length: Any, k: Any, lock: Any, locks: Any) -> Any:
+def slope_at(length: Lanes, k: Lanes, lock: Lock, locks: bool | None) -> Lanes:
     """dT / d|d| of eight springs."""
     return k if locks is None else k + where_greater(length, lock[1], lock[0])
 
 
 @kernel
 def spring_rows(
-    d: Any, d0: Any, k: Any, rest: Any, damping: Any, lock: Any, locks: Any, floor: float, follow: float
-) -> Any:
+    d: Triple,
+    d0: Triple,
+    k: Lanes,
+    rest: Lanes,
+    damping: Lanes,
+    lock: Lock,
+    locks: bool | None,
+    floor: float,
+    follow: float,
+) -> Rows:
     """alpha and w of eight springs along d, which were along d0; `damping` is c times the rate. All are 0 at length 0.
 
     alpha is by the tension that is expected, at the length d0.d / |d0|, or |d0| where `follow` is 0.
@@ -72,13 +91,13 @@ def spring_rows(
 
 
 @kernel
-def run_difference(x: Any, i: int, j: int, m: int) -> Any:
+def run_difference(x: Float, i: int, j: int, m: int) -> Triple:
     """x[:, j] - x[:, i] of up to eight that follow each other."""
     return read(x, 0, j, m) - read(x, 0, i, m), read(x, 1, j, m) - read(x, 1, i, m), read(x, 2, j, m) - read(x, 2, i, m)
 
 
 @kernel
-def listed_difference(x: Any, ends: Any, p: int) -> Any:
+def listed_difference(x: Float, ends: Int, p: int) -> Triple:
     """x[:, ends[1]] - x[:, ends[0]] of eight listed ones."""
     return (
         gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p), gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p),
@@ -88,7 +107,7 @@ def listed_difference(x: Any, ends: Any, p: int) -> Any:
 
 @kernel
 def fill_spring_runs(
-    runs: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+    runs: SpringRuns, linear: LinearRuns, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
 ) -> None:
     """Write the rows of a block's runs at x (3, n), after a step from `before`."""
     task, constants, rows = runs.task, runs.constants, linear.rows
@@ -108,7 +127,14 @@ def fill_spring_runs(
 
 @kernel
 def fill_spring_lists(
-    lists: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+    lists: SpringLists,
+    linear: LinearLists,
+    block: int,
+    x: Float,
+    before: Float,
+    rate: float,
+    floor: float,
+    follow: float,
 ) -> None:
     """Write the rows of a block's listed springs at x (3, n), after a step from `before`."""
     ends, constants = lists.ends, lists.constants
@@ -122,14 +148,14 @@ def fill_spring_lists(
 
 
 @kernel
-def spring_product(a: Any, wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+def spring_product(a: Lanes, wx: Lanes, wy: Lanes, wz: Lanes, dx: Lanes, dy: Lanes, dz: Lanes) -> Triple:
     """(alpha I + w w^T) d of eight springs."""
     s = wx * dx + wy * dy + wz * dz
     return a * dx + wx * s, a * dy + wy * s, a * dz + wz * s
 
 
 @kernel
-def multiply_spring_runs(runs: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+def multiply_spring_runs(runs: SpringRuns, linear: LinearRuns, block: int, origin: int, u: Float, out: Float) -> None:
     """Add the products of a block's runs with u (3, n) to `out` (3, w)."""
     task, rows = linear.task, linear.rows
     wait = np.empty((3, LONGEST_SPRINGS + WIDTH))
@@ -158,7 +184,9 @@ def multiply_spring_runs(runs: Any, linear: Any, block: int, origin: int, u: Any
 
 
 @kernel
-def multiply_spring_lists(lists: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+def multiply_spring_lists(
+    lists: SpringLists, linear: LinearLists, block: int, origin: int, u: Float, out: Float
+) -> None:
     """Add the products of a block's listed springs with u (3, n) to `out` (3, w)."""
     ends, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):
@@ -173,7 +201,7 @@ def multiply_spring_lists(lists: Any, linear: Any, block: int, origin: int, u: A
 
 
 @kernel
-def hinge_rows(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any) -> Any:
+def hinge_rows(x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes) -> Rows:
     """sqrt(k cos(angle - rest)) times the gradient of eight hinges' angles at x1, x2 (negative) and x3 (negative).
 
     With r = 1 / (q1 q2 e^2) as in nuno_kernels.forces.hinges.hinge_forces: |e| / (q1 q2) = |e| e^2 r.
@@ -196,7 +224,7 @@ def hinge_rows(x0: Any, x1: Any, x2: Any, x3: Any, k_cos: Any, k_sin: Any) -> An
 
 @kernel
 def fill_hinge_runs(
-    runs: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+    runs: HingeRuns, linear: LinearRuns, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
 ) -> None:
     """Write the rows of a block's hinge runs at x (3, n)."""
     task, constants = runs.task, runs.constants
@@ -215,7 +243,14 @@ def fill_hinge_runs(
 
 @kernel
 def fill_hinge_lists(
-    lists: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+    lists: HingeLists,
+    linear: LinearLists,
+    block: int,
+    x: Float,
+    before: Float,
+    rate: float,
+    floor: float,
+    follow: float,
 ) -> None:
     """Write the rows of a block's listed hinges at x (3, n)."""
     corners, constants = lists.corners, lists.constants
@@ -229,7 +264,7 @@ def fill_hinge_lists(
 
 
 @kernel
-def hinge_product(g: Any, u0: Any, u1: Any, u2: Any, u3: Any) -> Any:
+def hinge_product(g: Rows, u0: Triple, u1: Triple, u2: Triple, u3: Triple) -> Lanes:
     """g.u of eight hinges, g given by its nine rows."""
     a, b, c = minus(u1, u0), minus(u0, u2), minus(u0, u3)
     return (
@@ -239,7 +274,7 @@ def hinge_product(g: Any, u0: Any, u1: Any, u2: Any, u3: Any) -> Any:
 
 
 @kernel
-def multiply_hinge_runs(runs: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+def multiply_hinge_runs(runs: HingeRuns, linear: LinearRuns, block: int, origin: int, u: Float, out: Float) -> None:
     """Add the products of a block's hinge runs with u (3, n) to `out` (3, w); they wait as forces do."""
     task, rows = linear.task, linear.rows
     wait = np.empty((12, LONGEST + WIDTH))
@@ -269,7 +304,7 @@ def multiply_hinge_runs(runs: Any, linear: Any, block: int, origin: int, u: Any,
 
 
 @kernel
-def multiply_hinge_lists(lists: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+def multiply_hinge_lists(lists: HingeLists, linear: LinearLists, block: int, origin: int, u: Float, out: Float) -> None:
     """Add the products of a block's listed hinges with u (3, n) to `out` (3, w)."""
     corners, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.lanes.simd import WIDTH, Lanes
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_schemas.fabric import Float, Int
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from nuno_kernels.forces.springs import SpringRuns
 
 SPRING_ROWS, HINGE_ROWS = 4, 9
+Rows = tuple[Lanes, ...]
+"""So many rows of eight springs or hinges."""
 
 
 class LinearRuns(NamedTuple):
@@ -33,6 +35,9 @@ class LinearLists(NamedTuple):
     start: Long
     indices: Int
     rows: Float
+
+
+Linear = LinearRuns | LinearLists
 
 
 def linear_runs(rows: int, counts: int) -> Callable[[SpringRuns | HingeRuns], LinearRuns]:

@@ -33,21 +33,23 @@ from nuno_kernels.forces.hinges import dot, listed_corner, minus
 from nuno_kernels.forces.linear import slope_at
 from nuno_kernels.forces.linear_layout import LinearLists, linear_lists
 from nuno_kernels.forces.springs import listed_lock, tensions
+from nuno_kernels.forces.yarns import YarnLists
 from nuno_kernels.lanes.choose import higher, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, add_at, load, root, splat, store
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, root, splat, store
 from nuno_kernels.step.blocks import BLOCK
+from nuno_schemas.fabric import Float
 
 YARN_ROWS = 9
 """a^, b^, m, alpha_a and alpha_b of a pair."""
 
 
-def linear_yarns(yarns: Any) -> LinearLists:
+def linear_yarns(yarns: YarnLists) -> LinearLists:
     """Room for the rows of pairs (nuno_kernels.forces.yarns.YarnLists)."""
     return linear_lists(yarns.start, yarns.corners, YARN_ROWS)
 
 
 @kernel
-def link_rows(d: Any, d0: Any, follow: float) -> Any:
+def link_rows(d: Triple, d0: Triple, follow: float) -> tuple[Lanes, Lanes]:
     """1 / |d|, 0 at length 0, and the length that is expected of eight links (see
     nuno_kernels.forces.linear.spring_rows).
     """
@@ -58,7 +60,7 @@ def link_rows(d: Any, d0: Any, follow: float) -> Any:
 
 @kernel
 def fill_yarns(
-    yarns: Any, linear: Any, block: int, x: Any, before: Any, rate: float, floor: float, follow: float
+    yarns: YarnLists, linear: LinearLists, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
 ) -> None:
     """Write the rows of a block's pairs at x (3, n), after a step from `before`; `floor` is the least alpha."""
     corners, constants, rows = yarns.corners, yarns.constants, linear.rows
@@ -86,7 +88,7 @@ def fill_yarns(
 
 
 @kernel
-def multiply_yarns(yarns: Any, linear: Any, block: int, origin: int, u: Any, out: Any) -> None:
+def multiply_yarns(yarns: YarnLists, linear: LinearLists, block: int, origin: int, u: Float, out: Float) -> None:
     """Add the products of a block's pairs with u (3, n) to `out` (3, w)."""
     corners, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):
@@ -105,7 +107,7 @@ def multiply_yarns(yarns: Any, linear: Any, block: int, origin: int, u: Any, out
 
 
 @kernel
-def pair_block(rows: Any, c: int, first: int, second: int, block: Any) -> None:
+def pair_block(rows: Float, c: int, first: int, second: int, block: Float) -> None:
     """The 3 x 3 block of corners `first` and `second`, 0 to 2 for i, j, l, of the pair in column c."""
     # Corner's share of link a: -1 at i, 1 at j; of link b: -1 at j, 1 at l.
     a1, b1 = (-1.0, 1.0, 0.0)[first], (0.0, -1.0, 1.0)[first]
@@ -122,7 +124,7 @@ def pair_block(rows: Any, c: int, first: int, second: int, block: Any) -> None:
 
 
 @kernel
-def add_block(out: Any, at: int, block: Any) -> None:
+def add_block(out: Float, at: int, block: Float) -> None:
     """Add a symmetric 3 x 3 block to column `at` of (6, w)."""
     for row in range(3):
         out[row, at] += block[row, row]
@@ -132,7 +134,7 @@ def add_block(out: Any, at: int, block: Any) -> None:
 
 
 @kernel
-def sum_yarns(yarns: Any, linear: Any, block: int, origin: int, out: Any) -> None:
+def sum_yarns(yarns: YarnLists, linear: LinearLists, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks of a block's pairs to (6, w).
 
     What they take from a middle is at most mu of what both links' springs have there.
@@ -145,7 +147,7 @@ def sum_yarns(yarns: Any, linear: Any, block: int, origin: int, out: Any) -> Non
 
 
 @kernel
-def assemble_yarns(linear: Any, places: Any, diagonal: Any, values: Any) -> None:
+def assemble_yarns(linear: LinearLists, places: Any, diagonal: Float, values: Float) -> None:
     """Add pairs to a matrix that is to be factorised: see nuno_integrators.implicit.factor.assemble_springs."""
     part, rows = np.empty((3, 3)), linear.rows
     for p in range(places.column.shape[0]):
@@ -166,7 +168,7 @@ def assemble_yarns(linear: Any, places: Any, diagonal: Any, values: Any) -> None
 
 
 @kernel
-def turning_of_yarns(yarns: Any, x0: Any, x: Any, d: Any) -> float:
+def turning_of_yarns(yarns: YarnLists, x0: Float, x: Float, d: Float) -> float:
     """Work along d (3, n) of the tension that links pass on for having turned on their way from x0 to x [J]."""
     total, corners, constants = 0.0, yarns.corners, yarns.constants
     for block in range(yarns.start.shape[0] - 1):
@@ -187,7 +189,7 @@ def turning_of_yarns(yarns: Any, x0: Any, x: Any, d: Any) -> float:
 
 
 @kernel
-def turned(x0: Any, x: Any, d: Any, i: int, j: int) -> Any:
+def turned(x0: Float, x: Float, d: Float, i: int, j: int) -> tuple[float, float, float]:
     """Of a link that turns from a to b: |b|, what it would be without having turned, a.b / |a|, and b^.(d_j - d_i)."""
     ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
     bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]

@@ -8,13 +8,13 @@ way eight springs are computed at a time, each once per block that owns one of i
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import higher, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Triple, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int
@@ -64,15 +64,19 @@ class SpringLists(NamedTuple):
     locks: bool | None
 
 
+Lock = tuple[Lanes, Lanes]
+"""What k grows by, and from which length, of eight springs."""
+
+
 @kernel
-def tensions(length: Any, k: Any, rest: Any, lock: Any, locks: Any) -> Any:
+def tensions(length: Lanes, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
     """k (|d| - L) of eight springs, and what k grows by times |d| beyond the lock: `lock` holds both."""
     pull = k * (length - rest)
     return pull if locks is None else pull + lock[0] * higher(length - lock[1], splat(0.0))
 
 
 @kernel
-def tension_at(length: float, constants: Any, c: int, locks: Any) -> float:
+def tension_at(length: float, constants: Float, c: int, locks: bool | None) -> float:
     """The same of the spring whose constants stand in column c."""
     pull = constants[0, c] * (length - constants[1, c])
     if locks is not None:
@@ -81,7 +85,7 @@ def tension_at(length: float, constants: Any, c: int, locks: Any) -> float:
 
 
 @kernel
-def pull(dx: Any, dy: Any, dz: Any, k: Any, rest: Any, lock: Any, locks: Any) -> Any:
+def pull(dx: Lanes, dy: Lanes, dz: Lanes, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
     """k (|d| - L) / |d|: exactly 0 at the rest length, which k - k L / |d| is not."""
     square = dx * dx + dy * dy + dz * dz
     length = root(square)
@@ -89,7 +93,9 @@ def pull(dx: Any, dy: Any, dz: Any, k: Any, rest: Any, lock: Any, locks: Any) ->
 
 
 @kernel
-def damped_pull(dx: Any, dy: Any, dz: Any, approach: Any, k: Any, rest: Any, c: Any, lock: Any, locks: Any) -> Any:
+def damped_pull(
+    dx: Lanes, dy: Lanes, dz: Lanes, approach: Lanes, k: Lanes, rest: Lanes, c: Lanes, lock: Lock, locks: bool | None
+) -> Lanes:
     """(k (|d| - L) + c approach / |d|) / |d| with approach = (v_j - v_i).d."""
     square = dx * dx + dy * dy + dz * dz
     length = root(square)
@@ -98,13 +104,13 @@ def damped_pull(dx: Any, dy: Any, dz: Any, approach: Any, k: Any, rest: Any, c: 
 
 
 @kernel
-def run_constant(row: int, at: int, m: int, constants: Any, each: Any) -> Any:
+def run_constant(row: int, at: int, m: int, constants: Float, each: bool | None) -> Lanes:
     """One constant of up to eight springs of a run."""
     return splat(constants[row, at]) if each is None else read(constants, row, at, m)
 
 
 @kernel
-def run_lock(at: int, m: int, constants: Any, each: Any, locks: Any) -> Any:
+def run_lock(at: int, m: int, constants: Float, each: bool | None, locks: bool | None) -> Lock:
     """What k grows by and from which length of up to eight springs of a run: nothing where none locks.
 
     Not None, which numba would make an optional of: what is not read costs nothing.
@@ -115,7 +121,7 @@ def run_lock(at: int, m: int, constants: Any, each: Any, locks: Any) -> Any:
 
 
 @kernel
-def listed_lock(p: int, constants: Any, row: int, locks: Any) -> Any:
+def listed_lock(p: int, constants: Float, row: int, locks: bool | None) -> Lock:
     """The same of eight listed springs, from this row of their constants on."""
     if locks is None:
         return splat(0.0), splat(0.0)
@@ -148,7 +154,7 @@ def run_forces(
 
 
 @kernel
-def add_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+def add_runs(runs: SpringRuns, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add a block's runs to its forces (3, w); `origin` is the block's first vertex."""
     start, task, constants, each = runs.start, runs.task, runs.constants, runs.each
     wait = np.empty((3, LONGEST + WIDTH))
@@ -176,7 +182,9 @@ def add_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> 
 
 
 @kernel
-def listed_forces(x: Any, v: Any, ends: Any, p: int, constants: Any, damped: Any, locks: Any) -> Any:
+def listed_forces(
+    x: Float, v: Float, ends: Int, p: int, constants: Float, damped: bool | None, locks: bool | None
+) -> Triple:
     """Forces on the i ends of eight listed springs."""
     dx = gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p)
     dy = gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p)
@@ -197,7 +205,7 @@ def listed_forces(x: Any, v: Any, ends: Any, p: int, constants: Any, damped: Any
 
 
 @kernel
-def add_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+def add_lists(lists: SpringLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add a block's listed springs to its forces (3, w)."""
     start, ends, constants = lists.start, lists.ends, lists.constants
     for p in range(start[block], start[block + 1], WIDTH):

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.forces.springs import SpringLists, SpringRuns, tension_at
 from nuno_kernels.step.blocks import BLOCK
+from nuno_schemas.fabric import Float
 
 
 @kernel
-def size_of_tension(x: Any, i: int, j: int, constants: Any, c: int, locks: Any) -> float:
+def size_of_tension(x: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
     """|k (|d| - L)|."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     return abs(tension_at(np.sqrt(dx * dx + dy * dy + dz * dz), constants, c, locks))
 
 
 @kernel
-def tension_of_runs(runs: Any, x: Any) -> float:
+def tension_of_runs(runs: SpringRuns, x: Float) -> float:
     """The largest over runs."""
     largest, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
@@ -30,7 +29,7 @@ def tension_of_runs(runs: Any, x: Any) -> float:
 
 
 @kernel
-def tension_of_lists(lists: Any, x: Any) -> float:
+def tension_of_lists(lists: SpringLists, x: Float) -> float:
     """The largest over lists."""
     largest, ends, constants = 0.0, lists.ends, lists.constants
     for c in range(ends.shape[1]):
@@ -39,7 +38,7 @@ def tension_of_lists(lists: Any, x: Any) -> float:
 
 
 @kernel
-def turning(x0: Any, x: Any, d: Any, i: int, j: int, constants: Any, c: int, locks: Any) -> float:
+def turning(x0: Float, x: Float, d: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
     """(T(|b|) - T(a.b / |a|)) b.(d_j - d_i) / |b|."""
     ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
     bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
@@ -54,7 +53,7 @@ def turning(x0: Any, x: Any, d: Any, i: int, j: int, constants: Any, c: int, loc
 
 
 @kernel
-def turning_of_runs(runs: Any, x0: Any, x: Any, d: Any) -> float:
+def turning_of_runs(runs: SpringRuns, x0: Float, x: Float, d: Float) -> float:
     """The sum over runs, each spring once: by the task that adds to its first end."""
     total, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
@@ -66,7 +65,7 @@ def turning_of_runs(runs: Any, x0: Any, x: Any, d: Any) -> float:
 
 
 @kernel
-def turning_of_lists(lists: Any, x0: Any, x: Any, d: Any) -> float:
+def turning_of_lists(lists: SpringLists, x0: Float, x: Float, d: Float) -> float:
     """The sum over lists, each spring once: by its first end's block."""
     total, ends, constants = 0.0, lists.ends, lists.constants
     for block in range(lists.start.shape[0] - 1):

@@ -17,7 +17,7 @@ where a link by link sum would take three, and no array of tensions has to be fi
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from nuno_kernels.forces.linear_layout import listed_elements
 from nuno_kernels.forces.spring_packing import spring_constants
 from nuno_kernels.forces.springs import listed_lock, tensions
 from nuno_kernels.lanes.choose import where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, add_at, gather, load, root
+from nuno_kernels.lanes.simd import WIDTH, Triple, add_at, gather, load, root
 from nuno_kernels.step.blocks import BLOCK, Long, block_count, is_small, local_targets, owned_copies, pad_lists
 from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int, Springs
@@ -52,7 +52,7 @@ class YarnLists(NamedTuple):
 
 
 @kernel
-def listed_link(x: Any, corners: Any, which: int, p: int) -> Any:
+def listed_link(x: Float, corners: Int, which: int, p: int) -> Triple:
     """x of corner which + 1 minus x of corner `which`, of eight pairs."""
     return (
         gather(x, 0, corners, which + 1, p) - gather(x, 0, corners, which, p),
@@ -62,7 +62,7 @@ def listed_link(x: Any, corners: Any, which: int, p: int) -> Any:
 
 
 @kernel
-def add_yarns(yarns: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+def add_yarns(yarns: YarnLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add to a block's forces (3, w) what passes along its yarns."""
     corners, constants = yarns.corners, yarns.constants
     for p in range(yarns.start[block], yarns.start[block + 1], WIDTH):
@@ -87,7 +87,7 @@ def add_yarns(yarns: Any, block: int, origin: int, x: Any, v: Any, force: Any) -
 
 
 @kernel
-def measure_yarns(yarns: Any, x: Any) -> float:
+def measure_yarns(yarns: YarnLists, x: Float) -> float:
     """Sum of mu k e_a e_b over all pairs [J], each counted where its first vertex is at home.
 
     Where k changes along a yarn, or one of two links has locked, there is no energy, and this takes the mean of
@@ -109,7 +109,7 @@ def measure_yarns(yarns: Any, x: Any) -> float:
 
 
 @kernel
-def elongation(x: Any, i: int, j: int, rest: float) -> float:
+def elongation(x: Float, i: int, j: int, rest: float) -> float:
     """|d| - L, 0 where |d| is 0: such a link takes no part."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)

@@ -20,6 +20,7 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from nuno_kernels import kernel
+from nuno_schemas.fabric import Float
 
 WIDTH = 8
 """Lanes of a vector."""
@@ -248,7 +249,7 @@ def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @kernel
-def read(a: Any, row: int, column: int, count: int) -> Any:
+def read(a: Float, row: int, column: int, count: int) -> Lanes:
     """Up to eight values; zeros beyond `count`."""
     if count == WIDTH:
         return load(a, row, column)
@@ -256,7 +257,7 @@ def read(a: Any, row: int, column: int, count: int) -> Any:
 
 
 @kernel
-def write(a: Any, row: int, column: int, count: int, value: Any) -> None:
+def write(a: Float, row: int, column: int, count: int, value: Lanes) -> None:
     """Up to eight values."""
     if count == WIDTH:
         store(a, row, column, value)

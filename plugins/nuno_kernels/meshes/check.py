@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import prange
+from numpy.typing import NDArray
 
 from nuno_kernels import kernel, parallel_kernel, threads_available
 from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to
@@ -74,7 +73,7 @@ def check_crossings(x: Float, faces: Int, tree: Tree | None = None) -> None:
 
 
 @kernel
-def edge_crosses(x: Any, p: int, q: int, face: Any) -> Any:
+def edge_crosses(x: Float, p: int, q: int, face: Int) -> bool:
     """Whether the open edge from vertex p to vertex q passes through the inside of a triangle of three others."""
     a, b, c = x[face[0]], x[face[1]], x[face[2]]
     first, second = orient(a, b, c, x[p]), orient(a, b, c, x[q])
@@ -85,7 +84,7 @@ def edge_crosses(x: Any, p: int, q: int, face: Any) -> Any:
 
 
 @kernel
-def orient(a: Any, b: Any, c: Any, d: Any) -> Any:
+def orient(a: Float, b: Float, c: Float, d: Float) -> float:
     """Six times the volume of the tetrahedron a, b, c, d; 0 where that is no more than rounding can be.
 
     Neighbours in one plane neither cross nor part, whatever their corners' last digits are.
@@ -100,7 +99,9 @@ def orient(a: Any, b: Any, c: Any, d: Any) -> Any:
 
 
 @kernel
-def find_crossing(i: int, x: Any, faces: Any, boxes: Any, child: Any, face: Any, waiting: Any) -> int:
+def find_crossing(
+    i: int, x: Float, faces: Int, boxes: Float, child: NDArray[np.int64], face: Int, waiting: NDArray[np.int64]
+) -> int:
     """The lowest number of a triangle that shares no vertex with triangle i and is crossed by one of its edges; -1."""
     lowest = -1
     for k in range(3):
@@ -138,7 +139,7 @@ def find_crossing(i: int, x: Any, faces: Any, boxes: Any, child: Any, face: Any,
 
 
 @parallel_kernel
-def find_crossings(x: Any, faces: Any, boxes: Any, child: Any, face: Any, other: Any) -> None:
+def find_crossings(x: Float, faces: Int, boxes: Float, child: NDArray[np.int64], face: Int, other: Int) -> None:
     """other (f,) int32: for each triangle the one of `find_crossing`."""
     for block in prange((faces.shape[0] + BLOCK - 1) // BLOCK):
         waiting = np.empty(DEPTH, np.int64)

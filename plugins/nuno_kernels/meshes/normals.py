@@ -9,7 +9,6 @@ pseudonormal. IEEE Transactions on Visualization and Computer Graphics 11(3), 20
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -54,7 +53,7 @@ def vertex_normals(x: Float, faces: Int) -> Float:
 
 
 @kernel
-def blend_normals(normals: Any, faces: Any, face: Any, weights: Any, out: Any) -> None:
+def blend_normals(normals: Float, faces: Int, face: Int, weights: Float, out: Float) -> None:
     """Unit normals (m, 3) at barycentric coordinates weights (m, 3) in triangles face (m,), from vertices' (n, 3)."""
     for i in range(face.shape[0]):
         a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]

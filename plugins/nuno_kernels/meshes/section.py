@@ -12,12 +12,13 @@ comes back to where it began, if nothing stops it.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.meshes.normals import edge_numbers
+from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int
 
 STEPS = 512
@@ -78,7 +79,7 @@ class Chord(NamedTuple):
 
 
 @kernel
-def make_chord(points: Any, normals: Any, i: int, j: int) -> Any:
+def make_chord(points: Float, normals: Float, i: int, j: int) -> Chord:
     """The plane through points i and j along the mean of their normals; of length 0 where there is none."""
     ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
     ux, uy, uz = points[j, 0] - ax, points[j, 1] - ay, points[j, 2] - az
@@ -98,7 +99,7 @@ def make_chord(points: Any, normals: Any, i: int, j: int) -> Any:
 
 
 @kernel
-def side_of(chord: Any, v: int, vertices: Any) -> float:
+def side_of(chord: Chord, v: int, vertices: Float) -> float:
     """How far to the left of the plane a vertex is [m], seen from above along the chord."""
     return float(
         (vertices[v, 0] - chord.ax) * chord.vx
@@ -108,7 +109,7 @@ def side_of(chord: Any, v: int, vertices: Any) -> float:
 
 
 @kernel
-def crossed_edge(chord: Any, face: int, onward: bool, vertices: Any, faces: Any) -> int:
+def crossed_edge(chord: Chord, face: int, onward: bool, vertices: Float, faces: Int) -> int:
     """Edge of a triangle by which the plane's line leaves it, or came into it if not `onward`; -1 if it is not cut.
 
     Triangles turn counter-clockwise seen from above, so the line leaves where the corner after is on the left.
@@ -126,14 +127,14 @@ def crossed_edge(chord: Any, face: int, onward: bool, vertices: Any, faces: Any)
 
 
 @kernel
-def edge_share(chord: Any, i: int, j: int, vertices: Any) -> float:
+def edge_share(chord: Chord, i: int, j: int, vertices: Float) -> float:
     """Share of the way from vertex i to vertex j, on both sides of the plane, at which it is met."""
     si = side_of(chord, i, vertices)
     return si / (si - side_of(chord, j, vertices))
 
 
 @kernel
-def crossing(chord: Any, face: int, edge: int, vertices: Any, faces: Any) -> tuple[float, float]:
+def crossing(chord: Chord, face: int, edge: int, vertices: Float, faces: Int) -> tuple[float, float]:
     """(u, w) [m] of the point at which the plane meets an edge of a triangle."""
     i, j = faces[face, edge], faces[face, (edge + 1) % 3]
     t = edge_share(chord, i, j, vertices)
@@ -144,7 +145,7 @@ def crossing(chord: Any, face: int, edge: int, vertices: Any, faces: Any) -> tup
 
 
 @kernel
-def find_start(chord: Any, face: int, vertices: Any, faces: Any, ptr: Any, around: Any) -> int:
+def find_start(chord: Chord, face: int, vertices: Float, faces: Int, ptr: Int, around: Int) -> int:
     """A triangle that the plane cuts, near the given one; -1 if none is found.
 
     From the corner nearest to the plane to the one nearest to it among its neighbours, until a triangle there is
@@ -175,7 +176,7 @@ def find_start(chord: Any, face: int, vertices: Any, faces: Any, ptr: Any, aroun
 
 @kernel
 def follow_section(
-    chord: Any, start: int, below: Any, vertices: Any, faces: Any, across: Any, u: Any, w: Any, met: Any
+    chord: Chord, start: int, below: float, vertices: Float, faces: Int, across: Int, u: Float, w: Float, met: Long
 ) -> int:  # fmt: skip
     """Points of the plane's line between the ends of a chord: how many there are, -1 if it does not lead to its end.
 

@@ -10,7 +10,7 @@ full; pointers to children one by one, which cost a gather where a load will do.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,7 @@ class Tree(NamedTuple):
 
 
 @kernel
-def order_triangles(centre: Any, capacity: int, order: Any) -> None:
+def order_triangles(centre: Float, capacity: int, order: NDArray[np.int64]) -> None:
     """Reorder the triangles of centroids (f, 3) so that each run of 8, 64, ... is a cell cut at medians.
 
     `capacity` is the least power of eight that is no less than f; `order` (f,) int64 starts as 0 .. f - 1.

@@ -6,6 +6,7 @@ is written in Python.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,10 @@ add_after = each("after", "x, v, s, a, threads")
 settle_bodies = each("settle", "x, v, s, threads")
 hold_bodies = each("hold", "x, v, s, threads")
 slow_bodies = each("slow", "x, v, threads")
+
+
+Extra = Callable[[Float, Float, float, Float], None] | None
+"""Forces written in Python, None where there are none: extra(x, v, s, a) adds newtons to a (3, n)."""
 
 
 class Packed(NamedTuple):
@@ -68,7 +73,7 @@ class Own(NamedTuple):
 
 
 @kernel
-def finish_block(block: int, v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
+def finish_block(block: int, v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float) -> None:
     """Turn a block's forces into accelerations, in place; pinned vertices get none."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, a.shape[1])
     for row in range(3):
@@ -98,7 +103,17 @@ def step_block(block: int, x: Float, v: Float, force: Float, own: Own, to_x: Flo
 
 
 @kernel
-def force_block(block: int, forces: Any, on: Any, own: Any, late: Any, x: Any, v: Any, to_x: Any, to_v: Any) -> None:
+def force_block(
+    block: int,
+    forces: tuple[Any, ...],
+    on: Bool,
+    own: Own,
+    late: bool | None,
+    x: Float,
+    v: Float,
+    to_x: Float,
+    to_v: Float,
+) -> None:
     """Forces on a block's vertices, summed in the core's cache: a step of symplectic Euler into to_x, to_v (3, n),
     or, where dt is 0, accelerations into to_x, newtons if `late`. One function for both: each kind would compile all
     forces anew.
@@ -122,14 +137,16 @@ force_parallel = each_block(force_block, "own, late, x, v, to_x, to_v")
 
 
 @parallel_kernel
-def finish_parallel(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float) -> None:
+def finish_parallel(v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float) -> None:
     """Forces in a (3, n) become accelerations [m/s^2], on several threads."""
     for block in prange((a.shape[1] + BLOCK - 1) // BLOCK):
         finish_block(block, v, a, inverse_mass, gravity, damping)
 
 
 @kernel
-def add_forces(x: Any, v: Any, s: float, to_x: Any, to_v: Any, dt: float, p: Any, late: Any, threads: Any) -> None:
+def add_forces(
+    x: Float, v: Float, s: float, to_x: Float, to_v: Float, dt: float, p: Packed, late: bool | None, threads: int | None
+) -> None:
     """Forces [N] at fraction s of the frame into to_x (3, n), or accelerations unless `late`, or, where dt is not 0,
     a whole step into to_x and to_v.
 
@@ -148,7 +165,9 @@ def add_forces(x: Any, v: Any, s: float, to_x: Any, to_v: Any, dt: float, p: Any
 
 
 @kernel
-def finish(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float, late: Any, threads: Any) -> None:
+def finish(
+    v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float, late: bool | None, threads: int | None
+) -> None:
     """Forces in a (3, n) become accelerations [m/s^2] where they did not at once."""
     if late is not None:
         if threads is None:
@@ -159,7 +178,7 @@ def finish(v: Any, a: Any, inverse_mass: Any, gravity: Any, damping: float, late
 
 
 @shared_source
-def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
+def evaluate(x: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) -> None:
     """a (3, n) = acceleration [m/s^2] at x, v (3, n) and fraction s of the frame.
 
     `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
@@ -171,26 +190,26 @@ def evaluate(x: Any, v: Any, s: float, a: Any, p: Any, extra: Any) -> None:
 
 
 @kernel
-def settle(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
+def settle(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """After a whole step that ends at fraction s: place carried vertices, update friction anchors."""
     place(bodies, on, x, v, s)
     settle_bodies(bodies, on, x, v, s, threads)
 
 
 @kernel
-def hold(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
+def hold(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """Hold vertices that have moved up to fraction s of the frame off the bodies that they slide on."""
     hold_bodies(bodies, on, x, v, s, threads)
 
 
 @kernel
-def slow(x: Any, v: Any, bodies: Any, on: Any, threads: Any) -> None:
+def slow(x: Float, v: Float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """Hold velocities off the planes that hold the vertices since they were last held off."""
     slow_bodies(bodies, on, x, v, threads)
 
 
 @kernel
-def commit(x: Any, v: Any, s: float, bodies: Any, on: Any, threads: Any) -> None:
+def commit(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """After a whole step that ends at fraction s: place carried vertices, hold vertices off the bodies that they slide
     on, and update friction anchors on the others by where that leaves them.
     """

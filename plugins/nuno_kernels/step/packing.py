@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,15 +9,13 @@ import numpy as np
 from nuno_kernels import threads_available
 from nuno_kernels.forces.hinges import pack_hinges
 from nuno_kernels.forces.spring_packing import pack_springs
-from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.terms import kernels_of, role_of
 from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.system import System
 
 PARALLEL_FROM = 4096
 """Fewest vertices that run on several threads, two blocks. Whether they do in a frame is found by trying."""
-
-Extra = Callable[[Float, Float, float, Float], None]
 
 
 def to_rows(array: Float, out: Float | None = None) -> Float:
@@ -136,7 +133,7 @@ def own_copy(data: Any) -> Any:
                         for value in data))  # fmt: skip
 
 
-def python_terms(system: System, start: float, end: float) -> Extra | None:
+def python_terms(system: System, start: float, end: float) -> Extra:
     """One function that adds all forces written in Python to rows, or None where there are none.
 
     They are called with x, v (n, 3), the time [s] and `out` (n, 3), to which they add newtons.
