@@ -17,7 +17,7 @@ from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 import numba
-from numba import prange
+from numba import prange, types
 from numba.extending import overload
 
 from nuno_kernels import FLAGS
@@ -204,6 +204,24 @@ def each_block(one: Any, parameters: str, linear: bool = False) -> Any:
         return _define("each", head, body, loop=numba.njit(parallel=True, **FLAGS)(loop))
 
     return _overloaded(head, build)
+
+
+def over_blocks(one: Any, parameters: str) -> Any:
+    """A function f(<parameters>, blocks, threads) for kernels: calls one(block, <parameters>) for every block, in their
+    order where `threads` is None, else on several threads.
+
+    Which of the two it is, is known when a kernel is compiled, and only that is compiled.
+    """
+    head, call = f"{parameters}, blocks, threads", f"one(block, {parameters})"
+    body = f"    for block in prange(blocks):\n        {call}"
+    loop = numba.njit(parallel=True, **FLAGS)(_define("loop", f"{parameters}, blocks", body, one=one, prange=prange))
+    several = _define("several", head, f"    loop({parameters}, blocks)", loop=loop)
+    alone = _define("alone", head, f"    for block in range(blocks):\n        {call}", one=one)
+    called = _define("called", head, "")
+    body = "    return alone if isinstance(threads, types.NoneType) else several"
+    typed = _define("typed", head, body, alone=alone, several=several, types=types)
+    overload(called, jit_options=FLAGS, inline="always")(typed)
+    return called
 
 
 def _overloaded(parameters: str, build: Callable[[Any], Any]) -> Any:

@@ -39,15 +39,14 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from nuno_contact.fields.sample import join_fields
 from nuno_contact.penalty.distance import FIELD, find_bounds
 from nuno_contact.penalty.poses import pose_bodies, set_poses
 from nuno_contact.penalty.response import add_body, bodies_of, commit_body, fields_of, find_deepest, touch_of
-from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.terms import register
+from nuno_kernels import kernel
+from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
@@ -155,18 +154,8 @@ def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
     contact.tally[block, 0] = touching
 
 
-@parallel_kernel
-def add_parallel(x: Float, v: Float, contact: Contact, force: Float) -> None:
-    """`add_block` for all blocks on several threads."""
-    for block in prange(contact.bounds.shape[0]):
-        add_block(block, x, v, contact, force)
-
-
-@parallel_kernel
-def commit_parallel(x: Float, v: Float, contact: Contact) -> None:
-    """`commit_block` for all blocks on several threads."""
-    for block in prange(contact.bounds.shape[0]):
-        commit_block(block, x, v, contact)
+add_blocks = over_blocks(add_block, "x, v, contact, force")
+commit_blocks = over_blocks(commit_block, "x, v, contact")
 
 
 @kernel
@@ -176,11 +165,7 @@ def add_contact(contact: Contact, x: Float, v: Float, s: float, force: Float, th
     The same bits with any number of threads; None is for one.
     """
     pose_bodies(s, contact)
-    if threads is None:
-        for block in range(contact.bounds.shape[0]):
-            add_block(block, x, v, contact, force)
-    else:
-        add_parallel(x, v, contact, force)
+    add_blocks(x, v, contact, force, contact.bounds.shape[0], threads)
 
 
 @kernel
@@ -190,11 +175,7 @@ def commit_contact(contact: Contact, x: Float, v: Float, s: float, threads: int 
     Goes by what touched at the last `add_contact`, which every step calls before.
     """
     pose_bodies(s, contact)
-    if threads is None:
-        for block in range(contact.bounds.shape[0]):
-            commit_block(block, x, v, contact)
-    else:
-        commit_parallel(x, v, contact)
+    commit_blocks(x, v, contact, contact.bounds.shape[0], threads)
 
 
 def limit_approach(contact: Contact, rate: float) -> None:

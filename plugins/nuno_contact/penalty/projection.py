@@ -20,7 +20,6 @@ it left. Bodies that a vertex touches together follow each other, as constraints
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from nuno_contact.fields.sample import Fields
 from nuno_contact.penalty.contact import BLOCK, Contact
@@ -37,8 +36,8 @@ from nuno_contact.penalty.response import (
     rub,
     touch_of,
 )  # fmt: skip
-from nuno_kernels import kernel, parallel_kernel
-from nuno_kernels.terms import Displaced
+from nuno_kernels import kernel
+from nuno_kernels.terms import Displaced, over_blocks
 from nuno_schemas.fabric import Float
 
 
@@ -99,11 +98,7 @@ def push_block(block: int, contact: Contact, moved: Displaced, held: Float | Non
             contact.tally[block, 1] += on_axis
 
 
-@parallel_kernel
-def push_parallel(contact: Contact, moved: Displaced, held: Float | None) -> None:
-    """`push_block` for all blocks on several threads."""
-    for block in prange(contact.bounds.shape[0]):
-        push_block(block, contact, moved, held)
+push_blocks = over_blocks(push_block, "contact, moved, held")
 
 
 @kernel
@@ -114,8 +109,4 @@ def project(contact: Contact, moved: Displaced, s: float, held: Float | None, th
     where sweeps are repeated, and is None where they are not.
     """
     pose_bodies(s, contact)
-    if threads is None:
-        for block in range(contact.bounds.shape[0]):
-            push_block(block, contact, moved, held)
-    else:
-        push_parallel(contact, moved, held)
+    push_blocks(contact, moved, held, contact.bounds.shape[0], threads)

@@ -29,7 +29,7 @@ from nuno_kernels import forced_inline, kernel, parallel_kernel
 from nuno_kernels.bodies.poses import pose_frame, to_frame, turn_out, write_interval
 from nuno_kernels.meshes.closest_point import closest, make_room
 from nuno_kernels.meshes.tree import Tree
-from nuno_kernels.terms import register
+from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
 
@@ -160,18 +160,8 @@ def pose_slides(at: float, s: Slides) -> None:
         pose_frame(at, f, s.rotation0, s.origin0, s.spin, s.shift, s.frames)
 
 
-@parallel_kernel
-def slide_parallel(x: Float, v: Float, s: Slides) -> None:
-    """`slide_bodies` for all blocks on several threads."""
-    for block in prange(s.tally.shape[0]):
-        slide_bodies(block, x, v, s)
-
-
-@parallel_kernel
-def slow_parallel(x: Float, v: Float, s: Slides) -> None:
-    """`slow_block` for all blocks on several threads."""
-    for block in prange(s.tally.shape[0]):
-        slow_block(block, x, v, s)
+slide_blocks = over_blocks(slide_bodies, "x, v, s")
+slow_blocks = over_blocks(slow_block, "x, v, s")
 
 
 @kernel
@@ -181,21 +171,13 @@ def hold_slides(s: Slides, x: Float, v: Float, at: float, threads: int | None) -
     The same bits with any number of threads; None is for one.
     """
     pose_slides(at, s)
-    if threads is None:
-        for block in range(s.tally.shape[0]):
-            slide_bodies(block, x, v, s)
-    else:
-        slide_parallel(x, v, s)
+    slide_blocks(x, v, s, s.tally.shape[0], threads)
 
 
 @kernel
 def slow_slides(s: Slides, x: Float, v: Float, threads: int | None) -> None:
     """Hold velocities v (3, n) off the planes that hold vertices x (3, n) since `hold_slides`, with friction."""
-    if threads is None:
-        for block in range(s.tally.shape[0]):
-            slow_block(block, x, v, s)
-    else:
-        slow_parallel(x, v, s)
+    slow_blocks(x, v, s, s.tally.shape[0], threads)
 
 
 @kernel

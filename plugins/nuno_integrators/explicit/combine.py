@@ -13,11 +13,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import prange
-
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import kernel
 from nuno_kernels.lanes.simd import WIDTH, read, splat, store, write
 from nuno_kernels.step.blocks import BLOCK
+from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 
 
@@ -65,26 +64,18 @@ def combine_block(block: int, b: Buffers, stage: Stage, y: Float, u: Float) -> N
             write(u, row, p, m, speed + h * sped)
 
 
-@parallel_kernel
-def combine_parallel(b: Buffers, stage: Stage, y: Float, u: Float) -> None:
-    """All blocks on several threads."""
-    for block in prange((y.shape[1] + BLOCK - 1) // BLOCK):
-        combine_block(block, b, stage, y, u)
+combine_blocks = over_blocks(combine_block, "b, stage, y, u")
 
 
 @kernel
 def combine(b: Buffers, stage: Stage, y: Float, u: Float, threads: int | None) -> None:
     """A stage (y, u) (3, n) from the state and the slopes in b."""
-    if threads is None:
-        for block in range((y.shape[1] + BLOCK - 1) // BLOCK):
-            combine_block(block, b, stage, y, u)
-    else:
-        combine_parallel(b, stage, y, u)
+    combine_blocks(b, stage, y, u, (y.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @kernel
-def add_squares(block: int, k: Float, weights: Float, wait: Float) -> float:
-    """Sum over a block of (sum_j weights_j k_j)^2; `wait` (1, 8) is scratch."""
+def add_squares(block: int, k: Float, weights: Float, sums: Float, wait: Float) -> None:
+    """Sum over a block of (sum_j weights_j k_j)^2, into sums; `wait` (blocks, 1, 8) is scratch."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, k.shape[1])
     total = splat(0.0)
     for row in range(3):
@@ -95,18 +86,15 @@ def add_squares(block: int, k: Float, weights: Float, wait: Float) -> float:
                 if weights[j] != 0.0:
                     e = e + weights[j] * read(k, 3 * j + row, p, m)
             total = total + e * e
-    store(wait, 0, 0, total)
+    lanes = wait[block]
+    store(lanes, 0, 0, total)
     result = 0.0
     for lane in range(WIDTH):
-        result += wait[0, lane]
-    return result
+        result += lanes[0, lane]
+    sums[block] = result
 
 
-@parallel_kernel
-def square_parallel(k: Float, weights: Float, sums: Float, wait: Float) -> None:
-    """The sums of all blocks on several threads."""
-    for block in prange(sums.shape[0]):
-        sums[block] = add_squares(block, k, weights, wait[block])
+square_blocks = over_blocks(add_squares, "k, weights, sums, wait")
 
 
 @kernel
@@ -115,11 +103,7 @@ def square(k: Float, weights: Float, sums: Float, wait: Float, threads: int | No
 
     sums (blocks,) and wait (blocks, 1, 8) are scratch; a pinned vertex has slopes 0.
     """
-    if threads is None:
-        for block in range(sums.shape[0]):
-            sums[block] = add_squares(block, k, weights, wait[block])
-    else:
-        square_parallel(k, weights, sums, wait)
+    square_blocks(k, weights, sums, wait, sums.shape[0], threads)
     total = 0.0
     for block in range(sums.shape[0]):
         total += sums[block]

@@ -5,11 +5,10 @@ A parallel region costs its threads a meeting; two updates that follow each othe
 
 from __future__ import annotations
 
-from numba import prange
-
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import kernel
 from nuno_kernels.lanes.simd import WIDTH, read, write
 from nuno_kernels.step.blocks import BLOCK
+from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 
 
@@ -23,29 +22,23 @@ def add_block(block: int, out: Float, y: Float, h: float, k: Float) -> None:
             write(out, row, p, m, read(y, row, p, m) + h * read(k, row, p, m))
 
 
-@parallel_kernel
-def add_twice_parallel(first: Float, y: Float, h: float, k: Float, second: Float, z: Float, g: float, m: Float) -> None:
-    """first = y + h k, then second = z + g m, block by block on several threads."""
-    for block in prange((first.shape[1] + BLOCK - 1) // BLOCK):
-        add_block(block, first, y, h, k)
-        add_block(block, second, z, g, m)
+@kernel
+def add_block_twice(
+    block: int, first: Float, y: Float, h: float, k: Float, second: Float, z: Float, g: float, m: Float
+) -> None:
+    """first = y + h k, then second = z + g m on a block's vertices."""
+    add_block(block, first, y, h, k)
+    add_block(block, second, z, g, m)
 
 
-@parallel_kernel
-def add_parallel(out: Float, y: Float, h: float, k: Float) -> None:
-    """out = y + h k, block by block on several threads."""
-    for block in prange((out.shape[1] + BLOCK - 1) // BLOCK):
-        add_block(block, out, y, h, k)
+add_blocks = over_blocks(add_block, "out, y, h, k")
+add_blocks_twice = over_blocks(add_block_twice, "first, y, h, k, second, z, g, m")
 
 
 @kernel
 def add(out: Float, y: Float, h: float, k: Float, threads: int | None) -> None:
     """out = y + h k, all (3, n)."""
-    if threads is None:
-        for block in range((out.shape[1] + BLOCK - 1) // BLOCK):
-            add_block(block, out, y, h, k)
-    else:
-        add_parallel(out, y, h, k)
+    add_blocks(out, y, h, k, (out.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @kernel
@@ -53,9 +46,4 @@ def add_twice(
     first: Float, y: Float, h: float, k: Float, second: Float, z: Float, g: float, m: Float, threads: int | None
 ) -> None:
     """first = y + h k, then second = z + g m, all (3, n); the second may use the first."""
-    if threads is None:
-        for block in range((first.shape[1] + BLOCK - 1) // BLOCK):
-            add_block(block, first, y, h, k)
-            add_block(block, second, z, g, m)
-    else:
-        add_twice_parallel(first, y, h, k, second, z, g, m)
+    add_blocks_twice(first, y, h, k, second, z, g, m, (first.shape[1] + BLOCK - 1) // BLOCK, threads)

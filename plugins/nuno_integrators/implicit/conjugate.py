@@ -9,15 +9,14 @@ assembled where this one is a product of every force's own rows.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from nuno_integrators.implicit.matrix import Linear
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import kernel
 from nuno_kernels.step.blocks import BLOCK, PADDING
-from nuno_kernels.terms import each, each_block
+from nuno_kernels.terms import each, each_block, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
 multiply_forces = each("multiply", "block, origin, u, out", linear=True)
@@ -58,10 +57,22 @@ def multiply_block(
 multiply_parallel = each_block(multiply_block, "inverse_mass, own, u, out, sums", linear=True)
 
 
+class Vectors(NamedTuple):
+    """The fields of Linear of these names: threads take no tuple of tuples."""
+
+    inverse: Float
+    x: Float
+    r: Float
+    z: Float
+    p: Float
+    q: Float
+    sums: Float
+
+
 @kernel
-def descend_block(block: int, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, step: float) -> float:
-    """x += step p, r -= step q, z = A's inverse diagonal blocks times r; returns the block's part of r.z."""
-    total = 0.0
+def descend_block(block: int, a: Vectors, step: float) -> None:
+    """x += step p, r -= step q, z = A's inverse diagonal blocks times r; the block's part of r.z into sums."""
+    total, (inverse, x, r, z, p, q, sums) = 0.0, a
     for v in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
         for row in range(3):
             x[row, v] += step * p[row, v]
@@ -72,7 +83,7 @@ def descend_block(block: int, inverse: Float, x: Float, r: Float, z: Float, p: F
         zz = inverse[4, v] * rx + inverse[5, v] * ry + inverse[2, v] * rz
         z[0, v], z[1, v], z[2, v] = zx, zy, zz
         total += rx * zx + ry * zy + rz * zz
-    return total
+    sums[block] = total
 
 
 @kernel
@@ -84,48 +95,29 @@ def turn_block(block: int, z: Float, p: Float, turn: float) -> None:
             p[row, v] = z[row, v] + turn * p[row, v]
 
 
-@parallel_kernel
-def turn_parallel(sums: Float, z: Float, p: Float, turn: float) -> None:
-    """All blocks on several threads: before a product, which reads its neighbours' p."""
-    for block in prange(sums.shape[0]):
-        turn_block(block, z, p, turn)
-
-
-@parallel_kernel
-def descend_parallel(
-    sums: Float, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, step: float
-) -> None:
-    """All blocks on several threads."""
-    for block in prange(sums.shape[0]):
-        sums[block] = descend_block(block, inverse, x, r, z, p, q, step)
+turn_blocks = over_blocks(turn_block, "z, p, turn")
+descend_blocks = over_blocks(descend_block, "a, step")
 
 
 @kernel
 def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
     """p = z + turn p and q = A p; p.q."""
     blocks = a.sums.shape[0]
+    # Before a product, which reads its neighbours' p.
+    turn_blocks(a.z, a.p, turn, blocks, threads)
     if threads is None:
-        for block in range(blocks):
-            turn_block(block, a.z, a.p, turn)
         for block in range(blocks):
             multiply_block(block, a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums)
     else:
-        turn_parallel(a.sums, a.z, a.p, turn)
         multiply_parallel(a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums, blocks)
     return float(a.sums.sum())
 
 
 @kernel
-def descend(
-    sums: Float, inverse: Float, x: Float, r: Float, z: Float, p: Float, q: Float, step: float, threads: int | None
-) -> float:
+def descend(a: Linear, step: float, threads: int | None) -> float:
     """x += step p, r -= step q, z = M r; r.z."""
-    if threads is None:
-        for block in range(sums.shape[0]):
-            sums[block] = descend_block(block, inverse, x, r, z, p, q, step)
-    else:
-        descend_parallel(sums, inverse, x, r, z, p, q, step)
-    return float(sums.sum())
+    descend_blocks(Vectors(a.inverse, a.x, a.r, a.z, a.p, a.q, a.sums), step, a.sums.shape[0], threads)
+    return float(a.sums.sum())
 
 
 @kernel
@@ -134,7 +126,7 @@ def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
     a.x[:] = 0.0
     a.p[:] = 0.0
     a.q[:] = 0.0
-    rz = descend(a.sums, a.inverse, a.x, a.r, a.z, a.p, a.q, 0.0, threads)
+    rz = descend(a, 0.0, threads)
     target = tolerance * tolerance * rz
     turn = 0.0
     for iteration in range(most):
@@ -144,7 +136,7 @@ def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
         if not curvature > 0.0:
             return -1 - iteration
         before = rz
-        rz = descend(a.sums, a.inverse, a.x, a.r, a.z, a.p, a.q, rz / curvature, threads)
+        rz = descend(a, rz / curvature, threads)
         turn = rz / before
     return most
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
 from nuno_integrators.xpbd.constraints import Constraints, clear, forget, sweep
-from nuno_kernels import kernel, parallel_kernel, shared_source
+from nuno_kernels import kernel, shared_source
 from nuno_kernels.step.acceleration import Extra, Own, Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.terms import Displaced, each
+from nuno_kernels.terms import Displaced, each, over_blocks
 from nuno_schemas.fabric import Float
 
 carry = each("carry", "moved, s")
@@ -47,38 +46,20 @@ def arrive_block(block: int, x: Float, v: Float, u: Float, inverse_step: float) 
             v[row, i] = u[row, i] * inverse_step
 
 
-@parallel_kernel
-def predict_parallel(v: Float, u: Float, a: Float | None, mobility: Float, own: Own) -> None:
-    """`predict_block` for all blocks on several threads."""
-    for block in prange((u.shape[1] + BLOCK - 1) // BLOCK):
-        predict_block(block, v, u, a, mobility, own)
-
-
-@parallel_kernel
-def arrive_parallel(x: Float, v: Float, u: Float, inverse_step: float) -> None:
-    """`arrive_block` for all blocks on several threads."""
-    for block in prange((u.shape[1] + BLOCK - 1) // BLOCK):
-        arrive_block(block, x, v, u, inverse_step)
+predict_blocks = over_blocks(predict_block, "v, u, a, mobility, own")
+arrive_blocks = over_blocks(arrive_block, "x, v, u, inverse_step")
 
 
 @kernel
 def predict(v: Float, u: Float, a: Float | None, mobility: Float, own: Own, threads: int | None) -> None:
     """Fill u (3, n) and mobility (1, n)."""
-    if threads is None:
-        for block in range((u.shape[1] + BLOCK - 1) // BLOCK):
-            predict_block(block, v, u, a, mobility, own)
-    else:
-        predict_parallel(v, u, a, mobility, own)
+    predict_blocks(v, u, a, mobility, own, (u.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @kernel
 def arrive(x: Float, v: Float, u: Float, inverse_step: float, threads: int | None) -> None:
     """Move x, v (3, n) by u."""
-    if threads is None:
-        for block in range((u.shape[1] + BLOCK - 1) // BLOCK):
-            arrive_block(block, x, v, u, inverse_step)
-    else:
-        arrive_parallel(x, v, u, inverse_step)
+    arrive_blocks(x, v, u, inverse_step, (u.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @shared_source

@@ -10,12 +10,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
-from nuno_kernels import kernel, parallel_kernel, shared_source
+from nuno_kernels import kernel, shared_source
 from nuno_kernels.lanes.simd import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING
-from nuno_kernels.terms import each, each_block
+from nuno_kernels.terms import each, each_block, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
 add_blocks = each("block", "block, origin, x, v, force")
@@ -133,14 +132,8 @@ def force_block(
             finish_block(block, v, to_x, own.inverse_mass, own.gravity, own.damping)
 
 
+finish_blocks = over_blocks(finish_block, "v, a, inverse_mass, gravity, damping")
 force_parallel = each_block(force_block, "own, late, x, v, to_x, to_v")
-
-
-@parallel_kernel
-def finish_parallel(v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float) -> None:
-    """Forces in a (3, n) become accelerations [m/s^2], on several threads."""
-    for block in prange((a.shape[1] + BLOCK - 1) // BLOCK):
-        finish_block(block, v, a, inverse_mass, gravity, damping)
 
 
 @kernel
@@ -170,11 +163,7 @@ def finish(
 ) -> None:
     """Forces in a (3, n) become accelerations [m/s^2] where they did not at once."""
     if late is not None:
-        if threads is None:
-            for block in range((a.shape[1] + BLOCK - 1) // BLOCK):
-                finish_block(block, v, a, inverse_mass, gravity, damping)
-        else:
-            finish_parallel(v, a, inverse_mass, gravity, damping)
+        finish_blocks(v, a, inverse_mass, gravity, damping, (a.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @shared_source
