@@ -33,11 +33,11 @@ class Remade:
     share: Float
     """(e,) mean stretch of the old triangles at each edge"""
     areas: tuple[Float, Float]
-    """of the region's triangles at rest [m^2], before and after"""
+    """Areas of the region's triangles at rest [m^2], before and after."""
 
 
 def bend_springs(made: Remade, springs: Springs, across: Int) -> Springs:
-    """The same with bending springs across new edges, and without those across edges that are gone.
+    """The springs with bending ones across new edges, and without those across edges that are gone.
 
     Across an old edge, one that could not be flipped, a spring that would double a structural one is left out. Across
     a new edge it is not: of a triangle without neighbours the division makes three, along its sides.

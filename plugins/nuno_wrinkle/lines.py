@@ -40,7 +40,7 @@ class Crossed:
 
 
 def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
-    """The same lines, those of files as points. Raises BadInput for a file that holds none."""
+    """The lines of a scene, those of files as points. Raises BadInput for a file that holds none."""
     found: list[Line] = []
     for i, line in enumerate(lines):
         if line.file is None:

@@ -50,7 +50,7 @@ class SdfCollider:
     Config: ClassVar[type[BaseModel]] = SdfConfig
 
     def heights(self, config: BaseModel) -> dict[str, float]:
-        """As a mesh's."""
+        """The heights of the mesh that the field is made of: see MeshCollider."""
         return MeshCollider().heights(config)
 
     def field(self, vertices: Float, faces: Int, tolerance: float) -> DistanceField:

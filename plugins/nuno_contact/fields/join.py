@@ -24,12 +24,12 @@ class Grid(NamedTuple):
     level: Long
     """(l,) how often a whole cell was halved"""
     deepest: int
-    """the greatest level"""
+    """The greatest level."""
     shape: Int
     """(3,) whole cells along x, y, z"""
     child: Int
     corners: NDArray[np.float32]
-    """as in DistanceField"""
+    """`child` and `corners` are as in DistanceField."""
 
 
 @kernel

@@ -147,7 +147,7 @@ def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: 
 
 @kernel
 def lower_plane(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
-    """As lower_capsule, for a plane."""
+    """Lower the distances of vertices [low, high) of x (3, n) to those to plane p, where they are less."""
     distance, primitive = deepest.distance, deepest.primitive
     ax, ay, az = posed[p, 0], posed[p, 1], posed[p, 2]
     nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
@@ -160,7 +160,7 @@ def lower_plane(x: Float, low: int, high: int, posed: Float, p: int, deepest: De
 
 @kernel
 def lower_box(x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest) -> None:
-    """As lower_capsule, for a box, with branches."""
+    """Lower the distances of vertices [low, high) of x (3, n) to those to box p in frame f, where they are less."""
     distance, primitive = deepest.distance, deepest.primitive
     for i in range(low, high):
         d = box_distance(x[0, i], x[1, i], x[2, i], posed, p, frames, f)[0]

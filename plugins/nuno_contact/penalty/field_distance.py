@@ -71,7 +71,7 @@ def primitive_distance(at: Vector, p: Index, f: Index, bodies: Bodies, fields: F
 def lower_field(
     x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, fields: Fields, deepest: Deepest
 ) -> None:
-    """As lower_capsule, for a field, of vertices within its surface's bounds."""
+    """Lower the distances of vertices [low, high) of x (3, n) that are in the bounds of field p to those to it."""
     number, distance, primitive = int(posed[p, 7]), deepest.distance, deepest.primitive
     for i in range(np.uint64(low), np.uint64(high)):
         px, py, pz = x[0, i], x[1, i], x[2, i]

@@ -16,11 +16,12 @@ from nuno_schemas.plugin import Config
 from nuno_schemas.system import Term
 
 REST_DEPTH = 5e-4
-"""A vertex at rest under its own weight sinks no deeper than this [m] ..."""
+"""A vertex at rest under its own weight sinks no deeper than this [m]."""
 STOP_SPEED, STOP_DEPTH = 1.0, 1e-3
-"""... and one that arrives at this speed [m/s] is stopped within about this depth [m] ..."""
+"""A vertex that arrives at this speed [m/s] is stopped within about this depth [m], if its stiffness is no more than
+SHARE allows."""
 SHARE = 0.25
-"""... unless k would exceed this share of the stiffness of the vertex's springs together."""
+"""The stiffness that stops a vertex is at most this share of that of the vertex's springs together."""
 
 
 class PenaltyConfig(Config):

@@ -51,16 +51,16 @@ class Response(NamedTuple):
     """How a primitive answers a vertex."""
 
     distance: float
-    """signed [m]"""
+    """Signed distance from the primitive [m]."""
     push: float
-    """N, along the normal [N]"""
+    """N, the force along the normal [N]."""
     stretch: Vector
-    """elongation of the friction spring in the tangent plane [m]"""
+    """Elongation of the friction spring in the tangent plane [m]."""
     normal: Vector
     slip: Vector
-    """tangential velocity relative to the body [m/s]"""
+    """Tangential velocity relative to the body [m/s]."""
     mark: int
-    """1 where there is no normal of its own"""
+    """1 where the point has no normal of its own, else 0."""
 
 
 @forced_inline

@@ -25,8 +25,8 @@ def advance_symplectic_euler(x: Float, v: Float, stages: Float, steps: int, dt: 
 
 @kernel
 def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """The same to the last bit, where nothing adds to the forces after the blocks: each step in one pass over the
-    vertices instead of two, from one pair of arrays to another, and with one meeting of the threads.
+    """What advance_symplectic_euler does, to the last bit, where nothing adds to the forces after the blocks: each step
+    in one pass over the vertices instead of two, from one pair of arrays to another, with one meeting of the threads.
     """
     here_x, here_v, to_x, to_v = x, v, stages[0], stages[1]
     for step in range(steps):

@@ -88,7 +88,7 @@ def descend_block(block: int, a: Vectors, step: float) -> None:
 
 @kernel
 def turn_block(block: int, z: Float, p: Float, turn: float) -> None:
-    """p = z + turn p."""
+    """p = z + turn p on a block's vertices."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, p.shape[1])
     for row in range(3):
         for v in range(low, high):
@@ -101,7 +101,7 @@ descend_blocks = over_blocks(descend_block, "a, step")
 
 @kernel
 def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
-    """p = z + turn p and q = A p; p.q."""
+    """Set p = z + turn p and q = A p; returns p.q."""
     blocks = a.sums.shape[0]
     # Before a product, which reads its neighbours' p.
     turn_blocks(a.z, a.p, turn, blocks, threads)
@@ -115,7 +115,7 @@ def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
 
 @kernel
 def descend(a: Linear, step: float, threads: int | None) -> float:
-    """x += step p, r -= step q, z = M r; r.z."""
+    """Do x += step p, r -= step q, z = M r, with M the inverses of the diagonal blocks; returns r.z."""
     descend_blocks(Vectors(a.inverse, a.x, a.r, a.z, a.p, a.q, a.sums), step, a.sums.shape[0], threads)
     return float(a.sums.sum())
 

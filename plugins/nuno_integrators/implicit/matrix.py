@@ -118,7 +118,7 @@ fill_parallel = each_block(fill_block, "x, before, tangent, diagonals", linear=T
 
 @kernel
 def fill_blocks(x: Float, before: Float, tangent: Tangent, a: Linear, threads: int | None) -> None:
-    """All blocks, on one thread or several."""
+    """`fill_block` for all blocks, on one thread or several."""
     diagonals = Diagonals(a.inverse_mass, a.own, a.inverse)
     if threads is None:
         for block in range(a.sums.shape[0]):

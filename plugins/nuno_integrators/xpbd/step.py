@@ -79,7 +79,7 @@ class Swept(NamedTuple):
     """What an XPBD step works on beside a system."""
 
     others: Packed | None
-    """the forces without constraint, None where there are none"""
+    """The forces without constraint, None where there are none."""
     constraints: Constraints
     mobility: Float
     """(1, n) scratch"""

@@ -1,4 +1,4 @@
-"""The 3 x 3 blocks on the diagonal of an implicit step's matrix: what springs and hinges add, and their inverses."""
+"""The 3 x 3 blocks on the diagonal of an implicit step's matrix: what springs and hinges add."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def measure_spring_runs(runs: SpringRuns, x: Float) -> tuple[float, float, float
 
 @kernel
 def measure_spring_lists(lists: SpringLists, x: Float) -> tuple[float, float, float, int]:
-    """The same of listed springs."""
+    """Energy, stretch, shortest length and number of zero-length springs of listed springs."""
     energy, stretch, shortest, zeros = 0.0, -1.0, math.inf, 0
     start, ends, constants = lists.start, lists.ends, lists.constants
     for block in range(start.shape[0] - 1):
@@ -124,7 +124,7 @@ def measure_hinge_runs(runs: HingeRuns, x: Float) -> float:
 
 @kernel
 def measure_hinge_lists(lists: HingeLists, x: Float) -> float:
-    """The same of listed hinges."""
+    """Energy of all listed hinges, each counted where its first vertex is at home."""
     energy, start, corners, constants = 0.0, lists.start, lists.corners, lists.constants
     for block in range(start.shape[0] - 1):
         width = min(BLOCK, x.shape[1] - block * BLOCK)

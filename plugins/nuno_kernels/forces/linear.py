@@ -1,12 +1,12 @@
 """Springs and hinges made linear at a state: the symmetric positive matrix that implicit methods solve with.
 
-A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|), T / |d| and dT / d|d| for
-one that has locked: without the
-maximum a compressed spring is indefinite across its direction (Choi & Ko 2002, ACM Trans. Graph. 21,
-604-611); that is the `floor` 0, and a lower one leaves the spring's exact derivative. Its damping adds
-c d^ d^T times the rate dv/dx of the method. Both are kept as alpha and w, K = alpha I + w w^T. A hinge is
-kept as g g^T with g = sqrt(k cos(angle - rest)) times the gradient of its angle: Gauss and Newton's
-matrix, which leaves out the moment times the angle's second derivative, and nothing beyond a right angle.
+A spring's stiffness is alpha (I - d^ d^T) + k d^ d^T with alpha = k max(0, 1 - L/|d|). For one that has locked alpha
+is max(0, T / |d|), and dT / d|d| stands in the place of k. Without the maximum a compressed spring is indefinite across
+its direction (Choi & Ko 2002, ACM Trans. Graph. 21, 604-611); that is the `floor` 0, and a lower one leaves the
+spring's exact derivative. Its damping adds c d^ d^T times the rate dv/dx of the method. Both are kept as alpha and w,
+K = alpha I + w w^T. A hinge is kept as g g^T with g = sqrt(k cos(angle - rest)) times the gradient of its angle:
+Gauss and Newton's matrix, which leaves out the moment times the angle's second derivative, and nothing beyond a right
+angle.
 
 Every block keeps copies of its own for the elements that cross its border, as the forces do.
 """

@@ -70,14 +70,14 @@ Lock = tuple[Lanes, Lanes]
 
 @kernel
 def tensions(length: Lanes, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
-    """k (|d| - L) of eight springs, and what k grows by times |d| beyond the lock: `lock` holds both."""
+    """Tensions of eight springs: k (|d| - L), and beyond the lock what k grows by times the rest of |d|."""
     pull = k * (length - rest)
     return pull if locks is None else pull + lock[0] * higher(length - lock[1], splat(0.0))
 
 
 @kernel
 def tension_at(length: float, constants: Float, c: int, locks: bool | None) -> float:
-    """The same of the spring whose constants stand in column c."""
+    """Tension [N] of the spring of this length [m] whose constants stand in column c."""
     pull = constants[0, c] * (length - constants[1, c])
     if locks is not None:
         pull += constants[3, c] * max(length - constants[4, c], 0.0)
@@ -122,7 +122,7 @@ def run_lock(at: int, m: int, constants: Float, each: bool | None, locks: bool |
 
 @kernel
 def listed_lock(p: int, constants: Float, row: int, locks: bool | None) -> Lock:
-    """The same of eight listed springs, from this row of their constants on."""
+    """What k grows by and from which length of eight listed springs, from this row of their constants on."""
     if locks is None:
         return splat(0.0), splat(0.0)
     return load(constants, row, p), load(constants, row + 1, p)

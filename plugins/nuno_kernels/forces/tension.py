@@ -12,14 +12,14 @@ from nuno_schemas.fabric import Float
 
 @kernel
 def size_of_tension(x: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
-    """|k (|d| - L)|."""
+    """Size of a spring's tension [N], |k (|d| - L)| where it has not locked."""
     dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     return abs(tension_at(np.sqrt(dx * dx + dy * dy + dz * dz), constants, c, locks))
 
 
 @kernel
 def tension_of_runs(runs: SpringRuns, x: Float) -> float:
-    """The largest over runs."""
+    """The largest tension [N] of springs in runs."""
     largest, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
         for q in range(task[t, 2]):
@@ -30,7 +30,7 @@ def tension_of_runs(runs: SpringRuns, x: Float) -> float:
 
 @kernel
 def tension_of_lists(lists: SpringLists, x: Float) -> float:
-    """The largest over lists."""
+    """The largest tension [N] of listed springs."""
     largest, ends, constants = 0.0, lists.ends, lists.constants
     for c in range(ends.shape[1]):
         largest = max(largest, size_of_tension(x, ends[0, c], ends[1, c], constants, c, lists.locks))
@@ -39,7 +39,10 @@ def tension_of_lists(lists: SpringLists, x: Float) -> float:
 
 @kernel
 def turning(x0: Float, x: Float, d: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
-    """(T(|b|) - T(a.b / |a|)) b.(d_j - d_i) / |b|."""
+    """Work [J] along d of the tension that a spring has for having turned from a to b.
+
+    It is (T(|b|) - T(a.b / |a|)) b.(d_j - d_i) / |b|.
+    """
     ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
     bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
     a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
@@ -54,7 +57,7 @@ def turning(x0: Float, x: Float, d: Float, i: int, j: int, constants: Float, c: 
 
 @kernel
 def turning_of_runs(runs: SpringRuns, x0: Float, x: Float, d: Float) -> float:
-    """The sum over runs, each spring once: by the task that adds to its first end."""
+    """Sum of `turning` over springs in runs, each once: by the task that adds to its first end."""
     total, task, constants = 0.0, runs.task, runs.constants
     for t in range(task.shape[0]):
         if task[t, 4] & 1:
@@ -66,7 +69,7 @@ def turning_of_runs(runs: SpringRuns, x0: Float, x: Float, d: Float) -> float:
 
 @kernel
 def turning_of_lists(lists: SpringLists, x0: Float, x: Float, d: Float) -> float:
-    """The sum over lists, each spring once: by its first end's block."""
+    """Sum of `turning` over listed springs, each once: by its first end's block."""
     total, ends, constants = 0.0, lists.ends, lists.constants
     for block in range(lists.start.shape[0] - 1):
         for c in range(lists.start[block], lists.start[block + 1]):

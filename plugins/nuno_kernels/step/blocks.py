@@ -23,11 +23,11 @@ PADDING = 8
 """Columns after a block's forces that take what belongs to other blocks' vertices."""
 
 SHORTEST = 6
-"""Runs with fewer elements than this go through lists of indices,"""
+"""Runs with fewer elements than this go through lists of indices, unless they are FEW."""
 
 FEW = 1 / 16
-"""unless they hold no more than this share of all: then they are computed as runs too, and the
-kernel for lists is not even compiled. A grid's borders are such."""
+"""Short runs that hold no more than this share of all elements are computed as runs too, and the kernel for lists is
+not even compiled. A grid's borders are such."""
 
 SMALL = 1024
 """With fewer elements all go through lists, which take any constants: a step has microseconds to win by runs, and each
