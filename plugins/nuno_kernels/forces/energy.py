@@ -50,7 +50,7 @@ def measure_spring(
 
 
 @kernel
-def measure_spring_runs(runs: SpringRuns, x: Float) -> tuple[float, float, float, int]:
+def measure_spring_runs(runs: SpringRuns, x: Float) -> Measured:
     """Energy, stretch, shortest length and number of zero-length springs.
 
     A spring that two blocks compute counts where its i end is at home.
@@ -66,11 +66,11 @@ def measure_spring_runs(runs: SpringRuns, x: Float) -> tuple[float, float, float
             e, stretch, shortest, zero = measure_spring(x, i + q, j + q, constants, c, runs.locks, stretch, shortest)
             energy += e
             zeros += zero
-    return energy, stretch, shortest, zeros
+    return Measured(energy, stretch, shortest, zeros)
 
 
 @kernel
-def measure_spring_lists(lists: SpringLists, x: Float) -> tuple[float, float, float, int]:
+def measure_spring_lists(lists: SpringLists, x: Float) -> Measured:
     """Energy, stretch, shortest length and number of zero-length springs of listed springs."""
     energy, stretch, shortest, zeros = 0.0, -1.0, math.inf, 0
     start, ends, constants = lists.start, lists.ends, lists.constants
@@ -83,7 +83,7 @@ def measure_spring_lists(lists: SpringLists, x: Float) -> tuple[float, float, fl
                 )
                 energy += e
                 zeros += zero
-    return energy, stretch, shortest, zeros
+    return Measured(energy, stretch, shortest, zeros)
 
 
 @inlined
@@ -134,16 +134,6 @@ def measure_hinge_lists(lists: HingeLists, x: Float) -> float:
                     x, corners[0, c], corners[1, c], corners[2, c], corners[3, c], constants[0, c], constants[1, c]
                 )
     return energy
-
-
-def energy_of_spring_runs(runs: SpringRuns, x: Float) -> Measured:
-    """What is measured of springs in runs."""
-    return Measured(*measure_spring_runs(runs, x))
-
-
-def energy_of_spring_lists(lists: SpringLists, x: Float) -> Measured:
-    """What is measured of listed springs."""
-    return Measured(*measure_spring_lists(lists, x))
 
 
 @kernel

@@ -189,32 +189,20 @@ def add_hinge_runs(runs: HingeRuns, block: int, origin: int, x: Float, v: Float,
                         write(force, row, p, m, read(force, row, p, m) + load(wait, 3 * c + row, q))
 
 
-register(
-    HingeRuns,
-    name="hinges",
-    block=add_hinge_runs,
-    energy="nuno_kernels.forces.energy:measure_hinge_runs",
-    rows="nuno_kernels.forces.linear:rows_of_hinge_runs",
-    elements="nuno_kernels.forces.linear:elements_of_hinge_runs",
-    constraints="nuno_integrators.xpbd.packing:constraints_of_hinge_runs",
-    fill="nuno_kernels.forces.linear:fill_hinge_runs",
-    diagonal="nuno_kernels.forces.diagonal:sum_hinge_runs",
-    multiply="nuno_kernels.forces.linear:multiply_hinge_runs",
-    assemble="nuno_kernels.forces.assembly:assemble_hinges",
-)
-register(
-    HingeLists,
-    name="hinges",
-    block=add_hinge_lists,
-    energy="nuno_kernels.forces.energy:measure_hinge_lists",
-    rows="nuno_kernels.forces.linear:rows_of_hinge_lists",
-    elements="nuno_kernels.forces.linear:elements_of_hinge_lists",
-    constraints="nuno_integrators.xpbd.packing:constraints_of_hinge_lists",
-    fill="nuno_kernels.forces.linear:fill_hinge_lists",
-    diagonal="nuno_kernels.forces.diagonal:sum_hinge_lists",
-    multiply="nuno_kernels.forces.linear:multiply_hinge_lists",
-    assemble="nuno_kernels.forces.assembly:assemble_hinges",
-)
+for _kind, _add, _layout in ((HingeRuns, add_hinge_runs, "runs"), (HingeLists, add_hinge_lists, "lists")):
+    register(
+        _kind,
+        name="hinges",
+        block=_add,
+        energy=f"nuno_kernels.forces.energy:measure_hinge_{_layout}",
+        rows=f"nuno_kernels.forces.linear:rows_of_hinge_{_layout}",
+        elements=f"nuno_kernels.forces.linear:elements_of_hinge_{_layout}",
+        constraints=f"nuno_integrators.xpbd.packing:constraints_of_hinge_{_layout}",
+        fill=f"nuno_kernels.forces.linear:fill_hinge_{_layout}",
+        diagonal=f"nuno_kernels.forces.diagonal:sum_hinge_{_layout}",
+        multiply=f"nuno_kernels.forces.linear:multiply_hinge_{_layout}",
+        assemble="nuno_kernels.forces.assembly:assemble_hinges",
+    )
 
 
 def pack_hinges(hinges: Hinges | None, vertices: int) -> tuple[HingeRuns | HingeLists, ...]:

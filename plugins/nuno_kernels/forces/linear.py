@@ -326,13 +326,4 @@ def multiply_hinge_lists(lists: HingeLists, linear: LinearLists, block: int, ori
 rows_of_spring_runs, elements_of_spring_runs = linear_runs(SPRING_ROWS, 2), run_elements(2)
 rows_of_hinge_runs, elements_of_hinge_runs = linear_runs(HINGE_ROWS, 4), run_elements(4)
 elements_of_spring_lists, elements_of_hinge_lists = listed_elements(2), listed_elements(4)
-
-
-def rows_of_spring_lists(lists: SpringLists) -> LinearLists:
-    """Room for the rows of listed springs."""
-    return linear_lists(lists.start, lists.ends, SPRING_ROWS)
-
-
-def rows_of_hinge_lists(lists: HingeLists) -> LinearLists:
-    """Room for the rows of listed hinges."""
-    return linear_lists(lists.start, lists.corners, HINGE_ROWS)
+rows_of_spring_lists, rows_of_hinge_lists = linear_lists(SPRING_ROWS, "ends"), linear_lists(HINGE_ROWS, "corners")

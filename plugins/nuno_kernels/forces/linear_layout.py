@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -50,9 +50,14 @@ def linear_runs(rows: int, counts: int) -> Callable[[SpringRuns | HingeRuns], Li
     return make
 
 
-def linear_lists(start: Long, indices: Int, rows: int) -> LinearLists:
-    """Room for the rows of lists."""
-    return LinearLists(start, indices, np.zeros((rows, indices.shape[1])))
+def linear_lists(rows: int, name: str) -> Callable[[Any], LinearLists]:
+    """Makes room for the rows of lists, whose indices are in the field `name`."""
+
+    def make(lists: Any) -> LinearLists:
+        indices = getattr(lists, name)
+        return LinearLists(lists.start, indices, np.zeros((rows, indices.shape[1])))
+
+    return make
 
 
 def run_elements(corners: int) -> Callable[[LinearRuns], tuple[Long, Long]]:

@@ -43,9 +43,7 @@ YARN_ROWS = 9
 """a^, b^, m, alpha_a and alpha_b of a pair."""
 
 
-def linear_yarns(yarns: YarnLists) -> LinearLists:
-    """Room for the rows of pairs (nuno_kernels.forces.yarns.YarnLists)."""
-    return linear_lists(yarns.start, yarns.corners, YARN_ROWS)
+linear_yarns = linear_lists(YARN_ROWS, "corners")
 
 
 @kernel

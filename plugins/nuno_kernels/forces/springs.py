@@ -223,37 +223,21 @@ def damps(springs: SpringRuns | SpringLists) -> bool:
     return springs.damped is not None and bool(springs.constants[2].any())
 
 
-register(
-    SpringRuns,
-    name="springs",
-    block=add_runs,
-    reads_velocity=damps,
-    energy="nuno_kernels.forces.energy:energy_of_spring_runs",
-    tension="nuno_kernels.forces.tension:tension_of_runs",
-    turning="nuno_kernels.forces.tension:turning_of_runs",
-    stiffest="nuno_kernels.forces.tension:stiffest",
-    rows="nuno_kernels.forces.linear:rows_of_spring_runs",
-    elements="nuno_kernels.forces.linear:elements_of_spring_runs",
-    constraints="nuno_integrators.xpbd.packing:constraints_of_spring_runs",
-    fill="nuno_kernels.forces.linear:fill_spring_runs",
-    diagonal="nuno_kernels.forces.diagonal:sum_spring_runs",
-    multiply="nuno_kernels.forces.linear:multiply_spring_runs",
-    assemble="nuno_kernels.forces.assembly:assemble_springs",
-)
-register(
-    SpringLists,
-    name="springs",
-    block=add_lists,
-    reads_velocity=damps,
-    energy="nuno_kernels.forces.energy:energy_of_spring_lists",
-    tension="nuno_kernels.forces.tension:tension_of_lists",
-    turning="nuno_kernels.forces.tension:turning_of_lists",
-    stiffest="nuno_kernels.forces.tension:stiffest",
-    rows="nuno_kernels.forces.linear:rows_of_spring_lists",
-    elements="nuno_kernels.forces.linear:elements_of_spring_lists",
-    constraints="nuno_integrators.xpbd.packing:constraints_of_spring_lists",
-    fill="nuno_kernels.forces.linear:fill_spring_lists",
-    diagonal="nuno_kernels.forces.diagonal:sum_spring_lists",
-    multiply="nuno_kernels.forces.linear:multiply_spring_lists",
-    assemble="nuno_kernels.forces.assembly:assemble_springs",
-)
+for _kind, _add, _layout in ((SpringRuns, add_runs, "runs"), (SpringLists, add_lists, "lists")):
+    register(
+        _kind,
+        name="springs",
+        block=_add,
+        reads_velocity=damps,
+        energy=f"nuno_kernels.forces.energy:measure_spring_{_layout}",
+        tension=f"nuno_kernels.forces.tension:tension_of_{_layout}",
+        turning=f"nuno_kernels.forces.tension:turning_of_{_layout}",
+        stiffest="nuno_kernels.forces.tension:stiffest",
+        rows=f"nuno_kernels.forces.linear:rows_of_spring_{_layout}",
+        elements=f"nuno_kernels.forces.linear:elements_of_spring_{_layout}",
+        constraints=f"nuno_integrators.xpbd.packing:constraints_of_spring_{_layout}",
+        fill=f"nuno_kernels.forces.linear:fill_spring_{_layout}",
+        diagonal=f"nuno_kernels.forces.diagonal:sum_spring_{_layout}",
+        multiply=f"nuno_kernels.forces.linear:multiply_spring_{_layout}",
+        assemble="nuno_kernels.forces.assembly:assemble_springs",
+    )
