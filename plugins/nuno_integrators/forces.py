@@ -21,14 +21,9 @@ def own_bodies(packed: Packed) -> Packed:
 
 
 def find_forces(
-    system: System,
-    state: State,
-    packed: Packed,
-    x: Float,
-    v: Float,
-    extra: Extra,
+    system: System, state: State, packed: Packed, x: Float, v: Float, extra: Extra,
     poses: tuple[Poses, Poses] | None,
-) -> Forces:
+) -> Forces:  # fmt: skip
     """The forces in a state, which is also in x and v (3, n), with bodies as at the start of `poses`.
 
     Each kind is what the kernels of a step give where the others do nothing, so nothing is compiled for it; with

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from nuno_kernels import kernel
 from nuno_kernels.lanes.simd import WIDTH
-from nuno_kernels.meshes.closest_point import Room, Vector
-from nuno_kernels.meshes.tree import Tree
+from nuno_kernels.meshes.tree import Room, Tree, Vector
 from nuno_schemas.fabric import Float
 
 BETA = 2.3

@@ -17,7 +17,8 @@ from nuno_contact.sliding.slides import BLOCK, Slides, pose_slides, tree_of
 from nuno_contact.sliding.vertex import slide
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.bodies.poses import to_frame, turn_in, turn_out
-from nuno_kernels.meshes.closest_point import closest, make_room
+from nuno_kernels.meshes.closest_point import closest
+from nuno_kernels.meshes.tree import make_room
 from nuno_schemas.fabric import Float
 
 TRIAL = 1e-3

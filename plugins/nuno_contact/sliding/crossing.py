@@ -5,8 +5,8 @@ from __future__ import annotations
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import Lanes, load, splat
-from nuno_kernels.meshes.closest_point import Room, Vector, take_nearest
-from nuno_kernels.meshes.tree import Tree
+from nuno_kernels.meshes.closest_point import take_nearest
+from nuno_kernels.meshes.tree import Room, Tree, Vector
 from nuno_schemas.fabric import Float
 
 OVERLAP = 1e-9

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from nuno_contact.sliding.vertex import slide, slow_down
 from nuno_kernels import forced_inline, kernel, parallel_kernel
 from nuno_kernels.bodies.poses import pose_frame, to_frame, turn_out, write_interval
-from nuno_kernels.meshes.closest_point import closest, make_room
-from nuno_kernels.meshes.tree import Tree
+from nuno_kernels.meshes.closest_point import closest
+from nuno_kernels.meshes.tree import Tree, make_room
 from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int

@@ -12,8 +12,8 @@ from nuno_contact.sliding.crossing import first_crossing
 from nuno_contact.sliding.planes import Vector, hold_off
 from nuno_kernels import kernel
 from nuno_kernels.bodies.poses import turn_out
-from nuno_kernels.meshes.closest_point import Answer, Room, closest
-from nuno_kernels.meshes.tree import Tree
+from nuno_kernels.meshes.closest_point import Answer, closest
+from nuno_kernels.meshes.tree import Room, Tree
 from nuno_schemas.fabric import Float
 
 ROUNDS = 12

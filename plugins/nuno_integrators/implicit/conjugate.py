@@ -24,16 +24,9 @@ multiply_forces = each("multiply", "block, origin, u, out", linear=True)
 
 @kernel
 def multiply_block(
-    block: int,
-    forces: tuple[Any, ...],
-    on: Bool,
-    rows: tuple[Any, ...],
-    inverse_mass: Float,
-    own: Float,
-    u: Float,
-    out: Float,
-    sums: Float,
-) -> None:
+    block: int, forces: tuple[Any, ...], on: Bool, rows: tuple[Any, ...], inverse_mass: Float, own: Float, u: Float,
+    out: Float, sums: Float,
+) -> None:  # fmt: skip
     """out = A u on a block's vertices, 0 where pinned; its part of u.A u into sums."""
     origin = block * BLOCK
     width = min(BLOCK, u.shape[1] - origin)

@@ -94,15 +94,9 @@ class Diagonals(NamedTuple):
 
 @kernel
 def fill_block(
-    block: int,
-    forces: tuple[Any, ...],
-    on: Bool,
-    rows: tuple[Any, ...],
-    x: Float,
-    before: Float,
-    tangent: Tangent,
+    block: int, forces: tuple[Any, ...], on: Bool, rows: tuple[Any, ...], x: Float, before: Float, tangent: Tangent,
     diagonals: Diagonals,
-) -> None:
+) -> None:  # fmt: skip
     """Linearise a block's forces at x (3, n) and invert its diagonal blocks."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     diagonal = np.zeros((6, high - low + PADDING))

@@ -135,15 +135,8 @@ class Implicit(Compiled):
         return first + second, failed
 
     def attempt(
-        self,
-        work: ImplicitWork,
-        packed: Packed,
-        extra: Extra,
-        start: float,
-        h: float,
-        span: float,
-        limits: Limits,
-    ) -> tuple[bool, float]:
+        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
+    ) -> tuple[bool, float]:  # fmt: skip
         """Leave the state after a step of h in work.stage; whether it converged, and the residual [N].
 
         `limits` as of nuno_integrators.implicit.newton.solve_stage.
@@ -176,15 +169,8 @@ class ImplicitEuler(Implicit):
     order: ClassVar[int] = 1
 
     def attempt(
-        self,
-        work: ImplicitWork,
-        packed: Packed,
-        extra: Extra,
-        start: float,
-        h: float,
-        span: float,
-        limits: Limits,
-    ) -> tuple[bool, float]:
+        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
+    ) -> tuple[bool, float]:  # fmt: skip
         work.stage.v[...] = work.v
         return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, limits)
 
@@ -200,15 +186,8 @@ class TRBDF2(Implicit):
     order: ClassVar[int] = 2
 
     def attempt(
-        self,
-        work: ImplicitWork,
-        packed: Packed,
-        extra: Extra,
-        start: float,
-        h: float,
-        span: float,
-        limits: Limits,
-    ) -> tuple[bool, float]:
+        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
+    ) -> tuple[bool, float]:  # fmt: skip
         """With g = gamma h / 2 both stages are x = x^ + g v: x^ = x + g v at first, then the backward formula's."""
         st, (xhat, vhat), g = work.stage, work.stages, 0.5 * GAMMA * h
         # Also for the forces at the start: they would otherwise follow from the step before, which a checkpoint lacks.

@@ -44,15 +44,17 @@ from nuno_kernels.forces.springs import (
     Lock,
     SpringLists,
     SpringRuns,
+    listed_difference,
     listed_lock,
     run_constant,
+    run_difference,
     run_lock,
     tensions,
 )
 from nuno_kernels.forces.springs import LONGEST as LONGEST_SPRINGS
 from nuno_kernels.lanes.choose import higher, where_greater, where_not_zero
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Float
 
 
 @kernel
@@ -63,16 +65,9 @@ def slope_at(length: Lanes, k: Lanes, lock: Lock, locks: bool | None) -> Lanes:
 
 @kernel
 def spring_rows(
-    d: Triple,
-    d0: Triple,
-    k: Lanes,
-    rest: Lanes,
-    damping: Lanes,
-    lock: Lock,
-    locks: bool | None,
-    floor: float,
+    d: Triple, d0: Triple, k: Lanes, rest: Lanes, damping: Lanes, lock: Lock, locks: bool | None, floor: float,
     follow: float,
-) -> Rows:
+) -> Rows:  # fmt: skip
     """alpha and w of eight springs along d, which were along d0; `damping` is c times the rate. All are 0 at length 0.
 
     alpha is by the tension that is expected, at the length d0.d / |d0|, or |d0| where `follow` is 0.
@@ -88,21 +83,6 @@ def spring_rows(
     across = slope - higher(slope - across, splat(0.0))
     size = root(slope - across + damping) * inverse
     return across, size * d[0], size * d[1], size * d[2]
-
-
-@kernel
-def run_difference(x: Float, i: int, j: int, m: int) -> Triple:
-    """x[:, j] - x[:, i] of up to eight that follow each other."""
-    return read(x, 0, j, m) - read(x, 0, i, m), read(x, 1, j, m) - read(x, 1, i, m), read(x, 2, j, m) - read(x, 2, i, m)
-
-
-@kernel
-def listed_difference(x: Float, ends: Int, p: int) -> Triple:
-    """x[:, ends[1]] - x[:, ends[0]] of eight listed ones."""
-    return (
-        gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p), gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p),
-        gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p),
-    )  # fmt: skip
 
 
 @kernel
@@ -127,15 +107,9 @@ def fill_spring_runs(
 
 @kernel
 def fill_spring_lists(
-    lists: SpringLists,
-    linear: LinearLists,
-    block: int,
-    x: Float,
-    before: Float,
-    rate: float,
-    floor: float,
+    lists: SpringLists, linear: LinearLists, block: int, x: Float, before: Float, rate: float, floor: float,
     follow: float,
-) -> None:
+) -> None:  # fmt: skip
     """Write the rows of a block's listed springs at x (3, n), after a step from `before`."""
     ends, constants = lists.ends, lists.constants
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
@@ -243,15 +217,9 @@ def fill_hinge_runs(
 
 @kernel
 def fill_hinge_lists(
-    lists: HingeLists,
-    linear: LinearLists,
-    block: int,
-    x: Float,
-    before: Float,
-    rate: float,
-    floor: float,
+    lists: HingeLists, linear: LinearLists, block: int, x: Float, before: Float, rate: float, floor: float,
     follow: float,
-) -> None:
+) -> None:  # fmt: skip
     """Write the rows of a block's listed hinges at x (3, n)."""
     corners, constants = lists.corners, lists.constants
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):

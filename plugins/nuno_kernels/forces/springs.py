@@ -129,6 +129,21 @@ def listed_lock(p: int, constants: Float, row: int, locks: bool | None) -> Lock:
 
 
 @kernel
+def run_difference(x: Float, i: int, j: int, m: int) -> Triple:
+    """x[:, j] - x[:, i] of up to eight that follow each other."""
+    return read(x, 0, j, m) - read(x, 0, i, m), read(x, 1, j, m) - read(x, 1, i, m), read(x, 2, j, m) - read(x, 2, i, m)
+
+
+@kernel
+def listed_difference(x: Float, ends: Int, p: int) -> Triple:
+    """x[:, ends[1]] - x[:, ends[0]] of eight listed ones."""
+    return (
+        gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p), gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p),
+        gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p),
+    )  # fmt: skip
+
+
+@kernel
 def run_forces(
     x: Float, v: Float, ends: tuple[int, int], m: int, at: int, constants: Float, each: bool | None,
     damped: bool | None, locks: bool | None,

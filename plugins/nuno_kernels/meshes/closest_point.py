@@ -25,19 +25,16 @@ from typing import NamedTuple
 import numba
 import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
 from nuno_kernels import forced_inline, kernel, parallel_kernel, threads_available
 from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, Lanes, load, splat
-from nuno_kernels.meshes.tree import Tree, in_eights
+from nuno_kernels.meshes.tree import Room, Tree, Vector, in_eights, make_room
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
 BLOCK = 256
 """Queries handled together."""
-DEPTH = 96
-"""Nodes that wait to be looked at: at most seven a level, and twelve levels hold 5e11 triangles."""
 FARTHEST = 1e154
 """Coordinates beyond this have no square."""
 
@@ -83,24 +80,6 @@ def take_nearest(values: Lanes, leaf: int, face: Int, best: float, which: int) -
         if value < best or (value == best and face[at] < face[which]):
             best, which = value, at
     return best, which
-
-
-Vector = tuple[float, float, float]
-
-
-class Room(NamedTuple):
-    """Scratch of a search: nodes that wait to be looked at, and how far each is away."""
-
-    waiting: NDArray[np.int64]
-    """(DEPTH,)"""
-    bound: Float
-    """(DEPTH,) squared distances [m^2]"""
-
-
-@forced_inline
-def make_room() -> Room:
-    """Room for one search at a time."""
-    return Room(np.empty(DEPTH, np.int64), np.empty(DEPTH))
 
 
 @kernel

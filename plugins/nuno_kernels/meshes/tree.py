@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels import kernel
+from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes.simd import WIDTH
 from nuno_kernels.meshes.normals import edge_normals, edge_numbers, vertex_normals
 from nuno_schemas.fabric import Float, Int
@@ -23,6 +23,8 @@ from nuno_schemas.fabric import Float, Int
 ROUNDING = 2.0**-46
 """Boxes are wider than their triangles by this share of the mesh's size, 64 ulp: the distance computed to a
 triangle is then never less than that computed to its boxes, so that what a search passes over changes no bit."""
+DEPTH = 96
+"""Nodes that wait to be looked at: at most seven a level, and twelve levels hold 5e11 triangles."""
 
 
 class Tree(NamedTuple):
@@ -50,6 +52,24 @@ class Tree(NamedTuple):
     edges: Int
     vertex_normals: Float
     edge_normals: Float
+
+
+Vector = tuple[float, float, float]
+
+
+class Room(NamedTuple):
+    """Scratch of a search: nodes that wait to be looked at, and how far each is away."""
+
+    waiting: NDArray[np.int64]
+    """(DEPTH,)"""
+    bound: Float
+    """(DEPTH,) squared distances [m^2]"""
+
+
+@forced_inline
+def make_room() -> Room:
+    """Room for one search at a time."""
+    return Room(np.empty(DEPTH, np.int64), np.empty(DEPTH))
 
 
 @kernel

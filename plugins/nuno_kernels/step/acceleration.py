@@ -103,16 +103,9 @@ def step_block(block: int, x: Float, v: Float, force: Float, own: Own, to_x: Flo
 
 @kernel
 def force_block(
-    block: int,
-    forces: tuple[Any, ...],
-    on: Bool,
-    own: Own,
-    late: bool | None,
-    x: Float,
-    v: Float,
-    to_x: Float,
+    block: int, forces: tuple[Any, ...], on: Bool, own: Own, late: bool | None, x: Float, v: Float, to_x: Float,
     to_v: Float,
-) -> None:
+) -> None:  # fmt: skip
     """Forces on a block's vertices, summed in the core's cache: a step of symplectic Euler into to_x, to_v (3, n),
     or, where dt is 0, accelerations into to_x, newtons if `late`. One function for both: each kind would compile all
     forces anew.
