@@ -34,7 +34,6 @@ from nuno_kernels.lanes.choose import any_below, higher, lane, lower
 from nuno_kernels.lanes.simd import WIDTH, load, read, splat
 from nuno_schemas.fabric import Float
 
-Vector = tuple[float, float, float]
 Reading = tuple[float, float, float, float, int]
 """Distance [m], normal x, y, z, and 1 for a point on a capsule's axis, else 0."""
 

@@ -20,13 +20,12 @@ from nuno_contact.penalty.distance import (
     FIELD,
     Deepest,
     Reading,
-    Vector,
     across,
     box_distance,
     capsule_distance,
 )  # fmt: skip
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.bodies.poses import Index, to_frame, turn_out
+from nuno_kernels.bodies.poses import Index, Vector, to_frame, turn_out
 from nuno_schemas.fabric import Float, Int
 
 

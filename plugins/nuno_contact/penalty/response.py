@@ -19,7 +19,6 @@ from nuno_contact.penalty.distance import (
     CAPSULE,
     FIELD,
     Deepest,
-    Vector,
     are_apart,
     lower_box,
     lower_capsule,
@@ -27,7 +26,7 @@ from nuno_contact.penalty.distance import (
 )  # fmt: skip
 from nuno_contact.penalty.field_distance import Bodies, lower_field, primitive_distance
 from nuno_kernels import forced_inline, kernel
-from nuno_kernels.bodies.poses import Index
+from nuno_kernels.bodies.poses import Index, Vector
 from nuno_schemas.fabric import Float, Int
 
 if TYPE_CHECKING:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from nuno_kernels import forced_inline, kernel
+from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import Lanes, load, splat
 from nuno_kernels.meshes.closest_point import take_nearest
-from nuno_kernels.meshes.tree import Room, Tree, Vector
+from nuno_kernels.meshes.tree import Room, Tree
 from nuno_schemas.fabric import Float
 
 OVERLAP = 1e-9

@@ -17,11 +17,10 @@ from __future__ import annotations
 import math
 
 from nuno_kernels import kernel
+from nuno_kernels.bodies.poses import Vector
 
 PARALLEL = 1e-6
 """Planes whose normals have a smaller squared sine between them are one."""
-
-Vector = tuple[float, float, float]
 
 
 @kernel

@@ -9,9 +9,9 @@ import math
 from typing import NamedTuple
 
 from nuno_contact.sliding.crossing import first_crossing
-from nuno_contact.sliding.planes import Vector, hold_off
+from nuno_contact.sliding.planes import hold_off
 from nuno_kernels import kernel
-from nuno_kernels.bodies.poses import turn_out
+from nuno_kernels.bodies.poses import Vector, turn_out
 from nuno_kernels.meshes.closest_point import Answer, closest
 from nuno_kernels.meshes.tree import Room, Tree
 from nuno_schemas.fabric import Float

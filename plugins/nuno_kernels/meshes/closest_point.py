@@ -27,9 +27,10 @@ import numpy as np
 from numba import prange
 
 from nuno_kernels import forced_inline, kernel, parallel_kernel, threads_available
+from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, Lanes, load, splat
-from nuno_kernels.meshes.tree import Room, Tree, Vector, in_eights, make_room
+from nuno_kernels.meshes.tree import Room, Tree, in_eights, make_room
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 

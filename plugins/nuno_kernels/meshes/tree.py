@@ -54,9 +54,6 @@ class Tree(NamedTuple):
     edge_normals: Float
 
 
-Vector = tuple[float, float, float]
-
-
 class Room(NamedTuple):
     """Scratch of a search: nodes that wait to be looked at, and how far each is away."""
 
