@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 
 PACKED_MOST = 1032
 """Deflate makes nothing smaller than one part in so many: a member that says more of itself lies."""
 SUFFIX = ".npy"
+DTYPES = {"fiu": "float64", "iu": "int32", "b": "bool"}
+"""What arrays are read as, by the kinds of dtype that they may have in the file."""
+
+Spec = tuple[tuple[int | str, ...], str]
+"""An array's shape, lengths that are not known as letters, and the kinds of dtype that it may have."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +68,50 @@ class NpzFile:
                 raise ValueError(f"a shape of {shape}")
             return Header(shape, dtype, self._archive.getinfo(name + SUFFIX).file_size - stream.tell())
 
-    def array(self, name: str) -> NDArray[Any]:
-        """An array that is there, whose header was checked. Raises BadInput where it cannot be read."""
-        with self._reading(name), self._archive.open(name + SUFFIX) as stream:
-            return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+    def require(self, needed: Iterable[str], known: Iterable[str]) -> None:
+        """Raises BadInput where a needed array is missing, or one is there that is not known."""
+        needed, known = list(needed), list(known)
+        for name in needed:
+            if name not in self.names:
+                remedy = f"the file needs {', '.join(needed)}"
+                raise BadInput("an array is missing", file=str(self.path), field=name, remedy=remedy)
+        for name in self.names:
+            if name not in known:
+                raise BadInput("unknown array", file=str(self.path), field=name, remedy=nearest(name, known))
+
+    def sizes(self, specs: Mapping[str, Spec]) -> dict[str, int]:
+        """What the letters in the shapes of the arrays that are there stand for, from the headers alone.
+
+        Raises BadInput for a wrong dtype or shape, and a header that announces more than the file holds.
+        """
+        sizes: dict[str, int] = {}
+        for name in (name for name in specs if name in self.names):
+            (wanted, kinds), header = specs[name], self.header(name)
+            shape = header.shape
+            if header.dtype.kind not in kinds and 0 not in shape:
+                limit = DTYPES[kinds]
+                raise BadInput("wrong dtype", file=str(self.path), field=name, value=str(header.dtype), limit=limit)
+            known = tuple(sizes.get(str(length), length) for length in wanted)
+            if len(shape) != len(known) or any(a != b for a, b in zip(known, shape, strict=True) if isinstance(a, int)):
+                limit = f"({', '.join(map(str, known))}{',' if len(known) == 1 else ''})"
+                raise BadInput("wrong shape", file=str(self.path), field=name, value=shape, limit=limit)
+            header.check(self.path, name)
+            sizes |= {str(a): b for a, b in zip(known, shape, strict=True) if not isinstance(a, int)}
+        return sizes
+
+    def arrays(self, specs: Mapping[str, Spec]) -> dict[str, NDArray[Any]]:
+        """The arrays that are there, whose headers were checked, C-contiguous and of the types in DTYPES; pickles are
+        never read. Raises BadInput where one cannot be read, and for an index that int32 cannot hold.
+        """
+        found: dict[str, NDArray[Any]] = {}
+        for name in (name for name in specs if name in self.names):
+            with self._reading(name), self._archive.open(name + SUFFIX) as stream:
+                array = np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+            most, kinds = np.iinfo(np.int32).max, specs[name][1]
+            if kinds == "iu" and array.dtype.kind in kinds:
+                require_values(self.path, name, array, (array >= 0) & (array <= most), "not an index", f"0 to {most}")
+            found[name] = np.ascontiguousarray(array, DTYPES[kinds])
+        return found
 
     @contextmanager
     def _reading(self, name: str) -> Iterator[None]:
@@ -74,6 +119,18 @@ class NpzFile:
             yield
         except Exception as error:  # whatever a broken file makes of the decoders, of which there are many
             raise BadInput(f"not a numpy array: {error}", file=str(self.path), field=name) from None
+
+
+def require_values(
+    path: Path, name: str, values: NDArray[Any], good: NDArray[np.bool_], problem: str, limit: str,
+    remedy: str | None = None,
+) -> None:  # fmt: skip
+    """Raises BadInput that names the array and the index of the first value that is not good."""
+    bad = np.argwhere(~good)
+    if bad.size:
+        index = tuple(int(i) for i in bad[0])
+        field, value = f"{name}[{', '.join(map(str, index))}]", values[index].item()
+        raise BadInput(problem, file=str(path), field=field, value=value, limit=limit, remedy=remedy)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from nuno_dye.laws.faces import face_values, largest_sum
 from nuno_dye.laws.isotherms import Freundlich, FreundlichConfig, Langmuir, LangmuirConfig, Partition, PartitionConfig
 from nuno_dye.solvers.explicit import Explicit, ExplicitConfig
 from nuno_dye.solvers.solving import CELLS_PER_THREAD
-from nuno_dye.solvers.sums import sum_compensated
+from nuno_dye.solvers.upkeep import sum_compensated
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Isotherm
 from nuno_schemas.fabric import Float
 

@@ -12,7 +12,7 @@ from test_dye_explicit import LAWS, dyed
 from test_dye_step import ISOTHERMS, resisted, start
 from test_dye_upkeep import kept
 
-from nuno_dye.solvers import implicit as module
+from nuno_dye.solvers import long_steps as module
 from nuno_dye.solvers.implicit import HALVINGS
 from nuno_schemas.dye import Cells, Tortuosity
 

@@ -7,9 +7,8 @@ from math import fsum
 import numpy as np
 import pytest
 
-from nuno_dye.solvers.diffusion import LEFT
+from nuno_dye.solvers.diffusion import LEFT, Weights
 from nuno_dye.solvers.repair import repair
-from nuno_dye.solvers.rkl2_stage import Weights
 from nuno_schemas.fabric import Float
 
 MARGIN = 2

@@ -11,10 +11,9 @@ from test_dye_explicit import LAWS, dyed
 from test_dye_step import ISOTHERMS, resisted, start
 from test_dye_upkeep import kept
 
-from nuno_dye.solvers import rkl2 as module
-from nuno_dye.solvers.legendre import find_coefficients, find_stages
+from nuno_dye.solvers import long_steps as module
 from nuno_dye.solvers.long_steps import split_steps
-from nuno_dye.solvers.rkl2 import MOST_STAGES, Rkl2, Rkl2Config
+from nuno_dye.solvers.rkl2 import MOST_STAGES, Rkl2, Rkl2Config, find_coefficients, find_stages
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity
 
 CONFIG = Rkl2Config()

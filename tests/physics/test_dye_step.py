@@ -92,7 +92,7 @@ def run(
     packed = make_dye_bands(phi, cells, face_values(cells), scale, bands)
     kind, k, b = ISOTHERMS[isotherm]
     bound, fibre = Cut(phi.shape, bands, 2 * LEVELS).fill(fixed, cells.fixed_room)
-    dye(steps, packed, None if kind == NOTHING else Uptake(bound, fibre, rate, kind, k, b), None, None)
+    dye(steps, packed, None if kind == NOTHING else Uptake(bound, fibre, kind, k, b, rate), None, None)
     return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, bound, np.empty_like(phi))
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from nuno_kernels.npz_file import require_values
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.fabric import Float, Int
 
 
 def check_yarns(path: Path, springs: Int, links: Int, ptr: Int, mu: Float) -> None:
@@ -15,10 +16,12 @@ def check_yarns(path: Path, springs: Int, links: Int, ptr: Int, mu: Float) -> No
     none: see nuno_schemas.fabric.Yarns.
     """
     _check_bounds(path, links, ptr, mu)
-    _refuse(path, "yarn_links", links, links < springs.shape[0], "no such spring", f"0 to {springs.shape[0] - 1}")
+    require_values(
+        path, "yarn_links", links, links < springs.shape[0], "no such spring", f"0 to {springs.shape[0] - 1}"
+    )
     sharing = np.isfinite(mu) & (mu >= 0.0) & (mu < 0.5)
     remedy = "from 1/2 on a long yarn's energy, sum of k e_n^2 / 2 + mu k e_n e_(n+1), has no minimum"
-    _refuse(path, "mu", mu, sharing, "tension cannot be passed on so", "0 <= mu < 1/2", remedy)
+    require_values(path, "mu", mu, sharing, "tension cannot be passed on so", "0 <= mu < 1/2", remedy)
     _check_chains(path, springs, links, ptr)
     _check_once(path, links, ptr)
 
@@ -32,7 +35,7 @@ def _check_bounds(path: Path, links: Int, ptr: Int, mu: Float) -> None:
             problem = "yarns begin with the first link and end with the last"
             raise BadInput(problem, file=str(path), field=f"yarn_ptr[{place}]", value=int(ptr[at]), limit=f"{wanted}")
     rising = np.concatenate([[True], np.diff(ptr) > 0])
-    _refuse(path, "yarn_ptr", ptr, rising, "a yarn has no link", "more than the one before")
+    require_values(path, "yarn_ptr", ptr, rising, "a yarn has no link", "more than the one before")
 
 
 def _check_chains(path: Path, springs: Int, links: Int, ptr: Int) -> None:
@@ -42,13 +45,15 @@ def _check_chains(path: Path, springs: Int, links: Int, ptr: Int) -> None:
     following[ptr[:-1]] = False
     same = (ends[1:, :, None] == ends[:-1, None, :]) & following[1:, None, None]
     joined = np.concatenate([[True], same.any(axis=(1, 2)) | ~following[1:]])
-    _refuse(path, "yarn_links", links, joined, "the link shares no vertex with the one before", "a vertex in common")
+    require_values(
+        path, "yarn_links", links, joined, "the link shares no vertex with the one before", "a vertex in common"
+    )
     entry = np.where(same[:, 0, :].any(axis=1), 0, 1)
     leave = np.where(same[:, :, 0].any(axis=1), 0, 1)
     back = following[1:-1] & following[2:] & (entry[:-1] == leave[1:])
     onward = np.concatenate([[True, True][: links.shape[0]], ~back])
     problem = "the yarn turns back: three links meet in one vertex"
-    _refuse(path, "yarn_links", links, onward, problem, "leave a link by its other end")
+    require_values(path, "yarn_links", links, onward, problem, "leave a link by its other end")
 
 
 def _check_once(path: Path, links: Int, ptr: Int) -> None:
@@ -61,14 +66,4 @@ def _check_once(path: Path, links: Int, ptr: Int) -> None:
     once = np.ones(links.shape[0], bool)
     once[order[1:][links[order[1:]] == links[order[:-1]]]] = False
     problem, remedy = "the spring is a link already", "a ring of three links or more ends with its first link"
-    _refuse(path, "yarn_links", links, once, problem, "each spring once", remedy)
-
-
-def _refuse(
-    path: Path, name: str, values: Int | Float, good: Bool, problem: str, limit: str, remedy: str | None = None
-) -> None:
-    bad = np.flatnonzero(~good)
-    if bad.size:
-        at = int(bad[0])
-        field, value = f"{name}[{at}]", values[at].item()
-        raise BadInput(problem, file=str(path), field=field, value=value, limit=limit, remedy=remedy)
+    require_values(path, "yarn_links", links, once, problem, "each spring once", remedy)

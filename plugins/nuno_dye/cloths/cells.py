@@ -1,44 +1,34 @@
-"""A cloth from arrays, cell by cell, so that anybody can pose an exact problem."""
+"""A cloth from the arrays of a .npz file, cell by cell, so that anybody can pose an exact problem."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_dye.cloths.cells_file import load_arrays, read_shape
+from nuno_dye.cloths.cloth import Cloth, ClothConfig, Tau3Config
 from nuno_dye.quantities import CellSize
-from nuno_dye.supplies.resist import Resists, find_resists, put_on
-from nuno_dye.supplies.supply import Supplies, prepare_supplies
-from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
+from nuno_dye.supplies.resist import Resists, put_on
+from nuno_kernels.npz_file import NpzFile, Spec, open_npz, require_values
+from nuno_schemas.dye import Cells, DyeState
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float
-from nuno_schemas.plugin import Config, Files
+from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Files
 
-Tau = Annotated[float, Field(ge=0, le=1)]
-
+CELLS: tuple[int | str, ...] = (2, "ny", "nx")
+REAL = "fiu"
+KEYS: dict[str, Spec] = {
+    "fibre": (CELLS, "b"), "up": (CELLS, "b"), "porosity": (CELLS, REAL), "tau1": (CELLS, REAL),
+    "resist": (CELLS, REAL), "phi": (CELLS, REAL), "fixed": (CELLS, REAL),
+}  # fmt: skip
+"""Arrays that the file holds, layer 0 the weft and layer 1 the warp; phi and fixed one for each of several dyes."""
 ROUNDING = 1e-12
 """Relative: an amount that is over its room by no more is a full cell, computed in another order."""
 
 
-class Tau3Config(Config):
-    """How straight dye's way is from a cell to its neighbour, 0 to 1; 0 lets nothing pass."""
-
-    I: Tau = Field(description="to the other layer")  # noqa: E741
-    II: Tau = Field(description="in a layer, across the yarn")
-    III: Tau = Field(description="between fibre and gap")
-    IV: Tau = Field(default=1.0, description="between gap and gap")
-    V: Tau = Field(default=1.0, description="in a layer, along the yarn")
-
-    def with_weave(self, tau2: float) -> Tortuosity:
-        """All of a cloth's, tau 2 among them."""
-        return Tortuosity(layers=self.I, beside=self.II, rim=self.III, gap=self.IV, yarn=self.V, weave=tau2)
-
-
-class CellsConfig(Config):
+class CellsConfig(ClothConfig):
     """Arrays of a file, as they are."""
 
     file: str = Field(
@@ -47,30 +37,30 @@ class CellsConfig(Config):
         "fixed are (dyes, 2, ny, nx) where there are several dyes; no other key"
     )
     cell_size: CellSize = Field(description="side of a cell [m]")
-    tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
     tau3: Tau3Config = Field(description="by kind of face, I to V")
     v_max: float = Field(default=1.0, gt=0, le=1e12, description="most that a cell holds")
     resist: Resists = Field(default=(), description="what keeps dye out on both layers, beside the file's")
-    supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
 
-class CellsCloth:
+class CellsCloth(Cloth):
     """Exactly the cells of the file."""
 
     name: ClassVar[str] = "cells"
     Config: ClassVar[type[BaseModel]] = CellsConfig
 
     def count(self, config: CellsConfig, files: Files) -> int:
-        _, ny, nx = read_shape(files.resolve(config.file))
-        return 2 * ny * nx
+        with open_npz(files.resolve(config.file)) as file:
+            sizes = read_sizes(file)
+        return 2 * sizes["ny"] * sizes["nx"]
 
     def build(self, config: CellsConfig, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
         """Raises BadInput that names the array, the index and the value."""
         path = files.resolve(config.file)
-        data = load_arrays(path, dyes)
+        with open_npz(path) as file:
+            read_sizes(file, dyes)
+            data = file.arrays(KEYS)
         for name in ("porosity", "tau1", "resist"):
-            good = (data[name] >= 0.0) & (data[name] <= 1.0)
-            _require(path, name, data[name], good, "0 to 1", "out of range")
+            require_values(path, name, data[name], (data[name] >= 0.0) & (data[name] <= 1.0), "out of range", "0 to 1")
         cells = Cells(
             data["fibre"], data["up"], data["porosity"], data["tau1"], data["resist"], config.cell_size,
             config.tau3.with_weave(config.tau2), config.v_max,
@@ -78,37 +68,37 @@ class CellsCloth:
         put_on(self.resists(config, cells, files), cells)
         rooms = {"phi": (cells.mobile_room, "v_max P (1 - B)"), "fixed": (cells.fixed_room, "(1 - P) v_max in fibre")}
         for name, (room, formula) in rooms.items():
-            data[name] = _amounts(path, name, data[name], room, formula)
+            data[name] = _amounts(path, name, data[name].reshape(dyes, *room.shape), room, formula)
         return cells, DyeState(data["phi"], data["fixed"])
 
-    def resists(self, config: CellsConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
-        """Raises BadInput for what touches no cell, and an image that does not fit."""
-        _, ny, nx = cells.fibre.shape
-        return find_resists(config.resist, (ny, nx), config.cell_size, files)
 
-    def supplies(self, config: CellsConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
-        """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
-        _, ny, nx = cells.fibre.shape
-        return prepare_supplies(config.supply, (ny, nx), config.cell_size, dyes)
+def read_sizes(file: NpzFile, dyes: int | None = None) -> dict[str, int]:
+    """Cells down "ny" and across "nx", from the headers alone; of any number of dyes where that is not given.
+
+    Raises BadInput for a missing or unknown array, a wrong dtype, shapes that differ, and a header that announces more
+    than the file holds.
+    """
+    file.require(KEYS, KEYS)
+    specs = dict(KEYS)
+    for name in ("phi", "fixed"):
+        if dyes not in (None, 1) or (dyes is None and len(file.header(name).shape) == 4):
+            specs[name] = ("dyes" if dyes is None else dyes, *CELLS), REAL
+    sizes = file.sizes(specs)
+    if 0 in sizes.values():
+        limit = "(2, ny, nx): layer 0 the weft, layer 1 the warp"
+        raise BadInput("wrong shape", file=str(file.path), field="fibre", value=tuple(sizes.values()), limit=limit)
+    return sizes
 
 
 def _amounts(path: Path, name: str, values: Float, room: Float, formula: str) -> Float:
     """Amounts that are there and fit. Raises BadInput."""
     shown = values[0] if len(values) == 1 else values
-    _require(path, name, shown, np.isfinite(shown), "finite", "not a finite number")
-    _require(path, name, shown, shown >= 0.0, ">= 0", "there is no less than no dye")
+    require_values(path, name, shown, np.isfinite(shown), "not a finite number", "finite")
+    require_values(path, name, shown, shown >= 0.0, "there is no less than no dye", ">= 0")
     good = shown <= room * (1.0 + ROUNDING)
     if not good.all():
         index = tuple(np.argwhere(~good)[0])
         most = f"{room[index[-3:]]:g} = {formula}"
-        _require(path, name, shown, good, most, "more dye than the cell can hold")
+        require_values(path, name, shown, good, "more dye than the cell can hold", most)
     full: Float = np.minimum(values, room)
     return full
-
-
-def _require(path: Path, name: str, values: Float, good: Bool, limit: str, problem: str) -> None:
-    bad = np.argwhere(~good)
-    if bad.size:
-        index = tuple(int(i) for i in bad[0])
-        place = f"{name}[{', '.join(map(str, index))}]"
-        raise BadInput(problem, file=str(path), field=place, value=float(values[index]), limit=limit)

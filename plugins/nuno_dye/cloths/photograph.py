@@ -6,6 +6,8 @@ layers are all fibre, without gaps. A cell is up in the layer that most of its p
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -63,28 +65,31 @@ class Colours(Config):
 
 def read_photograph(path: Path) -> NDArray[np.uint8]:
     """(h, w, 3) sRGB, upright. Raises BadInput for what is no photograph, and for too many pixels."""
-    from PIL import Image, ImageOps
+    from PIL import ImageOps
 
-    try:
-        with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
-            number = image.width * image.height
-            if number <= MOST_PIXELS:
-                return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
-    except Exception as error:  # whatever a broken file makes of the decoder
-        problem = f"cannot be read as {' or '.join(FORMATS)}: {error}"
-        raise BadInput(problem, file=str(path)) from None
+    with _opened(path) as image:
+        number = image.width * image.height
+        if number <= MOST_PIXELS:
+            return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
     remedy = "scale the photograph"
     raise BadInput("too many pixels", file=str(path), value=number, limit=f"{MOST_PIXELS}", remedy=remedy)
 
 
 def read_size(path: Path) -> tuple[int, int]:
     """(h, w) of a photograph as it is upright, from its header. Raises BadInput."""
+    with _opened(path) as image:
+        turned = image.getexif().get(TURN, 1) >= QUARTER
+        return (image.width, image.height) if turned else (image.height, image.width)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """An open photograph. Raises BadInput for what is none, and for what its reader makes of a broken one."""
     from PIL import Image
 
     try:
         with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
-            turned = image.getexif().get(TURN, 1) >= QUARTER
-            return (image.width, image.height) if turned else (image.height, image.width)
+            yield image
     except Exception as error:  # whatever a broken file makes of the decoder
         raise BadInput(f"cannot be read as {' or '.join(FORMATS)}: {error}", file=str(path)) from None
 

@@ -9,28 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, model_validator
 
-from nuno_dye.cloths.cells import Tau
+from nuno_dye.cloths.cloth import Cloth, ClothConfig, FibreConfig, Tau
 from nuno_dye.cloths.photograph import Colours, Masks, find_up, read_masks, read_photograph, read_size, split_by_colour
 from nuno_dye.pictures.picture import Drawing, begin_drawing, draw
-from nuno_dye.quantities import CellSize, Positive, Share
-from nuno_dye.supplies.resist import Resists, find_resists, put_on
-from nuno_dye.supplies.supply import Supplies, prepare_supplies
 from nuno_schemas.colour import parse_hex, to_linear
-from nuno_schemas.dye import Cells, DyeState, Supply, Tortuosity
+from nuno_schemas.dye import Cells, DyeState, Tortuosity
 from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.look import DyeColour
 from nuno_schemas.parts import Colour
 from nuno_schemas.plugin import Config, Files
-
-
-class FibreConfig(Config):
-    """The fibre of one layer."""
-
-    porosity: Share = Field(default=0.5, description="P, share of the yarn that is not fibre")
-    twist: Share = Field(default=1.0, description="tau 1; smaller is more twisted")
-    resist: Share = Field(default=0.0, description="B, share of the room for mobile dye that is taken")
 
 
 class WholeTau3Config(Config):
@@ -41,21 +30,16 @@ class WholeTau3Config(Config):
     V: Tau = Field(default=1.0, description="in a layer, along the yarn")
 
 
-class PhotographConfig(Config):
+class PhotographConfig(ClothConfig):
     """A photograph, and what tells its warp from its weft."""
 
     file: str = Field(description="the photograph, PNG or JPEG, beside the scene; warp upright")
     masks: Masks | None = Field(default=None, description="where warp shows, and where weft does")
     colours: Colours | None = Field(default=None, description="in the place of masks: what warp and weft look like")
     pixels: Annotated[int, Field(ge=1, le=256)] = Field(default=1, description="of the photograph, across a cell")
-    cell_size: CellSize = Field(default=5e-5, description="side of a cell [m]")
     weft: FibreConfig = Field(default=FibreConfig(), description="yarns along x")
     warp: FibreConfig = Field(default=FibreConfig(), description="yarns along y")
-    tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
     tau3: WholeTau3Config = Field(description="by kind of face, I, II and V")
-    v_max: Positive = Field(default=1.0, description="most that a cell holds")
-    resist: Resists = Field(default=(), description="what keeps dye out, on both layers")
-    supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
     @model_validator(mode="after")
     def _told_apart(self) -> PhotographConfig:
@@ -64,7 +48,7 @@ class PhotographConfig(Config):
         return self
 
 
-class PhotographCloth:
+class PhotographCloth(Cloth):
     """Cells from a photograph's pixels."""
 
     name: ClassVar[str] = "photograph"
@@ -94,9 +78,7 @@ class PhotographCloth:
             np.ones((2, ny, nx), np.bool_), up, porosity, twist, resist, config.cell_size, tortuosity, config.v_max,
             photograph=Photograph(np.ascontiguousarray(light[inside]), np.ascontiguousarray(warp[inside])),
         )  # fmt: skip
-        put_on(self.resists(config, cells, files), cells)
-        empty = np.zeros((dyes, 2, ny, nx))
-        return cells, DyeState(empty, empty.copy())
+        return self.undyed(config, cells, files, dyes)
 
     def warp(self, config: PhotographConfig, light: NDArray[np.uint8], files: Files) -> NDArray[np.bool_]:
         """(h, w) where the photograph shows warp."""
@@ -108,14 +90,6 @@ class PhotographCloth:
         except BadInput as error:
             place = f"colours.{error.field}"
             raise BadInput(error.problem, None, None, place, error.value, error.limit, error.remedy) from None
-
-    def resists(self, config: PhotographConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
-        """Raises BadInput for what touches no cell, and an image that does not fit."""
-        return find_resists(config.resist, cells.fibre.shape[1:], config.cell_size, files)
-
-    def supplies(self, config: PhotographConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
-        """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
-        return prepare_supplies(config.supply, cells.fibre.shape[1:], config.cell_size, dyes)
 
 
 class PhotographPictureConfig(Config):

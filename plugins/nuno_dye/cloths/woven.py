@@ -12,7 +12,8 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from nuno_dye.quantities import CellSize, Share
+from nuno_dye.cloths.cloth import ClothConfig, FibreConfig
+from nuno_dye.quantities import Share
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
@@ -26,14 +27,11 @@ Gap = Annotated[int, Field(ge=0, le=65_536)]
 Quantity = Literal["P", "T", "B"]
 
 
-class YarnConfig(Config):
+class YarnConfig(FibreConfig):
     """The yarns of one layer."""
 
     width: Number = Field(default=8, description="of a yarn, in cells")
     gap: Gap = Field(default=2, description="to the next yarn, in cells")
-    porosity: Share = Field(default=0.5, description="P, share of the yarn that is not fibre")
-    twist: Share = Field(default=1.0, description="tau 1; smaller is more twisted")
-    resist: Share = Field(default=0.0, description="B, share of the room for mobile dye that is taken")
 
 
 class VaryConfig(Config):
@@ -44,7 +42,7 @@ class VaryConfig(Config):
     high: Share = Field(default=1.0, description="largest r")
 
 
-class WovenConfig(Config):
+class WovenConfig(ClothConfig):
     """A woven cloth; its weave is given apart."""
 
     cells: tuple[Number, Number] | None = Field(
@@ -52,7 +50,6 @@ class WovenConfig(Config):
         description="across and down, in each of the two layers; left out: as many as the yarns of a WIF file take, or "
         "200 x 200 of another weave",
     )
-    cell_size: CellSize = Field(default=5e-5, description="side of a cell [m]")
     weft: YarnConfig = Field(default=YarnConfig(), description="yarns along x")
     warp: YarnConfig = Field(default=YarnConfig(), description="yarns along y")
     gap_porosity: Share | None = Field(default=None, description="P of a gap; its layer's yarns' unless given")

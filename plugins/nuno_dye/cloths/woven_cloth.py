@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_dye.cloths.cells import Tau, Tau3Config
+from nuno_dye.cloths.cloth import Cloth, Tau3Config
 from nuno_dye.cloths.woven import Lay, WovenConfig, YarnConfig, build_cells, lay_measured
 from nuno_dye.drafts.weaves import (
     MatrixConfig,
@@ -23,10 +22,7 @@ from nuno_dye.drafts.weaves import (
 )
 from nuno_dye.drafts.wif import Draft, read_wif
 from nuno_dye.drafts.yarns import UNDYED, Yarns
-from nuno_dye.quantities import Positive
-from nuno_dye.supplies.resist import Resists, find_resists, put_on
-from nuno_dye.supplies.supply import Supplies, prepare_supplies
-from nuno_schemas.dye import Cells, DyeState, Supply
+from nuno_schemas.dye import Cells, DyeState
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.plugin import Config, Files
@@ -49,14 +45,10 @@ class WovenClothConfig(WovenConfig):
     """A cloth from a weave and its yarns."""
 
     weave: Weave = Field(default=PlainConfig(), description="plain, twill, satin, matrix or wif")
-    tau2: Tau = Field(default=1.0, description="in a layer, between fibre above and fibre below")
     tau3: Tau3Config = Field(description="by kind of face, I to V")
-    v_max: Positive = Field(default=1.0, description="most that a cell holds")
-    resist: Resists = Field(default=(), description="what keeps dye out, on both layers")
-    supply: Supplies = Field(default=(), description="dye that is given, at the start and later")
 
 
-class WovenCloth:
+class WovenCloth(Cloth):
     """Yarns laid out in two layers and woven."""
 
     name: ClassVar[str] = "woven"
@@ -74,19 +66,7 @@ class WovenCloth:
         cells = build_cells(drawdown, config, config.tau3.with_weave(config.tau2), seed, lays, config.v_max)
         if draft is not None:
             cells = replace(cells, ground=find_ground(draft, cells))
-        put_on(self.resists(config, cells, files), cells)
-        empty = np.zeros((dyes, *cells.fibre.shape))
-        return cells, DyeState(empty, empty.copy())
-
-    def resists(self, config: WovenClothConfig, cells: Cells, files: Files) -> tuple[Float, ...]:
-        """Raises BadInput for what touches no cell, and an image that does not fit."""
-        _, ny, nx = cells.fibre.shape
-        return find_resists(config.resist, (ny, nx), config.cell_size, files)
-
-    def supplies(self, config: WovenClothConfig, cells: Cells, dyes: Sequence[str]) -> tuple[Supply, ...]:
-        """Raises BadInput for one that is outside of the cloth, or of a dye that the scene does not have."""
-        _, ny, nx = cells.fibre.shape
-        return prepare_supplies(config.supply, (ny, nx), config.cell_size, dyes)
+        return self.undyed(config, cells, files, dyes)
 
 
 def read_draft(config: WovenClothConfig, files: Files) -> Draft | None:

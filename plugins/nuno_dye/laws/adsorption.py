@@ -18,31 +18,46 @@ NOTHING, PARTITION, FREUNDLICH, LANGMUIR = 0, 1, 2, 3
 """Isotherms that the kernels know."""
 
 
-class Uptake(NamedTuple):
-    """What fibre has taken, may take and how fast, in bands as in nuno_dye.solvers.diffusion.Bands.
+class Law(NamedTuple):
+    """How fast fibre takes dye in a step or a stage, and how much at most.
 
-    fixed     (b, 2 r, w)  fixed amounts A
-    fibre     (b, 2 r, w)  capacity V_d for fixed dye, 0 in gaps
-    rate      D_ab dt / d^2
-    isotherm  which, with its numbers `first` and `second`
+    Tuples that go into parallel loops have these four fields themselves: numba takes no tuple within a tuple there.
+
+    kind           one of the isotherms above, NOTHING where fibre takes none
+    first, second  its numbers: k, k and b, or K
+    rate           D_ab dt / d^2
+    """
+
+    kind: int
+    first: float
+    second: float
+    rate: float
+
+
+class Uptake(NamedTuple):
+    """What fibre has taken and may take, in bands as in nuno_dye.solvers.diffusion.Bands.
+
+    fixed  (b, 2 r, w)  fixed amounts A
+    fibre  (b, 2 r, w)  capacity V_d for fixed dye, 0 in gaps
+    kind, first, second, rate  as in Law
     """
 
     fixed: Float
     fibre: Float
-    rate: float
-    isotherm: int
+    kind: int
     first: float
     second: float
+    rate: float
 
 
 @kernel
-def limit_of(isotherm: int, first: float, second: float, phi: Any, room: Any) -> Any:
-    """What may be fixed at mobile dye phi: k phi, k phi^b, or V_d K phi / (1 + K phi); (k, b) or (K, -)."""
-    if isotherm == PARTITION:
-        return first * phi
-    if isotherm == FREUNDLICH:
-        return first * power(phi, second)
-    return room * (first * phi) / (1.0 + first * phi)
+def limit_of(law: Law, phi: Any, room: Any) -> Any:
+    """What eight cells may fix at mobile dye phi: k phi, k phi^b, or V_d K phi / (1 + K phi)."""
+    if law.kind == PARTITION:
+        return law.first * phi
+    if law.kind == FREUNDLICH:
+        return law.first * power(phi, law.second)
+    return room * (law.first * phi) / (1.0 + law.first * phi)
 
 
 @kernel
@@ -56,25 +71,22 @@ def may_bind(first: float, phi: Any, held: Any, free: Any, pace: float) -> Any:
 
 
 @kernel
-def adsorb_row(
-    phi: Any, fixed: Any, fibre: Any, start: int, row: int, rate: float, isotherm: int, first: float, second: float
-) -> None:
-    """Fix dye in one row of one layer, from column `start` on; rate is D_ab dt / d^2."""
+def adsorb_row(phi: Float, fixed: Float, fibre: Float, start: int, row: int, law: Law) -> None:
+    """Fix dye in one row of one layer, from column `start` on."""
     nothing = splat(0.0)
     for c in range(start, phi.shape[1] - WIDTH, WIDTH):
         there, held, room = load(phi, row, c), load(fixed, row, c), load(fibre, row, c)
-        taken = lower(lower(rate * (there - held), room - held), there)
-        if isotherm != FREUNDLICH or may_bind(first, there, held, taken, 1.0):
-            taken = lower(taken, limit_of(isotherm, first, second, there, room) - held)
+        taken = lower(lower(law.rate * (there - held), room - held), there)
+        if law.kind != FREUNDLICH or may_bind(law.first, there, held, taken, 1.0):
+            taken = lower(taken, limit_of(law, there, room) - held)
         taken = higher(taken, nothing)
         store(phi, row, c, there - taken)
         store(fixed, row, c, held + taken)
 
 
 @kernel
-def adsorb_both(phi: Any, uptake: Any, b: int, start: int, row: int, r: int) -> None:
+def adsorb_both(phi: Float, uptake: Uptake, b: int, start: int, row: int, r: int) -> None:
     """Fix dye in one row of both layers of band `b`, (2 r, w), from column `start` on."""
+    law = Law(uptake.kind, uptake.first, uptake.second, uptake.rate)
     for at in (row, row + r):
-        adsorb_row(
-            phi, uptake.fixed[b], uptake.fibre[b], start, at, uptake.rate, uptake.isotherm, uptake.first, uptake.second
-        )
+        adsorb_row(phi, uptake.fixed[b], uptake.fibre[b], start, at, law)

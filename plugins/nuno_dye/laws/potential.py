@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from nuno_dye.laws.logarithm import log
+from nuno_dye.laws.power import log
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import higher, lower
 from nuno_kernels.lanes.simd import splat
@@ -39,7 +39,7 @@ def curve_of(one: Dye) -> Curve | None:
 
 
 @kernel
-def potentials(phi: Any, curve: Any) -> Any:
+def potentials(phi: Any, curve: Curve | None) -> Any:
     """G of eight amounts."""
     if curve is None:
         return phi
@@ -49,7 +49,7 @@ def potentials(phi: Any, curve: Any) -> Any:
 
 
 @kernel
-def potential(phi: float, curve: Any) -> float:
+def potential(phi: float, curve: Curve | None) -> float:
     """G of one amount."""
     if curve is None:
         return phi
@@ -58,7 +58,7 @@ def potential(phi: float, curve: Any) -> float:
 
 
 @kernel
-def amount(level: float, curve: Any) -> float:
+def amount(level: float, curve: Curve | None) -> float:
     """The amount whose G is `level`."""
     if curve is None:
         return level
@@ -67,7 +67,7 @@ def amount(level: float, curve: Any) -> float:
 
 
 @kernel
-def raise_levels(values: Float, curve: Any, out: Float) -> None:
+def raise_levels(values: Float, curve: Curve | None, out: Float) -> None:
     """G of all amounts (n, w)."""
     for i in range(values.shape[0]):
         for c in range(values.shape[1]):

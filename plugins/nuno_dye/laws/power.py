@@ -1,11 +1,12 @@
-"""Powers of eight lanes at once, by fused operations in a fixed order: the same bits on every machine.
+"""Powers and logarithms of eight lanes at once, by fused operations in a fixed order: the same bits on every machine.
 
     x = 2^e m with m in [sqrt(1/2), sqrt(2)),  s = (m - 1) / (m + 1)
     log2 x = e + 2 / ln 2 (s + s^3 / 3 + s^5 / 5 + ...)
     x^b = 2^n 2^r,  n + r = b log2 x with n whole and |r| <= 1/2
+    ln x = e ln 2 + 2 (s + s^3 / 3 + s^5 / 5 + ...)
 
 b log2 x is carried as a sum of two numbers, since an error d in it is an error d ln 2 of the power, relative. The
-series of log2 is cut where a term is below 1e-18 of the sum (|s| <= 0.1716), that of 2^r below 5e-18 of 1. LLVM's
+series of logarithms is cut where a term is below 1e-18 of the sum (|s| <= 0.1716), that of 2^r below 5e-18 of 1. LLVM's
 own power calls the scalar one eight times, which takes about ten times as long.
 """
 
@@ -33,6 +34,10 @@ LOG2_E2 = 2.0 / math.log(2.0)
 LOG2_E2_REST = 4.0710547481862066e-17
 """What LOG2_E2 lacks of 2 / ln 2."""
 LN2 = math.log(2.0)
+LN2_HIGH = 0.6931471805598903
+"""ln 2 to 42 bits: a whole number of less than 2^11 times it is exact."""
+LN2_LOW = 5.497923018708371e-14
+"""What LN2_HIGH lacks of ln 2."""
 
 
 def _each(number: int) -> Any:
@@ -124,3 +129,14 @@ def power(base: Any, b: float) -> Any:
     found = shift_exponent(series_exp(((y - n) + y_rest) * LN2), n)
     # Not a number stays so: bits alone would make one of it.
     return where_greater(base, splat(_LESSER), found + (base - base))
+
+
+@kernel
+def log(value: Any) -> Any:
+    """ln of every lane within 2 ulp, of positive normal numbers."""
+    e = exponent(value)
+    m = shift_exponent(value, splat(0.0) - e)
+    s = (m - 1.0) / (m + 1.0)
+    z = s * s
+    rest = fused(s * z * 2.0, series_log(z), e * LN2_LOW)
+    return fused(e, splat(LN2_HIGH), s * 2.0 + rest)

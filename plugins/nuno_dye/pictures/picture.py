@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,24 +46,35 @@ class YarnsConfig(Config):
     )
 
 
-class Drawing(NamedTuple):
-    """What pictures of one window have in common.
+class Canvas(NamedTuple):
+    """What pixels show, for `paint`.
 
-    layer         (h, w) uint8            the layer that shows at a pixel
-    shade         (h, w, 1 or 3) float32  how bright it is, all in all or by channel
-    inside        (4,)                    the window's rows and columns within `window`, which is a cell wider
+    layer          (h, w) uint8            the layer that shows at a pixel
+    shade          (h, w, 1 or 3) float32  how bright it is, all in all or by channel
+    fibre          (2, ny, nx) bool        fibre or gap
+    rows, columns  (ny,), (nx,) int32      the yarns that rows of weft and columns of warp are of
+    top, left                              the first row and column of cells that show
+    scale                                  pixels a cell
     """
+
+    layer: NDArray[np.uint8]
+    shade: NDArray[np.float32]
+    fibre: Bool
+    rows: Int
+    columns: Int
+    top: int
+    left: int
+    scale: int
+
+
+class Drawing(NamedTuple):
+    """What pictures of one window have in common; `window` is a cell wider than what is shown."""
 
     layers: Layers
     dyes: tuple[DyeColour, ...]
     ground: Float | None
     window: Window
-    inside: tuple[int, int]
-    scale: int
-    layer: NDArray[np.uint8]
-    shade: NDArray[np.float32]
-    yarns: tuple[Int, Int]
-    fibre: Bool
+    canvas: Canvas
 
 
 class YarnsPicture:
@@ -125,14 +136,15 @@ def begin_drawing(
     wide = Window(
         max(window.top - 1, 0), min(window.bottom + 1, ny), max(window.left - 1, 0), min(window.right + 1, nx)
     )
-    near = yarns[0][wide.top : wide.bottom], yarns[1][wide.left : wide.right]
+    rows, columns = yarns[0][wide.top : wide.bottom], yarns[1][wide.left : wide.right]
     fibre = np.ascontiguousarray(layers.fibre[:, wide.top : wide.bottom, wide.left : wide.right])
     if ground is None and layers.ground is not None:
         weft, warp = (to_linear(colours) for colours in layers.ground)
         both = weft[wide.top : wide.bottom, None], warp[None, wide.left : wide.right]
         ground = np.stack([np.broadcast_to(colours, (*fibre.shape[1:], 3)) for colours in both])
-    inside = window.top - wide.top, window.left - wide.left
-    return Drawing(layers, tuple(dyes), ground, wide, inside, scale, layer, shade, near, fibre)
+    at = np.ascontiguousarray(rows, np.int32), np.ascontiguousarray(columns, np.int32)
+    canvas = Canvas(layer, shade, fibre, *at, window.top - wide.top, window.left - wide.left, scale)
+    return Drawing(layers, tuple(dyes), ground, wide, canvas)
 
 
 def draw(drawing: Drawing, amounts: Float) -> Picture:
@@ -141,12 +153,8 @@ def draw(drawing: Drawing, amounts: Float) -> Picture:
     # What is no number, after a run that diverged, has no colour.
     shown = np.nan_to_num(np.asarray(amounts[..., top:bottom, left:right], np.float64))
     light = mix(shown, drawing.dyes, drawing.layers.v_max, drawing.ground)
-    picture = np.empty((*drawing.layer.shape, 3), np.uint8)
-    rows, columns = (np.ascontiguousarray(yarn, np.int32) for yarn in drawing.yarns)
-    paint(
-        np.ascontiguousarray(light, np.float32), drawing.layer, drawing.shade, drawing.fibre, rows, columns,
-        drawing.inside[0], drawing.inside[1], drawing.scale, _srgb_bytes(), picture,
-    )  # fmt: skip
+    picture = np.empty((*drawing.canvas.layer.shape, 3), np.uint8)
+    paint(np.ascontiguousarray(light, np.float32), drawing.canvas, _srgb_bytes(), picture)
     return picture
 
 
@@ -157,14 +165,12 @@ def _srgb_bytes() -> NDArray[np.uint8]:
 
 
 @kernel
-def paint(
-    light: Any, layer: Any, shade: Any, fibre: Any, rows: Any, columns: Any, top: int, left: int, scale: int,
-    table: Any, out: Any,
-) -> None:  # fmt: skip
+def paint(light: NDArray[np.float32], canvas: Canvas, table: NDArray[np.uint8], out: Picture) -> None:
     """Pixels of `out` (h, w, 3) from light (2, ny, nx, 3) at the middles of cells, times shade.
 
     A pixel lies between four middles of its layer; those of its own yarn (or gap) count by how near they are.
     """
+    layer, shade, fibre, rows, columns, top, left, scale = canvas
     _, ny, nx, _ = light.shape
     last = shade.shape[2] - 1
     middle = min(1, last)

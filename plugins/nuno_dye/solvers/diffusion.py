@@ -21,8 +21,8 @@ from llvmlite import ir
 from numba import prange
 from numpy.typing import NDArray
 
-from nuno_dye.laws.adsorption import adsorb_both
-from nuno_dye.solvers.upkeep import keep_both
+from nuno_dye.laws.adsorption import Uptake, adsorb_both
+from nuno_dye.solvers.upkeep import Upkeep, keep_both
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.lanes.simd import WIDTH, instruction, load, splat, store, vector
 from nuno_schemas.fabric import Float
@@ -48,13 +48,21 @@ def slide(typing: Any, before: Any, here: Any) -> Any:
     return vector(vector, vector), build
 
 
+class Weights(NamedTuple):
+    """D dt / d^2 of the faces: to the next column and the next row (2 r, w), between the layers (r, w)."""
+
+    along: Float
+    down: Float
+    across: Float
+
+
 class Bands(NamedTuple):
     """Amounts and weights of all bands, each in planes of its own, rows padded to whole vectors.
 
     phi          (b, 2 r, w)  amounts, weft rows before warp rows
     along, down  (b, 2 r, w)  weights of the faces to the next column and to the next row
     across       (b, r, w)    weights of the faces between the layers
-    edge         (b, 2, 2 levels, w)  scratch: flux from the row above, by level
+    edge         (b, 2 levels, w)     scratch: flux from the row above, by level
     first, last  (b,)         rows whose amounts are the band's own, within its r
     shrinks      (b, 2) int64  1 where the rows beyond the first, the last, are a neighbour's
     """
@@ -70,7 +78,7 @@ class Bands(NamedTuple):
 
 
 @kernel
-def step_row(phi: Any, along: Any, down: Any, across: Any, edge: Any, level: int, row: int) -> None:
+def step_row(phi: Float, along: Float, down: Float, across: Float, edge: Float, level: int, row: int) -> None:
     """A step of row `row` of both layers, (2 r, w), in place; `edge` takes the fluxes on to the next row."""
     r = across.shape[0]
     other = row + r
@@ -91,7 +99,7 @@ def step_row(phi: Any, along: Any, down: Any, across: Any, edge: Any, level: int
 
 
 @kernel
-def start_row(phi: Any, down: Any, edge: Any, level: int, row: int, r: int) -> None:
+def start_row(phi: Float, down: Float, edge: Float, level: int, row: int, r: int) -> None:
     """Fluxes into row `row` from the one above it, which is at the same level."""
     for c in range(LEFT, phi.shape[1] - WIDTH, WIDTH):
         store(edge, 2 * level, c, load(down, row - 1, c) * (load(phi, row, c) - load(phi, row - 1, c)))
@@ -100,15 +108,14 @@ def start_row(phi: Any, down: Any, edge: Any, level: int, row: int, r: int) -> N
 
 
 @kernel
-def pass_over(
-    levels: int, phi: Any, along: Any, down: Any, across: Any, edge: Any, first: int, last: int, up: int, low: int,
-    uptake: Any, upkeep: Any, b: int,
-) -> None:  # fmt: skip
+def pass_over(levels: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None, b: int) -> None:
     """`levels` steps of band `b`. Level s is right where it has levels - 1 - s rows of its neighbours.
 
     Fibre takes its dye one row ahead: the level before is done with that row and keeps what flows from it.
     """
-    r = across.shape[0]
+    phi, along, down, across = bands.phi[b], bands.along[b], bands.down[b], bands.across[b]
+    edge, r, first, last = bands.edge[b], bands.across.shape[1], bands.first[b], bands.last[b]
+    up, low = bands.shrinks[b, 0], bands.shrinks[b, 1]
     for at in range(first - up * (levels - 1), last + low * (levels - 1) + levels + 1):
         for level in range(levels):
             row, beyond = at - level, levels - 1 - level
@@ -126,18 +133,14 @@ def pass_over(
 
 
 @parallel_kernel
-def pass_bands(levels: int, bands: Any, uptake: Any, upkeep: Any) -> None:
+def pass_bands(levels: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None) -> None:
     """`levels` steps of all bands."""
     for b in prange(bands.phi.shape[0]):
-        pass_over(
-            levels, bands.phi[b], bands.along[b], bands.down[b], bands.across[b], bands.edge[b],
-            bands.first[b], bands.last[b], bands.shrinks[b, 0], bands.shrinks[b, 1],
-            uptake, upkeep, b,
-        )  # fmt: skip
+        pass_over(levels, bands, uptake, upkeep, b)
 
 
 @kernel
-def copy_rows(to: Any, row: int, source: Any, start: int, r: int, count: int) -> None:
+def copy_rows(to: Float, row: int, source: Float, start: int, r: int, count: int) -> None:
     """Copy `count` rows of both layers."""
     for i in range(count):
         for c in range(LEFT, to.shape[1] - WIDTH, WIDTH):
@@ -146,7 +149,7 @@ def copy_rows(to: Any, row: int, source: Any, start: int, r: int, count: int) ->
 
 
 @parallel_kernel
-def renew_ghosts(bands: Any, values: Any, ghost: int) -> None:
+def renew_ghosts(bands: Any, values: Float, ghost: int) -> None:
     """Copy `ghost` rows of `values` (b, 2 r, w) from the neighbours. A loop of its own: numba would fuse it."""
     for b in prange(values.shape[0]):
         r = bands.across.shape[1]
@@ -157,7 +160,7 @@ def renew_ghosts(bands: Any, values: Any, ghost: int) -> None:
 
 
 @kernel
-def diffuse(steps: int, bands: Any, uptake: Any, upkeep: Any) -> None:
+def diffuse(steps: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None) -> None:
     """`steps` steps, GHOST of them in a pass; `uptake` and `upkeep` may be None."""
     for done in range(0, steps, GHOST):
         pass_bands(min(GHOST, steps - done), bands, uptake, upkeep)

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 from numba import prange
 
-from nuno_dye.laws.adsorption import adsorb_both
-from nuno_dye.laws.potential import potentials
+from nuno_dye.laws.adsorption import Uptake, adsorb_both
+from nuno_dye.laws.potential import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, Rows, renew_ghosts, slide
-from nuno_dye.solvers.upkeep import keep_both
+from nuno_dye.solvers.upkeep import Upkeep, keep_both
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.lanes.choose import higher, lower
 from nuno_kernels.lanes.simd import WIDTH, load, splat, store
@@ -52,7 +52,9 @@ class DyeBands(NamedTuple):
 
 
 @kernel
-def flux_row(phi: Any, along: Any, down: Any, across: Any, curve: Any, rolling: Any, base: int, row: int) -> None:
+def flux_row(
+    phi: Float, along: Float, down: Float, across: Float, curve: Curve | None, rolling: Float, base: int, row: int
+) -> None:
     """Fluxes of a row's faces into its slot: to the right and down in either layer, and between them."""
     other, slot = row + across.shape[0], base + SLOT * (row % 4)
     for c in range(LEFT, phi.shape[1] - WIDTH, WIDTH):
@@ -73,7 +75,7 @@ def scale_of(flow: Any, there: Any) -> Any:
 
 
 @kernel
-def factor_row(phi: Any, mobile: Any, rolling: Any, base: int, row: int, r: int) -> None:
+def factor_row(phi: Float, mobile: Float, rolling: Float, base: int, row: int, r: int) -> None:
     """Factors of a row's cells, from the fluxes of all their faces: of what flows in, and of what flows out."""
     slot, above, nothing = base + SLOT * (row % 4), base + SLOT * ((row - 1) % 4), splat(0.0)
     for layer in range(2):
@@ -99,7 +101,7 @@ def scaled(flow: Any, came: Any, went: Any, other_came: Any, other_went: Any) ->
 
 
 @kernel
-def scale_down(rolling: Any, base: int, row: int) -> None:
+def scale_down(rolling: Float, base: int, row: int) -> None:
     """Scale the fluxes between a row and the next one."""
     slot, below = base + SLOT * (row % 4), base + SLOT * ((row + 1) % 4)
     for layer in range(2):
@@ -114,7 +116,7 @@ def scale_down(rolling: Any, base: int, row: int) -> None:
 
 
 @kernel
-def move_row(phi: Any, rolling: Any, base: int, row: int, r: int) -> None:
+def move_row(phi: Float, rolling: Float, base: int, row: int, r: int) -> None:
     """Let the scaled fluxes of a row's faces flow; those to the rows above and below are scaled already."""
     slot, above = base + SLOT * (row % 4), base + SLOT * ((row - 1) % 4)
     left_0, left_1 = splat(0.0), splat(0.0)
@@ -138,11 +140,12 @@ def move_row(phi: Any, rolling: Any, base: int, row: int, r: int) -> None:
 
 @kernel
 def pass_over_dye(
-    levels: int, phi: Any, along: Any, down: Any, across: Any, mobile: Any, rolling: Any,
-    first: int, last: int, up: int, low: int, uptake: Any, upkeep: Any, curve: Any, n: int,
-) -> None:  # fmt: skip
+    levels: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None, n: int
+) -> None:
     """`levels` steps of band `n`: rows are adsorbed two ahead, their fluxes and factors known one ahead."""
-    r = across.shape[0]
+    phi, along, down, across = bands.phi[n], bands.along[n], bands.down[n], bands.across[n]
+    mobile, rolling, r = bands.mobile[n], bands.rolling[n], bands.across.shape[1]
+    first, last, up, low = bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1]
     for at in range(first - 2 * up * (levels - 1) - 4, last + 2 * low * (levels - 1) + 2 * levels + 2):
         for level in range(levels):
             base, beyond = 4 * SLOT * level, 2 * (levels - 1 - level)
@@ -164,18 +167,16 @@ def pass_over_dye(
 
 
 @parallel_kernel
-def pass_dye_bands(levels: int, bands: Any, uptake: Any, upkeep: Any, curve: Any) -> None:
+def pass_dye_bands(
+    levels: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None
+) -> None:
     """`levels` steps of all bands."""
     for n in prange(bands.phi.shape[0]):
-        pass_over_dye(
-            levels, bands.phi[n], bands.along[n], bands.down[n], bands.across[n], bands.mobile[n], bands.rolling[n],
-            bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1],
-            uptake, upkeep, curve, n,
-        )  # fmt: skip
+        pass_over_dye(levels, bands, uptake, upkeep, curve, n)
 
 
 @kernel
-def dye(steps: int, bands: Any, uptake: Any, upkeep: Any, curve: Any) -> None:
+def dye(steps: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None) -> None:
     """`steps` steps, LEVELS of them in a pass; `uptake`, `upkeep` and `curve` may be None."""
     for done in range(0, steps, LEVELS):
         pass_dye_bands(min(LEVELS, steps - done), bands, uptake, upkeep, curve)

@@ -14,31 +14,29 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-import numba
 import numpy as np
 from pydantic import BaseModel
 
-from nuno_dye.laws.adsorption import Uptake
+from nuno_dye.laws.adsorption import NOTHING, Uptake
 from nuno_dye.laws.faces import face_sums, face_values
 from nuno_dye.laws.potential import curve_of
 from nuno_dye.solvers.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
 from nuno_dye.solvers.dyeing import LEVELS, DyeBands, dye
 from nuno_dye.solvers.solving import (
+    Banded,
     Known,
     adsorbs,
     count_bands,
-    describe_threads,
     know,
     largest_amounts,
+    law_of,
     make_report,
-    raise_largest,
     renew_work,
     require_laws,
-    uptake_of,
+    use_threads,
 )
 from nuno_dye.solvers.upkeep import Upkeep, begin_upkeep, make_upkeep, sum_given
-from nuno_kernels import threads_available
 from nuno_schemas.dye import Cells, DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.plugin import Config
@@ -49,21 +47,24 @@ class ExplicitConfig(Config):
 
 
 @dataclass
-class Work:
+class ExplicitWork:
     """What was made from a system.
 
     bands   by dye, and whether limits may bind: the step [s] and the kernel's layout for it
-    upkeep  by dye and ghost rows: the layout of its floors
+    fed     by dye and ghost rows: the layout of its floors
     fibre   by ghost rows: the layout of V_d
     """
 
     known: Known
     bands: dict[tuple[int, bool], tuple[float, Bands | DyeBands]] = field(default_factory=dict)
-    upkeep: dict[tuple[int, int], Upkeep] = field(default_factory=dict)
+    fed: dict[tuple[int, int], Upkeep] = field(default_factory=dict)
     fibre: dict[int, Float] = field(default_factory=dict)
 
+    def made_for(self, system: DyeSystem) -> ExplicitWork:
+        return ExplicitWork(know(system))
 
-class Explicit:
+
+class Explicit(Banded):
     """Adsorption, then diffusion with all fluxes from the same amounts."""
 
     name: ClassVar[str] = "explicit"
@@ -73,7 +74,7 @@ class Explicit:
     def prepare(self, config: ExplicitConfig, system: DyeSystem, state: DyeState) -> Memory:
         """Memory: `highest` (dyes,), the largest amount that any cell can have had."""
         require_laws(system)
-        return Memory({"highest": largest_amounts(state)}, _make_work(system))
+        return Memory({"highest": largest_amounts(state.phi)}, ExplicitWork(know(system)))
 
     def limit(self, config: ExplicitConfig, system: DyeSystem) -> float:
         """The most that D0 g comes to, times dt / size^2 and the largest sum of P T over a cell's faces, is 1 there."""
@@ -82,46 +83,32 @@ class Explicit:
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
         """See nuno_schemas.dye.DyeSolver."""
-        work = _renew_work(memory, system)
+        work: ExplicitWork = renew_work(memory, system)
         highest = memory.arrays["highest"]
-        raise_largest(highest, work.known)
-        numba.set_num_threads(max(1, min(system.threads, threads_available()[0])))
+        use_threads(highest, work.known)
         given = [_advance_one(work, k, state, steps, dt, float(highest[k])) for k in range(len(system.dyes))]
         state.t += steps * dt
         return make_report(system, state, {"steps": steps}, given)
 
-    def about(self, system: DyeSystem) -> str:
-        return describe_threads(system)
 
-
-def _make_work(system: DyeSystem) -> Work:
-    return Work(know(system))
-
-
-def _renew_work(memory: Memory, system: DyeSystem) -> Work:
-    work: Work = memory.work  # type: ignore[assignment]
-    memory.work = work = renew_work(work, system, _make_work, work.upkeep)
-    return work
-
-
-def _upkeep(work: Work, k: int, cut: Cut) -> Upkeep | None:
+def _upkeep(work: ExplicitWork, k: int, cut: Cut) -> Upkeep | None:
     """Floors of one dye in a kernel's layout, with nothing given yet; None where it has none."""
     if work.known.floors is None or not work.known.floors[k].any():
         return None
-    found = work.upkeep.get((k, cut.ghost))
-    if found is None:
-        found = work.upkeep[k, cut.ghost] = make_upkeep(cut.fill(work.known.floors[k])[0])
-    return begin_upkeep(found)
+    if (k, cut.ghost) not in work.fed:
+        work.fed[k, cut.ghost] = make_upkeep(cut.fill(work.known.floors[k])[0])
+    return begin_upkeep(work.fed[k, cut.ghost])
 
 
-def _uptake(work: Work, k: int, cut: Cut, scale: float) -> Uptake | None:
+def _uptake(work: ExplicitWork, k: int, cut: Cut, scale: float) -> Uptake | None:
     """Fibre of one dye in a kernel's layout; None where the kernel fixes nothing."""
     if cut.ghost not in work.fibre:
         work.fibre[cut.ghost] = cut.fill(work.known.system.cells.fixed_room)[0]
-    return uptake_of(work.known.system.dyes[k], np.empty(cut.shape), work.fibre[cut.ghost], scale)
+    law = law_of(work.known.system.dyes[k], scale)
+    return None if law.kind == NOTHING else Uptake(np.empty(cut.shape), work.fibre[cut.ghost], *law)
 
 
-def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, highest: float) -> float:
+def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: float, highest: float) -> float:
     """Bring one dye from the start of a frame to its end; with no steps, compile what they need.
 
     Returns what its supplies gave.
@@ -139,7 +126,7 @@ def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, hig
             _adsorb(phi, fixed, cells, one.adsorption * scale, function)
         bands = bands._replace(phi=cut.fill(phi)[0])
         uptake = uptake and uptake._replace(fixed=cut.fill(fixed)[0])
-        if limited:
+        if isinstance(bands, DyeBands):
             dye(count, bands, uptake, upkeep, curve)
         else:
             diffuse(count, bands, uptake, upkeep)
@@ -151,7 +138,7 @@ def _advance_one(work: Work, k: int, state: DyeState, steps: int, dt: float, hig
     return sum_given(*(read_bands(bands, values, np.empty(phi.shape)) for values in (upkeep.given, upkeep.lost)))
 
 
-def _layout(work: Work, k: int, limited: bool, dt: float, scale: float, number: int) -> Bands | DyeBands:
+def _layout(work: ExplicitWork, k: int, limited: bool, dt: float, scale: float, number: int) -> Bands | DyeBands:
     """One dye's weights in a kernel's layout."""
     known, bands = work.bands.get((k, limited), (0.0, None))
     if bands is None or known != dt:

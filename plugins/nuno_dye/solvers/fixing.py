@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from numba import prange
 
-from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, limit_of, may_bind
-from nuno_dye.solvers.diffusion import LEFT
+from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, Law, limit_of, may_bind
+from nuno_dye.solvers.diffusion import LEFT, Rows
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.lanes.choose import higher, lower
 from nuno_kernels.lanes.simd import WIDTH, load, splat, store
@@ -25,61 +25,58 @@ ROUNDS = 60
 
 
 class Taking(NamedTuple):
-    """Fixed dye at a step's start, what fibre takes then, its room V_d, and its law; rate is D_ab dt / d^2."""
+    """What fibre takes in a long step: fixed dye at its start and room V_d, (2 r, w) each, and the fields of Law."""
 
     start: Float
-    slope: Float
     fibre: Float
-    rate: float
-    isotherm: int
+    kind: int
     first: float
     second: float
+    rate: float
 
 
 @kernel
-def taken_at(
-    phi: Any, fixed: Any, room: Any, rate: float, isotherm: int, first: float, second: float, pace: float
-) -> Any:
-    """What eight cells take. With the whole of Taking as its argument the call cost more than all that it does."""
-    taken = lower(rate * (phi - fixed), pace * (room - fixed))
-    if isotherm != FREUNDLICH or may_bind(first, phi, fixed, taken, pace):
-        taken = lower(taken, pace * (limit_of(isotherm, first, second, phi, room) - fixed))
+def taken_at(phi: Any, fixed: Any, room: Any, law: Law, pace: float) -> Any:
+    """What eight cells take. With a tuple of arrays as its argument the call cost more than all that it does."""
+    taken = lower(law.rate * (phi - fixed), pace * (room - fixed))
+    if law.kind != FREUNDLICH or may_bind(law.first, phi, fixed, taken, pace):
+        taken = lower(taken, pace * (limit_of(law, phi, room) - fixed))
     return higher(taken, splat(0.0))
 
 
 @kernel
 def take_row(
-    seen: Any, held: Any, fibre: Any, rates: Any, to: int, row: int, base: int,
-    rate: float, isotherm: int, first: float, second: float, pace: float,
-) -> None:  # fmt: skip
+    seen: Float, held: Float, fibre: Float, rates: Float, to: int, row: int, base: int, law: Law, pace: float
+) -> None:
     """What a row of one layer takes in `rates[to + 2]`, and off what it gets, in `rates[to]`.
 
     `base` is the first row of the plane of `seen` and `held`.
     """
     for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
         phi, fixed, room = load(seen, base + row, c), load(held, base + row, c), load(fibre, row, c)
-        taken = taken_at(phi, fixed, room, rate, isotherm, first, second, pace)
+        taken = taken_at(phi, fixed, room, law, pace)
         store(rates, to + 2, c, taken)
         store(rates, to, c, load(rates, to, c) - taken)
 
 
 @kernel
-def limit_beside(isotherm: int, first: float, second: float, phi: float, room: float) -> float:
+def limit_beside(law: Law, phi: float, room: float) -> float:
     """A_d at mobile dye phi."""
-    if isotherm == PARTITION:
-        return first * phi
-    if isotherm == FREUNDLICH:
-        power: float = phi**second
-        return first * power
-    return room * first * phi / (1.0 + first * phi)
+    if law.kind == PARTITION:
+        return law.first * phi
+    if law.kind == FREUNDLICH:
+        power: float = phi**law.second
+        return law.first * power
+    return room * law.first * phi / (1.0 + law.first * phi)
 
 
 @kernel
-def limit_within(isotherm: int, first: float, second: float, total: float, room: float) -> float:
+def limit_within(law: Law, total: float, room: float) -> float:
     """The A with A = A_d(S - A)."""
-    if isotherm == PARTITION:
+    first, second = law.first, law.second
+    if law.kind == PARTITION:
         return first * total / (1.0 + first)
-    if isotherm == FREUNDLICH:
+    if law.kind == FREUNDLICH:
         # phi + k phi^b = S is concave in phi: from below its root Newton's steps stay below it.
         phi = min(0.5 * total, (0.5 * total / first) ** (1.0 / second)) if first > 0.0 else total
         for _ in range(ROUNDS):
@@ -96,68 +93,64 @@ def limit_within(isotherm: int, first: float, second: float, total: float, room:
 
 @kernel
 def settle_row(
-    phi: Any, before: Any, fixed: Any, held: Any, fibre: Any, floor: Any, row: int, nx: int, pace: float,
-    rate: float, isotherm: int, first: float, second: float,
-) -> None:  # fmt: skip
-    """Bring a row's fixed dye to its limit; `held` is fixed dye and `before` mobile dye at the step's start."""
+    phi: Float, before: Float, fixed: Float, taking: Taking, floor: Float, row: int, nx: int, pace: float
+) -> None:
+    """Bring a row's fixed dye to its limit; `before` is mobile dye at the step's start."""
+    held, fibre = taking.start, taking.fibre
+    law = Law(taking.kind, taking.first, taking.second, taking.rate)
     for c in range(LEFT, LEFT + nx):
         there, found, room = phi[row, c], fixed[row, c], fibre[row, c]
         if not (there > found and room > found):
             continue
-        limit = min(limit_beside(isotherm, first, second, there, room), room)
-        if not (limit > found and pace * (limit - found) < rate * (there - found)):
+        limit = min(limit_beside(law, there, room), room)
+        if not (limit > found and pace * (limit - found) < law.rate * (there - found)):
             continue
         mean = 0.5 * (there + before[row, c])
         if there > floor[row, c]:
-            limit = limit_within(isotherm, first, second, there + found, room)
-        most = min(min(limit, room), mean - (mean - held[row, c]) * math.exp(-rate))
+            limit = limit_within(law, there + found, room)
+        most = min(min(limit, room), mean - (mean - held[row, c]) * math.exp(-law.rate))
         taken = min(max(most - found, 0.0), there)
         phi[row, c], fixed[row, c] = there - taken, found + taken
 
 
 @parallel_kernel
-def settle_bands(cuts: Any, phi: Any, before: Any, fixed: Any, taking: Any, floor: Any, nx: int, pace: float) -> None:
-    """All rows of both layers, (2 r, w)."""
+def settle_bands(
+    cuts: Rows, phi: Float, before: Float, fixed: Float, taking: Taking, floor: Float, nx: int, pace: float
+) -> None:
+    """Settle all rows of both layers, (2 r, w)."""
     r = phi.shape[0] // 2
     for b in prange(cuts.shape[0] - 1):
         for row in range(cuts[b], cuts[b + 1]):
             for layer in range(2):
-                settle_row(
-                    phi, before, fixed, taking.start, taking.fibre, floor, row + layer * r, nx, pace,
-                    taking.rate, taking.isotherm, taking.first, taking.second,
-                )  # fmt: skip
+                settle_row(phi, before, fixed, taking, floor, row + layer * r, nx, pace)
 
 
 @kernel
-def bound_row(
-    phi: Any, before: Any, fixed: Any, held: Any, fibre: Any, floor: Any, row: int, nx: int,
-    isotherm: int, first: float, second: float,
-) -> None:  # fmt: skip
-    """Bring a row's fixed dye between `held`, that at the start, and what was allowed; the rest is mobile again.
+def bound_row(phi: Float, before: Float, fixed: Float, taking: Taking, floor: Float, row: int, nx: int) -> None:
+    """Bring a row's fixed dye between that at the start and what was allowed; the rest is mobile again.
 
     What is allowed is A_d of the more mobile dye of the step's start and its end. Stages swing about a limit that
     they come to by 2 rho dt / s^2 (Legendre's polynomials), 5 % of it where the first half hour fills fibre.
     """
+    held, fibre = taking.start, taking.fibre
+    law = Law(taking.kind, taking.first, taking.second, taking.rate)
     for c in range(LEFT, LEFT + nx):
         least, there = held[row, c], phi[row, c] + fixed[row, c]
         found = min(max(fixed[row, c], least), max(fibre[row, c], least))
         if found > least:
             room, begun = fibre[row, c], max(before[row, c], floor[row, c])
-            if found > limit_beside(isotherm, first, second, max(begun, there - found), room):
-                limit = limit_beside(isotherm, first, second, begun, room)
-                limit = max(limit, limit_within(isotherm, first, second, max(there, 0.0), room))
+            if found > limit_beside(law, max(begun, there - found), room):
+                limit = limit_beside(law, begun, room)
+                limit = max(limit, limit_within(law, max(there, 0.0), room))
                 found = min(found, max(limit, least))
         phi[row, c], fixed[row, c] = there - found, found
 
 
 @parallel_kernel
-def bound_bands(cuts: Any, phi: Any, before: Any, fixed: Any, taking: Any, floor: Any, nx: int) -> None:
-    """All rows of both layers, (2 r, w)."""
+def bound_bands(cuts: Rows, phi: Float, before: Float, fixed: Float, taking: Taking, floor: Float, nx: int) -> None:
+    """Bound all rows of both layers, (2 r, w)."""
     r = phi.shape[0] // 2
     for b in prange(cuts.shape[0] - 1):
         for row in range(cuts[b], cuts[b + 1]):
             for layer in range(2):
-                bound_row(
-                    phi, before, fixed, taking.start, taking.fibre, floor, row + layer * r, nx,
-                    taking.isotherm, taking.first, taking.second,
-                )  # fmt: skip
+                bound_row(phi, before, fixed, taking, floor, row + layer * r, nx)

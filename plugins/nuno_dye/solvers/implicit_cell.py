@@ -14,14 +14,14 @@ it is found by trying them.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, PARTITION
-from nuno_dye.laws.potential import amount, potential
+from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, PARTITION, Law
+from nuno_dye.laws.potential import Curve, amount, potential
 from nuno_dye.solvers.fixing import limit_beside
-from nuno_dye.solvers.sums import sum_compensated
+from nuno_dye.solvers.upkeep import sum_compensated
 from nuno_kernels import kernel
 from nuno_schemas.fabric import Float
 
@@ -37,34 +37,36 @@ class Fibre(NamedTuple):
     least  A_0, at the step's start
     begun  A_b, where the stage begins
     room   V_d
-    rate   D_ab dt / d^2 of the stage
+    kind, first, second, rate  as in nuno_dye.laws.adsorption.Law, of the stage
     """
 
     least: Float
     begun: Float
     room: Float
-    rate: float
-    isotherm: int
+    kind: int
     first: float
     second: float
+    rate: float
 
 
 @kernel
-def held_at(x: float, fibre: Any, at: int, c: int) -> float:
+def held_at(x: float, fibre: Fibre, at: int, c: int) -> float:
     """A at mobile dye x."""
-    begun, room = fibre.begun[at, c], fibre.room[at, c]
-    free = max(begun, (begun + fibre.rate * x) / (1.0 + fibre.rate))
-    limit = min(limit_beside(fibre.isotherm, fibre.first, fibre.second, max(x, 0.0), room), room)
+    begun, room, rate = fibre.begun[at, c], fibre.room[at, c], fibre.rate
+    free = max(begun, (begun + rate * x) / (1.0 + rate))
+    law = Law(fibre.kind, fibre.first, fibre.second, rate)
+    limit = min(limit_beside(law, max(x, 0.0), room), room)
     held: float = max(fibre.least[at, c], min(limit, free))
     return held
 
 
 @kernel
-def solve_limit(isotherm: int, first: float, second: float, total: float, ways: float, room: float) -> float:
+def solve_limit(law: Law, total: float, ways: float, room: float) -> float:
     """The x >= 0 with ways x + A_d(x) = total, total > 0."""
-    if isotherm == PARTITION:
+    first, second = law.first, law.second
+    if law.kind == PARTITION:
         return total / (ways + first)
-    if isotherm == FREUNDLICH:
+    if law.kind == FREUNDLICH:
         # Concave in x: from below its root Newton's steps stay below it.
         x = min(0.5 * total / ways, (0.5 * total / first) ** (1.0 / second)) if first > 0.0 else total / ways
         for _ in range(ROUNDS):
@@ -81,31 +83,34 @@ def solve_limit(isotherm: int, first: float, second: float, total: float, ways: 
 
 
 @kernel
-def solve_cell(total: float, ways: float, fibre: Any, at: int, c: int) -> Any:
+def solve_cell(total: float, ways: float, fibre: Fibre | None, at: int, c: int) -> float:
     """The x with ways x + A(x) - A_b = total."""
     if fibre is None or fibre.room[at, c] <= fibre.least[at, c]:
         return total / ways
     begun, least, room, rate = fibre.begun[at, c], fibre.least[at, c], fibre.room[at, c], fibre.rate
-    x = total / ways
+    law = Law(fibre.kind, fibre.first, fibre.second, rate)
+    x: float = total / ways
     if x > begun:
         x = (total + begun * rate / (1.0 + rate)) / (ways + rate / (1.0 + rate))
     elif x <= 0.0:
         return x
     free = max(begun, (begun + rate * x) / (1.0 + rate))
-    if min(limit_beside(fibre.isotherm, fibre.first, fibre.second, x, room), room) >= free:
+    if min(limit_beside(law, x, room), room) >= free:
         return x
     total += begun
     x = (total - least) / ways
-    if limit_beside(fibre.isotherm, fibre.first, fibre.second, max(x, 0.0), room) <= least:
+    if limit_beside(law, max(x, 0.0), room) <= least:
         return x
     x = (total - room) / ways
-    if x > 0.0 and limit_beside(fibre.isotherm, fibre.first, fibre.second, x, room) >= room:
+    if x > 0.0 and limit_beside(law, x, room) >= room:
         return x
-    return solve_limit(fibre.isotherm, fibre.first, fibre.second, total, ways, room)
+    return solve_limit(law, total, ways, room)
 
 
 @kernel
-def solve_level(total: float, ways: float, near: float, curve: Any, fibre: Any, at: int, c: int) -> Any:
+def solve_level(
+    total: float, ways: float, near: float, curve: Curve | None, fibre: Fibre | None, at: int, c: int
+) -> float:
     """The level G(x) with x + (ways - 1) G(x) + A(x) - A_b = total, `near` being a level close to it.
 
     G is concave and lies below its tangent at any x, of which `solve_cell` knows the root: that root is
@@ -124,14 +129,13 @@ def solve_level(total: float, ways: float, near: float, curve: Any, fibre: Any, 
     return level
 
 
-def hold_back(law: tuple[int, float, float], floor: Float, least: Float, fixed: Float, room: Float) -> float:
+def hold_back(law: Law, floor: Float, least: Float, fixed: Float, room: Float) -> float:
     """Take from kept-up fibre what prolonging put beyond its limit at the floor, in place; what the supply saves.
 
     Left there, it would come off the fibre into a cell that is at its floor already, and raise it and its limit.
     """
-    kind, first, second = law
-    limit = first * (floor**second if kind == FREUNDLICH else floor)
-    if kind == LANGMUIR:
+    limit = law.first * (floor**law.second if law.kind == FREUNDLICH else floor)
+    if law.kind == LANGMUIR:
         limit = room * limit / (1.0 + limit)
     beyond = np.where(floor > 0.0, np.maximum(fixed - np.maximum(least, np.minimum(limit, room)), 0.0), 0.0)
     fixed -= beyond

@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import prange
 
-from nuno_dye.laws.potential import amount
-from nuno_dye.solvers.diffusion import LEFT
-from nuno_dye.solvers.implicit_cell import held_at, solve_level
+from nuno_dye.laws.potential import Curve, amount
+from nuno_dye.solvers.diffusion import LEFT, Rows
+from nuno_dye.solvers.implicit_cell import Fibre, held_at, solve_level
 from nuno_kernels import kernel, parallel_kernel
 from nuno_schemas.fabric import Float
 
@@ -41,16 +41,22 @@ class Stage(NamedTuple):
     level    G of mobile dye (nuno_dye.laws.potential), from a first guess to the solution
     passed   f, any where nothing can be limited
     begun    b
+    floor    G of what is kept up, 0 where nothing is
+    along, down, across  weights of the faces
     """
 
     level: Float
     passed: Float
     begun: Float
+    floor: Float
+    along: Float
+    down: Float
+    across: Float
 
 
 @kernel
 def root_among(
-    stage: Any, weights: Any, curve: Any, fibre: Any, row: int, r: int, layer: int, c: int
+    stage: Stage, curve: Curve | None, fibre: Fibre | None, row: int, layer: int, c: int
 ) -> tuple[float, float]:
     """Root of a cell's equation with f = 1 for itself, and the sum of its ways there.
 
@@ -58,10 +64,11 @@ def root_among(
     equation is concave, Newton's steps from below its root stay below, and each passes another cell. One step alone
     goes to and fro between both sides of a full neighbour, if it is over-relaxed.
     """
-    level, passed, along, down = stage.level, stage.passed, weights.along, weights.down
+    level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
+    r = across.shape[0]
     at, other = row + layer * r, row + r - layer * r
     east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
-    through, x = weights.across[row, c], level[at, c]
+    through, x = across[row, c], level[at, c]
     p_0, p_1, p_2, p_3 = level[at, c + 1], level[at, c - 1], level[at + 1, c], level[at - 1, c]
     f_0, f_1, f_2, f_3 = passed[at, c + 1], passed[at, c - 1], passed[at + 1, c], passed[at - 1, c]
     p_4, f_4, begun, ways = level[other, c], passed[other, c], stage.begun[at, c], 1.0
@@ -85,13 +92,14 @@ def root_among(
 
 @kernel
 def root_open(
-    stage: Any, weights: Any, curve: Any, fibre: Any, row: int, r: int, layer: int, c: int
+    stage: Stage, curve: Curve | None, fibre: Fibre | None, row: int, layer: int, c: int
 ) -> tuple[float, float]:
-    """The same where nothing can be limited."""
-    level, along, down = stage.level, weights.along, weights.down
+    """Root of a cell's equation where nothing can be limited, and the sum of its ways."""
+    level, along, down, across = stage.level, stage.along, stage.down, stage.across
+    r = across.shape[0]
     at, other = row + layer * r, row + r - layer * r
     east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
-    through = weights.across[row, c]
+    through = across[row, c]
     ways = 1.0 + (((east + west) + (south + north)) + through)
     total = stage.begun[at, c] + (
         ((east * level[at, c + 1] + west * level[at, c - 1]) + (south * level[at + 1, c] + north * level[at - 1, c]))
@@ -109,12 +117,13 @@ def flows_at(level: float, way: float, other: float, factor: float) -> tuple[flo
 
 @kernel
 def fill_cell(
-    limit: float, begun: float, level: Any, passed: Any, weights: Any, curve: Any, fibre: Any, kept: bool, row: int,
-    r: int, layer: int, c: int,
-) -> tuple[float, float, float]:  # fmt: skip
+    limit: float, stage: Stage, curve: Curve | None, fibre: Fibre | None, kept: bool, row: int, layer: int, c: int
+) -> tuple[float, float, float]:
     """Level, factor and inflow of a cell whose root without a factor lies beyond its limit."""
+    level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
+    r = across.shape[0]
     at, other = row + layer * r, row + r - layer * r
-    along, down, across = weights.along, weights.down, weights.across
+    begun = stage.begun[at, c]
     came, went, ways = 0.0, 0.0, 0.0
     for way, i, k in (
         (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
@@ -134,7 +143,7 @@ def fill_cell(
 
 
 @kernel
-def distance(root: float, here: float, ways: float, curve: Any) -> float:
+def distance(root: float, here: float, ways: float, curve: Curve | None) -> float:
     """What a level leaves of its cell's equation, in amounts."""
     if curve is None:
         return abs(root - here) * ways
@@ -143,23 +152,21 @@ def distance(root: float, here: float, ways: float, curve: Any) -> float:
 
 @kernel
 def relax_cell(
-    stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any, most: Any, omega: float, row: int, r: int,
-    layer: int, c: int,
+    stage: Stage, curve: Curve | None, fibre: Fibre | None, most: Float | None, omega: float, row: int, layer: int,
+    c: int,
 ) -> Any:  # fmt: skip
     """Bring one cell nearer to its root; the residual of its equation before, in amounts."""
-    level, passed, at = stage.level, stage.passed, row + layer * r
+    level, passed, at = stage.level, stage.passed, row + layer * stage.across.shape[0]
     here = level[at, c]
     if most is None:
-        root, ways = root_open(stage, weights, curve, fibre, row, r, layer, c)
+        root, ways = root_open(stage, curve, fibre, row, layer, c)
     else:
-        root, ways = root_among(stage, weights, curve, fibre, row, r, layer, c)
-    least = floor[at, c]
+        root, ways = root_among(stage, curve, fibre, row, layer, c)
+    least = stage.floor[at, c]
     kept = least > 0.0 and root <= least
     if most is not None and (root >= most[at, c] or (kept and least >= most[at, c])):
         limit = most[at, c]
-        found, factor, came = fill_cell(
-            limit, stage.begun[at, c], level, passed, weights, curve, fibre, least >= limit > 0.0, row, r, layer, c
-        )
+        found, factor, came = fill_cell(limit, stage, curve, fibre, least >= limit > 0.0, row, layer, c)
         off = distance(found, here, ways, curve) + abs(factor - passed[at, c]) * came
         level[at, c], passed[at, c] = found, factor
         return off
@@ -181,14 +188,13 @@ def relax_cell(
 
 @kernel
 def relax_row(
-    colour: int, omega: float, stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any, most: Any, nx: int,
+    colour: int, omega: float, stage: Stage, curve: Curve | None, fibre: Fibre | None, most: Float | None, nx: int,
     row: int, largest: float,
 ) -> float:  # fmt: skip
-    """The cells of one colour in a row of both layers; the larger of `largest` and their residuals."""
-    r = weights.across.shape[0]
+    """Relax the cells of one colour in a row of both layers; the larger of `largest` and their residuals."""
     for layer in range(2):
         for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
-            off = relax_cell(stage, weights, curve, fibre, floor, most, omega, row, r, layer, c)
+            off = relax_cell(stage, curve, fibre, most, omega, row, layer, c)
             # What is not a number must stay so.
             if not off <= largest and largest == largest:
                 largest = off
@@ -197,47 +203,47 @@ def relax_row(
 
 @parallel_kernel
 def relax_bands(
-    omega: float, second: float, cuts: Any, stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any, most: Any,
-    nx: int, worst: Any,
+    omega: float, second: float, cuts: Rows, stage: Stage, curve: Curve | None, fibre: Fibre | None,
+    most: Float | None, nx: int, worst: Float,
 ) -> None:  # fmt: skip
-    """One colour everywhere, the other a row behind it while that is in the cache, but in the bands' outer rows, which
-    the first colour of the next band still sees as they were.
+    """Relax one colour everywhere, and the other a row behind it while that is in the cache, but for the bands' outer
+    rows, which the first colour of the next band still sees as they were.
     """
     for b in prange(cuts.shape[0] - 1):
         largest = 0.0
         for row in range(cuts[b], cuts[b + 1]):
-            largest = relax_row(0, omega, stage, weights, curve, fibre, floor, most, nx, row, largest)
+            largest = relax_row(0, omega, stage, curve, fibre, most, nx, row, largest)
             if row - 1 > cuts[b]:
-                largest = relax_row(1, second, stage, weights, curve, fibre, floor, most, nx, row - 1, largest)
+                largest = relax_row(1, second, stage, curve, fibre, most, nx, row - 1, largest)
         worst[b, 0] = largest
 
 
 @parallel_kernel
 def relax_edges(
-    omega: float, cuts: Any, stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any, most: Any, nx: int,
-    worst: Any,
+    omega: float, cuts: Rows, stage: Stage, curve: Curve | None, fibre: Fibre | None, most: Float | None, nx: int,
+    worst: Float,
 ) -> None:  # fmt: skip
-    """The other colour in the bands' outer rows."""
+    """Relax the other colour in the bands' outer rows."""
     for b in prange(cuts.shape[0] - 1):
         first, last = cuts[b], cuts[b + 1] - 1
-        largest = relax_row(1, omega, stage, weights, curve, fibre, floor, most, nx, first, 0.0)
+        largest = relax_row(1, omega, stage, curve, fibre, most, nx, first, 0.0)
         if last > first:
-            largest = relax_row(1, omega, stage, weights, curve, fibre, floor, most, nx, last, largest)
+            largest = relax_row(1, omega, stage, curve, fibre, most, nx, last, largest)
         worst[b, 1] = largest
 
 
 @kernel
 def relax(
-    sweeps: int, radius: float, bound: float, cuts: Any, stage: Any, weights: Any, curve: Any, fibre: Any, floor: Any,
-    most: Any, nx: int,
+    sweeps: int, radius: float, bound: float, cuts: Rows, stage: Stage, curve: Curve | None, fibre: Fibre | None,
+    most: Float | None, nx: int,
 ) -> tuple[int, float]:  # fmt: skip
     """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times; sweeps and last residual."""
     worst = np.zeros((cuts.shape[0] - 1, 2))
     square, omega, residual = radius * radius, 1.0, np.inf
     for n in range(sweeps):
         second = 1.0 / (1.0 - 0.5 * square) if n == 0 else 1.0 / (1.0 - 0.25 * square * omega)
-        relax_bands(omega, second, cuts, stage, weights, curve, fibre, floor, most, nx, worst)
-        relax_edges(second, cuts, stage, weights, curve, fibre, floor, most, nx, worst)
+        relax_bands(omega, second, cuts, stage, curve, fibre, most, nx, worst)
+        relax_edges(second, cuts, stage, curve, fibre, most, nx, worst)
         omega = 1.0 / (1.0 - 0.25 * square * second)
         residual = worst.max()
         if residual <= bound or not np.isfinite(residual):
@@ -253,18 +259,19 @@ def flow(way: float, here: float, other: float, factor: float, other_factor: flo
 
 @kernel
 def settle_row(
-    out: Any, held: Any, stage: Any, weights: Any, curve: Any, fibre: Any, limited: bool, row: int, r: int, layer: int,
-    nx: int,
+    out: Float, held: Float, stage: Stage, curve: Curve | None, fibre: Fibre | None, limited: bool, row: int,
+    layer: int, nx: int,
 ) -> None:  # fmt: skip
     """What the fluxes of the solution make of one row of one layer, and what its fibre then holds."""
-    level, passed, along, down = stage.level, stage.passed, weights.along, weights.down
+    level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
+    r = across.shape[0]
     at, other = row + layer * r, row + r - layer * r
     for c in range(LEFT, LEFT + nx):
         here, f = level[at, c], passed[at, c] if limited else 1.0
         came = 0.0
         for way, i, k in (
             (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
-            (down[at - 1, c], at - 1, c), (weights.across[row, c], other, c),
+            (down[at - 1, c], at - 1, c), (across[row, c], other, c),
         ):  # fmt: skip
             came += flow(way, here, level[i, k], f, passed[i, k] if limited else 1.0)
         taken = 0.0
@@ -277,11 +284,10 @@ def settle_row(
 
 @parallel_kernel
 def settle(
-    out: Any, held: Any, cuts: Any, stage: Any, weights: Any, curve: Any, fibre: Any, limited: bool, nx: int
+    out: Float, held: Float, cuts: Rows, stage: Stage, curve: Curve | None, fibre: Fibre | None, limited: bool, nx: int
 ) -> None:
     """Mobile and fixed dye after the stage, from the fluxes: a residual moves dye then, and makes none."""
-    r = weights.across.shape[0]
     for b in prange(cuts.shape[0] - 1):
         for row in range(cuts[b], cuts[b + 1]):
             for layer in range(2):
-                settle_row(out, held, stage, weights, curve, fibre, limited, row, r, layer, nx)
+                settle_row(out, held, stage, curve, fibre, limited, row, layer, nx)

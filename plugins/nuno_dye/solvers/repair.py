@@ -9,12 +9,11 @@ cells lie together, and then came to an end no better than rounding.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from nuno_dye.solvers.diffusion import LEFT
+from nuno_dye.solvers.diffusion import LEFT, Rows, Weights
 from nuno_kernels import kernel
+from nuno_schemas.fabric import Float, Int
 
 ROUNDS = 100
 """Times that excess is sent on, each time from twice as far: nearly all of it has room beside it, and cells that get
@@ -27,7 +26,7 @@ ROOM = 2.0**-20
 
 
 @kernel
-def face(weights: Any, r: int, row: int, c: int, side: int) -> tuple[float, int, int]:
+def face(weights: Weights, r: int, row: int, c: int, side: int) -> tuple[float, int, int]:
     """Weight of a cell's face, and the row, (2 r, w), and column of the cell behind it."""
     if side == 0:
         return weights.along[row, c], row, c + 1
@@ -42,14 +41,16 @@ def face(weights: Any, r: int, row: int, c: int, side: int) -> tuple[float, int,
 
 
 @kernel
-def room_of(phi: Any, most: Any, row: int, c: int, lacking: bool) -> float:
+def room_of(phi: Float, most: Float, row: int, c: int, lacking: bool) -> float:
     """What a cell can take; what it can give where others lack."""
     there: float = phi[row, c]
     return there if lacking else most[row, c] - there
 
 
 @kernel
-def find_outside(phi: Any, most: Any, floor: Any, first: int, last: int, nx: int, lacking: bool, queue: Any) -> int:
+def find_outside(
+    phi: Float, most: Float, floor: Float, first: int, last: int, nx: int, lacking: bool, queue: Rows
+) -> int:
     """Cells above capacity, or below nothing, into `queue` as row w + c; how many."""
     r, w, found = phi.shape[0] // 2, phi.shape[1], 0
     for layer in range(2):
@@ -71,14 +72,14 @@ def find_outside(phi: Any, most: Any, floor: Any, first: int, last: int, nx: int
 
 @kernel
 def find_ends(
-    phi: Any, most: Any, weights: Any, lacking: bool, queue: Any, count: int, far: Any, ends: Any, reach: int,
-    worth: float,
-) -> int:  # fmt: skip
+    phi: Float, most: Float, weights: Weights, lacking: bool, queue: Rows, count: int, far: Int, ends: Rows, reach: int
+) -> int:
     """Cells with room no more than `reach` faces from the `count` first of `queue`, into `ends`; how many.
 
     `far` is then 0 where there is room, -1 on the way, and -2 where nobody has been.
     """
     r, w, found, at = weights.across.shape[0], phi.shape[1], 0, 0
+    worth = 0.0 if reach >= phi.size else ROOM
     for n in range(count):
         far[queue[n] // w, queue[n] % w] = -1
     for _ in range(reach):
@@ -103,7 +104,7 @@ def find_ends(
 
 
 @kernel
-def measure_ways(weights: Any, w: int, far: Any, ends: Any, count: int) -> int:
+def measure_ways(weights: Weights, w: int, far: Int, ends: Rows, count: int) -> int:
     """Faces between each cell that was passed and room into `far`, and the cells into `ends`, nearest first."""
     r, at = weights.across.shape[0], 0
     while at < count:
@@ -119,7 +120,7 @@ def measure_ways(weights: Any, w: int, far: Any, ends: Any, count: int) -> int:
 
 
 @kernel
-def send_on(phi: Any, most: Any, weights: Any, floor: Any, lacking: bool, far: Any, row: int, c: int) -> None:
+def send_on(phi: Float, most: Float, weights: Weights, floor: Float, lacking: bool, far: Int, row: int, c: int) -> None:
     """Bring one cell within its bounds; what it has beyond goes a face nearer to room."""
     r, near = weights.across.shape[0], far[row, c] - 1
     if lacking and floor[row, c] > 0.0:
@@ -143,7 +144,9 @@ def send_on(phi: Any, most: Any, weights: Any, floor: Any, lacking: bool, far: A
 
 
 @kernel
-def repair_side(phi: Any, most: Any, floor: Any, weights: Any, first: int, last: int, nx: int, lacking: bool) -> int:
+def repair_side(
+    phi: Float, most: Float, floor: Float, weights: Weights, first: int, last: int, nx: int, lacking: bool
+) -> int:
     """Bring amounts below capacity, or above nothing; how many cells still lie outside."""
     w = phi.shape[1]
     queue = np.empty(phi.size, np.int64)
@@ -154,9 +157,8 @@ def repair_side(phi: Any, most: Any, floor: Any, weights: Any, first: int, last:
     reach = 1
     for _ in range(ROUNDS):
         far[:] = -2
-        everywhere = reach >= phi.size
-        count = find_ends(phi, most, weights, lacking, queue, outside, far, ends, reach, 0.0 if everywhere else ROOM)
-        if count == 0 and everywhere:
+        count = find_ends(phi, most, weights, lacking, queue, outside, far, ends, reach)
+        if count == 0 and reach >= phi.size:
             break
         for n in range(measure_ways(weights, w, far, ends, count) - 1, count - 1, -1):
             send_on(phi, most, weights, floor, lacking, far, ends[n] // w, ends[n] % w)
@@ -168,7 +170,7 @@ def repair_side(phi: Any, most: Any, floor: Any, weights: Any, first: int, last:
 
 
 @kernel
-def repair(phi: Any, most: Any, floor: Any, weights: Any, first: int, last: int, nx: int) -> int:
+def repair(phi: Float, most: Float, floor: Float, weights: Weights, first: int, last: int, nx: int) -> int:
     """Bring amounts (2 r, w) into 0 .. `most`; how many cells still lie outside. Not a number stays.
 
     A cell with a `floor` above 0 may lack what it will be given.

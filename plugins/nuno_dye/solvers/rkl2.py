@@ -17,34 +17,19 @@ comes from the nearest cells that can take or give it (nuno_dye.solvers.repair).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_dye.laws.adsorption import NOTHING
 from nuno_dye.laws.potential import Curve, curve_of
-from nuno_dye.solvers.bands import Cut
-from nuno_dye.solvers.diffusion import Rows
+from nuno_dye.solvers import solving
 from nuno_dye.solvers.fixing import Taking, bound_bands, settle_bands
-from nuno_dye.solvers.legendre import find_coefficients, find_stages
-from nuno_dye.solvers.long_steps import BEYOND, split_steps, weights_of, write_back
-from nuno_dye.solvers.repair import repair
-from nuno_dye.solvers.rkl2_rows import ROWS
-from nuno_dye.solvers.rkl2_stage import LEVELS, Amounts, Law, Weights, super_step
-from nuno_dye.solvers.solving import (
-    Known,
-    begin_frame,
-    count_bands,
-    describe_threads,
-    know,
-    largest_amounts,
-    law_of,
-    make_report,
-    renew_work,
-    require_compiled_laws,
-)
-from nuno_dye.solvers.sums import sum_compensated
+from nuno_dye.solvers.long_steps import Layout, LongSteps, keep_up, split_steps
+from nuno_dye.solvers.rkl2_rows import ROWS, Rules
+from nuno_dye.solvers.rkl2_stage import LEVELS, Amounts, super_step
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.plugin import Config
@@ -66,31 +51,28 @@ class Rkl2Config(Config):
 
 
 @dataclass
-class Room:
-    """One dye's arrays in the kernel's layout; `floor` is 0 where nothing is kept up, `kept` whether anything is."""
+class Spread:
+    """One dye while it is advanced.
 
+    amounts  in the kernel's layout
+    fixes    whether fibre takes any; kept, whether any cell is kept up; limited, whether limits may bind
+    curve    how D falls with it
+    """
+
+    one: Dye
     amounts: Amounts
-    mobile: Float
-    taking: Taking | None
-    floor: Float
+    fixes: bool
     kept: bool
     limited: bool
     curve: Curve | None
 
-
-@dataclass
-class Work:
-    """What was made from a system; rooms by dye and whether limits may bind, weights by their scale."""
-
-    config: Rkl2Config
-    known: Known
-    cut: Cut
-    cuts: Rows
-    rooms: dict[tuple[int, bool], Room] = field(default_factory=dict)
-    weights: dict[float, Weights] = field(default_factory=dict)
+    @property
+    def floor(self) -> Float | None:
+        """(2 r, w) what is kept up, None where nothing is."""
+        return self.amounts.floor if self.kept else None
 
 
-class Rkl2:
+class Rkl2(LongSteps):
     """Second-order super-time-stepping."""
 
     name: ClassVar[str] = "rkl2"
@@ -101,161 +83,135 @@ class Rkl2:
         """Memory: `highest` (dyes,), the largest amount that any cell can have had; `met` (2,), sums of the room and of
         the floors that the last step met; `since` (1,), steps since they were others. Raises BadInput.
         """
-        require_compiled_laws(system, self.name)
-        arrays = {"highest": largest_amounts(state), "met": np.full(2, np.nan), "since": np.zeros(1)}
-        return Memory(arrays, _make_work(config, system))
-
-    def limit(self, config: Rkl2Config, system: DyeSystem) -> float:
-        """None: stages follow from the step."""
-        return math.inf
+        solving.require_compiled_laws(system, self.name)
+        arrays = {"highest": solving.largest_amounts(state.phi), "met": np.full(2, np.nan), "since": np.zeros(1)}
+        return Memory(arrays, Layout(config, MARGIN, system))
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
         """See nuno_schemas.dye.DyeSolver."""
-        work = _renew_work(memory, system)
+        layout: Layout = solving.renew_work(memory, system)
         highest, since = memory.arrays["highest"], memory.arrays["since"]
-        if begin_frame(memory.arrays, work.known, steps):
+        if solving.begin_frame(memory.arrays, layout.known, steps):
             since[:] = 0.0
         totals, given, message = {"steps": steps, "stages": 0}, [], ""
         for k in range(len(system.dyes)):
-            limited = not float(highest[k]) <= work.known.room
-            added, failed = _advance_one(work, k, state, steps, dt, limited, int(since[0]), totals)
+            limited = not float(highest[k]) <= layout.known.room
+            added, failed = _advance_one(layout, k, state, steps, dt, limited, int(since[0]), totals)
             given.append(added)
             message = message or failed
         state.t += steps * dt
         since[0] = int(since[0]) + steps
-        return make_report(system, state, totals, given, message)
-
-    def about(self, system: DyeSystem) -> str:
-        return describe_threads(system)
+        return solving.make_report(system, state, totals, given, message)
 
 
-def _make_work(config: Rkl2Config, system: DyeSystem) -> Work:
-    known = know(system)
-    cut = Cut(system.cells.fibre.shape, 1, MARGIN)
-    cuts = cut.top + np.linspace(0, cut.ny, count_bands(system) + 1).astype(np.int64)
-    return Work(config, known, cut, cuts)
+def find_stages(reach: float) -> int:
+    """Least odd number of stages that covers `reach` explicit limits."""
+    s = max(3, math.ceil(0.5 * (math.sqrt(9.0 + 16.0 * reach) - 1.0)))
+    return s + (s + 1) % 2
 
 
-def _renew_work(memory: Memory, system: DyeSystem) -> Work:
-    work: Work = memory.work  # type: ignore[assignment]
-    memory.work = work = renew_work(work, system, lambda other: _make_work(work.config, other), work.rooms)
-    return work
+def find_coefficients(s: int) -> Float:
+    """(s, 4) mu, nu, mu', gamma' of the stages (Meyer, Balsara and Aslam 2014, equations 16 and 17)."""
+    j = np.arange(s + 1.0)
+    b = np.full(s + 1, 1.0 / 3.0)
+    b[2:] = (j[2:] ** 2 + j[2:] - 2.0) / (2.0 * j[2:] * (j[2:] + 1.0))
+    w = 4.0 / (s * s + s - 2.0)
+    found = np.zeros((s, 4))
+    found[0, 2] = b[1] * w
+    found[1:, 0] = (2.0 * j[2:] - 1.0) / j[2:] * b[2:] / b[1:-1]
+    found[1:, 1] = -(j[2:] - 1.0) / j[2:] * b[2:] / b[:-2]
+    found[1:, 2] = found[1:, 0] * w
+    found[1:, 3] = -(1.0 - b[1:-1]) * found[1:, 2]
+    return found
 
 
-def _planes(work: Work, array: Float) -> Float:
-    """(2, ny, nx) in the kernel's layout (2 r, w)."""
-    layout: Float = work.cut.fill(array)[0][0]
-    return layout
-
-
-def _room(work: Work, k: int, limited: bool) -> Room:
-    found = work.rooms.get((k, limited))
-    if found is not None:
-        return found
-    system, shape, floors = work.known.system, work.cut.shape[1:], work.known.floors
-    floor = np.zeros((2 * work.cut.height, shape[-1])) if floors is None else _planes(work, floors[k])
-    kept = bool(floor.any())
-    kind, first, second = law_of(system.dyes[k])
+def _spread(layout: Layout, k: int, limited: bool) -> Spread:
+    """Arrays for one dye, kept until supplies keep up something else."""
+    if (k, limited) in layout.fed:
+        return layout.fed[k, limited]  # type: ignore[no-any-return]
+    shape, floors, one = layout.mobile.shape, layout.known.floors, layout.known.system.dyes[k]
+    floor = np.zeros(shape) if floors is None else layout.planes(floors[k])
+    kept, fixes = bool(floor.any()), solving.law_of(one, 1.0).kind != NOTHING
 
     def planes() -> Float:
         return np.zeros((3 * shape[0], shape[1]))
 
     own = planes()
-    held, seen = planes() if kind else own, planes() if kept else own
+    held, seen = planes() if fixes else own, planes() if kept else own
+    bite = np.zeros(shape) if fixes else own
     # Bands shrink by a row or two a stage at either end, and must keep one: what lies between them stays apart then.
-    levels = int(min(LEVELS, max(1, np.diff(work.cuts).min() // 4)))
-    scratch = np.zeros((len(work.cuts) - 1, levels * ROWS, shape[1]))
-    amounts = Amounts(own, np.zeros(shape), seen, held, planes() if limited else own, scratch)
-    fibre = _planes(work, system.cells.fixed_room)
-    taking = Taking(held[: shape[0]], np.zeros(shape), fibre, 0.0, kind, first, second) if kind else None
-    mobile = _planes(work, system.cells.mobile_room)
-    found = Room(amounts, mobile, taking, floor, kept, limited, curve_of(system.dyes[k]))
-    work.rooms[k, limited] = found
+    levels = int(min(LEVELS, max(1, np.diff(layout.cuts).min() // 4)))
+    scratch = np.zeros((len(layout.cuts) - 1, levels * ROWS, shape[1]))
+    factors = planes() if limited else own
+    amounts = Amounts(own, np.zeros(shape), seen, floor, held, bite, layout.fibre, factors, scratch)
+    layout.fed[k, limited] = found = Spread(one, amounts, fixes, kept, limited, curve_of(one))
     return found
 
 
 def _advance_one(
-    work: Work, k: int, state: DyeState, steps: int, dt: float, limited: bool, since: int, totals: dict[str, int]
+    layout: Layout, k: int, state: DyeState, steps: int, dt: float, limited: bool, since: int, totals: dict[str, int]
 ) -> tuple[float, str]:
     """Bring one dye from the start of a frame to its end or to where a step fails; what was given, why it fails."""
-    room, parts = _room(work, k, limited), 1
-    one, cells = work.known.system.dyes[k], work.known.system.cells
-    scale = one.D0 * dt / cells.size**2
-    while find_stages(_reach(work, room, one, scale / parts)) > MOST_STAGES:
+    spread, parts = _spread(layout, k, limited), 1
+    scale = spread.one.D0 * dt / layout.known.system.cells.size**2
+    while find_stages(_reach(layout, spread, scale / parts)) > MOST_STAGES:
         parts += parts
-    amounts = _planes(work, state.phi[k]), _planes(work, state.fixed[k])
+    amounts = layout.planes(state.phi[k]), layout.planes(state.fixed[k])
     given: list[float] = []
-    failed, reach = "", _reach(work, room, one, scale / parts)
-    for share in split_steps(since * parts, steps * parts, reach, work.config.start):
-        after, added = _step(work, room, one, amounts, float(share) * scale / parts, totals)
+    failed, reach = "", _reach(layout, spread, scale / parts)
+    for share in split_steps(since * parts, steps * parts, reach, layout.config.start):
+        after, added = _step(layout, spread, amounts, float(share) * scale / parts, totals)
         if after is None:
             failed = f"a step of {float(share) * dt / parts:g} s leaves amounts beyond capacity"
             break
         amounts = after
         given.append(added)
     if steps == 0:
-        _step(work, room, one, amounts, 0.0, dict(totals))
-    write_back(work.cut, amounts, state.phi[k], state.fixed[k])
+        _step(layout, spread, amounts, 0.0, dict(totals))
+    layout.write_back(amounts, state.phi[k], state.fixed[k])
     return math.fsum(given), failed
 
 
-def _reach(work: Work, room: Room, one: Dye, scale: float) -> float:
+def _reach(layout: Layout, spread: Spread, scale: float) -> float:
     """Explicit limits in a step."""
-    stiffer = STIFFER if room.limited or room.taking is not None else 1.0
-    return scale * (work.known.most * one.steepest * stiffer + (one.adsorption if room.taking is not None else 0.0))
+    stiffer = STIFFER if spread.limited or spread.fixes else 1.0
+    one = spread.one
+    return scale * (layout.known.most * one.steepest * stiffer + (one.adsorption if spread.fixes else 0.0))
 
 
 def _step(
-    work: Work, room: Room, one: Dye, start: tuple[Float, Float], scale: float, totals: dict[str, int]
+    layout: Layout, spread: Spread, start: tuple[Float, Float], scale: float, totals: dict[str, int]
 ) -> tuple[tuple[Float, Float] | None, float]:
     """One step; mobile and fixed dye at its end, None where that fails, and what was given."""
-    phi = start[0]
-    reach = _reach(work, room, one, scale)
-    pace, taking = max(PACE * reach, 1.0), room.taking
-    taking = taking and taking._replace(rate=one.adsorption * scale)
-    found, bound = _run(work, room, start, taking, scale, reach, pace)
+    phi, floor, nx = start[0], spread.amounts.floor, layout.cut.nx
+    reach = _reach(layout, spread, scale)
+    pace, law = max(PACE * reach, 1.0), solving.law_of(spread.one, scale)
+    found, fixed = _run(layout, spread, start, scale, reach, Rules(*law, pace, spread.kept))
     totals["stages"] += find_stages(reach)
-    if taking is not None:
-        bound_bands(work.cuts, found, phi, bound, taking, room.floor, work.cut.nx)
-    first, weights = work.cut.top, weights_of(work.weights, work.cut, work.known.faces, scale)
-    most = np.maximum(room.mobile, phi)
-    # Kept-up cells take any excess of their neighbours': it is given back to the supply that fed them.
-    bound_for = np.where(room.floor > 0.0, most + BEYOND, most) if room.kept else most
-    if repair(found, bound_for, room.floor, weights, first, first + work.cut.ny - 1, work.cut.nx) > 0:
+    taking = Taking(spread.amounts.held[: len(phi)], layout.fibre, *law)
+    if spread.fixes:
+        bound_bands(layout.cuts, found, phi, fixed, taking, floor, nx)
+    most = np.maximum(layout.mobile, phi)
+    if layout.mend(found, most, spread.floor, scale) > 0:
         return None, 0.0
-    given = _keep(room, found, most)
-    if taking is not None:
-        settle_bands(work.cuts, found, phi, bound, taking, room.floor, work.cut.nx, pace)
-        given += _keep(room, found, most)
-    return (found, bound), given
-
-
-def _keep(room: Room, phi: Float, most: Float) -> float:
-    """Bring kept-up cells between their floor and `most`; what that took, less what it gave back."""
-    if not room.kept:
-        return 0.0
-    kept = np.where(room.floor > 0.0, np.clip(phi, room.floor, most), phi)
-    given = sum_compensated((kept - phi).reshape(-1))
-    np.copyto(phi, kept)
-    return given
+    given = keep_up(found, spread.floor, most)
+    if spread.fixes:
+        settle_bands(layout.cuts, found, phi, fixed, taking, floor, nx, pace)
+        given += keep_up(found, spread.floor, most)
+    return (found, fixed), given
 
 
 def _run(
-    work: Work, room: Room, start: tuple[Float, Float], taking: Taking | None, scale: float, reach: float, pace: float
+    layout: Layout, spread: Spread, start: tuple[Float, Float], scale: float, reach: float, rules: Rules
 ) -> tuple[Float, Float]:
     """All stages; raw mobile and fixed amounts at their end."""
-    amounts, height = room.amounts, len(start[0])
+    amounts, height = spread.amounts, len(start[0])
     amounts.mobile.reshape(3, height, -1)[:] = start[0]
-    if taking is not None:
+    if spread.fixes:
         amounts.held.reshape(3, height, -1)[:] = start[1]
-    if room.kept:
-        np.maximum(start[0], room.floor, out=amounts.seen[:height])
-    weights, mobile = weights_of(work.weights, work.cut, work.known.faces, scale), room.mobile if room.limited else None
-    coefficients = find_coefficients(find_stages(reach))
-    bite, fibre, law = amounts.slope, room.mobile, Law(0.0, 0, 0.0, 0.0, pace, False, room.kept)
-    if taking is not None:
-        bite, fibre = taking.slope, taking.fibre
-        law = Law(taking.rate, taking.isotherm, taking.first, taking.second, pace, True, room.kept)
-    super_step(coefficients, law, work.cuts, weights, room.curve, amounts, bite, fibre, room.floor, mobile)
+    if spread.kept:
+        np.maximum(start[0], amounts.floor, out=amounts.seen[:height])
+    coefficients, most = find_coefficients(find_stages(reach)), layout.mobile if spread.limited else None
+    super_step(coefficients, rules, layout.cuts, layout.weights_of(scale), spread.curve, amounts, most)
     even = slice(height, 2 * height)
-    return amounts.mobile[even].copy(), amounts.held[even].copy() if taking is not None else start[1]
+    return amounts.mobile[even].copy(), amounts.held[even].copy() if spread.fixes else start[1]

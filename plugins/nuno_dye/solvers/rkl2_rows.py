@@ -2,20 +2,22 @@
 
 A kernel takes a row of both layers, (2 r, w), weft rows before warp rows, and puts what the next one needs into
 `scratch` from row `slots` on: four rows of SLOT each in turn, and M itself from RATES on. Amounts lie in three planes,
-one after the other, (6 r, w); `base`, `here`, `into`, `passed` and `passing` are the planes' first rows. To choose
-among three arrays for every row cost more than the row itself: numba counts who holds an array.
+one after the other, (6 r, w), known by their first rows (see Place). Every array is an argument of its own: numba
+counts who holds one that is chosen among several, or taken out of a tuple, which for every row cost more than the row.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
-from nuno_dye.laws.potential import potentials
+from nuno_dye.laws.adsorption import NOTHING, Law
+from nuno_dye.laws.potential import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, slide
 from nuno_dye.solvers.fixing import taken_at
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import higher, lower, where_greater
 from nuno_kernels.lanes.simd import WIDTH, load, splat, store
+from nuno_schemas.fabric import Float
 
 SLOT = 7
 """Rows of scratch for a row of cells: fluxes to the right, down, and between the layers, and the layers' factors."""
@@ -25,13 +27,51 @@ ROWS = RATES + 4
 """Rows of scratch of a stage."""
 
 
+class Rules(NamedTuple):
+    """What binds the cells of a step.
+
+    kind, first, second, rate  how fibre takes dye, as in nuno_dye.laws.adsorption.Law
+    pace                       how fast a cell comes to its capacity, and fibre to its limit
+    kept                       whether any cell is kept up
+
+    Whether fibre takes any and `kept` are asked row by row; as arguments that may be None they made four kernels of
+    each, of seven seconds' compilation.
+    """
+
+    kind: int
+    first: float
+    second: float
+    rate: float
+    pace: float
+    kept: bool
+
+
+class Place(NamedTuple):
+    """Where a kernel works.
+
+    slots    first row of its scratch
+    row      of both layers
+    here     first row of the plane that the stage starts from
+    into     first row of the plane that the stage fills
+    passed   first row of the plane of factors that are known
+    passing  first row of the plane of factors that the next stage takes
+    """
+
+    slots: int
+    row: int
+    here: int
+    into: int
+    passed: int
+    passing: int
+
+
 @kernel
 def spread_row(
-    seen: Any, along: Any, down: Any, across: Any, curve: Any, scratch: Any, slots: int, row: int, base: int
+    seen: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, place: Place
 ) -> None:
     """M of a row's cells where no limit can bind."""
-    other = row + across.shape[0]
-    here_0, here_1, left_0, left_1, rates = base + row, base + other, splat(0.0), splat(0.0), slots + RATES
+    row, other, rates = place.row, place.row + across.shape[0], place.slots + RATES
+    here_0, here_1, left_0, left_1 = place.here + row, place.here + other, splat(0.0), splat(0.0)
     for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
         phi_0, phi_1 = potentials(load(seen, here_0, c), curve), potentials(load(seen, here_1, c), curve)
         right_0 = load(along, row, c) * (potentials(load(seen, here_0, c + 1), curve) - phi_0)
@@ -47,20 +87,19 @@ def spread_row(
 
 
 @kernel
-def begin_row(planes: Any, slope: Any, scratch: Any, of: int, row: int, into: int, first: float) -> None:
-    """The first stage of a row of one layer, whose M is scratch[of]; keeps it."""
-    for c in range(LEFT, planes.shape[1] - WIDTH, WIDTH):
-        rate = load(scratch, of, c)
-        store(slope, row, c, rate)
-        store(planes, into, c, load(planes, row, c) + first * rate)
-
-
-@kernel
-def finish_row(
-    planes: Any, slope: Any, scratch: Any, of: int, row: int, here: int, into: int,
-    mu: float, nu: float, new: float, old: float,
-) -> None:  # fmt: skip
-    """A later stage of a row of one layer."""
+def advance_row(
+    planes: Float, slope: Float, scratch: Float, of: int, row: int, here: int, into: int, coefs: Float, j: int
+) -> None:
+    """Stage `j` of a row of one layer, whose M is scratch[of]; the first stage keeps M as `slope`."""
+    here, into = row + here, row + into
+    if j == 0:
+        first = coefs[0, 2]
+        for c in range(LEFT, planes.shape[1] - WIDTH, WIDTH):
+            rate = load(scratch, of, c)
+            store(slope, row, c, rate)
+            store(planes, into, c, load(planes, row, c) + first * rate)
+        return
+    mu, nu, new, old = coefs[j, 0], coefs[j, 1], coefs[j, 2], coefs[j, 3]
     for c in range(LEFT, planes.shape[1] - WIDTH, WIDTH):
         begun, rate = load(planes, row, c), load(scratch, of, c)
         steps = mu * (load(planes, here, c) - begun) + nu * (load(planes, into, c) - begun)
@@ -68,32 +107,20 @@ def finish_row(
 
 
 @kernel
-def see_row(seen: Any, planes: Any, floor: Any, row: int, into: int) -> None:
+def see_row(seen: Float, planes: Float, floor: Float, row: int, into: int) -> None:
     """What neighbours see of a row."""
     for c in range(LEFT, planes.shape[1] - WIDTH, WIDTH):
         store(seen, into, c, higher(load(floor, row, c), load(planes, into, c)))
 
 
 @kernel
-def advance_row(
-    planes: Any, slope: Any, scratch: Any, of: int, row: int, here: int, into: int, coefs: Any, j: int
-) -> None:
-    """Stage `j` of a row of one layer, from its M."""
-    if j == 0:
-        begin_row(planes, slope, scratch, of, row, row + into, coefs[0, 2])
-    else:
-        finish_row(
-            planes, slope, scratch, of, row, row + here, row + into, coefs[j, 0], coefs[j, 1], coefs[j, 2], coefs[j, 3]
-        )
-
-
-@kernel
 def flux_row(
-    seen: Any, along: Any, down: Any, across: Any, curve: Any, scratch: Any, slots: int, row: int, base: int
+    seen: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, place: Place
 ) -> None:
     """Fluxes of a row's faces into its slot."""
-    other, slot = row + across.shape[0], slots + SLOT * (row % 4)
-    here_0, here_1 = base + row, base + other
+    row, other = place.row, place.row + across.shape[0]
+    slot = place.slots + SLOT * (row % 4)
+    here_0, here_1 = place.here + row, place.here + other
     for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
         phi_0, phi_1 = potentials(load(seen, here_0, c), curve), potentials(load(seen, here_1, c), curve)
         store(scratch, slot, c, load(along, row, c) * (potentials(load(seen, here_0, c + 1), curve) - phi_0))
@@ -105,17 +132,19 @@ def flux_row(
 
 @kernel
 def open_row(
-    seen: Any, held: Any, fibre: Any, most: Any, floor: Any, factors: Any, scratch: Any, law: Any, slots: int, row: int,
-    r: int, base: int, passed: int,
+    seen: Float, held: Float, fibre: Float, most: Float, floor: Float, factors: Float, scratch: Float, rules: Rules,
+    place: Place,
 ) -> None:  # fmt: skip
     """Factors of the inflow of a row's cells, from those in plane `passed`.
 
     What flows out of a kept-up cell the supply replaces; what fibre takes leaves room there, too.
     """
-    slot, above, nothing = slots + SLOT * (row % 4), slots + SLOT * ((row - 1) % 4), splat(0.0)
+    row, r, nothing = place.row, most.shape[0] // 2, splat(0.0)
+    law = Law(rules.kind, rules.first, rules.second, rules.rate)
+    slot, above = place.slots + SLOT * (row % 4), place.slots + SLOT * ((row - 1) % 4)
     for layer in range(2):
         before, at, sign = splat(0.0), row + layer * r, 1.0 - 2.0 * layer
-        here, known, known_other = at + base, at + passed, row + r - layer * r + passed
+        here, known, known_other = at + place.here, at + place.passed, row + r - layer * r + place.passed
         for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
             right, down = load(scratch, slot + layer, c), load(scratch, slot + 2 + layer, c)
             left, up = slide(before, right), load(scratch, above + 2 + layer, c)
@@ -128,12 +157,12 @@ def open_row(
             went = went + higher(up, nothing) * load(factors, known - 1, c)
             went = went - lower(down, nothing) * load(factors, known + 1, c)
             went = went - lower(other, nothing) * load(factors, known_other, c)
-            if law.kept:
+            if rules.kept:
                 went = went - where_greater(load(floor, at, c), nothing, went)
-            if law.fixes:
+            if law.kind != NOTHING:
                 fixed, room = load(held, here, c), load(fibre, at, c)
-                went = went + taken_at(phi, fixed, room, law.rate, law.isotherm, law.first, law.second, law.pace)
-            share = (went + law.pace * (load(most, at, c) - phi)) / came
+                went = went + taken_at(phi, fixed, room, law, rules.pace)
+            share = (went + rules.pace * (load(most, at, c) - phi)) / came
             store(scratch, slot + 5 + layer, c, higher(lower(share, splat(1.0)), nothing))
             before = right
 
@@ -145,7 +174,7 @@ def scaled(flow: Any, here: Any, other: Any) -> Any:
 
 
 @kernel
-def limited_row(scratch: Any, slots: int, row: int) -> None:
+def limited_row(scratch: Float, slots: int, row: int) -> None:
     """M of a row's cells, from fluxes and factors of its own and of the rows above and below."""
     slot, above, below = slots + SLOT * (row % 4), slots + SLOT * ((row - 1) % 4), slots + SLOT * ((row + 1) % 4)
     for layer in range(2):
@@ -161,8 +190,9 @@ def limited_row(scratch: Any, slots: int, row: int) -> None:
 
 
 @kernel
-def keep_factors(factors: Any, scratch: Any, slots: int, row: int, r: int, passing: int) -> None:
+def keep_factors(factors: Float, scratch: Float, place: Place) -> None:
     """Factors of a row into plane `passing`, for the next stage."""
+    r, slot = factors.shape[0] // 6, place.slots + SLOT * (place.row % 4)
     for layer in range(2):
         for c in range(LEFT, factors.shape[1] - WIDTH, WIDTH):
-            store(factors, row + layer * r + passing, c, load(scratch, slots + SLOT * (row % 4) + 5 + layer, c))
+            store(factors, place.row + layer * r + place.passing, c, load(scratch, slot + 5 + layer, c))

@@ -20,14 +20,19 @@ is taken after both. Nothing is computed twice, and the bits do not depend on ba
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from numba import prange
 
+from nuno_dye.laws.adsorption import NOTHING, Law
+from nuno_dye.laws.potential import Curve
+from nuno_dye.solvers.diffusion import Rows, Weights
 from nuno_dye.solvers.fixing import take_row
 from nuno_dye.solvers.rkl2_rows import (
     RATES,
     ROWS,
+    Place,
+    Rules,
     advance_row,
     flux_row,
     keep_factors,
@@ -49,42 +54,23 @@ class Amounts(NamedTuple):
     """One dye while it takes a step. Three planes (6 r, w) hold amounts at the start, in even and in odd stages.
 
     mobile   phi, raw; `slope` (2 r, w) is dt M(Y_0)
-    seen     what neighbours see of it: `mobile` itself, but where it is kept up no less than its floor
-    held     what fibre has taken, any where it takes nothing
-    factors  of even and odd stages, the first plane unused; any where nothing is limited
+    seen     what neighbours see of it: `mobile` itself, but where it is kept up no less than its `floor` (2 r, w)
+    held     what fibre has taken; `bite` (2 r, w) is what it takes at first, `fibre` (2 r, w) is V_d
+    factors  of even and odd stages, the first plane unused
     scratch  (bands, levels ROWS, w), ROWS as in nuno_dye.solvers.rkl2_rows
+
+    Those of fibre are any where it takes nothing, `floor` where nothing is kept up, `factors` where nothing is limited.
     """
 
     mobile: Float
     slope: Float
     seen: Float
+    floor: Float
     held: Float
+    bite: Float
+    fibre: Float
     factors: Float
     scratch: Float
-
-
-class Weights(NamedTuple):
-    """D dt / d^2 of the faces: to the next column and the next row (2 r, w), between the layers (r, w)."""
-
-    along: Float
-    down: Float
-    across: Float
-
-
-class Law(NamedTuple):
-    """D_ab dt / d^2, the isotherm and its numbers; how fast a cell comes to its capacity, and fibre to its limit.
-
-    `fixes` and `kept`: whether fibre takes any, and whether any is kept up. They are asked row by row; as arguments
-    that may be None they made four kernels of each, of seven seconds' compilation.
-    """
-
-    rate: float
-    isotherm: int
-    first: float
-    second: float
-    pace: float
-    fixes: bool
-    kept: bool
 
 
 class Stages(NamedTuple):
@@ -95,119 +81,96 @@ class Stages(NamedTuple):
     turn: int
 
 
-@kernel
-def end_row(
-    row: int, here: int, into: int, j: int, coefs: Any, law: Any, r: int, mobile: Any, slope: Any, seen: Any,
-    held: Any, bite: Any, fibre: Any, floor: Any, scratch: Any, rates: int,
-) -> None:  # fmt: skip
-    """Stage `j` of a row of both layers, from what diffusion brings it, in scratch[rates] and the next."""
-    for layer in range(2):
-        at, of = row + layer * r, rates + layer
-        if law.fixes:
-            take_row(
-                seen, held, fibre, scratch, of, at, here, law.rate, law.isotherm, law.first, law.second, law.pace
-            )  # fmt: skip
-            advance_row(held, bite, scratch, of + 2, at, here, into, coefs, j)
-        advance_row(mobile, slope, scratch, of, at, here, into, coefs, j)
-        if law.kept:
-            see_row(seen, mobile, floor, at, at + into)
+class Span(NamedTuple):
+    """Rows `top` to `bottom` of the first stage, and how many more each later one takes above and below."""
+
+    top: int
+    bottom: int
+    up: int
+    low: int
 
 
 @kernel
 def pass_rows(
-    top: int, bottom: int, up: int, low: int, stages: Any, law: Any, coefs: Any, along: Any, down: Any, across: Any,
-    curve: Any, mobile: Any, slope: Any, seen: Any, held: Any, bite: Any, fibre: Any, floor: Any, most: Any,
-    factors: Any, scratch: Any,
+    span: Span, stages: Stages, rules: Rules, coefs: Float, weights: Weights, curve: Curve | None, amounts: Amounts,
+    most: Float | None, scratch: Float,
 ) -> None:  # fmt: skip
-    """All stages of a pass, the first of rows `top` to `bottom`, and each `up` and `low` rows further.
-
-    All arrays are arguments of their own: numba counts who holds one that is taken out of a tuple, for every row.
-    """
+    """All stages of a pass over some rows; arrays are taken out of the tuples here, once for them all."""
+    along, down, across, factors = weights.along, weights.down, weights.across, amounts.factors
+    mobile, slope, seen, floor = amounts.mobile, amounts.slope, amounts.seen, amounts.floor
+    held, bite, fibre = amounts.held, amounts.bite, amounts.fibre
+    law = Law(rules.kind, rules.first, rules.second, rules.rate)
     depth, r = 1 if most is None else 2, across.shape[0]
-    for at in range(top, bottom + (low + depth) * (stages.number - 1) + 1):
+    for at in range(span.top, span.bottom + (span.low + depth) * (stages.number - 1) + 1):
         for n in range(stages.number):
-            row, begin, j, slots = at - depth * n, top + up * n, stages.first + n, ROWS * n
-            if not begin <= row <= bottom + low * n:
+            row, begin, j, slots = at - depth * n, span.top + span.up * n, stages.first + n, ROWS * n
+            if not begin <= row <= span.bottom + span.low * n:
                 continue
             into = 2 * r * (1 + j % 2)
             here = 0 if j <= 0 else 6 * r - into
+            turn = stages.turn if j < 0 else j % 2
+            passed, passing = 2 * r * (1 + turn), 2 * r * (2 - turn)
             if most is None:
-                spread_row(seen, along, down, across, curve, scratch, slots, row, here)
+                spread_row(seen, along, down, across, curve, scratch, Place(slots, row, here, into, passed, passing))
             else:
-                turn = stages.turn if j < 0 else j % 2
-                if row == begin:
-                    flux_row(seen, along, down, across, curve, scratch, slots, row - 2, here)
-                for ahead in range(row - 1 if row == begin else row + 1, row + 2):
-                    flux_row(seen, along, down, across, curve, scratch, slots, ahead, here)
-                    open_row(
-                        seen, held, fibre, most, floor, factors, scratch, law, slots, ahead, r, here, 2 * r * (1 + turn)
-                    )
-                keep_factors(factors, scratch, slots, row, r, 2 * r * (2 - turn))
+                for ahead in range(row - 2 if row == begin else row + 1, row + 2):
+                    place = Place(slots, ahead, here, into, passed, passing)
+                    flux_row(seen, along, down, across, curve, scratch, place)
+                    if ahead > row - 2:
+                        open_row(seen, held, fibre, most, floor, factors, scratch, rules, place)
+                keep_factors(factors, scratch, Place(slots, row, here, into, passed, passing))
                 if j >= 0:
                     limited_row(scratch, slots, row)
-            if j >= 0:
-                end_row(
-                    row, here, into, j, coefs, law, r, mobile, slope, seen, held, bite, fibre, floor, scratch,
-                    slots + RATES,
-                )  # fmt: skip
+            for layer in range(2 if j >= 0 else 0):
+                to, of = row + layer * r, slots + RATES + layer
+                if law.kind != NOTHING:
+                    take_row(seen, held, fibre, scratch, of, to, here, law, rules.pace)
+                    advance_row(held, bite, scratch, of + 2, to, here, into, coefs, j)
+                advance_row(mobile, slope, scratch, of, to, here, into, coefs, j)
+                if rules.kept:
+                    see_row(seen, mobile, floor, to, to + into)
 
 
 @parallel_kernel
 def pass_bands(
-    stages: Any, law: Any, coefs: Any, cuts: Any, weights: Any, curve: Any, amounts: Any, bite: Any, fibre: Any,
-    floor: Any, most: Any,
+    stages: Stages, rules: Rules, coefs: Float, cuts: Rows, weights: Weights, curve: Curve | None, amounts: Amounts,
+    most: Float | None,
 ) -> None:  # fmt: skip
     """What of a pass the bands can take without each other."""
     bands, depth = cuts.shape[0] - 1, 1 if most is None else 2
     for b in prange(bands):
-        pass_rows(
-            cuts[b], cuts[b + 1] - 1, depth if b > 0 else 0, -depth if b < bands - 1 else 0, stages, law, coefs,
-            weights.along, weights.down, weights.across, curve, amounts.mobile, amounts.slope, amounts.seen,
-            amounts.held, bite, fibre, floor, most, amounts.factors, amounts.scratch[b],
-        )  # fmt: skip
+        span = Span(cuts[b], cuts[b + 1] - 1, depth if b > 0 else 0, -depth if b < bands - 1 else 0)
+        pass_rows(span, stages, rules, coefs, weights, curve, amounts, most, amounts.scratch[b])
 
 
 @parallel_kernel
 def pass_between(
-    stages: Any, law: Any, coefs: Any, cuts: Any, weights: Any, curve: Any, amounts: Any, bite: Any, fibre: Any,
-    floor: Any, most: Any,
+    stages: Stages, rules: Rules, coefs: Float, cuts: Rows, weights: Weights, curve: Curve | None, amounts: Amounts,
+    most: Float | None,
 ) -> None:  # fmt: skip
     """The rest of a pass, between the bands. A loop of its own: numba would fuse it."""
     depth = 1 if most is None else 2
     for b in prange(1, cuts.shape[0] - 1):
-        pass_rows(
-            cuts[b], cuts[b] - 1, -depth, depth, stages, law, coefs,
-            weights.along, weights.down, weights.across, curve, amounts.mobile, amounts.slope, amounts.seen,
-            amounts.held, bite, fibre, floor, most, amounts.factors, amounts.scratch[b],
-        )  # fmt: skip
+        span = Span(cuts[b], cuts[b] - 1, -depth, depth)
+        pass_rows(span, stages, rules, coefs, weights, curve, amounts, most, amounts.scratch[b])
 
 
 @kernel
 def super_step(
-    coefs: Any,
-    law: Any,
-    cuts: Any,
-    weights: Any,
-    curve: Any,
-    amounts: Any,
-    bite: Any,
-    fibre: Any,
-    floor: Any,
-    most: Any,
+    coefs: Float, rules: Rules, cuts: Rows, weights: Weights, curve: Curve | None, amounts: Amounts, most: Float | None
 ) -> None:
     """All stages, (s, 4) coefficients mu, nu, mu', gamma'; the last, as s is odd, is in the even plane.
 
     cuts (b + 1,) are first rows of the bands, and the one after the last. `curve` is None where D is constant, `most`
-    (V_u) where nothing can be limited. `bite`, what fibre takes at first, and `fibre`, V_d, are any where nothing is
-    adsorbed, as `floor` where nothing is kept up.
+    (V_u) where nothing can be limited.
     """
     levels = amounts.scratch.shape[1] // ROWS
     if most is not None:
         amounts.factors[:] = 0.0
         for n in range(SETTLING):
-            pass_bands(Stages(-1, 1, n % 2), law, coefs, cuts, weights, curve, amounts, bite, fibre, floor, most)
+            pass_bands(Stages(-1, 1, n % 2), rules, coefs, cuts, weights, curve, amounts, most)
     for first in range(0, coefs.shape[0], levels):
         stages = Stages(first, min(levels, coefs.shape[0] - first), 0)
-        pass_bands(stages, law, coefs, cuts, weights, curve, amounts, bite, fibre, floor, most)
+        pass_bands(stages, rules, coefs, cuts, weights, curve, amounts, most)
         if cuts.shape[0] > 2 and stages.number > 1:
-            pass_between(stages, law, coefs, cuts, weights, curve, amounts, bite, fibre, floor, most)
+            pass_between(stages, rules, coefs, cuts, weights, curve, amounts, most)

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Literal, Protocol
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Uptake
+from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Law
 from nuno_dye.laws.faces import Faces, face_sums, face_values
-from nuno_dye.solvers.sums import sum_compensated
+from nuno_dye.solvers.upkeep import sum_compensated
 from nuno_kernels import threads_available
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, Memory
 
 KINDS = {"partition": PARTITION, "freundlich": FREUNDLICH, "langmuir": LANGMUIR, "python": NOTHING}
 """Isotherms; one in Python is worked out between steps."""
+Status = Literal["ok", "diverged", "unconverged"]
 CELLS_PER_THREAD = 10_000
 """A pass over fewer takes some tens of microseconds, not much longer than to wake a thread."""
 
@@ -40,13 +41,15 @@ class Known:
     floors: Float | None
 
 
-class Works(Protocol):
-    """What a solver has made from a system."""
+class Work(Protocol):
+    """What a solver has made from a system; `fed` is the part of it that depends on what supplies keep up."""
 
     known: Known
+    fed: dict[Any, Any]
 
-
-W = TypeVar("W", bound=Works)
+    def made_for(self, system: DyeSystem) -> Work:
+        """The same for another system."""
+        ...
 
 
 def know(system: DyeSystem) -> Known:
@@ -58,31 +61,22 @@ def know(system: DyeSystem) -> Known:
     return Known(system, faces, float(sums.max()), room, floors)
 
 
-def measure_known(known: Known) -> Float:
-    """(2,) sums of the room for mobile dye and of the floors."""
-    room = sum_compensated(known.system.cells.mobile_room.reshape(-1))
-    return np.array([room, 0.0 if known.floors is None else sum_compensated(known.floors.reshape(-1))])
-
-
 def same_cells(one: DyeSystem, other: DyeSystem) -> bool:
     """Whether what was made from cells, dyes and threads holds for both; arrays count as changed if they are others."""
     return one.cells is other.cells and one.dyes == other.dyes and one.threads == other.threads
 
 
-def renew_work(work: W, system: DyeSystem, make: Callable[[DyeSystem], W], fed: dict[Any, Any]) -> W:
-    """What still holds for a system that may have other cells, dyes, threads or another supply than before.
-
-    `fed` is the part of it that depends on the supply.
-    """
+def renew_work(memory: Memory, system: DyeSystem) -> Any:
+    """A solver's work, made anew as far as the system has other cells, dyes, threads or another supply than before."""
+    work: Work = memory.work  # type: ignore[assignment]
     before = work.known.system
-    if system is before:
-        return work
     if not same_cells(system, before):
-        return make(system)
-    if system.supply is not before.supply:
-        fed.clear()
-    work.known = know(system)
-    return work
+        memory.work = work.made_for(system)
+    elif system is not before:
+        if system.supply is not before.supply:
+            work.fed.clear()
+        work.known = know(system)
+    return memory.work
 
 
 def adsorbs(one: Dye) -> bool:
@@ -90,19 +84,13 @@ def adsorbs(one: Dye) -> bool:
     return one.isotherm is not None and one.adsorption > 0.0
 
 
-def law_of(one: Dye) -> tuple[int, float, float]:
-    """Kind of its isotherm for the kernels, and its numbers; with exponent 1 Freundlich's is partition."""
+def law_of(one: Dye, scale: float) -> Law:
+    """How a dye is fixed by kernels, `scale` being D0 dt / d^2; Freundlich's isotherm with exponent 1 is partition."""
     law = one.isotherm
     if law is None or not adsorbs(one):
-        return NOTHING, 0.0, 0.0
+        return Law(NOTHING, 0.0, 0.0, 0.0)
     kind = PARTITION if law.kind == "freundlich" and law.second == 1.0 else KINDS[law.kind]
-    return kind, law.first, law.second
-
-
-def uptake_of(one: Dye, fixed: Float, fibre: Float, scale: float) -> Uptake | None:
-    """Adsorption of one dye, scale being D0 dt / d^2; None where no kernel fixes any."""
-    kind, first, second = law_of(one)
-    return None if kind == NOTHING else Uptake(fixed, fibre, one.adsorption * scale, kind, first, second)
+    return Law(kind, law.first, law.second, one.adsorption * scale)
 
 
 def require_laws(system: DyeSystem) -> None:
@@ -122,23 +110,23 @@ def require_compiled_laws(system: DyeSystem, solver: str) -> None:
             raise BadInput(f"{solver} knows no isotherm in Python", value=one.name, remedy=remedy)
 
 
-def largest_amounts(state: DyeState) -> Float:
-    """(dyes,) largest mobile amounts, a solver's memory of what any cell can have had."""
-    largest: Float = state.phi.reshape(state.phi.shape[0], -1).max(axis=1)
-    return largest
+def largest_amounts(amounts: Float) -> Float:
+    """(dyes,) largest of amounts (dyes, 2, ny, nx)."""
+    return np.asarray(amounts.reshape(len(amounts), -1).max(axis=1))
 
 
-def raise_largest(highest: NDArray[Any], known: Known) -> None:
-    """Count what supplies keep up among the largest amounts, in place."""
+def use_threads(highest: NDArray[Any], known: Known) -> None:
+    """Let kernels use a system's threads, and count what supplies keep up among the largest amounts, in place."""
+    numba.set_num_threads(max(1, min(known.system.threads, threads_available()[0])))
     if known.floors is not None:
-        np.maximum(highest, known.floors.reshape(len(highest), -1).max(axis=1), out=highest)
+        np.maximum(highest, largest_amounts(known.floors), out=highest)
 
 
 def begin_frame(arrays: Mapping[str, NDArray[Any]], known: Known, steps: int) -> bool:
     """Bring a solver's memory, `highest` and `met`, up to date; whether the next step meets other cells or floors."""
-    raise_largest(arrays["highest"], known)
-    numba.set_num_threads(max(1, min(known.system.threads, threads_available()[0])))
-    met = measure_known(known)
+    use_threads(arrays["highest"], known)
+    room = sum_compensated(known.system.cells.mobile_room.reshape(-1))
+    met = np.array([room, 0.0 if known.floors is None else sum_compensated(known.floors.reshape(-1))])
     fresh = steps > 0 and not np.array_equal(met, arrays["met"])
     if fresh:
         arrays["met"][:] = met
@@ -150,13 +138,16 @@ def count_bands(system: DyeSystem) -> int:
     return max(1, min(system.threads, threads_available()[0], system.cells.fibre.size // CELLS_PER_THREAD))
 
 
-def describe_threads(system: DyeSystem) -> str:
-    """How kernels run it, in words."""
-    available, why = threads_available()
-    number = count_bands(system)
-    if number == 1 and min(system.threads, available) > 1:
-        return f"1 thread: {system.cells.fibre.size:,} cells are fewer than several threads pay for"
-    return f"{number} thread{'s' if number > 1 else ''} of {available} ({why})"
+class Banded:
+    """A solver whose kernels take bands of rows on several threads."""
+
+    def about(self, system: DyeSystem) -> str:
+        """How kernels run a system, in words."""
+        available, why = threads_available()
+        number = count_bands(system)
+        if number == 1 and min(system.threads, available) > 1:
+            return f"1 thread: {system.cells.fibre.size:,} cells are fewer than several threads pay for"
+        return f"{number} thread{'s' if number > 1 else ''} of {available} ({why})"
 
 
 def make_report(
@@ -167,8 +158,7 @@ def make_report(
         tuple(sum_compensated(values.reshape(-1)) for values in amounts) for amounts in (state.phi, state.fixed)
     )
     gave = tuple(supplied) if system.supply is not None else ()
+    status: Status = "unconverged" if message else "ok"
     if not np.isfinite([*mobile, *fixed]).all():
-        message = "amounts of dye are no longer finite"
-        return DyeReport("diverged", totals["steps"], mobile, fixed, message, totals, gave)
-    status = "unconverged" if message else "ok"
-    return DyeReport(status, totals["steps"], mobile, fixed, message, totals, gave)  # type: ignore[arg-type]
+        status, message = "diverged", "amounts of dye are no longer finite"
+    return DyeReport(status, totals["steps"], mobile, fixed, message, totals, gave)

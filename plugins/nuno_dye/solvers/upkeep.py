@@ -1,21 +1,19 @@
 """Supplies that are kept up: after every step a cell holds at least its floor, and what that took is summed.
 
 The sum is kept by cell, compensated (Kahan 1965), so that it depends neither on bands nor on passes. Rows without
-a floor are not touched, and without an Upkeep nothing of this is compiled.
+a floor are not touched, and without an Upkeep nothing of this is compiled. All sums of dye keep what rounding loses.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nuno_dye.solvers.sums import sum_compensated
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import higher
 from nuno_kernels.lanes.simd import WIDTH, load, store
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Bool, Float
 
 
 class Upkeep(NamedTuple):
@@ -30,7 +28,7 @@ class Upkeep(NamedTuple):
     floor: Float
     given: Float
     lost: Float
-    rows: NDArray[np.bool_]
+    rows: Bool
 
 
 def make_upkeep(floor: Float) -> Upkeep:
@@ -52,7 +50,19 @@ def sum_given(given: Float, lost: Float) -> float:
 
 
 @kernel
-def keep_both(phi: Any, upkeep: Any, b: int, start: int, row: int, r: int) -> None:
+def sum_compensated(values: Float) -> float:
+    """Sum of a flat array after Neumaier (1974): off by rounding of the result, and n eps^2 sum |value|."""
+    total, lost = 0.0, 0.0
+    for i in range(values.shape[0]):
+        value = values[i]
+        larger = total + value
+        lost += (total - larger) + value if abs(total) >= abs(value) else (value - larger) + total
+        total = larger
+    return total + lost
+
+
+@kernel
+def keep_both(phi: Float, upkeep: Upkeep, b: int, start: int, row: int, r: int) -> None:
     """Raise one row of both layers of band `b`, (2 r, w), to its floor, from column `start` on."""
     if upkeep.rows[b, row]:
         keep_row(phi, upkeep.floor[b], upkeep.given[b], upkeep.lost[b], start, row)
@@ -60,7 +70,7 @@ def keep_both(phi: Any, upkeep: Any, b: int, start: int, row: int, r: int) -> No
 
 
 @kernel
-def keep_row(phi: Any, floor: Any, given: Any, lost: Any, start: int, row: int) -> None:
+def keep_row(phi: Float, floor: Float, given: Float, lost: Float, start: int, row: int) -> None:
     """Raise one row of one layer to its floor, from column `start` on."""
     for c in range(start, phi.shape[1] - WIDTH, WIDTH):
         there = load(phi, row, c)
