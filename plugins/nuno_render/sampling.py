@@ -7,15 +7,13 @@ pattern is a hash of a seed and never of a generator's state, so that tiles can 
 
 from __future__ import annotations
 
-from nuno_render.compiled import kernel
-
-# mypy: disable-error-code="no-untyped-def"
+from nuno_kernels import kernel
 
 MASK = 0xFFFFFFFF
 
 
 @kernel
-def scramble(a, b):
+def scramble(a: int, b: int) -> int:
     """A 32-bit hash of two numbers."""
     x = (a * 0x9E3779B1 + b * 0x85EBCA77 + 0x27220A95) & MASK
     x ^= x >> 16
@@ -26,13 +24,13 @@ def scramble(a, b):
 
 
 @kernel
-def uniform(i, pattern):
+def uniform(i: int, pattern: int) -> float:
     """A number in [0, 1) from a hash."""
     return scramble(i, pattern) / 4294967296.0
 
 
 @kernel
-def permute(i, count, pattern):
+def permute(i: int, count: int, pattern: int) -> int:
     """Where a permutation of `count` numbers takes i: rounds that are invertible on a power of two, walked until
     within `count`.
     """
@@ -66,7 +64,7 @@ def permute(i, count, pattern):
 
 
 @kernel
-def place_sample(s, columns, rows, pattern):
+def place_sample(s: int, columns: int, rows: int, pattern: int) -> tuple[float, float]:
     """(x, y) in [0, 1)^2 of sample s of columns x rows."""
     s = permute(s, columns * rows, scramble(pattern, 1))
     column = permute(s % columns, columns, scramble(pattern, 2))

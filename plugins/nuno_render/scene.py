@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
 from nuno_render.texture import Textures, gather_textures
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.drawing import Mesh
@@ -150,7 +150,7 @@ def vertex_normals(positions: Float, faces: Int, twins: Int) -> Float:
 
 
 @kernel
-def _add_face_normals(positions, faces, twins, normals):  # type: ignore[no-untyped-def]
+def _add_face_normals(positions: Float, faces: Int, twins: Int, normals: Float) -> None:
     """Add each face's normal, twice its area long, to its corners' twins."""
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

@@ -7,13 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
 from nuno_schemas.camera import axes
 from nuno_schemas.drawing import Camera
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-
-# mypy: disable-error-code="no-untyped-def"
 
 
 class Sight(NamedTuple):
@@ -40,7 +38,7 @@ def sight_of(camera: Camera) -> Sight:
 
 
 @kernel
-def aim(sight, x, y, width, height, d):
+def aim(sight: Sight, x: float, y: float, width: int, height: int, d: Float) -> None:
     """Unit vector along the ray through a place of a picture, (x, y) pixels from its upper left corner, into d (3,)."""
     u, v = (x - 0.5 * width) / sight.focal, (0.5 * height - y) / sight.focal
     for k in range(3):

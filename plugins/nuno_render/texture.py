@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
 from nuno_schemas.colour import to_linear
-
-# mypy: disable-error-code="no-untyped-def"
+from nuno_schemas.fabric import Float
 
 TAPS = 8
 """Most look-ups along the longer axis of a pixel's footprint."""
 
 
-@dataclass(frozen=True)
-class Textures:
+class Textures(NamedTuple):
     """texels (t, 3) float32 linear, all levels of all images; levels (m, l, 3) int64 per mesh:
-    first texel, height, width; count (m,) int64 levels, 0 for a mesh without image.
+    first texel, height, width; number (m,) int64 of levels, 0 for a mesh without image.
     """
 
     texels: NDArray[np.float32]
     levels: NDArray[np.int64]
-    count: NDArray[np.int64]
+    number: NDArray[np.int64]
 
 
 def gather_textures(images: list[NDArray[np.uint8] | None]) -> Textures:
@@ -65,8 +63,11 @@ def _halve(picture: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 
 @kernel
-def _bilinear(texels, start, height, width, u, v, weight, out):
+def _bilinear(
+    texels: NDArray[np.float32], level: NDArray[np.int64], u: float, v: float, weight: float, out: Float
+) -> None:
     """Add weight times the image at (u, v): repeats beyond [0, 1], (0, 0) is the upper left corner."""
+    start, height, width = level[0], level[1], level[2]
     x, y = (u - np.floor(u)) * width - 0.5, (v - np.floor(v)) * height - 0.5
     x0, y0 = np.floor(x), np.floor(y)
     fx, fy = x - x0, y - y0
@@ -79,14 +80,15 @@ def _bilinear(texels, start, height, width, u, v, weight, out):
 
 
 @kernel
-def look_up(texels, levels, count, u, v, ux, vx, uy, vy, out):
-    """Mean of an image over a pixel's footprint, into out (3,).
+def look_up(textures: Textures, mesh: int, place: Any, change: Any, out: Float) -> None:
+    """Mean of a mesh's image over a pixel's footprint about a place (u, v), into out (3,).
 
-    (ux, vx), (uy, vy): change of (u, v) over one pixel to the right and down. The longer of the
+    change: that of (u, v) over one pixel to the right, and down. The longer of the
     two is covered by taps and the shorter chooses the mip level, so that slanted cloth stays
     sharp along its short axis without aliasing along the long one.
     """
-    height, width = levels[0, 1], levels[0, 2]
+    texels, levels, count = textures.texels, textures.levels[mesh], textures.number[mesh]
+    (u, v), (ux, vx, uy, vy), height, width = place, change, levels[0, 1], levels[0, 2]
     a = np.sqrt((ux * width) ** 2 + (vx * height) ** 2)
     b = np.sqrt((uy * width) ** 2 + (vy * height) ** 2)
     long_u, long_v = (ux, vx) if a >= b else (uy, vy)
@@ -101,9 +103,8 @@ def look_up(texels, levels, count, u, v, ux, vx, uy, vy, out):
     for tap in range(taps):
         place = (tap + 0.5) / taps - 0.5
         tu, tv = u + place * long_u, v + place * long_v
-        _bilinear(texels, levels[coarse, 0], levels[coarse, 1], levels[coarse, 2], tu, tv, (1.0 - blend) / taps, out)
+        _bilinear(texels, levels[coarse], tu, tv, (1.0 - blend) / taps, out)
         if blend > 0.0 and coarse + 1 < count:
-            k = coarse + 1
-            _bilinear(texels, levels[k, 0], levels[k, 1], levels[k, 2], tu, tv, blend / taps, out)
+            _bilinear(texels, levels[coarse + 1], tu, tv, blend / taps, out)
         elif blend > 0.0:
-            _bilinear(texels, levels[coarse, 0], levels[coarse, 1], levels[coarse, 2], tu, tv, blend / taps, out)
+            _bilinear(texels, levels[coarse], tu, tv, blend / taps, out)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from straight_yarns import everywhere
 
-from nuno_render.rays.hits import DEPTH, meet_capsules, meet_triangle
+from nuno_render.rays.hits import make_buffers, meet_capsules, meet_triangle
 from nuno_render.rays.tree import capsule_tree, triangle_tree
 from nuno_render.sampling import permute, place_sample
 
@@ -24,10 +24,10 @@ def first_capsule(o, d, tree, keep=1, most=math.inf):
     """(item, entry, exit) of the first capsules that rays meet."""
     found = []
     for p, v in zip(o, d, strict=True):
-        items, enters, leaves = np.full(keep, -1), np.full(keep, np.inf), np.full(keep, -np.inf)
-        waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
-        count = meet_capsules(*p, *v, most, tree, keep, items, enters, leaves, waiting, bound)
-        found.append((count, items.copy(), enters.copy(), leaves.copy()))
+        buffers = make_buffers(keep)
+        buffers.items[:], buffers.enters[:], buffers.leaves[:] = -1, np.inf, -np.inf
+        count = meet_capsules(np.asarray(p), np.asarray(v), most, tree, keep, buffers)
+        found.append((count, buffers.items.copy(), buffers.enters.copy(), buffers.leaves.copy()))
     return found
 
 
@@ -141,7 +141,7 @@ def test_no_ray_passes_between_triangles_and_each_meets_the_right_one():
     a = i * n + j
     faces = np.concatenate([np.stack([a, a + 1, a + n], 1), np.stack([a + 1, a + n + 1, a + n], 1)]).astype(np.int32)
     tree = triangle_tree(points, faces)
-    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    buffers = make_buffers(1)
     eye = np.array([0.1, -0.2, 5.0])
     weights = RNG.dirichlet([1, 1, 1], 500)
     weights[:200, 0] = 0.0  # on edges
@@ -151,10 +151,10 @@ def test_no_ray_passes_between_triangles_and_each_meets_the_right_one():
     for face, weight in zip(RNG.choice(inner, 500), weights, strict=True):
         target = weight @ points[faces[face]]
         d = (target - eye) / np.linalg.norm(target - eye)
-        found, t = meet_triangle(*eye, *d, 0.0, math.inf, tree, waiting, bound)
+        found, t = meet_triangle(eye, d, tree, buffers)
         assert found >= 0 and abs(t - np.linalg.norm(target - eye)) < 1e-9
         assert found == face or weight.min() < 1e-9
-    assert meet_triangle(*eye, 0.0, 0.0, 1.0, 0.0, math.inf, tree, waiting, bound)[0] == -1
+    assert meet_triangle(eye, np.array([0.0, 0.0, 1.0]), tree, buffers)[0] == -1
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 16, 37])

@@ -2,15 +2,51 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
+from nuno_schemas.fabric import Float, Int
 
-# mypy: disable-error-code="no-untyped-def"
+
+class Lights(NamedTuple):
+    """The lights of a picture, and the maps that say what they reach.
+
+    direction (3,)        toward the key light; colour (3,) radiance of a white diffuse surface that faces it
+    up (3,)               away from the floor; sky, ground (3,) radiance of the sky overhead and of the floor below
+    spread                tangent of the key light's angular radius
+    sheen                 strength of the velvet-like rim of cloth
+    centre (3,)           middle of all maps [m]
+    disc (k, 2)           taps in the unit disc
+    depths (r, r)         seen along basis[2], basis (3, 3), at `scale` [texels/m] (draw_depths); r = 0: no shadows
+    nearest, farthest (k, r, r)  seen along k axes, their bases (k, 3, 3) and `sky_scale`; k = 0 where all is open
+    """
+
+    direction: Float
+    colour: Float
+    up: Float
+    sky: Float
+    ground: Float
+    spread: float
+    sheen: float
+    centre: Float
+    disc: Float
+    depths: NDArray[np.float32]
+    basis: Float
+    scale: float
+    nearest: NDArray[np.float32]
+    farthest: NDArray[np.float32]
+    bases: Float
+    sky_scale: float
 
 
 @kernel
-def draw_depths(positions, faces, basis, centre, scale, nearest, farthest):
+def draw_depths(
+    positions: Float, faces: Int, basis: Float, centre: Float, scale: float, nearest: NDArray[np.float32],
+    farthest: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Parallel projection of all faces into two maps of signed distance along basis[2].
 
     positions (n, 3); faces (f, 3); basis (3, 3) rows u, v and the direction toward the light;
@@ -55,7 +91,7 @@ def draw_depths(positions, faces, basis, centre, scale, nearest, farthest):
 
 
 @kernel
-def open_part(depths, x, y, z, sign):
+def open_part(depths: NDArray[np.float32], x: float, y: float, z: float, sign: float) -> float:
     """Part of a bilinear texel footprint at (x, y) that does not block a point at z.
 
     sign +1: blocked by what lies above z; -1: by what lies below (farthest map).
@@ -80,15 +116,15 @@ def open_part(depths, x, y, z, sign):
 
 
 @kernel
-def openness(px, py, pz, nx, ny, nz, skies):
+def openness(px: float, py: float, pz: float, nx: float, ny: float, nz: float, lights: Lights) -> float:
     """Part of the sky's light that reaches a point, 0 to 1.
 
-    (px, py, pz) a point and (nx, ny, nz) its unit normal on the side asked for; skies: nearest
-    and farthest maps (k, r, r) of k axes, their bases (k, 3, 3), centre (3,) and scale, as in
-    draw_depths. Each axis serves the one of its two directions that the normal faces, weighted
-    by cosine and by a sky that is brighter overhead. Without maps everything is open.
+    (px, py, pz) a point and (nx, ny, nz) its unit normal on the side asked for. Each axis of the sky's
+    maps serves the one of its two directions that the normal faces, weighted by cosine and by a sky that
+    is brighter overhead. Without maps everything is open.
     """
-    nearest, farthest, bases, up, centre, scale = skies
+    nearest, farthest, bases, up = lights.nearest, lights.farthest, lights.bases, lights.up
+    centre, scale = lights.centre, lights.sky_scale
     size = nearest.shape[1]
     lift = 1.5 / scale
     x, y, z = px - centre[0] + lift * nx, py - centre[1] + lift * ny, pz - centre[2] + lift * nz
@@ -111,27 +147,29 @@ def openness(px, py, pz, nx, ny, nz, skies):
 
 
 @kernel
-def floor_openness(corner, across, along, normal, skies, out):
-    """Openness at corner + j across + i along, into out[i, j]; all vectors (3,) [m]."""
+def floor_openness(corner: Float, across: Float, along: Float, lights: Lights, out: Float) -> None:
+    """Openness of a floor at corner + j across + i along, into out[i, j]; all vectors (3,) [m]."""
+    normal = lights.up
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             x = corner[0] + j * across[0] + i * along[0]
             y = corner[1] + j * across[1] + i * along[1]
             z = corner[2] + j * across[2] + i * along[2]
-            out[i, j] = openness(x, y, z, normal[0], normal[1], normal[2], skies)
+            out[i, j] = openness(x, y, z, normal[0], normal[1], normal[2], lights)
 
 
 @kernel
-def shadow(depths, disc, basis, centre, scale, px, py, pz, nx, ny, nz, spread):
+def shadow(lights: Lights, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
     """Part of the key light that reaches a point, 0 to 1: percentage-closer soft shadows.
 
     (px, py, pz) the point, lifted off its surface; (nx, ny, nz) its surface's unit normal on the
-    lit side; disc (k, 2) taps in the unit disc; spread: tangent of the light's angular radius.
+    lit side.
 
     The taps compare with the receiver's own tangent plane rather than with one depth, so that a
     wide filter neither darkens a slope (acne) nor needs a large bias (detached shadows). The
     width is that of the penumbra: distance to the mean blocker times the spread (Fernando 2005).
     """
+    depths, disc, basis, centre, scale = lights.depths, lights.disc, lights.basis, lights.centre, lights.scale
     size = depths.shape[0]
     x, y, z = px - centre[0], py - centre[1], pz - centre[2]
     u = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
@@ -155,11 +193,12 @@ def shadow(depths, disc, basis, centre, scale, px, py, pz, nx, ny, nz, spread):
         else:
             clear += 1
     mean = total / blockers if blockers > 0 else 0.0
-    radius = min(max(mean * spread * scale, 1.5), search)
+    radius = min(max(mean * lights.spread * scale, 1.5), search)
     if blockers == 0 or clear == 0:
         taps //= 4
     result = 0.0
     for k in range(taps):
         du, dv = disc[k, 0] * radius, disc[k, 1] * radius
         result += open_part(depths, u + du, v + dv, w + gu * du + gv * dv, 1.0)
-    return result / taps
+    lit: float = result / taps
+    return lit

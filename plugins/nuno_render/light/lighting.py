@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from nuno_render.config import RasterConfig
-from nuno_render.light.light_maps import draw_depths
+from nuno_render.light.light_maps import Lights, draw_depths
 from nuno_render.rays.yarn_config import CastConfig
 from nuno_render.scene import Scene
 from nuno_schemas.drawing import Camera
@@ -55,34 +55,30 @@ def key_direction(config: RasterConfig | CastConfig, camera: Camera, up: Float) 
     return math.cos(rise) * around + math.sin(rise) * up
 
 
-def shadow_maps(config: RasterConfig, scene: Scene, light: Float) -> tuple[object, ...]:
-    """What `shadow` takes: depths (r, r), disc, basis, centre and scale; r = 0 without shadows."""
-    size = SHADOW_SIZE if config.shadows and len(scene.faces) else 0
-    depths = np.full((size, size), -np.inf, np.float32)
-    basis, scale = tangents(light), SHADOW_SIZE / (2.02 * scene.radius)
+def prepare_lights(config: RasterConfig, scene: Scene, camera: Camera, up: Float) -> Lights:
+    """Lights with their maps: depths seen from the key light, and along directions spread evenly over the sphere, in
+    opposite pairs that share one projection.
+
+    Unlike occlusion found on the screen the latter neither flickers nor leaves halos, and it knows
+    what the camera does not see.
+    """
+    light, drawn = key_direction(config, camera, up), len(scene.faces) > 0
+    size, count = SHADOW_SIZE if config.shadows and drawn else 0, SKY_AXES if config.occlusion and drawn else 0
+    depths, basis = np.full((size, size), -np.inf, np.float32), tangents(light)
+    scale = SHADOW_SIZE / (2.02 * scene.radius)
     if size:
         none = np.empty((0, 0), np.float32)
         draw_depths(scene.positions, scene.faces, basis, scene.centre, scale, depths, none)
-    return depths, DISC, basis, scene.centre, scale
-
-
-def sky_maps(config: RasterConfig, scene: Scene, up: Float) -> tuple[object, ...]:
-    """What `openness` takes: the scene seen along directions spread evenly over the sphere, in
-    opposite pairs that share one projection.
-
-    Unlike occlusion found on the screen this neither flickers nor leaves halos, and it knows
-    what the camera does not see.
-    """
-    count = SKY_AXES if config.occlusion and len(scene.faces) else 0
     frame = np.stack([*tangents(up)[:2], up])
     nearest = np.full((count, SKY_SIZE, SKY_SIZE), -np.inf, np.float32)
-    farthest = np.full((count, SKY_SIZE, SKY_SIZE), np.inf, np.float32)
-    bases = np.zeros((count, 3, 3))
-    scale = SKY_SIZE / (2.04 * scene.radius)
+    farthest, bases, sky_scale = -nearest, np.zeros((count, 3, 3)), SKY_SIZE / (2.04 * scene.radius)
     for k in range(count):
         rise, turn = (k + 0.5) / count, k * GOLDEN
         level = math.sqrt(1.0 - rise * rise)
         axis = np.array([level * math.cos(turn), level * math.sin(turn), rise])
         bases[k] = tangents(unit((axis[:, None] * frame).sum(axis=0)))
-        draw_depths(scene.positions, scene.faces, bases[k], scene.centre, scale, nearest[k], farthest[k])
-    return nearest, farthest, bases, up, scene.centre, scale
+        draw_depths(scene.positions, scene.faces, bases[k], scene.centre, sky_scale, nearest[k], farthest[k])
+    return Lights(
+        light, KEY, up, SKY, GROUND, config.light_size, config.sheen, scene.centre, DISC, depths, basis, scale, nearest,
+        farthest, bases, sky_scale,
+    )  # fmt: skip

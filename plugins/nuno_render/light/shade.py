@@ -7,13 +7,14 @@ extrapolated at silhouettes (centroid sampling), and a smooth surface costs one 
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from nuno_render.compiled import kernel
-from nuno_render.light.light_maps import openness, shadow
-from nuno_render.texture import look_up
-
-# mypy: disable-error-code="no-untyped-def"
+from nuno_kernels import kernel
+from nuno_render.light.light_maps import Lights, openness, shadow
+from nuno_render.texture import Textures, look_up
+from nuno_schemas.fabric import Bool, Float, Int
 
 SHEEN_ROUGHNESS = 0.4
 BACK_SIDE = 0.82
@@ -21,8 +22,24 @@ BACK_SIDE = 0.82
 BODY_GLOSS = 0.04
 
 
+class Seen(NamedTuple):
+    """What a picture shows: the arrays of nuno_render.scene.Scene, its vertices on the screen, clip (n, 3), and the eye
+    (3,).
+    """
+
+    positions: Float
+    normals: Float
+    albedos: Float
+    uv: Float
+    faces: Int
+    mesh: Int
+    two_sided: Bool
+    clip: Float
+    eye: Float
+
+
 @kernel
-def corner_planes(clip, a, b, c, out):
+def corner_planes(clip: Float, a: int, b: int, c: int, out: Float) -> None:
     """What gives the corners' weights at a pixel, into out (3, 3).
 
     A point sum b_i c_i of homogeneous corners projects to (x, y) where it is parallel to
@@ -38,7 +55,7 @@ def corner_planes(clip, a, b, c, out):
 
 
 @kernel
-def corner_weights(planes, x, y):
+def corner_weights(planes: Float, x: float, y: float) -> tuple[float, float, float]:
     """Perspective-correct weights (b0, b1, b2) at pixel (x, y); thirds where degenerate."""
     b0 = planes[0, 0] * x + planes[0, 1] * y + planes[0, 2]
     b1 = planes[1, 0] * x + planes[1, 1] * y + planes[1, 2]
@@ -50,21 +67,22 @@ def corner_weights(planes, x, y):
 
 
 @kernel
-def sky(up_part, sky_light, ground_light, k):
-    """Irradiance / pi of a hemisphere sky, radiance blending from ground to sky with height:
+def sky(up_part: float, sky_light: Float, ground_light: Float, k: int) -> float:
+    """Irradiance / pi of a hemisphere sky in one channel, its radiance blending from ground to sky with height:
     integral of (d.n)+ ((s + g) / 2 + (s - g) / 2 d.up) over directions = (s + g) / 2 + (s - g) n.up / 3.
     """
-    return 0.5 * (sky_light[k] + ground_light[k]) + (sky_light[k] - ground_light[k]) * up_part / 3.0
+    found: float = 0.5 * (sky_light[k] + ground_light[k]) + (sky_light[k] - ground_light[k]) * up_part / 3.0
+    return found
 
 
 @kernel
-def _interreflect(free, albedo):
+def _interreflect(free: float, albedo: float) -> float:
     """Sky light in a cavity of one colour, all bounces: f / (1 - albedo (1 - f))."""
     return free / (1.0 - albedo * (1.0 - free))
 
 
 @kernel
-def _sheen(nl, nv, nh):
+def _sheen(nl: float, nv: float, nh: float) -> Any:
     """Charlie sheen (Estevez and Kulla 2017) with the visibility of Neubelt and Pettineo (2013)."""
     inverse = 1.0 / SHEEN_ROUGHNESS
     sine = np.sqrt(max(1.0 - nh * nh, 0.0))
@@ -72,12 +90,15 @@ def _sheen(nl, nv, nh):
 
 
 @kernel
-def surface_light(albedo, n, view, light, light_colour, lit, free, up, sky_light, ground_light, cloth, sheen, out):
+def surface_light(
+    albedo: Float, n: Float, view: Float, lights: Lights, lit: float, free: float, cloth: bool, out: Float
+) -> None:
     """Radiance toward the viewer, into out (3,): diffuse key and sky light, and sheen or gloss.
 
-    n, view, light (3,) unit vectors; lit: part of the key light, 0 to 1; free: part of the
-    sky. light_colour (3,) is the radiance of a white diffuse surface that faces the light.
+    n, view (3,) unit vectors; lit: part of the key light, 0 to 1; free: part of the sky.
     """
+    light, light_colour, up, sheen = lights.direction, lights.colour, lights.up, lights.sheen
+    sky_light, ground_light = lights.sky, lights.ground
     nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
     nv = max(n[0] * view[0] + n[1] * view[1] + n[2] * view[2], 0.02)
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
@@ -100,9 +121,11 @@ def surface_light(albedo, n, view, light, light_colour, lit, free, up, sky_light
 
 
 @kernel
-def _texel(planes, a, b, c, uv, texels, levels, count, x, y, out):
+def _texel(
+    planes: Float, corners: Any, seen: Seen, textures: Textures, mesh: int, x: float, y: float, out: Float
+) -> None:
     """Image of a mesh at pixel (x, y), averaged over the pixel, into out (3,)."""
-    weights = corner_weights(planes, x, y)
+    (a, b, c), uv, weights = corners, seen.uv, corner_weights(planes, x, y)
     u = weights[0] * uv[a, 0] + weights[1] * uv[b, 0] + weights[2] * uv[c, 0]
     v = weights[0] * uv[a, 1] + weights[1] * uv[b, 1] + weights[2] * uv[c, 1]
     change = (0.0, 0.0, 0.0, 0.0)
@@ -111,14 +134,15 @@ def _texel(planes, a, b, c, uv, texels, levels, count, x, y, out):
         du = weights[0] * uv[a, 0] + weights[1] * uv[b, 0] + weights[2] * uv[c, 0] - u
         dv = weights[0] * uv[a, 1] + weights[1] * uv[b, 1] + weights[2] * uv[c, 1] - v
         change = (change[2], change[3], du, dv)
-    look_up(texels, levels, count, u, v, change[0], change[1], change[2], change[3], out)
+    look_up(textures, mesh, (u, v), change, out)
 
 
 @kernel
-def _place(weights, a, b, c, positions, normals, eye, p, n, g, view):
+def _place(weights: Any, corners: Any, seen: Seen, p: Float, n: Float, g: Float, view: Float) -> bool:
     """Point p, smooth normal n, flat normal g and direction to the eye, each (3,), both normals
     turned toward the viewer. Returns whether the back of the face is seen.
     """
+    (a, b, c), positions, normals, eye = corners, seen.positions, seen.normals, seen.eye
     facing = 0.0
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
@@ -140,46 +164,42 @@ def _place(weights, a, b, c, positions, normals, eye, p, n, g, view):
 
 
 @kernel
-def shade_point(f, x, y, clip, scene, textures, eye, lights, maps, skies, sheen, work, out):
-    """Radiance of face f at pixel (x, y), into out (3,). The tuples are those of `resolve`."""
-    positions, normals, albedos, uv, faces, mesh, two_sided = scene
-    texels, levels, counts = textures
-    light, light_colour, up, sky_light, ground_light, spread = lights
+def shade_point(
+    f: int, x: float, y: float, seen: Seen, textures: Textures, lights: Lights, work: Float, out: Float
+) -> None:
+    """Radiance of face f at pixel (x, y), into out (3,); `work` (9, 3) is scratch."""
+    albedos, faces, light = seen.albedos, seen.faces, lights.direction
     planes, p, n, g, view, albedo, texel = work[0:3], work[3], work[4], work[5], work[6], work[7], work[8]
-    a, b, c, m = faces[f, 0], faces[f, 1], faces[f, 2], mesh[f]
-    corner_planes(clip, a, b, c, planes)
+    a, b, c, m = faces[f, 0], faces[f, 1], faces[f, 2], seen.mesh[f]
+    corner_planes(seen.clip, a, b, c, planes)
     weights = corner_weights(planes, x, y)
-    back = _place(weights, a, b, c, positions, normals, eye, p, n, g, view)
-    dull = BACK_SIDE if back and two_sided[m] else 1.0
+    back = _place(weights, (a, b, c), seen, p, n, g, view)
+    dull = BACK_SIDE if back and seen.two_sided[m] else 1.0
     for k in range(3):
         albedo[k] = dull * (weights[0] * albedos[a, k] + weights[1] * albedos[b, k] + weights[2] * albedos[c, k])
-    if counts[m] > 0:
-        _texel(planes, a, b, c, uv, texels, levels[m], counts[m], x, y, texel)
+    if textures.number[m] > 0:
+        _texel(planes, (a, b, c), seen, textures, m, x, y, texel)
         for k in range(3):
             albedo[k] *= texel[k]
-    free = openness(p[0], p[1], p[2], n[0], n[1], n[2], skies)
+    free = openness(p[0], p[1], p[2], n[0], n[1], n[2], lights)
     lit = 1.0 if n[0] * light[0] + n[1] * light[1] + n[2] * light[2] > 0.0 else 0.0
-    if lit > 0.0 and maps[0].shape[0] > 0:
-        turn = -1.0 if back else 1.0
-        lit = _lit(p, n, a, b, c, weights, positions, normals, turn, maps, spread)
-    surface_light(
-        albedo, n, view, light, light_colour, lit, free, up, sky_light, ground_light, two_sided[m], sheen, out
-    )
+    if lit > 0.0 and lights.depths.shape[0] > 0:
+        lit = _lit(p, n, (a, b, c), weights, seen, -1.0 if back else 1.0, lights)
+    surface_light(albedo, n, view, lights, lit, free, seen.two_sided[m], out)
 
 
 @kernel
-def _lit(p, n, a, b, c, weights, positions, normals, turn, maps, spread):
+def _lit(p: Float, n: Float, corners: Any, weights: Any, seen: Seen, turn: float, lights: Lights) -> float:
     """Shadow at p, tested from a point on the smooth surface that the normals suggest.
 
     A coarse mesh's flat faces shadow each other where the interpolated normal still sees the
     light, which shows as steps along the terminator. The point is raised to the mean of its
     projections on the corners' tangent planes (Hanika 2021), then by 1.5 texels along n.
     """
-    depths, disc, basis, centre, scale = maps
-    lift = 1.5 / scale
+    positions, normals, lift = seen.positions, seen.normals, 1.5 / lights.scale
     x, y, z = p[0] + lift * n[0], p[1] + lift * n[1], p[2] + lift * n[2]
     for k in range(3):
-        i = a if k == 0 else (b if k == 1 else c)
+        i = corners[k]
         below = 0.0
         for d in range(3):
             below += (p[d] - positions[i, d]) * normals[i, d] * turn
@@ -187,4 +207,4 @@ def _lit(p, n, a, b, c, weights, positions, normals, turn, maps, spread):
             x -= weights[k] * below * normals[i, 0] * turn
             y -= weights[k] * below * normals[i, 1] * turn
             z -= weights[k] * below * normals[i, 2] * turn
-    return shadow(depths, disc, basis, centre, scale, x, y, z, n[0], n[1], n[2], spread)
+    return shadow(lights, x, y, z, n[0], n[1], n[2])

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_render.config import RasterConfig
-from nuno_render.light.light_maps import floor_openness
+from nuno_render.light.light_maps import Lights, floor_openness
 from nuno_render.light.lighting import tangents
+from nuno_render.light.resolve import Floor
 from nuno_render.scene import Scene
 from nuno_render.sight import Sight
 from nuno_schemas.colour import parse_hex
@@ -29,15 +30,9 @@ def floor_height(config: RasterConfig, scene: Scene, origin: Float, up: Float) -
 
 
 def prepare_floor(
-    config: RasterConfig,
-    scene: Scene,
-    size: tuple[int, int],
-    sight: Sight,
-    up: Float,
-    height: float | None,
-    skies: tuple[object, ...],
-) -> tuple[object, ...]:
-    """What `ground_point` takes.
+    config: RasterConfig, scene: Scene, size: tuple[int, int], sight: Sight, height: float | None, lights: Lights
+) -> Floor:
+    """The floor as seen in a picture of this size, `height` [m] above the origin, None where there is none.
 
     With ray = forward + right (X - w / 2) / focal - up (Y - h / 2) / focal, affine in the
     pixel, the point eye + z ray lies on the floor n . p = d where 1/z = n . ray / (d - n . eye),
@@ -47,6 +42,7 @@ def prepare_floor(
     rays = np.stack([right / focal, -above / focal, forward], axis=1)
     rays[:, 2] -= rays[:, 0] * size[0] / 2.0 + rays[:, 1] * size[1] / 2.0
     level = height if height is not None else 0.0
+    up, (top, bottom) = lights.up, (parse_hex(colour) for colour in config.background)
     drop = level - SUNK * scene.radius - eye @ up
     active = height is not None and bool(drop < 0.0)
     plane = (up @ rays) / drop if active else np.zeros(3)
@@ -55,10 +51,10 @@ def prepare_floor(
     step = 2.0 * REACH * scene.radius / (GRID - 1)
     grid = np.ones((GRID, GRID))
     if active:
-        floor_openness(middle - REACH * scene.radius * (u + v), step * u, step * v, up, skies, grid)
+        floor_openness(middle - REACH * scene.radius * (u + v), step * u, step * v, lights, grid)
         grid = _smooth(grid)
     colour = parse_hex(config.ground_colour)
-    return active, plane, rays, eye, up, middle, scene.radius, colour, grid, u, v, 1.0 / step
+    return Floor(active, plane, rays, eye, middle, scene.radius, colour, grid, u, v, 1.0 / step, top, bottom)
 
 
 def _smooth(grid: Float) -> Float:
@@ -71,11 +67,11 @@ def _smooth(grid: Float) -> Float:
     return np.ascontiguousarray(grid)
 
 
-def floor_depth(floor: tuple[object, ...], size: tuple[int, int], offsets: NDArray[np.int64]) -> NDArray[np.float32]:
+def floor_depth(floor: Floor, size: tuple[int, int], offsets: NDArray[np.int64]) -> NDArray[np.float32]:
     """(h, w, s) float32 1/z of the floor at every sample, 0 where it is not seen."""
-    if not floor[0]:
+    if not floor.active:
         return np.zeros((size[1], size[0], len(offsets)), np.float32)
-    plane = np.asarray(floor[1], np.float64)
+    plane = floor.plane
     x = np.arange(size[0])[:, None] + offsets[:, 0] / 256.0
     y = np.arange(size[1])[:, None] + offsets[:, 1] / 256.0
     rows, columns = (plane[1] * y + plane[2]).astype(np.float32), (plane[0] * x).astype(np.float32)

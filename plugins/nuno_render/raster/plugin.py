@@ -11,13 +11,14 @@ from pydantic import BaseModel
 
 from nuno_render.annotate import annotate
 from nuno_render.config import RasterConfig
-from nuno_render.light.lighting import GROUND, KEY, SKY, key_direction, shadow_maps, sky_maps, unit
+from nuno_render.light.lighting import prepare_lights, unit
 from nuno_render.light.resolve import encode, resolve
+from nuno_render.light.shade import Seen
 from nuno_render.raster.floor import floor_depth, floor_height, prepare_floor
 from nuno_render.raster.visibility import rasterise, sample_offsets
 from nuno_render.scene import gather
 from nuno_render.sight import Sight, sight_of
-from nuno_schemas.colour import parse_hex, to_srgb
+from nuno_schemas.colour import to_srgb
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.fabric import Float
 
@@ -57,22 +58,19 @@ def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
     origin = np.asarray(camera.target, np.float64)
     scene = gather(meshes, origin, up)
     clip = _project(scene.positions - sight.eye, sight, camera.size)
-    light, skies = key_direction(config, camera, up), sky_maps(config, scene, up)
-    level = floor_height(config, scene, origin, up)
-    floor = prepare_floor(config, scene, camera.size, sight, up, level, skies)
+    lights = prepare_lights(config, scene, camera, up)
+    floor = prepare_floor(config, scene, camera.size, sight, floor_height(config, scene, origin, up), lights)
     offsets = sample_offsets(config.samples)
     depth = floor_depth(floor, camera.size, offsets)
     owner = np.full(depth.shape, -1, np.int32)
     near = NEAR * float(np.linalg.norm(sight.eye))
     rasterise(clip, scene.faces, scene.mesh, scene.two_sided, near, offsets, 128, depth, owner)
     picture = np.empty((height, width, 3))
-    surfaces = (scene.positions, scene.normals, scene.albedo, scene.uv, scene.faces, scene.mesh, scene.two_sided)
-    textures = (scene.textures.texels, scene.textures.levels, scene.textures.count)
-    lights = (light, KEY, up, SKY, GROUND, config.light_size)
-    maps, back = shadow_maps(config, scene, light), tuple(parse_hex(colour) for colour in config.background)
-    resolve(
-        owner, offsets, clip, surfaces, textures, sight.eye, lights, maps, skies, floor, back, config.sheen, picture
+    seen = Seen(
+        scene.positions, scene.normals, scene.albedo, scene.uv, scene.faces, scene.mesh, scene.two_sided, clip,
+        sight.eye,
     )  # fmt: skip
+    resolve(owner, offsets, seen, scene.textures, lights, floor, picture)
     return picture
 
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
+from nuno_schemas.fabric import Bool, Float, Int
 
 GUARD = 2.0**21
 """Pixels kept around the picture: beyond it triangles are cut, and within it the edge functions
@@ -36,7 +37,7 @@ def sample_offsets(samples: int) -> NDArray[np.int64]:
 
 
 @kernel
-def _cut(source, count, target, plane, near):  # type: ignore[no-untyped-def]
+def _cut(source: Float, count: int, target: Float, plane: int, near: float) -> int:
     """Sutherland-Hodgman: cut polygon `source` (count, 3) by one plane into `target`."""
     made = 0
     for i in range(count):
@@ -56,7 +57,7 @@ def _cut(source, count, target, plane, near):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _inside(x, y, w, plane, near):  # type: ignore[no-untyped-def]
+def _inside(x: float, y: float, w: float, plane: int, near: float) -> float:
     """Signed measure of a homogeneous point against a plane: near, then left, right, top, bottom."""
     if plane == 0:
         return w - near
@@ -65,8 +66,12 @@ def _inside(x, y, w, plane, near):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _fill(polygon, a, b, c, owner_id, cull, offsets, reach, depth, owner):  # type: ignore[no-untyped-def]
-    """Draw one triangle of a convex polygon that needs no cutting; returns samples written."""
+def _fill(
+    polygon: Float, b: int, owner_id: int, cull: bool, offsets: NDArray[np.int64], reach: int,
+    depth: NDArray[np.float32], owner: Int,
+) -> int:  # fmt: skip
+    """Draw the triangle of corners 0, b, b + 1 of a convex polygon that needs no cutting; returns samples written."""
+    a, c = 0, b + 1
     height, width, samples = depth.shape
     ia, ib, ic = 1.0 / polygon[a, 2], 1.0 / polygon[b, 2], 1.0 / polygon[c, 2]
     ax, ay = round(polygon[a, 0] * ia * 256.0), round(polygon[a, 1] * ia * 256.0)
@@ -114,7 +119,10 @@ def _fill(polygon, a, b, c, owner_id, cull, offsets, reach, depth, owner):  # ty
 
 
 @kernel
-def rasterise(clip, faces, mesh, two_sided, near, offsets, reach, depth, owner):  # type: ignore[no-untyped-def]
+def rasterise(
+    clip: Float, faces: Int, mesh: Int, two_sided: Bool, near: float, offsets: NDArray[np.int64], reach: int,
+    depth: NDArray[np.float32], owner: Int,
+) -> int:  # fmt: skip
     """Draw all triangles; returns how many samples they covered, hidden ones included.
 
     clip (n, 3) homogeneous pixels; faces (f, 3); mesh (f,) index into two_sided (m,);
@@ -139,5 +147,5 @@ def rasterise(clip, faces, mesh, two_sided, near, offsets, reach, depth, owner):
                 first, second = second, first
         cull = not two_sided[mesh[f]]
         for k in range(1, count - 1):
-            covered += _fill(first, 0, k, k + 1, f, cull, offsets, reach, depth, owner)
+            covered += _fill(first, k, f, cull, offsets, reach, depth, owner)
     return covered

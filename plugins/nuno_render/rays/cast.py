@@ -8,17 +8,20 @@ the mean of the samples by as much as it does in truth, and so the knit grows de
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
 from nuno_render.light.resolve import background
 from nuno_render.rays.crossings import cross_yarns
-from nuno_render.rays.hits import DEPTH, meet_triangle
-from nuno_render.rays.surfaces import shade_floor, shade_skin, shade_yarn
+from nuno_render.rays.fibre import Look
+from nuno_render.rays.hits import Buffers, make_buffers, meet_triangle
+from nuno_render.rays.surfaces import Ground, shade_floor, shade_skin, shade_yarn
+from nuno_render.rays.worn import Skin, Threads
 from nuno_render.sampling import place_sample, scramble
-from nuno_render.sight import aim
-
-# mypy: disable-error-code="no-untyped-def"
+from nuno_render.sight import Sight, aim
+from nuno_schemas.fabric import Float
 
 KEEP = 16
 """Capsules that a ray is followed through."""
@@ -27,63 +30,60 @@ FAINT = 1.0 / 1024.0
 
 
 @kernel
-def see(eye, d, y, height, lights, look, skin, threads, floor, back, sample, hits, seen, work, out):
-    """What a ray sees, into out (4,): radiance, and the yarns' share of it."""
-    share, keep, flat = look[0], look[1], look[7]
-    face, most = meet_triangle(eye[0], eye[1], eye[2], d[0], d[1], d[2], 0.0, np.inf, skin.tree, hits[3], hits[4])
-    up = lights[2]
+def see(
+    d: Float, down: float, look: Look, skin: Skin, threads: Threads, floor: Ground, sample: Any, buffers: Buffers,
+    out: Float,
+) -> None:  # fmt: skip
+    """What a ray sees that passes the picture at a share `down` of its height, into out (4,): radiance, and the yarns'
+    share of it.
+    """
+    eye, up, share = look.eye, look.up, look.share
+    face, most = meet_triangle(eye, d, skin.tree, buffers)
     fall = up[0] * d[0] + up[1] * d[1] + up[2] * d[2]
     on_floor = False
-    if floor[0] and fall < 0.0 and floor[1] / fall < most:
-        face, most, on_floor = -1, floor[1] / fall, True
-    count = cross_yarns(eye, d, most, threads, keep, hits)
-    items, enters = seen
+    if floor.active and fall < 0.0 and floor.drop / fall < most:
+        face, most, on_floor = -1, floor.drop / fall, True
+    count = cross_yarns(eye, d, most, threads, look.keep, buffers)
+    items, enters = buffers.met, buffers.met_at
     for i in range(count):
-        items[i], enters[i] = hits[0][i], hits[1][i]
-    colour, weight = work[9], 1.0
+        items[i], enters[i] = buffers.items[i], buffers.enters[i]
+    colour, weight = buffers.work[9], 1.0
     out[0] = out[1] = out[2] = 0.0
     for i in range(count):
         if weight < FAINT:
             break
-        if flat:
+        if look.flat:
             for k in range(3):
                 colour[k] = threads.colour[threads.yarn[items[i]], k]
         else:
-            shade_yarn(items[i], eye, d, enters[i], lights, look, skin, threads, sample, hits, work, colour)
+            shade_yarn(items[i], d, enters[i], look, skin, threads, sample, buffers, colour)
         for k in range(3):
             out[k] += weight * (1.0 - share) * colour[k]
         weight *= share
     out[3] = 1.0 - weight
     if weight < FAINT:
         return
-    background(y, height, back[0], back[1], colour)
+    background(down, floor.top, floor.bottom, colour)
     if face >= 0:
-        shade_skin(face, eye, d, most, lights, look, skin, threads, sample, hits, work, colour)
+        shade_skin(face, d, most, look, skin, threads, sample, buffers, colour)
     elif on_floor:
-        shade_floor(eye, d, most, floor, lights, look, skin, threads, sample, hits, work, colour)
+        shade_floor(d, most, floor, look, skin, threads, sample, buffers, colour)
     for k in range(3):
         out[k] += weight * colour[k]
 
 
 @kernel
-def cast_rows(first, last, sight, grid, lights, look, skin, threads, floor, back, picture):
+def cast_rows(
+    first: int, last: int, sight: Sight, grid: Any, look: Look, skin: Skin, threads: Threads, floor: Ground,
+    picture: Float,
+) -> None:  # fmt: skip
     """Rows `first` to `last` of picture (h, w, 4), linear light and the yarns' share of each pixel.
 
-    sight   sight.Sight
-    grid    columns and rows of samples, seed
-    lights  direction, colour, up, sky, ground, tangent of the light's radius
-    look    share of light through a yarn, capsules that a ray is followed through, strength and exponent of the
-            highlight, shadows, occlusion, how far rays start off a surface [m], whether yarns are of one flat colour
-            and cast no shadow
-    floor   whether there is one, its height over the eye [m], middle and size of the scene, albedo
-    back    colours at the top and bottom
+    grid: columns and rows of samples, and the seed.
     """
-    eye = sight.eye
     columns, rows, seed = grid
     height, width = picture.shape[0], picture.shape[1]
-    hits = (np.empty(KEEP, np.int64), np.empty(KEEP), np.empty(KEEP), np.empty(DEPTH, np.int64), np.empty(DEPTH))
-    seen = (np.empty(KEEP, np.int64), np.empty(KEEP))
-    work, d, out = np.empty((10, 3)), np.empty(3), np.empty(4)
+    buffers, d, out = make_buffers(KEEP), np.empty(3), np.empty(4)
     samples = columns * rows
     for row in range(first, last):
         for column in range(width):
@@ -93,7 +93,7 @@ def cast_rows(first, last, sight, grid, lights, look, skin, threads, floor, back
                 x, y = place_sample(s, columns, rows, pattern)
                 aim(sight, column + x, row + y, width, height, d)
                 sample = (s, columns, rows, pattern)
-                see(eye, d, row + y, height, lights, look, skin, threads, floor, back, sample, hits, seen, work, out)
+                see(d, (row + y) / height, look, skin, threads, floor, sample, buffers, out)
                 total = (total[0] + out[0], total[1] + out[1], total[2] + out[2], total[3] + out[3])
             for k in range(4):
                 picture[row, column, k] = total[k] / samples

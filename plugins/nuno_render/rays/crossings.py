@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nuno_render.compiled import kernel
-from nuno_render.rays.hits import meet_capsules, meet_triangle
-
-# mypy: disable-error-code="no-untyped-def"
+from nuno_kernels import kernel
+from nuno_render.rays.hits import Buffers, meet_capsules, meet_triangle
+from nuno_render.rays.worn import Skin, Threads
+from nuno_schemas.fabric import Float
 
 
 @kernel
-def join_crossings(count, items, enters, leaves, yarn):
+def join_crossings(count: int, items: NDArray[np.int64], enters: Float, leaves: Float, yarn: NDArray[np.int64]) -> int:
     """Make one hit of capsules of one yarn that overlap along the ray; returns how many are left, nearest first."""
     kept = 0
     for i in range(count):
@@ -28,21 +29,21 @@ def join_crossings(count, items, enters, leaves, yarn):
 
 
 @kernel
-def cross_yarns(p, d, most, threads, keep, hits):
-    """Crossings of yarns from p (3,) along d (3,) up to a distance: their number, and hits filled with them."""
-    items, enters, leaves, waiting, bound = hits
-    count = meet_capsules(
-        p[0], p[1], p[2], d[0], d[1], d[2], most, threads.tree, keep, items, enters, leaves, waiting, bound
-    )
-    return count if count < 2 else join_crossings(count, items, enters, leaves, threads.yarn)
+def cross_yarns(p: Float, d: Float, most: float, threads: Threads, keep: int, buffers: Buffers) -> int:
+    """Crossings of yarns from p (3,) along d (3,) up to a distance: their number, and the buffers filled with them."""
+    count = meet_capsules(p, d, most, threads.tree, keep, buffers)
+    if count < 2:
+        return count
+    return join_crossings(count, buffers.items, buffers.enters, buffers.leaves, threads.yarn)
 
 
 @kernel
-def free_way(p, d, skin, threads, share, keep, hits):
+def free_way(p: Float, d: Float, skin: Skin, threads: Threads, share: float, keep: int, buffers: Buffers) -> float:
     """Share of the light that comes to p (3,) from direction d (3,): none through bodies, `share` through a yarn."""
-    face, _ = meet_triangle(p[0], p[1], p[2], d[0], d[1], d[2], 0.0, np.inf, skin.tree, hits[3], hits[4])
+    face, _ = meet_triangle(p, d, skin.tree, buffers)
     if face >= 0:
         return 0.0
     if share == 1.0:
         return 1.0
-    return share ** cross_yarns(p, d, np.inf, threads, keep, hits)
+    through: float = share ** cross_yarns(p, d, np.inf, threads, keep, buffers)
+    return through

@@ -16,12 +16,13 @@ skin, which red light passes best.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
 from nuno_render.light.shade import sky
-
-# mypy: disable-error-code="no-untyped-def"
+from nuno_schemas.fabric import Float
 
 SKIN_WRAP = np.array([0.34, 0.20, 0.14])
 YARN_WRAP = 0.45
@@ -31,14 +32,42 @@ BOUNCE = 0.55
 """Of a surface that hides the sky: its light relative to the sky's, before its own colour."""
 
 
+class Look(NamedTuple):
+    """What a picture by rays is drawn with.
+
+    eye (3,)              [m]; direction, colour, up, sky, ground and spread as in nuno_render.light.light_maps.Lights
+    share                 of the light that comes through a yarn; keep: capsules that a ray is followed through
+    highlight, sharpness  strength and exponent of the yarns' highlight
+    shadows, occlusion    whether the key light casts shadows, and whether yarns and bodies hide the sky
+    off                   how far rays start off a surface [m]
+    flat                  whether yarns are of one flat colour and cast no shadow
+    """
+
+    eye: Float
+    direction: Float
+    colour: Float
+    up: Float
+    sky: Float
+    ground: Float
+    spread: float
+    share: float
+    keep: int
+    highlight: float
+    sharpness: float
+    shadows: bool
+    occlusion: bool
+    off: float
+    flat: bool
+
+
 @kernel
-def wrapped(cosine, w):
+def wrapped(cosine: float, w: float) -> float:
     """Lambert's law over a terminator moved by w."""
     return max((cosine + w) / (1.0 + w), 0.0)
 
 
 @kernel
-def fibre_highlight(t, light, view, sharpness):
+def fibre_highlight(t: Float, light: Float, view: Float, sharpness: float) -> float:
     """Kajiya and Kay's highlight of a fibre along the unit vector t (3,), with the falloff about it; 0 to 1."""
     tl = t[0] * light[0] + t[1] * light[1] + t[2] * light[2]
     tv = t[0] * view[0] + t[1] * view[1] + t[2] * view[2]
@@ -50,19 +79,21 @@ def fibre_highlight(t, light, view, sharpness):
     around = 1.0
     if sl * sv > 1e-9:
         around = min(max((lv - tl * tv) / (sl * sv), -1.0), 1.0)
-    return cone**sharpness * np.sqrt(0.5 * (1.0 + around))
+    shine: float = cone**sharpness * np.sqrt(0.5 * (1.0 + around))
+    return shine
 
 
 @kernel
-def ambient_light(albedo, up_part, free, sky_light, ground_light, k):
+def ambient_light(albedo: Float, up_part: float, free: float, look: Look, k: int) -> float:
     """Sky light that a surface sends on; what hides the sky is of the same colour."""
-    return albedo[k] * sky(up_part, sky_light, ground_light, k) * (free + (1.0 - free) * BOUNCE * albedo[k])
+    light: float = albedo[k] * sky(up_part, look.sky, look.ground, k) * (free + (1.0 - free) * BOUNCE * albedo[k])
+    return light
 
 
 @kernel
-def skin_light(albedo, n, view, lights, lit, free, out):
+def skin_light(albedo: Float, n: Float, view: Float, look: Look, lit: float, free: float, out: Float) -> None:
     """Radiance of skin toward the viewer, into out (3,); lit and free as in shade.surface_light."""
-    light, light_colour, up, sky_light, ground_light = lights[0], lights[1], lights[2], lights[3], lights[4]
+    light, light_colour, up = look.direction, look.colour, look.up
     nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
     norm = np.sqrt(hx * hx + hy * hy + hz * hz) + 1e-12
@@ -71,17 +102,17 @@ def skin_light(albedo, n, view, lights, lit, free, out):
     up_part = n[0] * up[0] + n[1] * up[1] + n[2] * up[2]
     for k in range(3):
         out[k] = light_colour[k] * lit * (albedo[k] * wrapped(nl, SKIN_WRAP[k]) + gloss)
-        out[k] += ambient_light(albedo, up_part, free, sky_light, ground_light, k)
+        out[k] += ambient_light(albedo, up_part, free, look, k)
 
 
 @kernel
-def yarn_light(albedo, n, t, view, lights, lit, free, highlight, sharpness, out):
+def yarn_light(albedo: Float, n: Float, t: Float, view: Float, look: Look, lit: float, free: float, out: Float) -> None:
     """Radiance of a yarn with normal n and tangent t toward the viewer, into out (3,)."""
-    light, light_colour, up, sky_light, ground_light = lights[0], lights[1], lights[2], lights[3], lights[4]
+    light, light_colour, up = look.direction, look.colour, look.up
     nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
-    shine = highlight * fibre_highlight(t, light, view, sharpness)
+    shine = look.highlight * fibre_highlight(t, light, view, look.sharpness)
     up_part = n[0] * up[0] + n[1] * up[1] + n[2] * up[2]
     for k in range(3):
         tint = 0.35 + 0.65 * albedo[k]
         out[k] = light_colour[k] * lit * (albedo[k] * wrapped(nl, YARN_WRAP) + shine * tint)
-        out[k] += ambient_light(albedo, up_part, free, sky_light, ground_light, k)
+        out[k] += ambient_light(albedo, up_part, free, look, k)

@@ -16,13 +16,16 @@ order of the search nor on the tree, to the last bit.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_kernels import inlined, kernel
 from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, load, root, splat
-from nuno_render.compiled import inlined, kernel
-
-# mypy: disable-error-code="no-untyped-def"
+from nuno_render.rays.tree import RayTree
+from nuno_schemas.fabric import Float
 
 DEPTH = 96
 """Nodes that wait to be looked at: at most seven a level, and twelve levels hold 5e11 items."""
@@ -32,8 +35,32 @@ EDGE = 1e-12
 """Share of a triangle by which it reaches over its edges, so that no ray passes between two."""
 
 
+class Buffers(NamedTuple):
+    """What rays are followed with: capsules met (keep,), where rays enter and leave them [m], those of one ray that are
+    shaded after it, nodes that wait (DEPTH,) with their distances, and vectors (10, 3) for shading.
+    """
+
+    items: NDArray[np.int64]
+    enters: Float
+    leaves: Float
+    met: NDArray[np.int64]
+    met_at: Float
+    waiting: NDArray[np.int64]
+    bound: Float
+    work: Float
+
+
 @kernel
-def inverse(d):
+def make_buffers(keep: int) -> Buffers:
+    """Buffers for rays that are followed through `keep` capsules."""
+    return Buffers(
+        np.empty(keep, np.int64), np.empty(keep), np.empty(keep), np.empty(keep, np.int64), np.empty(keep),
+        np.empty(DEPTH, np.int64), np.empty(DEPTH), np.empty((10, 3)),
+    )  # fmt: skip
+
+
+@kernel
+def inverse(d: float) -> float:
     """1 / d, huge where d is 0, so that no product with 0 is NaN."""
     if abs(d) < 1e-300:
         return 1e300
@@ -41,7 +68,7 @@ def inverse(d):
 
 
 @inlined
-def box_entries(ox, oy, oz, ix, iy, iz, boxes, row):
+def box_entries(ox: float, oy: float, oz: float, ix: float, iy: float, iz: float, boxes: Float, row: int) -> Any:
     """Distances at which a ray enters a node's eight boxes, NaN where it misses them; (ix, iy, iz) are 1 / d."""
     ax, bx = (load(boxes, row, 0) - ox) * ix, (load(boxes, row + 3, 0) - ox) * ix
     ay, by = (load(boxes, row + 1, 0) - oy) * iy, (load(boxes, row + 4, 0) - oy) * iy
@@ -52,7 +79,7 @@ def box_entries(ox, oy, oz, ix, iy, iz, boxes, row):
 
 
 @inlined
-def capsule_ends(ox, oy, oz, dx, dy, dz, rows, row):
+def capsule_ends(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, rows: Float, row: int) -> Any:
     """Distances at which a ray enters and leaves a leaf's eight capsules; inf and -inf where it misses."""
     px, py, pz = ox - load(rows, row, 0), oy - load(rows, row + 1, 0), oz - load(rows, row + 2, 0)
     wx, wy, wz = load(rows, row + 3, 0), load(rows, row + 4, 0), load(rows, row + 5, 0)
@@ -81,7 +108,7 @@ def capsule_ends(ox, oy, oz, dx, dy, dz, rows, row):
 
 
 @inlined
-def triangle_entries(ox, oy, oz, dx, dy, dz, rows, row):
+def triangle_entries(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, rows: Float, row: int) -> Any:
     """Distances at which a ray meets a leaf's eight triangles, NaN where it misses them (Moeller, Trumbore 1997)."""
     sx, sy, sz = ox - load(rows, row, 0), oy - load(rows, row + 1, 0), oz - load(rows, row + 2, 0)
     ex, ey, ez = load(rows, row + 3, 0), load(rows, row + 4, 0), load(rows, row + 5, 0)
@@ -97,7 +124,7 @@ def triangle_entries(ox, oy, oz, dx, dy, dz, rows, row):
 
 
 @inlined
-def push_children(entries, limit, first, waiting, bound, top):
+def push_children(entries: Any, limit: float, first: int, waiting: NDArray[np.int64], bound: Float, top: int) -> int:
     """Add the children that a ray enters up to `limit` to those that wait, the nearest last; returns their number."""
     bits, base = lanes_up_to(entries, limit), top
     while bits != 0:
@@ -113,12 +140,11 @@ def push_children(entries, limit, first, waiting, bound, top):
 
 
 @kernel
-def meet_triangle(ox, oy, oz, dx, dy, dz, least, most, tree, waiting, bound):
-    """(triangle, distance) of the first that a ray meets between two distances; (-1, most) where there is none.
-
-    `waiting` (DEPTH,) int64 and `bound` (DEPTH,) are scratch here and below.
-    """
-    best, found = most, -1
+def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[int, float]:
+    """(triangle, distance) of the first that a ray from p (3,) along d (3,) meets; (-1, inf) where there is none."""
+    waiting, bound = buffers.waiting, buffers.bound
+    ox, oy, oz, dx, dy, dz = p[0], p[1], p[2], d[0], d[1], d[2]
+    best, found = np.inf, -1
     top = 0
     if tree.child.shape[0] > 0:
         waiting[0], bound[0], top = 0, 0.0, 1
@@ -139,18 +165,21 @@ def meet_triangle(ox, oy, oz, dx, dy, dz, least, most, tree, waiting, bound):
             j = first_lane(bits)
             bits &= bits - 1
             value, item = lane(t, j), tree.item[WIDTH * leaf + j]
-            if value > least and (value < best or (value == best and item < found)):
+            if value > 0.0 and (value < best or (value == best and item < found)):
                 best, found = value, item
     return found, best
 
 
 @kernel
-def meet_capsules(ox, oy, oz, dx, dy, dz, most, tree, keep, items, enters, leaves, waiting, bound):
-    """The first `keep` capsules that a ray meets up to a distance, nearest first; returns how many there are.
+def meet_capsules(p: Float, d: Float, most: float, tree: RayTree, keep: int, buffers: Buffers) -> int:
+    """Find the first `keep` capsules that a ray meets up to a distance; returns how many there are.
 
-    items (keep,) int64, enters and leaves (keep,) [m] take them. A capsule in which the ray starts is met at a
-    distance below 0.
+    The buffers take them, nearest first.
+    A capsule in which the ray starts is met at a distance below 0.
     """
+    items, enters, leaves = buffers.items, buffers.enters, buffers.leaves
+    waiting, bound = buffers.waiting, buffers.bound
+    ox, oy, oz, dx, dy, dz = p[0], p[1], p[2], d[0], d[1], d[2]
     count, limit = 0, most
     top = 0
     if tree.child.shape[0] > 0:
@@ -180,7 +209,9 @@ def meet_capsules(ox, oy, oz, dx, dy, dz, most, tree, keep, items, enters, leave
 
 
 @kernel
-def _keep(enter, leave, item, keep, items, enters, leaves, count):
+def _keep(
+    enter: float, leave: float, item: int, keep: int, items: NDArray[np.int64], enters: Float, leaves: Float, count: int
+) -> int:
     """Put a hit in its place among the first `keep`; returns how many there are."""
     place = count
     while place > 0 and (enters[place - 1] > enter or (enters[place - 1] == enter and items[place - 1] > item)):

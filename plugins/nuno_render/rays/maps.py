@@ -12,7 +12,7 @@ from nuno_render.annotate import annotate
 from nuno_render.config import Legend
 from nuno_render.light.lighting import key_direction, unit
 from nuno_render.raster.plugin import encode_picture
-from nuno_render.rays.map_rows import BACKGROUND, COUNTS, MEANS, ON_FACES, ON_VERTICES, map_rows
+from nuno_render.rays.map_rows import BACKGROUND, COUNTS, MEANS, ON_FACES, ON_VERTICES, Shown, map_rows
 from nuno_render.rays.near import sort_points
 from nuno_render.rays.worn import check_eye, gather_skin
 from nuno_render.rays.yarn_config import MapConfig, grid_of
@@ -97,10 +97,10 @@ def map_values(
     up = unit(np.array(config.up))
     light = key_direction(config, camera, up)
     found = np.empty((camera.size[1], camera.size[0], columns * rows, 2))
-    values = np.ascontiguousarray(shown.values, np.float64)
+    marked = Shown(mode, np.ascontiguousarray(shown.values, np.float64), *cells)
 
     def draw(first: int, last: int) -> None:
-        map_rows(first, last, sight, (columns, rows, config.seed), light, skin, mode, values, cells, found)
+        map_rows(first, last, sight, (columns, rows, config.seed), light, skin, marked, found)
 
     in_parts(draw, camera.size[1], None, progress)
     return found

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
 from nuno_schemas.fabric import Float
-
-# mypy: disable-error-code="no-untyped-def"
 
 
 class Cells(NamedTuple):
@@ -39,7 +37,7 @@ def sort_points(points: Float, values: Float, reach: float) -> Cells:
 
 
 @kernel
-def find_key(key, wanted):
+def find_key(key: NDArray[np.int64], wanted: int) -> int:
     """Place of the first key that is no less."""
     first, last = 0, key.shape[0]
     while first < last:
@@ -52,7 +50,7 @@ def find_key(key, wanted):
 
 
 @kernel
-def sum_near(x, y, z, cells):
+def sum_near(x: float, y: float, z: float, cells: Any) -> tuple[int, float]:
     """(count, sum of values) of the points no farther than the reach from a place."""
     reach, low, shape = cells.reach, cells.low, cells.shape
     i, j = int(np.floor((x - low[0]) / reach)), int(np.floor((y - low[1]) / reach))

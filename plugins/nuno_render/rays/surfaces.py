@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from nuno_render.compiled import kernel
+from nuno_kernels import kernel
 from nuno_render.light.shade import sky
 from nuno_render.rays.crossings import free_way
-from nuno_render.rays.fibre import skin_light, yarn_light
+from nuno_render.rays.fibre import Look, skin_light, yarn_light
+from nuno_render.rays.hits import Buffers
+from nuno_render.rays.worn import Skin, Threads
 from nuno_render.sampling import place_sample, scramble
-
-# mypy: disable-error-code="no-untyped-def"
+from nuno_schemas.fabric import Float
 
 LOW = 0.1
 """Sine of the least height over skin at which its shadow is looked for. Light that comes lower, or from below, reaches
@@ -18,8 +21,22 @@ it through the skin, whose own body must not hide it.
 """
 
 
+class Ground(NamedTuple):
+    """The floor of a picture by rays: whether it is seen, its height over the eye [m], the scene's middle (3,) and size
+    [m], albedo (3,), and the background's colours at the top and bottom (3,), linear.
+    """
+
+    active: bool
+    drop: float
+    centre: Float
+    radius: float
+    albedo: Float
+    top: Float
+    bottom: Float
+
+
 @kernel
-def across(d, u, v):
+def across(d: Float, u: Float, v: Float) -> None:
     """Two unit vectors at right angles to the unit vector d, into u and v (Duff et al., JCGT 6(1), 2017)."""
     sign = 1.0 if d[2] >= 0.0 else -1.0
     a = -1.0 / (sign + d[2])
@@ -29,7 +46,9 @@ def across(d, u, v):
 
 
 @kernel
-def receive(p, q, n, least, lights, look, skin, threads, sample, hits, work):
+def receive(
+    p: Float, q: Float, n: Float, least: float, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers
+) -> tuple[float, float]:
     """(lit, free): shares of the key light at p (3,), and of the sky at q (3,) with unit normal n.
 
     Light is looked for no lower over the surface than a sine of `least`.
@@ -37,17 +56,17 @@ def receive(p, q, n, least, lights, look, skin, threads, sample, hits, work):
     The light's disc and the cosine-weighted half sphere are each met at one place, which `sample` chooses:
     (number, columns, rows, pattern of the pixel).
     """
-    keep, shadows, occlusion = look[1], look[4], look[5]
-    share = 1.0 if look[7] else look[0]
+    keep, light, work = look.keep, look.direction, buffers.work
+    share = 1.0 if look.flat else look.share
     number, columns, rows, pattern = sample
     d, u, v = work[0], work[1], work[2]
     lit, free = 1.0, 1.0
-    if shadows:
+    if look.shadows:
         x, y = place_sample(number, columns, rows, scramble(pattern, 11))
-        across(lights[0], u, v)
-        far, turn = lights[5] * np.sqrt(x), 2.0 * np.pi * y
+        across(light, u, v)
+        far, turn = look.spread * np.sqrt(x), 2.0 * np.pi * y
         for k in range(3):
-            d[k] = lights[0][k] + far * (np.cos(turn) * u[k] + np.sin(turn) * v[k])
+            d[k] = light[k] + far * (np.cos(turn) * u[k] + np.sin(turn) * v[k])
         height = n[0] * d[0] + n[1] * d[1] + n[2] * d[2]
         if height < least:
             for k in range(3):
@@ -55,19 +74,19 @@ def receive(p, q, n, least, lights, look, skin, threads, sample, hits, work):
         norm = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         for k in range(3):
             d[k] /= norm
-        lit = free_way(p, d, skin, threads, share, keep, hits)
-    if occlusion:
+        lit = free_way(p, d, skin, threads, share, keep, buffers)
+    if look.occlusion:
         x, y = place_sample(number, columns, rows, scramble(pattern, 12))
         across(n, u, v)
         sine, rise, turn = np.sqrt(x), np.sqrt(1.0 - x), 2.0 * np.pi * y
         for k in range(3):
             d[k] = rise * n[k] + sine * (np.cos(turn) * u[k] + np.sin(turn) * v[k])
-        free = free_way(q, d, skin, threads, share, keep, hits)
+        free = free_way(q, d, skin, threads, share, keep, buffers)
     return lit, free
 
 
 @kernel
-def find_weights(p, g, x, a, b, c):
+def find_weights(p: Float, g: Float, x: Float, a: int, b: int, c: int) -> Any:
     """Weights of corners b and c at a point p (3,) of their triangle, and the length of its normal g (3,)."""
     square, s, r = g[0] * g[0] + g[1] * g[1] + g[2] * g[2] + 1e-300, 0.0, 0.0
     for k in range(3):
@@ -78,7 +97,9 @@ def find_weights(p, g, x, a, b, c):
 
 
 @kernel
-def raise_point(p, g, corners, weights, turn, skin, off, out):
+def raise_point(
+    p: Float, g: Float, corners: Any, weights: Any, turn: float, skin: Skin, off: float, out: Float
+) -> None:
     """Where rays from a point p (3,) of a triangle with unit normal g start, into out (3,).
 
     Flat faces would shadow each other where the smooth normal still sees the light: rays start on the smooth surface
@@ -97,8 +118,11 @@ def raise_point(p, g, corners, weights, turn, skin, off, out):
 
 
 @kernel
-def shade_skin(face, eye, d, t, lights, look, skin, threads, sample, hits, work, out):
+def shade_skin(
+    face: int, d: Float, t: float, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers, out: Float
+) -> None:
     """Radiance of a body where a ray meets a triangle, into out (3,)."""
+    eye, work = look.eye, buffers.work
     p, n, g, albedo, view = work[3], work[4], work[5], work[6], work[7]
     a, b, c = skin.faces[face, 0], skin.faces[face, 1], skin.faces[face, 2]
     x = skin.x
@@ -117,14 +141,17 @@ def shade_skin(face, eye, d, t, lights, look, skin, threads, sample, hits, work,
     for k in range(3):
         n[k] /= norm
         g[k] *= turn / area
-    raise_point(p, g, (a, b, c), (1.0 - s - r, s, r), turn, skin, look[6], work[8])
-    lit, free = receive(work[8], work[8], n, LOW, lights, look, skin, threads, sample, hits, work)
-    skin_light(albedo, n, view, lights, lit, free, out)
+    raise_point(p, g, (a, b, c), (1.0 - s - r, s, r), turn, skin, look.off, work[8])
+    lit, free = receive(work[8], work[8], n, LOW, look, skin, threads, sample, buffers)
+    skin_light(albedo, n, view, look, lit, free, out)
 
 
 @kernel
-def shade_yarn(item, eye, d, t, lights, look, skin, threads, sample, hits, work, out):
+def shade_yarn(
+    item: int, d: Float, t: float, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers, out: Float
+) -> None:
     """Radiance of a yarn where a ray enters a capsule, into out (3,)."""
+    eye, light, work = look.eye, look.direction, buffers.work
     p, n, view, axis, tangent = work[3], work[4], work[5], work[6], work[7]
     along, length = 0.0, 0.0
     for k in range(3):
@@ -144,32 +171,34 @@ def shade_yarn(item, eye, d, t, lights, look, skin, threads, sample, hits, work,
     for k in range(3):
         n[k] /= norm
         tangent[k] /= bend
-        tl += tangent[k] * lights[0][k]
+        tl += tangent[k] * light[k]
     # The light that comes to the yarn is that on the side which faces it: inside it is scattered about.
     side = np.sqrt(max(1.0 - tl * tl, 0.0)) + 1e-12
     for k in range(3):
-        work[8][k] += (threads.radius[item] + look[6]) * (lights[0][k] - tl * tangent[k]) / side
-        p[k] += look[6] * n[k]
-    lit, free = receive(work[8], p, n, -2.0, lights, look, skin, threads, sample, hits, work)
-    colour = threads.colour[threads.yarn[item]]
-    yarn_light(colour, n, tangent, view, lights, lit, free, look[2], look[3], out)
+        work[8][k] += (threads.radius[item] + look.off) * (light[k] - tl * tangent[k]) / side
+        p[k] += look.off * n[k]
+    lit, free = receive(work[8], p, n, -2.0, look, skin, threads, sample, buffers)
+    yarn_light(threads.colour[threads.yarn[item]], n, tangent, view, look, lit, free, out)
 
 
 @kernel
-def shade_floor(eye, d, t, floor, lights, look, skin, threads, sample, hits, work, out):
+def shade_floor(
+    d: Float, t: float, floor: Ground, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers,
+    out: Float,
+) -> None:  # fmt: skip
     """Radiance of the floor, blended into out (3,), which holds the background."""
-    _, _, centre, radius, albedo = floor
-    p, up = work[3], lights[2]
+    eye, p, up, light = look.eye, buffers.work[3], look.up, look.direction
     away = 0.0
     for k in range(3):
         p[k] = eye[k] + t * d[k]
-        away += (p[k] - centre[k]) ** 2
-    fade = min(max((np.sqrt(away) / radius - 1.0) / 4.0, 0.0), 1.0)
+        away += (p[k] - floor.centre[k]) ** 2
+    fade = min(max((np.sqrt(away) / floor.radius - 1.0) / 4.0, 0.0), 1.0)
     fade = fade * fade * (3.0 - 2.0 * fade)
     if fade >= 1.0:
         return
-    lit, free = receive(p, p, up, -2.0, lights, look, skin, threads, sample, hits, work)
-    nl = max(up[0] * lights[0][0] + up[1] * lights[0][1] + up[2] * lights[0][2], 0.0)
+    lit, free = receive(p, p, up, -2.0, look, skin, threads, sample, buffers)
+    nl = max(up[0] * light[0] + up[1] * light[1] + up[2] * light[2], 0.0)
     for k in range(3):
-        radiance = albedo[k] * (lights[1][k] * nl * lit + sky(1.0, lights[3], lights[4], k) * free)
+        ambient = sky(1.0, look.sky, look.ground, k) * free
+        radiance = floor.albedo[k] * (look.colour[k] * nl * lit + ambient)
         out[k] += (1.0 - fade) * (radiance - out[k])

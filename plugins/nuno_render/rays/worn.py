@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_render.light.lighting import unit
-from nuno_render.rays.hits import DEPTH, meet_triangle
+from nuno_render.rays.hits import make_buffers, meet_triangle
 from nuno_render.rays.tree import RayTree, capsule_tree, triangle_tree
 from nuno_render.scene import check_mesh, vertex_normals
 from nuno_schemas.camera import axes
@@ -131,8 +130,7 @@ def check_eye(bodies: tuple[Mesh, ...], camera: Camera) -> None:
     closed = tuple(mesh for mesh in bodies if not mesh.two_sided)
     eye = np.asarray(camera.eye, np.float64)
     skin = gather_skin(closed, eye, "#000000")
-    waiting, bound = np.empty(DEPTH, np.int64), np.empty(DEPTH)
-    face, _ = meet_triangle(0.0, 0.0, 0.0, *forward, 0.0, math.inf, skin.tree, waiting, bound)
+    face, _ = meet_triangle(np.zeros(3), forward, skin.tree, make_buffers(1))
     if face >= 0:
         a, b, c = skin.x[skin.faces[face]]
         if float(unit(np.cross(b - a, c - a)) @ forward) > 0.0:

@@ -16,6 +16,8 @@ from nuno_render.annotate import annotate
 from nuno_render.light.lighting import GROUND, KEY, SKY, key_direction, unit
 from nuno_render.raster.plugin import encode_picture
 from nuno_render.rays.cast import KEEP, cast_rows
+from nuno_render.rays.fibre import Look
+from nuno_render.rays.surfaces import Ground
 from nuno_render.rays.worn import Skin, Threads, check_eye, gather_skin, gather_threads
 from nuno_render.rays.yarn_config import CastConfig, LinesConfig, YarnsConfig, grid_of
 from nuno_render.sight import sight_of
@@ -102,18 +104,16 @@ def radiance(
     radius = float(np.sqrt(((drawn - centre) ** 2).sum(axis=1).max())) or 1.0
     height, width = camera.size[1], camera.size[0]
     keep = 1 if config.translucency == 0.0 else KEEP
-    look = (
-        config.translucency, keep, config.highlight, config.sharpness, config.shadows, config.occlusion,
-        OFF * radius, flat,
+    look = Look(
+        sight.eye, key_direction(config, camera, up), KEY, up, SKY, GROUND, config.light_size, config.translucency,
+        keep, config.highlight, config.sharpness, config.shadows, config.occlusion, OFF * radius, flat,
     )  # fmt: skip
-    lights = (key_direction(config, camera, up), KEY, up, SKY, GROUND, config.light_size)
-    floor = _floor(config, skin, yarns, origin, sight.eye, up, centre, radius)
-    back = tuple(parse_hex(colour) for colour in config.background)
+    floor = _floor(config, skin, yarns, origin, look, centre, radius)
     grid = (*grid_of(config.samples), config.seed)
     picture = np.empty((height, width, 4))
 
     def draw(first: int, last: int) -> None:
-        cast_rows(first, last, sight, grid, lights, look, skin, yarns, floor, back, picture)
+        cast_rows(first, last, sight, grid, look, skin, yarns, floor, picture)
 
     in_parts(draw, height, threads, progress)
     return picture
@@ -141,9 +141,10 @@ def yarn_colours(config: YarnsConfig, yarns: YarnCurves) -> Float:
 
 
 def _floor(
-    config: CastConfig, skin: Skin, yarns: Threads, origin: Float, eye: Float, up: Float, centre: Float, radius: float
-) -> tuple[object, ...]:
-    """What `cast_rows` takes: the floor is drawn only for an eye above it."""
+    config: CastConfig, skin: Skin, yarns: Threads, origin: Float, look: Look, centre: Float, radius: float
+) -> Ground:
+    """The floor and the background; the floor is drawn only for an eye above it."""
+    up = look.up
     solid = skin.x[np.unique(skin.faces)] if len(skin.faces) else np.concatenate([yarns.start, yarns.end])
     level = 0.0
     if config.ground == "auto":
@@ -153,6 +154,7 @@ def _floor(
     has = config.ground != "none" and math.isfinite(level)
     level = level if has else 0.0
     # A little lower, so that what stands on it is not cut by it.
-    drop = level - 1e-4 * radius - float(eye @ up)
+    drop = level - 1e-4 * radius - float(look.eye @ up)
     middle = centre + (level - float(centre @ up)) * up
-    return has and drop < 0.0, drop, middle, radius, parse_hex(config.ground_colour)
+    top, bottom = (parse_hex(colour) for colour in config.background)
+    return Ground(has and drop < 0.0, drop, middle, radius, parse_hex(config.ground_colour), top, bottom)
