@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -23,10 +23,8 @@ def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     return value
 
 
-if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
-    Height = float
-else:
-    Height = quantity("m")
+Height = Annotated[float, quantity("m")]
+
 Colour = Annotated[str, AfterValidator(_colour)]
 Direction = Annotated[tuple[float, float, float], AfterValidator(_direction)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -22,12 +22,8 @@ from nuno_wrinkle.net import Net, build_net
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
 from nuno_wrinkle.surface import link_faces
 
-if TYPE_CHECKING:
-    Length = float
-    Tensile = float
-else:
-    Length = quantity("m", gt=0)
-    Tensile = quantity("N/m", gt=0)
+Length = Annotated[float, quantity("m", gt=0)]
+Tensile = Annotated[float, quantity("N/m", gt=0)]
 
 
 class WrinkleConfig(Config):

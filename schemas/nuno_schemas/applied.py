@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
 from pydantic import Field
 from pydantic_core import PydanticCustomError
@@ -11,10 +11,7 @@ from nuno_schemas.errors import nearest
 from nuno_schemas.parts import Choice, Name
 from nuno_schemas.units import quantity
 
-if TYPE_CHECKING:
-    Moment = float
-else:
-    Moment = quantity("s", ge=0)
+Moment = Annotated[float, quantity("s", ge=0)]
 
 
 class Applied(Choice):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -13,12 +13,8 @@ from nuno_schemas.parts import Choice, Name, Part, require_distinct
 from nuno_schemas.solver import AUTO, Solver
 from nuno_schemas.units import quantity
 
-if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
-    Diffusion = float
-    Speed = float
-else:
-    Diffusion = quantity("m^2/s", ge=0)
-    Speed = quantity("", gt=0, le=1e9)
+Diffusion = Annotated[float, quantity("m^2/s", ge=0)]
+Speed = Annotated[float, quantity("", gt=0, le=1e9)]
 
 
 class DyeSolver(Solver):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -10,14 +10,9 @@ from pydantic_core import PydanticCustomError
 from nuno_schemas.parts import Part
 from nuno_schemas.units import quantity
 
-if TYPE_CHECKING:
-    Metres = float
-    Number = float
-    Weight = float
-else:
-    Metres = quantity("m")
-    Number = quantity("")
-    Weight = quantity("", ge=0, le=1)
+Metres = Annotated[float, quantity("m")]
+Number = Annotated[float, quantity("")]
+Weight = Annotated[float, quantity("", ge=0, le=1)]
 
 MOST_POINTS = 100_000
 PLACES = ("points", "texture", "on_faces", "file")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -10,14 +10,9 @@ from pydantic_core import PydanticCustomError
 from nuno_schemas.parts import Choice, Colour, Part
 from nuno_schemas.units import quantity
 
-if TYPE_CHECKING:
-    Amount = float
-    Interval = float
-    Metres = float
-else:
-    Amount = quantity("", gt=0)
-    Interval = quantity("s", gt=0)
-    Metres = quantity("m")
+Amount = Annotated[float, quantity("", gt=0)]
+Interval = Annotated[float, quantity("s", gt=0)]
+Metres = Annotated[float, quantity("m")]
 
 YARNS = "yarns"
 """The plugin that draws where a scene names none."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -15,20 +15,12 @@ from nuno_schemas.solver import AUTO, Accuracy, Interval, Solver
 from nuno_schemas.units import Plausible, quantity
 from nuno_schemas.view import View
 
-if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
-    Duration = float
-    Rate = float
-    Stiffness = float
-    Acceleration = float
-    Damping = float
-    Roughness = float
-else:
-    Duration = quantity("s", gt=0, le=1e9)
-    Rate = quantity("Hz", gt=0, le=100_000)
-    Stiffness = quantity("N/m", gt=0)
-    Acceleration = quantity("m/s^2")
-    Damping = quantity("1/s", ge=0)
-    Roughness = quantity("m", Plausible(0.0, 0.01, ("mm", "um")), ge=0)
+Duration = Annotated[float, quantity("s", gt=0, le=1e9)]
+Rate = Annotated[float, quantity("Hz", gt=0, le=100_000)]
+Stiffness = Annotated[float, quantity("N/m", gt=0)]
+Acceleration = Annotated[float, quantity("m/s^2")]
+Damping = Annotated[float, quantity("1/s", ge=0)]
+Roughness = Annotated[float, quantity("m", Plausible(0.0, 0.01, ("mm", "um")), ge=0)]
 
 
 class Object(Part):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -10,10 +10,7 @@ from pydantic_core import PydanticCustomError
 from nuno_schemas.parts import Choice
 from nuno_schemas.units import quantity
 
-if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
-    Interval = float
-else:
-    Interval = quantity("s", gt=0)
+Interval = Annotated[float, quantity("s", gt=0)]
 
 AUTO = "auto"
 """The solver that is chosen for the scene, with its step."""

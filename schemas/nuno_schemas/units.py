@@ -9,8 +9,9 @@ from __future__ import annotations
 import functools
 import math
 import re
-from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
@@ -119,9 +120,24 @@ PLAUSIBLE = {
 ANY = Plausible(0.0, math.inf)
 
 
-def quantity(unit: str, plausible: Plausible | None = None, **limits: Any) -> Any:
-    """A pydantic float type in the SI `unit`; `limits` are those of `pydantic.Field`, beyond which nothing is taken."""
-    number = {"type": "number"} | {_LIMITS[name]: value for name, value in limits.items()}
-    schema = WithJsonSchema({"anyOf": [number, {"type": "string"}], "unit": unit})
-    usual = replace(plausible or PLAUSIBLE.get(unit, ANY), unit=unit)
-    return Annotated[float, BeforeValidator(functools.partial(to_si, unit=unit)), Field(**limits), schema, usual]
+@dataclass(frozen=True)
+class Quantity(Plausible):
+    """What pydantic reads a quantity by, as one item of an `Annotated[float, ...]`; `limits` as in `quantity`."""
+
+    limits: tuple[tuple[str, Any], ...] = ()
+    __is_annotated_types_grouped_metadata__: ClassVar[bool] = True
+
+    def __iter__(self) -> Iterator[Any]:
+        number = {"type": "number"} | {_LIMITS[name]: value for name, value in self.limits}
+        yield BeforeValidator(functools.partial(to_si, unit=self.unit))
+        yield Field(**dict(self.limits))
+        yield WithJsonSchema({"anyOf": [number, {"type": "string"}], "unit": self.unit})
+
+
+def quantity(unit: str, plausible: Plausible | None = None, **limits: Any) -> Quantity:
+    """What makes a quantity in the SI `unit` of a float: `Length = Annotated[float, quantity("m", gt=0)]`.
+
+    `limits` are those of `pydantic.Field`, beyond which nothing is taken.
+    """
+    usual = plausible or PLAUSIBLE.get(unit, ANY)
+    return Quantity(usual.low, usual.high, usual.meant, usual.source, unit, tuple(limits.items()))

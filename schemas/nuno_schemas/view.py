@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from nuno_schemas.parts import Choice, Part
 from nuno_schemas.units import quantity
 
-if TYPE_CHECKING:  # to a type checker a quantity is the float it becomes
-    Angle = float
-    Distance = float
-    Metres = float
-    Every = float
-else:
-    Angle = quantity("rad")
-    Distance = quantity("m", gt=0)
-    Metres = quantity("m")
-    Every = quantity("s", gt=0)
+Angle = Annotated[float, quantity("rad")]
+Distance = Annotated[float, quantity("m", gt=0)]
+Metres = Annotated[float, quantity("m")]
+Every = Annotated[float, quantity("s", gt=0)]
 
 Vector = tuple[Metres, Metres, Metres]
 Pixels = Annotated[int, Field(ge=16, le=8192)]

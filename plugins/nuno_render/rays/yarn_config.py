@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -11,10 +11,7 @@ from nuno_render.config import Colour, Direction, Height
 from nuno_schemas.plugin import Config
 from nuno_schemas.units import Plausible, quantity
 
-if TYPE_CHECKING:
-    Thickness = float
-else:
-    Thickness = quantity("m", Plausible(1e-6, 0.02, ("um", "mm")), gt=0)
+Thickness = Annotated[float, quantity("m", Plausible(1e-6, 0.02, ("um", "mm")), gt=0)]
 
 PALETTE: tuple[Colour, ...] = ("#3a2a24", "#74503c", "#8c5f48", "#3b5b8c", "#5d8a4f", "#7d5ba6")
 SKIN = "#e0b096"
