@@ -14,7 +14,7 @@ from nuno_kernels.meshes.limb import Rows, find_limb, lay_rows
 from nuno_kernels.meshes.tree import build_tree
 from nuno_knit.quantities import Length, Point, Ratio, Share
 from nuno_knit.structure import Knit as Structure
-from nuno_schemas.body_size import check_size
+from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config

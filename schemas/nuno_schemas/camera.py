@@ -58,13 +58,8 @@ def frame(
         limit = "fov 0.01 to 2.8 rad, margin 0 to 0.45, size at least 1"
         raise BadInput("the camera cannot be fitted", field="camera", value=(fov, margin, size), limit=limit)
     cloud = _cloud(points)
-    toward = np.array(
-        [
-            math.sin(azimuth) * math.cos(elevation),
-            -math.cos(azimuth) * math.cos(elevation),
-            math.sin(elevation),
-        ]
-    )
+    flat = math.cos(elevation)
+    toward = np.array([math.sin(azimuth) * flat, -math.cos(azimuth) * flat, math.sin(elevation)])
     right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
     forward, up = -toward, np.cross(toward, right)
     middle = (cloud.min(axis=0) + cloud.max(axis=0)) / 2.0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
 from nuno_schemas.fabric import Float
+from nuno_schemas.plugin import Plugin
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,8 @@ class Camera:
     size: tuple[int, int]
 
 
-class Renderer(Protocol):
+class Renderer(Plugin, Protocol):
     """Draws meshes."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def render(self, config: Any, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
         """(height, width, 3) uint8 sRGB picture."""

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, Literal, Protocol
 
-from pydantic import BaseModel
-
-from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.dye_picture import Photograph
+from nuno_schemas.dyeing import WeiszZollinger
 from nuno_schemas.fabric import Bool, Float, Int, Memory
-from nuno_schemas.plugin import Files
+from nuno_schemas.plugin import Files, Plugin
 
 
 @dataclass(frozen=True)
@@ -183,20 +181,14 @@ class Supply:
     liquor: float | None = None
 
 
-class IsothermPlugin(Protocol):
+class IsothermPlugin(Plugin, Protocol):
     """An isotherm by name."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def prepare(self, config: Any) -> Isotherm: ...
 
 
-class DyeCloth(Protocol):
+class DyeCloth(Plugin, Protocol):
     """Builds a cloth's cells, what they hold at the start, and what gives dye to them."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def build(self, config: Any, files: Files, seed: int, dyes: int) -> tuple[Cells, DyeState]:
         """Cells, and the amounts (dyes, 2, ny, nx) of each dye before any is supplied. Raises BadInput."""
@@ -218,11 +210,8 @@ class DyeCloth(Protocol):
         ...
 
 
-class DyeSolver(Protocol):
+class DyeSolverPlugin(Plugin, Protocol):
     """Advances the amounts of dye by whole steps over one frame."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def prepare(self, config: Any, system: DyeSystem, state: DyeState) -> Memory:
         """Memory for this system. Raises BadInput for what the solver cannot do."""

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.look import DyeColour, DyeView
-from nuno_schemas.plugin import Files
+from nuno_schemas.plugin import Files, Plugin
 
 Picture = NDArray[np.uint8]
 """(h, w, 3) sRGB."""
@@ -66,11 +65,8 @@ def amount_seen(phi: Float, fixed: Float, view: DyeView = "all") -> Float:
     return {"all": phi + fixed, "fixed": fixed, "mobile": phi}[view]
 
 
-class DyePicture(Protocol):
+class DyePicturePlugin(Plugin, Protocol):
     """Draws dyed cloth."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def prepare(
         self, config: Any, files: Files, layers: Layers, dyes: Sequence[DyeColour], window: Window, scale: int

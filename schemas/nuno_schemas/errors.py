@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass
@@ -24,6 +24,10 @@ class BadInput(Exception):
 
     def __post_init__(self) -> None:
         super().__init__(self.problem)
+
+    def at(self, field: str) -> BadInput:
+        """The same of a field of the scene, not of a file."""
+        return replace(self, file=None, line=None, field=field)
 
     def __str__(self) -> str:
         place = ":".join(str(part) for part in (self.file, self.line) if part is not None)

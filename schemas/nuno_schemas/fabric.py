@@ -97,14 +97,9 @@ class Springs:
 
     @staticmethod
     def from_pairs(
-        pairs: Int,
-        k: Float,
-        rest: Float,
-        c: Float,
-        kind: int = 0,
-        lock: Float | None = None,
+        pairs: Int, k: Float, rest: Float, c: Float, kind: int = 0, lock: Float | None = None,
         k_lock: Float | None = None,
-    ) -> Springs:
+    ) -> Springs:  # fmt: skip
         """Runs of one spring each, constants per spring."""
         number = pairs.shape[0]
         one = np.broadcast_to(np.int32(1), number)  # no memory: a net may have millions
@@ -120,21 +115,14 @@ class Springs:
             parts = [p if p.lock is not None else replace(p, lock=np.zeros_like(p.k), k_lock=p.k) for p in parts]
         per_run = all(p.per_run for p in parts)
 
-        def values(name: str) -> Float:
+        def joined(name: str) -> Any:
             arrays = [getattr(p, name) for p in parts]
-            return np.concatenate(arrays if per_run else [p.per_spring(a) for p, a in zip(parts, arrays, strict=True)])
+            if name in ("k", "rest", "c", "lock", "k_lock") and not per_run:
+                arrays = [p.per_spring(a) for p, a in zip(parts, arrays, strict=True)]
+            return np.concatenate(arrays)
 
-        return Springs(
-            np.concatenate([p.first for p in parts]),
-            np.concatenate([p.count for p in parts]),
-            np.concatenate([p.stride for p in parts]),
-            values("k"),
-            values("rest"),
-            values("c"),
-            np.concatenate([p.kind for p in parts]),
-            values("lock") if locks else None,
-            values("k_lock") if locks else None,
-        )
+        names = ("first", "count", "stride", "k", "rest", "c", "kind", *(("lock", "k_lock") if locks else ()))
+        return Springs(*(joined(name) for name in names))
 
 
 @dataclass(frozen=True)

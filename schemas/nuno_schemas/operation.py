@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.plugin import Files
+from nuno_schemas.plugin import Files, Plugin
 
 
 @dataclass(frozen=True)
@@ -50,11 +49,8 @@ class Outcome:
     changed: Changed | None = None
 
 
-class Operation(Protocol):
+class Operation(Plugin, Protocol):
     """Makes something new of a fabric and where it is."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def apply(self, config: Any, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
         """`skin` are the bodies that are meshes, None where there is none. Changes none of its arguments."""

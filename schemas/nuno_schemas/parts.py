@@ -53,9 +53,6 @@ def require_distinct(parts: list[Any]) -> list[Any]:
     for i, part in enumerate(parts):
         if first.setdefault(part.name, i) != i:
             # pydantic places an error of a list at the list; `inside` says where in it.
-            raise PydanticCustomError(
-                "same_name",
-                "the name '{name}' is used twice; rename one of them",
-                {"name": part.name, "inside": (i, "name")},
-            )
+            problem = "the name '{name}' is used twice; rename one of them"
+            raise PydanticCustomError("same_name", problem, {"name": part.name, "inside": (i, "name")})
     return parts

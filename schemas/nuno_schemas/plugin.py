@@ -45,6 +45,13 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class Plugin(Protocol):
+    """What every plugin has: its entry point's name, and what a scene may say of it."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type[BaseModel]]
+
+
 class Files(Protocol):
     """Opens files that a scene names, inside the folders the user allows."""
 
@@ -53,11 +60,8 @@ class Files(Protocol):
         ...
 
 
-class Model(Protocol):
+class Model(Plugin, Protocol):
     """Builds a fabric at rest."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def build(self, config: Any, files: Files, seed: int) -> Fabric: ...
 
@@ -78,31 +82,23 @@ class Drawn(Model, Protocol):
         ...
 
 
-class Force(Protocol):
+class Force(Plugin, Protocol):
     """A force on the cloth."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def prepare(self, config: Any, fabric: Fabric, seed: int) -> Term: ...
 
 
-class Contact(Protocol):
+class Contact(Plugin, Protocol):
     """Forces between cloth and bodies."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def prepare(self, config: Any, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
         """The term of the bodies that have this contact, so configured: those of `geometry`, on the frames of all."""
         ...
 
 
-class Integrator(Protocol):
+class Integrator(Plugin, Protocol):
     """Advances a system's state by whole steps over one frame."""
 
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
     order: ClassVar[int]
     explicit: ClassVar[bool]
     adaptive: ClassVar[bool]
@@ -175,11 +171,8 @@ class BodyShape:
     """What the user should know of it, in words: where a mesh is open."""
 
 
-class Motion(Protocol):
+class Motion(Plugin, Protocol):
     """Moves frames over time."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def prepare(self, config: Any, files: Files) -> Mover: ...
 
@@ -199,11 +192,8 @@ class Mover:
     pose: Callable[[float], tuple[Float, Float]]
 
 
-class Collider(Protocol):
+class Collider(Plugin, Protocol):
     """A shape on the frames of a motion."""
-
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
 
     def build(self, config: Any, mover: Mover | None, files: Files) -> BodyShape:
         """Primitives; without a mover there is one frame, the world."""

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_schemas.applied import Applied, require_objects
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import nearest
 from nuno_schemas.parts import Choice, Colour, Name, Part, require_distinct
@@ -15,6 +14,7 @@ from nuno_schemas.solver import AUTO, Accuracy, Interval, Solver
 from nuno_schemas.units import Plausible, quantity
 from nuno_schemas.view import View
 
+Moment = Annotated[float, quantity("s", ge=0)]
 Duration = Annotated[float, quantity("s", gt=0, le=1e9)]
 Rate = Annotated[float, quantity("Hz", gt=0, le=100_000)]
 Stiffness = Annotated[float, quantity("N/m", gt=0)]
@@ -46,6 +46,29 @@ class Body(Part):
     friction: float = Field(
         default=0.3, ge=0, le=100, description="Coulomb coefficient; penalty contact gives way a little first"
     )
+
+
+class Applied(Choice):
+    """An operation that changes a piece of cloth while the scene goes on."""
+
+    at: Moment = Field(default=0.0, description="when [s]; the frame nearest to it is the last without")
+    object: Name | None = Field(default=None, description="the object that is changed; the only one where left out")
+
+
+def require_objects(operations: list[Applied], names: list[str], duration: float) -> None:
+    """Refuse operations on objects that are not there, or after the end [s]."""
+    for i, applied in enumerate(operations):
+        context: dict[str, Any] = {"inside": ("operations", i, "object")}
+        if applied.object is None and len(names) != 1:
+            context["known"] = nearest("", names)
+            raise PydanticCustomError("which_object", "say which object it changes; {known}", context)
+        if applied.object is not None and applied.object not in names:
+            context["known"] = nearest(applied.object, names)
+            raise PydanticCustomError("no_object", "no object has this name; {known}", context)
+        if applied.at > duration:
+            context = {"end": f"{duration:g}", "inside": ("operations", i, "at")}
+            problem = "the scene ends before, at {end} s; lengthen it, or apply this earlier"
+            raise PydanticCustomError("too_late", problem, context)
 
 
 class Record(Part):
@@ -143,17 +166,11 @@ class Scene(Part):
     @model_validator(mode="after")
     def _one_step(self) -> Scene:
         if self.accuracy is not None and self.solver.dt != "auto":
-            raise PydanticCustomError(
-                "step_and_accuracy",
-                "accuracy chooses the step, and solver.dt gives it; leave one of them out",
-                {"inside": ("accuracy",)},
-            )
+            problem = "accuracy chooses the step, and solver.dt gives it; leave one of them out"
+            raise PydanticCustomError("step_and_accuracy", problem, {"inside": ("accuracy",)})
         if self.accuracy is not None and not self.moves and self.dye is not None and self.dye.solver.plugin != AUTO:
-            raise PydanticCustomError(
-                "dye_accuracy",
-                "accuracy chooses the solver of the dye, and dye.solver names it; leave one of them out",
-                {"inside": ("accuracy",)},
-            )
+            problem = "accuracy chooses the solver of the dye, and dye.solver names it; leave one of them out"
+            raise PydanticCustomError("dye_accuracy", problem, {"inside": ("accuracy",)})
         return self
 
     @model_validator(mode="after")

@@ -18,16 +18,6 @@ AUTO = "auto"
 Accuracy = Literal["preview", "normal", "reference"]
 
 
-def _require_auto_alone(solver: Choice) -> None:
-    """Refuse fields beside `plugin: auto`."""
-    given = [*solver.config, *(name for name in solver.model_fields_set if name != "plugin")]
-    beside = next((name for name in given if getattr(solver, name) != "auto"), None)
-    if solver.plugin == AUTO and beside is not None:
-        raise PydanticCustomError(
-            "beside_auto", "auto chooses this as well; leave it out, or name a solver", {"inside": (beside,)}
-        )
-
-
 class Solver(Choice):
     """The integrator and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
 
@@ -42,5 +32,9 @@ class Solver(Choice):
 
     @model_validator(mode="after")
     def _auto_alone(self) -> Solver:
-        _require_auto_alone(self)
+        given = [*self.config, *(name for name in self.model_fields_set if name != "plugin")]
+        beside = next((name for name in given if getattr(self, name) != "auto"), None)
+        if self.plugin == AUTO and beside is not None:
+            problem = "auto chooses this as well; leave it out, or name a solver"
+            raise PydanticCustomError("beside_auto", problem, {"inside": (beside,)})
         return self

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
-from pydantic import BaseModel
-
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.plugin import Plugin
 
 Progress = Callable[[int, int], None]
 """Called with the rows drawn and all rows."""
@@ -48,11 +47,9 @@ class Worn:
     values: SurfaceValues | None = None
 
 
-class YarnPicture(Protocol):
+class YarnPicture(Plugin, Protocol):
     """Draws knits on bodies."""
 
-    name: ClassVar[str]
-    Config: ClassVar[type[BaseModel]]
     curves: ClassVar[bool]
     """Whether it draws yarns as curves; to make them takes time."""
     shows: ClassVar[bool]

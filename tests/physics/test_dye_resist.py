@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from pydantic import TypeAdapter, ValidationError
 
 from nuno_dye.supplies.resist import (
@@ -21,7 +22,6 @@ from nuno_dye.supplies.resist import (
     combine,
     find_resist,
     read_image,
-    write_image,
 )
 from nuno_dye.supplies.shibori import Rings, Seigaiha, Squares, Stripes, draw_pattern, fold
 from nuno_schemas.errors import BadInput
@@ -38,6 +38,11 @@ class Folder:
 
     def resolve(self, name: str) -> Path:
         return self.root / name
+
+
+def write_image(path: Path, values: Float) -> None:
+    """Write B (ny, nx) as a grey PNG of 16 bits, which `read_image` reads again within 2^-17."""
+    Image.fromarray(np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)).save(path, format="PNG")
 
 
 def png(path: Path, values: np.ndarray, depth: int, kind: int, clear: int | None = None) -> Path:

@@ -19,8 +19,8 @@ from nuno_dye.laws.potential import Curve, amount, curve_of, potential, potentia
 from nuno_dye.laws.power import log
 from nuno_kernels import kernel
 from nuno_kernels.lanes.simd import WIDTH, load, store
-from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.dye import Cells, Dye, DyeSystem, Tortuosity
+from nuno_schemas.dyeing import WeiszZollinger
 from nuno_schemas.fabric import Float
 
 LAW = WeiszZollinger(phi0=0.1, cap=20.0)

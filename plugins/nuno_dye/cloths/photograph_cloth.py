@@ -88,8 +88,7 @@ class PhotographCloth(Cloth):
         try:
             return split_by_colour(config.colours, light)
         except BadInput as error:
-            place = f"colours.{error.field}"
-            raise BadInput(error.problem, None, None, place, error.value, error.limit, error.remedy) from None
+            raise error.at(f"colours.{error.field}") from None
 
 
 class PhotographPictureConfig(Config):

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno_dye.laws.adsorption import NOTHING, Uptake
-from nuno_dye.laws.faces import face_sums, face_values
+from nuno_dye.laws.faces import face_values, largest_sum
 from nuno_dye.laws.potential import curve_of
 from nuno_dye.solvers.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
@@ -78,11 +78,11 @@ class Explicit(Banded):
 
     def limit(self, config: ExplicitConfig, system: DyeSystem) -> float:
         """The most that D0 g comes to, times dt / size^2 and the largest sum of P T over a cell's faces, is 1 there."""
-        most = float(face_sums(face_values(system.cells)).max()) * max(one.D0 * one.steepest for one in system.dyes)
+        most = largest_sum(face_values(system.cells)) * max(one.D0 * one.steepest for one in system.dyes)
         return system.cells.size**2 / most if most > 0.0 else float(np.inf)
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
-        """See nuno_schemas.dye.DyeSolver."""
+        """See nuno_schemas.dye.DyeSolverPlugin."""
         work: ExplicitWork = renew_work(memory, system)
         highest = memory.arrays["highest"]
         use_threads(highest, work.known)

@@ -82,7 +82,7 @@ class Implicit(LongSteps):
         return Memory(arrays, Layout(config, MARGIN, system))
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
-        """See nuno_schemas.dye.DyeSolver."""
+        """See nuno_schemas.dye.DyeSolverPlugin."""
         layout: Layout = solving.renew_work(memory, system)
         highest, fresh = memory.arrays["highest"], solving.begin_frame(memory.arrays, layout.known, steps)
         totals, given, message = {"steps": steps, "sweeps": 0, "damped": 0, "halvings": 0}, [], ""

@@ -88,7 +88,7 @@ class Rkl2(LongSteps):
         return Memory(arrays, Layout(config, MARGIN, system))
 
     def advance(self, system: DyeSystem, state: DyeState, memory: Memory, steps: int, dt: float) -> DyeReport:
-        """See nuno_schemas.dye.DyeSolver."""
+        """See nuno_schemas.dye.DyeSolverPlugin."""
         layout: Layout = solving.renew_work(memory, system)
         highest, since = memory.arrays["highest"], memory.arrays["since"]
         if solving.begin_frame(memory.arrays, layout.known, steps):

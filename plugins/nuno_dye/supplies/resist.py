@@ -13,15 +13,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from nuno_dye.quantities import Length, Place, Share
-from nuno_dye.supplies.regions import MOST_POINTS, Region, Stroke, cover, find_distance, find_middles
+from nuno_dye.quantities import Length, Share
+from nuno_dye.supplies.regions import Line, Region, Stroke, cover, find_distance, find_middles
 from nuno_dye.supplies.shibori import Panels, Pattern, draw_pattern
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config, Files
-
-Line = Annotated[tuple[Place, ...], Field(min_length=1, max_length=MOST_POINTS)]
 
 MOST_RESISTS = 256
 
@@ -115,8 +113,7 @@ def find_resists(items: Sequence[Resist], shape: tuple[int, int], size: float, f
             if isinstance(item, ImageResist):
                 raise
             inside = {"shape": "region", "paste": "points", "binding": "points", "shibori": "pattern"}[item.kind]
-            place = f"resist[{index}].{inside}"
-            raise BadInput(error.problem, None, None, place, error.value, error.limit, error.remedy) from None
+            raise error.at(f"resist[{index}].{inside}") from None
     return tuple(found)
 
 
@@ -187,10 +184,3 @@ def _read_pixels(image: Any) -> tuple[Float, Float | float]:
     mode = "LA" if image.mode in ("L", "LA") else "RGBA"
     pixels = np.asarray(image.convert(mode), np.float64) / 255.0
     return (pixels[..., 0] if mode == "LA" else pixels[..., :3]), pixels[..., -1]
-
-
-def write_image(path: Path, values: Float) -> None:
-    """Write B (ny, nx) as a grey PNG of 16 bits, which `read_image` reads again within 2^-17."""
-    from PIL import Image
-
-    Image.fromarray(np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)).save(path, format="PNG")

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from nuno_dye.quantities import Length, Moment, Place, Positive, Share
-from nuno_dye.supplies.regions import MOST_POINTS, All, Disc, Region, Stroke, cover
+from nuno_dye.supplies.regions import All, Disc, Line, Region, Stroke, cover
 from nuno_schemas.dye import Supply
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Bool
@@ -61,9 +61,7 @@ class Brush(_Supply):
     """A stroke of a round brush along a line."""
 
     kind: Literal["stroke"] = "stroke"
-    points: Annotated[tuple[Place, ...], Field(min_length=1, max_length=MOST_POINTS)] = Field(
-        description="of the line [m]"
-    )
+    points: Line = Field(description="of the line [m]")
     width: Length = Field(description="of the brush [m]")
 
 
@@ -128,7 +126,7 @@ def _prepare(item: AnySupply, place: str, shape: tuple[int, int], size: float, d
         inside = {"drop": "place", "stroke": "points", "bath": "region"}[item.kind]
         cells = find_cells(item, shape, size)
     except BadInput as error:
-        raise BadInput(error.problem, None, None, f"{place}.{inside}", error.value, error.limit, error.remedy) from None
+        raise error.at(f"{place}.{inside}") from None
     until = math.inf if item.stop is None else item.stop
     liquor = item.liquor if isinstance(item, Bath) else None
     return Supply(item.kind, dye, cells, item.amount, item.start, until if item.maintained else None, liquor)

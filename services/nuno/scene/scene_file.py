@@ -17,11 +17,10 @@ from nuno.scene.explain import UNNUMBERED, explain, located
 from nuno.scene.files import SceneFiles
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
 from nuno.scene.yaml_lines import dotted
-from nuno_schemas.applied import Applied
 from nuno_schemas.dyeing import Dyeing, DyeSolver
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.parts import Choice
-from nuno_schemas.scene import Scene
+from nuno_schemas.scene import Applied, Scene
 from nuno_schemas.solver import AUTO
 
 FIRST, FIRST_DYE = "symplectic_euler", "explicit"

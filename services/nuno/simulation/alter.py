@@ -15,9 +15,9 @@ from nuno.scene import yaml_lines
 from nuno.scene.explain import UNNUMBERED, explain
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Chosen, Loaded, choose_operation
-from nuno_schemas.applied import Applied
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Springs
+from nuno_schemas.scene import Applied
 
 NAME = "add"
 """What errors call the text of an added operation."""

@@ -22,8 +22,8 @@ import numpy as np
 from nuno_bench.validation.laws.base import Found, Laws, fit_order, relative
 from nuno_bench.validation.laws.dye import D0, GROUP, RATE, DyeRun, make_cells
 from nuno_bench.validation.laws.dye_spread import make_wave
-from nuno_schemas.diffusivity import WeiszZollinger
 from nuno_schemas.dye import Dye
+from nuno_schemas.dyeing import WeiszZollinger
 from nuno_schemas.fabric import Float
 
 laws = Laws(GROUP)
