@@ -16,4 +16,4 @@ Share = Annotated[float, quantity("", ge=0, le=1)]
 Positive = Annotated[float, quantity("", gt=0)]
 
 Place = tuple[Metres, Metres]
-"""x to the right and y down from the cloth's upper left corner [m]."""
+"""A place: x to the right and y down from the cloth's upper left corner [m]."""

@@ -40,13 +40,9 @@ def annotate(picture: NDArray[np.uint8], caption: str, legend: Legend | None) ->
 
 
 def _bar(
-    image: object,
-    draw: ImageDraw,
-    legend: Legend,
-    font: FreeTypeFont | ImageFont,
-    corner: tuple[int, int],
+    image: object, draw: ImageDraw, legend: Legend, font: FreeTypeFont | ImageFont, corner: tuple[int, int],
     size: tuple[int, int],
-) -> None:
+) -> None:  # fmt: skip
     """Label above the bar, limits below it, right-aligned with `corner`."""
     from PIL import Image
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ FAR = 1e12
 
 
 @dataclass(frozen=True)
-class Scene:
+class DrawnScene:
     """All meshes as one, around an origin.
 
     positions (n, 3) [m] from the origin; normals (n, 3) unit; albedo (n, 3) linear;
@@ -43,17 +44,13 @@ class Scene:
     lowest: float
 
 
-def gather(meshes: list[Mesh], origin: Float, up: Float) -> Scene:
+def gather(meshes: list[Mesh], origin: Float, up: Float) -> DrawnScene:
     """One scene from several meshes. Faces with a vertex that is not finite are left out: a
     run that diverged can still be drawn.
 
     Raises BadInput for arrays of the wrong shape and for face indices out of range.
     """
-    for number, mesh in enumerate(meshes):
-        check_mesh(mesh, f"meshes[{number}]")
-    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    positions = _join([np.asarray(m.vertices, np.float64) for m in meshes], 3) - origin
-    faces = np.concatenate([np.zeros((0, 3), np.int32), *(m.faces + s for m, s in zip(meshes, starts, strict=False))])
+    positions, faces = join_meshes(meshes, origin, "meshes")
     owner = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(m.faces) for m in meshes])
     finite: Bool = np.logical_and.reduce(np.abs(positions) <= FAR, axis=1)
     kept = finite[faces].all(axis=1)
@@ -64,11 +61,13 @@ def gather(meshes: list[Mesh], origin: Float, up: Float) -> Scene:
     drawn = positions[used] if len(faces) else np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
     centre = (drawn.min(axis=0) + drawn.max(axis=0)) / 2.0
     radius = float(np.sqrt(((drawn - centre) ** 2).sum(axis=1).max()))
-    return Scene(
+    return DrawnScene(
         positions,
         vertex_normals(positions, faces, _twins(meshes, positions)),
-        _join([_albedo(m) for m in meshes], 3),
-        _join([np.zeros((len(m.vertices), 2)) if m.uv is None else np.asarray(m.uv, np.float64) for m in meshes], 2),
+        join_rows([_albedo(m) for m in meshes], 3),
+        join_rows(
+            [np.zeros((len(m.vertices), 2)) if m.uv is None else np.asarray(m.uv, np.float64) for m in meshes], 2
+        ),
         faces,
         np.ascontiguousarray(owner[kept]),
         np.array([m.two_sided for m in meshes], np.bool_),
@@ -79,7 +78,21 @@ def gather(meshes: list[Mesh], origin: Float, up: Float) -> Scene:
     )
 
 
-def _join(parts: list[Float], width: int) -> Float:
+def join_meshes(meshes: Sequence[Mesh], origin: Float, name: str) -> tuple[Float, Int]:
+    """Vertices (n, 3) [m] from the origin and faces (f, 3) of all meshes, which errors call `name`.
+
+    Raises BadInput for arrays of the wrong shape and for face indices out of range.
+    """
+    for number, mesh in enumerate(meshes):
+        check_mesh(mesh, f"{name}[{number}]")
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    moved = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+    faces = np.concatenate([np.zeros((0, 3), np.int32), *moved]).astype(np.int32)
+    return join_rows([np.asarray(mesh.vertices, np.float64) for mesh in meshes], 3) - origin, faces
+
+
+def join_rows(parts: list[Float], width: int) -> Float:
+    """Rows (n, width) of several arrays, of which there may be none."""
     return np.ascontiguousarray(np.concatenate([np.zeros((0, width)), *parts]))
 
 

@@ -15,7 +15,8 @@ from nuno_schemas.fabric import Float
 
 
 class Sight(NamedTuple):
-    """eye (3,) [m] from the camera's target; unit vectors right, up and forward (3,); focal length [pixels].
+    """Where a camera stands and looks: eye (3,) [m] from its target; unit vectors right, up and forward (3,); focal
+    length [pixels].
 
     All that is drawn counts from the target, so that a scene far from the origin keeps its digits.
     """

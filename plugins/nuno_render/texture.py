@@ -17,8 +17,8 @@ TAPS = 8
 
 
 class Textures(NamedTuple):
-    """texels (t, 3) float32 linear, all levels of all images; levels (m, l, 3) int64 per mesh:
-    first texel, height, width; number (m,) int64 of levels, 0 for a mesh without image.
+    """Mip maps of the images of meshes: texels (t, 3) float32 linear, all levels of all images; levels (m, l, 3) int64
+    per mesh: first texel, height, width; number (m,) int64 of levels, 0 for a mesh without image.
     """
 
     texels: NDArray[np.float32]

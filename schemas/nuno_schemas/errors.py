@@ -26,7 +26,7 @@ class BadInput(Exception):
         super().__init__(self.problem)
 
     def at(self, field: str) -> BadInput:
-        """The same of a field of the scene, not of a file."""
+        """This error of a field of the scene, in the place of one of a file."""
         return replace(self, file=None, line=None, field=field)
 
     def __str__(self) -> str:

@@ -61,7 +61,7 @@ class Springs:
         return int(self.count.sum())
 
     def stiffest(self) -> Springs:
-        """The same springs with the greatest stiffness that each ever has, wherever it is."""
+        """These springs with the greatest stiffness that each ever has, wherever it is."""
         if self.k_lock is None:
             return self
         k = np.maximum(*(self.per_spring(values) for values in (self.k, self.k_lock)))

@@ -58,7 +58,7 @@ class DyeStatus(FrameStatus):
     """Dye service, once a frame: amounts by dye, summed with compensation. None: not finite."""
 
     time: float
-    """Of the dyeing [s]: t times the dye's speed."""
+    """Time of the dyeing [s]: t times the dye's speed."""
     mobile: dict[str, float | None]
     fixed: dict[str, float | None]
     supplied: dict[str, float]

@@ -27,7 +27,7 @@ class Term:
     """Most this term can add to the squared angular frequency [1/s^2] where it is not active
     at the start (contact); terms active at the start leave 0 and are measured."""
     damping_rate: float = 0.0
-    """Likewise for the damping rate c/m [1/s]."""
+    """Most this term can add to the damping rate c/m [1/s] where it is not active at the start."""
     facts: Mapping[str, float] = field(default_factory=dict)
     """Numbers for the report: of contact the depth m g / k at which it rests ("rest_depth", [m]), and by how much more
     than Coulomb's law says its friction lets go what starts to slide ("slip_speed", [m/s])."""
@@ -97,9 +97,9 @@ class StepReport:
     totals: Mapping[str, int] = field(default_factory=dict)
     """What adds up over a run: rejected steps, evaluations, iterations of a solver."""
     unbalance: float = math.inf
-    """Of a scene until balance: how far the vertex farthest from rest is from it; see Integrator.unbalance."""
+    """How far the vertex farthest from rest is from it, of a scene until balance; see Integrator.unbalance."""
     unsettled: int = 0
-    """Of a scene until balance: vertices farther from rest than it allows."""
+    """Vertices farther from rest than a scene until balance allows."""
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ PLAUSIBLE = {
     "m/s^2": Plausible(0.0, 100.0, ("cm/s^2", "mm/s^2")),
     "m^2/s": Plausible(1e-14, 1e-6, ("mm^2/h", "mm^2/s")),
 }
-"""Of a quantity in a unit, unless its type says otherwise: of things as large as people, in metres and seconds."""
+"""What is plausible in a unit unless a type says otherwise: for things as large as people, in metres and seconds."""
 ANY = Plausible(0.0, math.inf)
 
 

@@ -17,7 +17,7 @@ from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.pictures import picture as module
 from nuno_dye.pictures.colour import colour_of, mix
 from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
-from nuno_dye.pictures.texture import TextureConfig, Textures, find_lays
+from nuno_dye.pictures.texture import Shades, TextureConfig, find_lays
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Window, amount_seen
 from nuno_schemas.errors import BadInput
@@ -156,7 +156,7 @@ def test_a_scale_of_one_shows_every_cell_as_it_is() -> None:
     cells = cloth(draw_plain())
     seen = spots(cells)
     light = mix(seen, [INK])
-    layer, _ = Textures(layers_of(cells), 1, FLAT).find(whole(cells))
+    layer, _ = Shades(layers_of(cells), 1, FLAT).find(whole(cells))
     exact = np.where(layer[..., None] == 1, light[1], light[0])
     found = draw_cloth(cells, seen, texture=FLAT).astype(float)
     assert np.abs(found - 255.0 * to_srgb(exact)).max() <= BYTE

@@ -11,8 +11,8 @@ from drawn_cloth import cloth, layers_of, whole
 from nuno_dye.cloths.woven import lay_evenly
 from nuno_dye.drafts.weaves import draw_plain
 from nuno_dye.pictures.texture import (
+    Shades,
     TextureConfig,
-    Textures,
     draw_noise,
     find_floats,
     find_lays,
@@ -24,7 +24,7 @@ from nuno_dye.pictures.texture import (
 def test_shadow_and_holes_are_where_they_should_be() -> None:
     cells = cloth(draw_plain())
     texture = TextureConfig(depth=0, fibres=0, relief=0, bend=0, shadow=0.5, hole=0.25)
-    _, shade = Textures(layers_of(cells), 2, texture).find(whole(cells))
+    _, shade = Shades(layers_of(cells), 2, texture).find(whole(cells))
     up = np.where(cells.up[1], cells.fibre[1], cells.fibre[0])
     expected = np.where(up, 1.0, np.where(cells.fibre.any(axis=0), 0.5, 0.25))
     assert np.array_equal(shade, np.repeat(np.repeat(expected, 2, 0), 2, 1))

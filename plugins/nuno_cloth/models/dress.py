@@ -25,13 +25,13 @@ from nuno_schemas.fabric import Bool, Float, Int
 RINGS, AROUND = 24, 96
 """Rings that are laid about a trunk and about an arm, and points of each."""
 UPPER = 0.2
-"""Of the cloth round an arm, so much is laid over it from the overarm on where the underarm is not closed yet."""
+"""Share of the cloth round an arm that is laid over it from the overarm on, where the underarm is not closed yet."""
 MARGIN = 0.02
 """Where a shirt is longer than the body, its rings are those about the body so far above its lower end [m]."""
 ROUNDS = 240
-"""Times that springs draw the shirt together and that it is put out of the body ..."""
+"""How often springs draw the shirt together and it is put out of the body."""
 MOMENTUM = 0.95
-"""... going on by this share of what it moved the last time."""
+"""Share of what the shirt moved the last time by which it goes on each time."""
 
 
 @dataclass(frozen=True)

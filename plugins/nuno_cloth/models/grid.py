@@ -24,7 +24,7 @@ STRUCTURAL, SHEAR, BENDING = 0, 1, 2
 
 @dataclass(frozen=True)
 class Grid:
-    """rows x cols vertices; a periodic one needs an even number of columns, at least 4."""
+    """A grid of rows x cols vertices; a periodic one needs an even number of columns, at least 4."""
 
     rows: int
     cols: int

@@ -30,7 +30,7 @@ from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Preset
 
-Cells = Literal["quads", "triangles"]
+CellKind = Literal["quads", "triangles"]
 CELLS = (
     "quads: springs along rows, columns and both diagonals; triangles: on the edges of triangles, as the wrinkle paper "
     "has them and ridge and valley lines need them"
@@ -58,7 +58,7 @@ class SheetConfig(Config):
         default="xy", description="xy hangs with its outside to +z, yz hangs to +x, xz lies with its outside up"
     )
     rotate: Rotation | None = Field(default=None, description="a turn about the centre, after `plane`")
-    cells: Cells = Field(default="quads", description=CELLS)
+    cells: CellKind = Field(default="quads", description=CELLS)
     velocity: Velocity = Field(default=STILL, description=VELOCITY)
     pin: tuple[PinName | int, ...] = Field(
         default=(), description="names of edges or corners, or vertices: row * columns + column"
@@ -68,7 +68,7 @@ class SheetConfig(Config):
 
 
 @dataclass(frozen=True)
-class Net:
+class Elements:
     """What a grid is simulated with: masses (n,) [kg], triangles, springs and hinges."""
 
     mass: Float
@@ -77,8 +77,10 @@ class Net:
     hinges: Hinges | None
 
 
-def build_net(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: Cells) -> Net:
-    """The net of a grid of quads, or of the triangles that it is drawn with. Raises BadInput for elongated cells.
+def build_grid(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: CellKind) -> Elements:
+    """What a grid is simulated with, of quads or of the triangles that it is drawn with.
+
+    Raises BadInput for elongated cells.
 
     Of triangles everything is as on any mesh (triangles.py), each triangle's first yarn being that down the grid.
     """
@@ -86,14 +88,14 @@ def build_net(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Flo
     if cells == "quads":
         constants = grid_constants(material, lattice)
         mass = grid_mass(grid, material.density, lattice)
-        return Net(mass, faces, build_springs(grid, constants), build_hinges(grid, constants))
+        return Elements(mass, faces, build_springs(grid, constants), build_hinges(grid, constants))
     rows = faces // grid.cols
     low = faces[np.arange(len(faces)), np.argmin(rows, axis=1)]
     share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
     mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
     down = x[low + grid.cols] - x[low]
     springs, hinges = mesh.build_elements(material, x, faces, find_edges(faces), mass, down)
-    return Net(mass, faces, springs, hinges)
+    return Elements(mass, faces, springs, hinges)
 
 
 def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:
@@ -138,7 +140,7 @@ class Sheet:
         lattice = Lattice(np.full(rows, a), np.full(rows - 1, b))
         material = resolve(config.fabric)
         x = place(config, rows, cols)
-        net = build_net(grid, lattice, material, x, config.cells)
+        net = build_grid(grid, lattice, material, x, config.cells)
         return Fabric(
             name=self.name,
             position=x,

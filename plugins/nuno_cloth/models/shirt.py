@@ -22,7 +22,7 @@ from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
 
 COLLAR = 0.02
-"""Of the neck's width on either side, beyond the wearer's [m]."""
+"""How much wider the neck is than the wearer's on either side [m]."""
 LOWER = 0.03
 """The underarms lie so far below the armpits [m]."""
 STEEPEST = 0.5

@@ -30,7 +30,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 
 CURVE = 0.07
-"""Of the side and of the underarm, so much is rounded off about A [m], and no more than CURVED of the underarm."""
+"""How much of the side and of the underarm is rounded off about A [m]; no more than CURVED of the underarm."""
 CURVED = 0.6
 
 

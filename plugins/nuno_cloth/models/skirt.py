@@ -18,7 +18,7 @@ from nuno_cloth.fabrics.constants import Lattice
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.models.grid import Grid
 from nuno_cloth.models.placement import STILL, TEXTURE, VELOCITY, Attach, Point, Rotation, Velocity, find_texture
-from nuno_cloth.models.sheet import BYTES_PER_VERTEX, CELLS, Cells, build_net, texture_coordinates
+from nuno_cloth.models.sheet import BYTES_PER_VERTEX, CELLS, CellKind, build_grid, texture_coordinates
 from nuno_cloth.quantities import Flatness, Fullness, Length
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Fabric, Float
@@ -50,7 +50,7 @@ class SkirtConfig(Config):
         default=None, description="a turn about the centre; before it the axis points down (-y)"
     )
     velocity: Velocity = Field(default=STILL, description=VELOCITY)
-    cells: Cells = Field(default="quads", description=CELLS)
+    cells: CellKind = Field(default="quads", description=CELLS)
     attach: Attach | None = Field(
         default=None, description="the body and frame that the waist moves with; it stands unless given"
     )
@@ -90,7 +90,7 @@ class Skirt:
         lattice = Lattice(circle / config.columns, slant)
         material = resolve(config.fabric)
         x = drape(config, circle)
-        net = build_net(grid, lattice, material, x, config.cells)
+        net = build_grid(grid, lattice, material, x, config.cells)
         waist = np.arange(config.columns, dtype=np.int32)
         attach = config.attach
         across = 1 - np.abs(2 * np.arange(config.columns) / config.columns - 1)

@@ -69,7 +69,7 @@ class WindLists(NamedTuple):
 
 
 class ParticleWind(NamedTuple):
-    """The same force (3,) [N] on every particle."""
+    """A force (3,) [N] that acts on every particle alike."""
 
     force: Float
 

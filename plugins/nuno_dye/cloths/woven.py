@@ -20,7 +20,7 @@ from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.plugin import Config
 
 MOST_CELLS = 2**27
-"""Of both layers: 7 GiB of arrays."""
+"""Most cells of both layers together: 7 GiB of arrays."""
 
 Number = Annotated[int, Field(ge=1, le=65_536)]
 Gap = Annotated[int, Field(ge=0, le=65_536)]

@@ -18,7 +18,7 @@ from nuno_schemas.fabric import Bool
 from nuno_schemas.plugin import Config
 
 MOST_YARNS = 16_384
-"""Of a repeat, in either direction."""
+"""Most yarns of a repeat, in either direction."""
 MOST_CROSSINGS = 2**24
 
 Floats = Annotated[int, Field(ge=1, le=256)]

@@ -20,7 +20,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool
 
 MOST_LIFTS = 2**28
-"""Of single ends or shafts, over all picks: threading with several shafts an end multiplies the work."""
+"""Most lifts of single ends or shafts, over all picks: threading with several shafts an end multiplies the work."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def read_lifts(sections: Sections, picks: int, shafts: int) -> Bool:
 
 
 def count_treadles(sections: Sections, most: int) -> int:
-    """As stated, or where nothing or 0 is, as many as are tied up. Raises BadInput for more than `most`."""
+    """Treadles as the file states, or as many as are tied up if it does not. Raises BadInput for more than `most`."""
     stated = sections.get("WEAVING").get("TREADLES")
     number = stated.whole(0, MOST_YARNS, "a number of treadles") if stated else 0
     number = number or max((key for key, _ in sections.get("TIEUP").numbered(MOST_YARNS, "treadle")), default=0)

@@ -10,7 +10,7 @@ from nuno_schemas.dye import Isotherm
 from nuno_schemas.plugin import Config
 
 MOST = 1e12
-"""Of a coefficient: amounts are fractions, so that a larger one says nothing more."""
+"""Largest coefficient that is taken: amounts are fractions, so that a larger one says nothing more."""
 
 
 class PartitionConfig(Config):

@@ -28,14 +28,14 @@ _WHOLE = 1.5 * 2.0**52
 """A number of this size has whole numbers in the last bits of its own."""
 _WHOLE_BITS = 0x4338000000000000
 _HALF_ROOT_BITS = 0x3FE6A09E667F3BCD
-"""Of sqrt(1/2)."""
+"""Bits of sqrt(1/2) as a float64."""
 _BITS = ir.VectorType(ir.IntType(64), WIDTH)
 LOG2_E2 = 2.0 / math.log(2.0)
 LOG2_E2_REST = 4.0710547481862066e-17
 """What LOG2_E2 lacks of 2 / ln 2."""
 LN2 = math.log(2.0)
 LN2_HIGH = 0.6931471805598903
-"""ln 2 to 42 bits: a whole number of less than 2^11 times it is exact."""
+"""The first 42 bits of ln 2: a whole number of less than 2^11 times it is exact."""
 LN2_LOW = 5.497923018708371e-14
 """What LN2_HIGH lacks of ln 2."""
 
@@ -73,7 +73,7 @@ def nearest_whole(typing: Any, value: Any) -> Any:
 
 @instruction
 def shift_exponent(typing: Any, value: Any, by: Any) -> Any:
-    """value 2^by for whole numbers `by`, exact as long as the result is normal."""
+    """Numbers value 2^by for whole numbers `by`, exact as long as the result is normal."""
     if value != vector or by != vector:
         return None
 
@@ -107,7 +107,7 @@ def series_exp(u: Any) -> Any:
 
 @kernel
 def power(base: Any, b: float) -> Any:
-    """base^b of every lane, 0 < b <= 1, within 2 ulp; base itself for b = 1, 0 where base is below SMALLEST."""
+    """Power base^b of every lane, 0 < b <= 1, within 2 ulp; base itself for b = 1, 0 where base is below SMALLEST."""
     if b == 1.0:
         return base
     e = exponent(base)
@@ -133,7 +133,7 @@ def power(base: Any, b: float) -> Any:
 
 @kernel
 def log(value: Any) -> Any:
-    """ln of every lane within 2 ulp, of positive normal numbers."""
+    """Natural logarithm of every lane within 2 ulp, of positive normal numbers."""
     e = exponent(value)
     m = shift_exponent(value, splat(0.0) - e)
     s = (m - 1.0) / (m + 1.0)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from nuno_dye.pictures.colour import mix
-from nuno_dye.pictures.texture import TextureConfig, Textures, find_lays
+from nuno_dye.pictures.texture import Shades, TextureConfig, find_lays
 from nuno_kernels import kernel
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Layers, Picture, Window
@@ -108,7 +108,7 @@ def shade_window(
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Layer and shade (h, w) of a window's pixels, each the mean over points SAMPLES to a cell or more."""
     finer = -(-SAMPLES // scale)
-    textures = Textures(layers, scale * finer, texture)
+    textures = Shades(layers, scale * finer, texture)
     height, width = scale * (window.bottom - window.top), scale * (window.right - window.left)
     layer, shade = np.empty((height, width), np.uint8), np.empty((height, width), np.float32)
     rows = max(1, BLOCK // (scale * finer * finer * width))

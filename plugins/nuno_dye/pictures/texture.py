@@ -88,7 +88,7 @@ def find_floats(up: Bool, axis: int) -> tuple[Int, Int]:
     return (first, after) if axis == 0 else (first.T, after.T)
 
 
-class Textures:
+class Shades:
     """A cloth's layers and shades, for any part of it, at `scale` pixels a cell."""
 
     def __init__(self, layers: Layers, scale: int, config: TextureConfig) -> None:

@@ -46,7 +46,7 @@ class Cut:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of amounts in both layers, in bands."""
+        """Shape of the amounts of both layers, cut into bands."""
         return self.number, 2 * self.height, self.width
 
     def fill(self, *arrays: Float) -> list[Float]:
@@ -68,7 +68,7 @@ class Cut:
         return out
 
     def places(self) -> tuple[Rows, Rows, Rows]:
-        """first, last and shrinks of the bands."""
+        """Where the bands' own rows lie: the fields first, last and shrinks of nuno_dye.solvers.diffusion.Bands."""
         shrinks = np.ones((self.number, 2), np.int64)
         shrinks[0, 0] = shrinks[-1, 1] = 0
         return np.full(self.number, self.top), self.top + np.diff(self.cuts) - 1, shrinks

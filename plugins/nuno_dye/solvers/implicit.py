@@ -42,7 +42,7 @@ SWEEPS, SWEEPS_MORE = 200, 60.0
 """Sweeps of a stage at most: some, and more by the root of the largest sum of weights. Over-relaxation takes about
 sqrt(W / 8) for a factor e, and a residual falls by about 20 of those."""
 ROUNDING = 8.0 * 2.0**-52
-"""Of the largest amount times the weights of a cell: no residual becomes smaller."""
+"""No residual becomes smaller than this share of the largest amount times the weights of a cell."""
 
 
 class ImplicitConfig(Config):

@@ -50,7 +50,7 @@ class Layout:
         self.weights: dict[float, Weights] = {}
 
     def made_for(self, system: DyeSystem) -> Layout:
-        """The same for another system."""
+        """A layout for another system, of the same configuration."""
         return Layout(self.config, self.margin, system)
 
     def planes(self, amounts: Float) -> Float:

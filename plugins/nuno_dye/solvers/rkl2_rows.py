@@ -2,7 +2,7 @@
 
 A kernel takes a row of both layers, (2 r, w), weft rows before warp rows, and puts what the next one needs into
 `scratch` from row `slots` on: four rows of SLOT each in turn, and M itself from RATES on. Amounts lie in three planes,
-one after the other, (6 r, w), known by their first rows (see Place). Every array is an argument of its own: numba
+one after the other, (6 r, w), known by their first rows (see Row). Every array is an argument of its own: numba
 counts who holds one that is chosen among several, or taken out of a tuple, which for every row cost more than the row.
 """
 
@@ -46,11 +46,11 @@ class Rules(NamedTuple):
     kept: bool
 
 
-class Place(NamedTuple):
-    """Where a kernel works.
+class Row(NamedTuple):
+    """A row of both layers, and where a kernel finds what belongs to it.
 
     slots    first row of its scratch
-    row      of both layers
+    row      its number
     here     first row of the plane that the stage starts from
     into     first row of the plane that the stage fills
     passed   first row of the plane of factors that are known
@@ -67,7 +67,7 @@ class Place(NamedTuple):
 
 @kernel
 def spread_row(
-    seen: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, place: Place
+    seen: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, place: Row
 ) -> None:
     """M of a row's cells where no limit can bind."""
     row, other, rates = place.row, place.row + across.shape[0], place.slots + RATES
@@ -115,7 +115,7 @@ def see_row(seen: Float, planes: Float, floor: Float, row: int, into: int) -> No
 
 @kernel
 def flux_row(
-    seen: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, place: Place
+    seen: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, place: Row
 ) -> None:
     """Fluxes of a row's faces into its slot."""
     row, other = place.row, place.row + across.shape[0]
@@ -133,7 +133,7 @@ def flux_row(
 @kernel
 def open_row(
     seen: Float, held: Float, fibre: Float, most: Float, floor: Float, factors: Float, scratch: Float, rules: Rules,
-    place: Place,
+    place: Row,
 ) -> None:  # fmt: skip
     """Factors of the inflow of a row's cells, from those in plane `passed`.
 
@@ -190,7 +190,7 @@ def limited_row(scratch: Float, slots: int, row: int) -> None:
 
 
 @kernel
-def keep_factors(factors: Float, scratch: Float, place: Place) -> None:
+def keep_factors(factors: Float, scratch: Float, place: Row) -> None:
     """Factors of a row into plane `passing`, for the next stage."""
     r, slot = factors.shape[0] // 6, place.slots + SLOT * (place.row % 4)
     for layer in range(2):

@@ -31,7 +31,7 @@ from nuno_dye.solvers.fixing import take_row
 from nuno_dye.solvers.rkl2_rows import (
     RATES,
     ROWS,
-    Place,
+    Row,
     Rules,
     advance_row,
     flux_row,
@@ -74,7 +74,7 @@ class Amounts(NamedTuple):
 
 
 class Stages(NamedTuple):
-    """Of a pass, numbered as the coefficients are; -1 finds factors alone, from plane `turn` into the other."""
+    """Stages of a pass, numbered as the coefficients are; -1 finds factors alone, from plane `turn` into the other."""
 
     first: int
     number: int
@@ -111,14 +111,14 @@ def pass_rows(
             turn = stages.turn if j < 0 else j % 2
             passed, passing = 2 * r * (1 + turn), 2 * r * (2 - turn)
             if most is None:
-                spread_row(seen, along, down, across, curve, scratch, Place(slots, row, here, into, passed, passing))
+                spread_row(seen, along, down, across, curve, scratch, Row(slots, row, here, into, passed, passing))
             else:
                 for ahead in range(row - 2 if row == begin else row + 1, row + 2):
-                    place = Place(slots, ahead, here, into, passed, passing)
+                    place = Row(slots, ahead, here, into, passed, passing)
                     flux_row(seen, along, down, across, curve, scratch, place)
                     if ahead > row - 2:
                         open_row(seen, held, fibre, most, floor, factors, scratch, rules, place)
-                keep_factors(factors, scratch, Place(slots, row, here, into, passed, passing))
+                keep_factors(factors, scratch, Row(slots, row, here, into, passed, passing))
                 if j >= 0:
                     limited_row(scratch, slots, row)
             for layer in range(2 if j >= 0 else 0):

@@ -48,7 +48,7 @@ class Work(Protocol):
     fed: dict[Any, Any]
 
     def made_for(self, system: DyeSystem) -> Work:
-        """The same for another system."""
+        """What the solver makes from another system."""
         ...
 
 

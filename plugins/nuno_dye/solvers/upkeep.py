@@ -38,7 +38,7 @@ def make_upkeep(floor: Float) -> Upkeep:
 
 
 def begin_upkeep(upkeep: Upkeep) -> Upkeep:
-    """The same with nothing given yet."""
+    """Upkeep for the same floors, with nothing given yet."""
     upkeep.given.fill(0.0)
     upkeep.lost.fill(0.0)
     return upkeep

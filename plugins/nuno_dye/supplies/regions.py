@@ -17,7 +17,7 @@ from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config
 
 MOST_POINTS = 10_000
-Line = Annotated[tuple[Place, ...], Field(min_length=1, max_length=MOST_POINTS)]
+Polyline = Annotated[tuple[Place, ...], Field(min_length=1, max_length=MOST_POINTS)]
 
 
 class All(Config):
@@ -55,7 +55,7 @@ class Stroke(Config):
     """What a round brush touches along a line."""
 
     shape: Literal["stroke"] = "stroke"
-    points: Line = Field(description="of the line [m]")
+    points: Polyline = Field(description="of the line [m]")
     width: Length = Field(description="of the brush [m]")
 
 

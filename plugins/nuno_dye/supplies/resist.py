@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from nuno_dye.quantities import Length, Share
-from nuno_dye.supplies.regions import Line, Region, Stroke, cover, find_distance, find_middles
+from nuno_dye.supplies.regions import Polyline, Region, Stroke, cover, find_distance, find_middles
 from nuno_dye.supplies.shibori import Panels, Pattern, draw_pattern
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput
@@ -54,7 +54,7 @@ class Paste(_Resist):
     """A line of paste, even over its width."""
 
     kind: Literal["paste"] = "paste"
-    points: Line = Field(description="of the line, x to the right and y down [m]")
+    points: Polyline = Field(description="of the line, x to the right and y down [m]")
     width: Length = Field(description="[m]")
 
 
@@ -66,7 +66,7 @@ class Binding(_Resist):
     """
 
     kind: Literal["binding"] = "binding"
-    points: Line = Field(description="of the thread, x to the right and y down [m]")
+    points: Polyline = Field(description="of the thread, x to the right and y down [m]")
     width: Length = Field(description="over which it presses [m]")
 
 

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from nuno_dye.quantities import Length, Moment, Place, Positive, Share
-from nuno_dye.supplies.regions import All, Disc, Line, Region, Stroke, cover
+from nuno_dye.supplies.regions import All, Disc, Polyline, Region, Stroke, cover
 from nuno_schemas.dye import Supply
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Bool
@@ -61,7 +61,7 @@ class Brush(_Supply):
     """A stroke of a round brush along a line."""
 
     kind: Literal["stroke"] = "stroke"
-    points: Line = Field(description="of the line [m]")
+    points: Polyline = Field(description="of the line [m]")
     width: Length = Field(description="of the brush [m]")
 
 

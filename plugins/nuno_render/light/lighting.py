@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from nuno_render.config import RasterConfig
+from nuno_render.config import PictureConfig, RasterConfig
 from nuno_render.light.light_maps import Lights, draw_depths
-from nuno_render.rays.yarn_config import CastConfig
-from nuno_render.scene import Scene
+from nuno_render.scene import DrawnScene
 from nuno_schemas.drawing import Camera
 from nuno_schemas.fabric import Float
 
@@ -40,7 +39,7 @@ def tangents(direction: Float) -> Float:
     return np.ascontiguousarray(np.stack([u, np.cross(direction, u), direction]))
 
 
-def key_direction(config: RasterConfig | CastConfig, camera: Camera, up: Float) -> Float:
+def key_direction(config: PictureConfig, camera: Camera, up: Float) -> Float:
     """(3,) unit direction toward the key light; auto is 52 degrees left of the camera, 50 high."""
     if config.light != "auto":
         return unit(np.array(config.light, np.float64))
@@ -55,7 +54,7 @@ def key_direction(config: RasterConfig | CastConfig, camera: Camera, up: Float) 
     return math.cos(rise) * around + math.sin(rise) * up
 
 
-def prepare_lights(config: RasterConfig, scene: Scene, camera: Camera, up: Float) -> Lights:
+def prepare_lights(config: RasterConfig, scene: DrawnScene, camera: Camera, up: Float) -> Lights:
     """Lights with their maps: depths seen from the key light, and along directions spread evenly over the sphere, in
     opposite pairs that share one projection.
 

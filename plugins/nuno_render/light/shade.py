@@ -23,8 +23,8 @@ BODY_GLOSS = 0.04
 
 
 class Seen(NamedTuple):
-    """What a picture shows: the arrays of nuno_render.scene.Scene, its vertices on the screen, clip (n, 3), and the eye
-    (3,).
+    """What a picture shows: the arrays of nuno_render.scene.DrawnScene, its vertices on the screen, clip (n, 3), and
+    the eye (3,).
     """
 
     positions: Float

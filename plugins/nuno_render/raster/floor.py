@@ -9,7 +9,7 @@ from nuno_render.config import RasterConfig
 from nuno_render.light.light_maps import Lights, floor_openness
 from nuno_render.light.lighting import tangents
 from nuno_render.light.resolve import Floor
-from nuno_render.scene import Scene
+from nuno_render.scene import DrawnScene
 from nuno_render.sight import Sight
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float
@@ -22,7 +22,7 @@ SUNK = 1e-4
 stays in sight."""
 
 
-def floor_height(config: RasterConfig, scene: Scene, origin: Float, up: Float) -> float | None:
+def floor_height(config: RasterConfig, scene: DrawnScene, origin: Float, up: Float) -> float | None:
     """Height of the floor above `origin` along `up` [m], or None without one."""
     if config.ground == "none" or (config.ground == "auto" and not len(scene.faces)):
         return None
@@ -30,7 +30,7 @@ def floor_height(config: RasterConfig, scene: Scene, origin: Float, up: Float) -
 
 
 def prepare_floor(
-    config: RasterConfig, scene: Scene, size: tuple[int, int], sight: Sight, height: float | None, lights: Lights
+    config: RasterConfig, scene: DrawnScene, size: tuple[int, int], sight: Sight, height: float | None, lights: Lights
 ) -> Floor:
     """The floor as seen in a picture of this size, `height` [m] above the origin, None where there is none.
 

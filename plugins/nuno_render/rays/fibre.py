@@ -29,7 +29,7 @@ YARN_WRAP = 0.45
 GLOSS, SHARPNESS = 0.05, 18.0
 """Strength and exponent of the skin's own highlight."""
 BOUNCE = 0.55
-"""Of a surface that hides the sky: its light relative to the sky's, before its own colour."""
+"""Light of a surface that hides the sky, relative to the sky's, before its own colour."""
 
 
 class Look(NamedTuple):

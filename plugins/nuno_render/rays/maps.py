@@ -26,7 +26,7 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.yarn_picture import Progress, SurfaceValues, Worn
 
 LINKS = 5.0
-"""Of a link's mean length: how near points count unless given."""
+"""How near points count unless a radius is given, in mean lengths of a link."""
 MOST = 0.95
 """Share of what is seen that the colours reach to unless their end is given."""
 

@@ -11,9 +11,9 @@ from nuno_kernels import kernel
 from nuno_schemas.fabric import Float
 
 
-class Cells(NamedTuple):
-    """points (n, 3) [m] in the order of their cells, key (n,) of each cell, values (n,); the lowest corner (3,),
-    cells along each axis (3,), and the reach [m].
+class SortedPoints(NamedTuple):
+    """Points sorted into cells: points (n, 3) [m] in the order of their cells, key (n,) of each cell, values (n,); the
+    lowest corner (3,), cells along each axis (3,), and the reach [m].
     """
 
     points: Float
@@ -24,8 +24,8 @@ class Cells(NamedTuple):
     reach: float
 
 
-def sort_points(points: Float, values: Float, reach: float) -> Cells:
-    """Cells of points (n, 3) [m], a reach apart; such as are not finite are left out."""
+def sort_points(points: Float, values: Float, reach: float) -> SortedPoints:
+    """SortedPoints of points (n, 3) [m], a reach apart; such as are not finite are left out."""
     finite = np.logical_and.reduce(np.isfinite(points), axis=1)
     points, values = points[finite], values[finite]
     low = points.min(axis=0) - reach if len(points) else np.zeros(3)
@@ -33,7 +33,9 @@ def sort_points(points: Float, values: Float, reach: float) -> Cells:
     shape = cell.max(axis=0, initial=0) + 3
     key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
     order = np.argsort(key, kind="stable")
-    return Cells(np.ascontiguousarray(points[order]), key[order], values[order].astype(np.float64), low, shape, reach)
+    return SortedPoints(
+        np.ascontiguousarray(points[order]), key[order], values[order].astype(np.float64), low, shape, reach
+    )
 
 
 @kernel

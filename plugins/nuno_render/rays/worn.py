@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nuno_render.light.lighting import unit
 from nuno_render.rays.hits import make_buffers, meet_triangle
 from nuno_render.rays.tree import RayTree, capsule_tree, triangle_tree
-from nuno_render.scene import check_mesh, vertex_normals
+from nuno_render.scene import join_meshes, join_rows, vertex_normals
 from nuno_schemas.camera import axes
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.curves import YarnCurves
@@ -50,21 +50,16 @@ def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces
     Faces with a vertex that is not finite are left out, or, to `keep_faces` as they are numbered, are points.
     Raises BadInput for arrays of the wrong shape and for face indices out of range.
     """
-    for number, mesh in enumerate(bodies):
-        check_mesh(mesh, f"bodies[{number}]")
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in bodies)])
-    x = np.concatenate([np.zeros((0, 3)), *(np.asarray(mesh.vertices, np.float64) for mesh in bodies)]) - origin
-    moved = [mesh.faces + start for mesh, start in zip(bodies, starts, strict=False)]
-    faces = np.concatenate([np.zeros((0, 3), np.int32), *moved]).astype(np.int32)
+    x, faces = join_meshes(bodies, origin, "bodies")
     finite: Bool = np.logical_and.reduce(np.isfinite(x), axis=1)
     drawn: Bool = np.logical_and.reduce(finite[faces], axis=1)
     faces = np.where(drawn[:, None], faces, 0) if keep_faces else np.ascontiguousarray(faces[drawn])
     x = np.where(finite[:, None], x, 0.0)
     plain = parse_hex(colour)
     own = [np.tile(plain, (len(m.vertices), 1)) if m.colours is None else np.asarray(m.colours) for m in bodies]
-    albedo = np.concatenate([np.zeros((0, 3)), *own]).astype(np.float64)
+    albedo = join_rows(own, 3).astype(np.float64)
     normals = vertex_normals(x, faces, np.arange(len(x), dtype=np.int32))
-    return Skin(triangle_tree(x, faces), np.ascontiguousarray(x), faces, normals, np.ascontiguousarray(albedo))
+    return Skin(triangle_tree(x, faces), np.ascontiguousarray(x), faces, normals, albedo)
 
 
 def gather_threads(

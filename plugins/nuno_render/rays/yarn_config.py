@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
-from nuno_render.config import Colour, Direction, Height
-from nuno_schemas.plugin import Config
+from nuno_render.config import PictureConfig
+from nuno_schemas.parts import Colour
 from nuno_schemas.units import Plausible, quantity
 
 Thickness = Annotated[float, quantity("m", Plausible(1e-6, 0.02, ("um", "mm")), gt=0)]
@@ -17,27 +17,14 @@ PALETTE: tuple[Colour, ...] = ("#3a2a24", "#74503c", "#8c5f48", "#3b5b8c", "#5d8
 SKIN = "#e0b096"
 
 
-class CastConfig(Config):
+class CastConfig(PictureConfig):
     """What all pictures of yarns share."""
 
     samples: int = Field(default=16, ge=1, le=4096, description="rays per pixel; grain shrinks with its root")
     seed: int = Field(default=0, ge=0, lt=2**31, description="of the places of the samples")
-    background: tuple[Colour, Colour] = Field(
-        default=("#dfe3e6", "#f4f1ec"), description="sRGB at the picture's top and bottom"
-    )
-    ground: Literal["auto", "none"] | Height = Field(
-        default="auto", description="height of the floor along `up` [m]; auto is the lowest point of the bodies"
-    )
-    ground_colour: Colour = Field(default="#ebe6de", description="of the floor, sRGB")
-    up: Direction = Field(default=(0.0, 0.0, 1.0), description="direction away from the floor, of any length")
-    light: Literal["auto"] | Direction = Field(
-        default="auto", description="direction toward the key light; auto: left of the camera, 50 degrees high"
-    )
     light_size: float = Field(
         default=0.12, ge=0.0, le=0.5, description="tangent of the key light's angular radius: how soft shadows are"
     )
-    shadows: bool = Field(default=True, description="whether the key light casts them")
-    occlusion: bool = Field(default=True, description="whether yarns and bodies hide the sky")
     skin: Colour = Field(default=SKIN, description="of bodies that bring no colour of their own, sRGB")
     caption: str | None = Field(
         default=None, max_length=200, description="in the lower left corner; left out: the scene's name and the time"
