@@ -99,17 +99,22 @@ class NpzFile:
             sizes |= {str(a): b for a, b in zip(known, shape, strict=True) if not isinstance(a, int)}
         return sizes
 
-    def arrays(self, specs: Mapping[str, Spec]) -> dict[str, NDArray[Any]]:
+    def arrays(
+        self, specs: Mapping[str, Spec], below: Mapping[str, tuple[int, str]] | None = None
+    ) -> dict[str, NDArray[Any]]:
         """The arrays that are there, whose headers were checked, C-contiguous and of the types in DTYPES; pickles are
-        never read. Raises BadInput where one cannot be read, and for an index that int32 cannot hold.
+        never read. `below` says how many there are of what an array of indices counts, and what is wrong beyond.
+
+        Raises BadInput where an array cannot be read, and for an index that is none.
         """
         found: dict[str, NDArray[Any]] = {}
         for name in (name for name in specs if name in self.names):
             with self._reading(name), self._archive.open(name + SUFFIX) as stream:
                 array = np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
-            most, kinds = np.iinfo(np.int32).max, specs[name][1]
+            kinds, (number, problem) = specs[name][1], (below or {}).get(name, (2**31, "not an index"))
             if kinds == "iu" and array.dtype.kind in kinds:
-                require_values(self.path, name, array, (array >= 0) & (array <= most), "not an index", f"0 to {most}")
+                limit = f"0 to {number - 1}" if number else "there is none"
+                require_values(self.path, name, array, (array >= 0) & (array < number), problem, limit)
             found[name] = np.ascontiguousarray(array, DTYPES[kinds])
         return found
 

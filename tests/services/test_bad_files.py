@@ -22,7 +22,7 @@ NETS: dict[str, tuple[dict[str, Any], str]] = {
     "index too large": ({"springs": np.array([[0, 1], [1, 3]])}, "springs[1, 1]: no such vertex"),
     "index -1": ({"springs": np.array([[0, 1], [1, -1]])}, "springs[1, 1]: no such vertex"),
     "duplicate": ({"springs": np.array([[0, 1], [1, 0]])}, "springs[1]: the same two vertices as springs[0]"),
-    "unknown key": ({"masses": np.ones(3)}, "masses: unknown key"),
+    "unknown key": ({"masses": np.ones(3)}, "masses: unknown array"),
 }
 
 

@@ -62,8 +62,8 @@ class Net:
         """Raises BadInput that names the key, the index and the value."""
         path = files.resolve(config.file)
         with open_npz(path) as file:
-            read_sizes(file)
-            data = file.arrays(ALL_KEYS)
+            number = read_sizes(file)["n"]
+            data = file.arrays(ALL_KEYS, {"springs": (number, "no such vertex")})
         check_values(path, data)
         lock, k_lock = data.get("lock"), data.get("k_lock")
         springs = Springs.from_pairs(data["springs"], data["k"], data["rest"], data["c"], lock=lock, k_lock=k_lock)
@@ -105,8 +105,6 @@ def check_values(path: Path, data: dict[str, NDArray[Any]]) -> None:
     def require(name: str, good: NDArray[np.bool_], problem: str, limit: str) -> None:
         require_values(path, name, data[name], good, problem, limit)
 
-    springs, number = data["springs"], len(data["x"])
-    require("springs", springs < number, "no such vertex", f"0 to {number - 1}" if number else "no vertex exists")
     for name in ("x", "v", "m", "k", "rest", "c", *(name for name in LOCK_KEYS if name in data)):
         require(name, np.isfinite(data[name]), "not a finite number", "finite")
     require("m", data["m"] > 0, "a mass must be positive, of pinned vertices too", "> 0")
@@ -115,9 +113,9 @@ def check_values(path: Path, data: dict[str, NDArray[Any]]) -> None:
     if "lock" in data:
         require("lock", data["lock"] >= 0, "a spring locks at a strain that is none", ">= 0")
         require("k_lock", data["k_lock"] >= data["k"], "what locks grows stiffer", ">= k")
-    _require_distinct(path, springs)
+    _require_distinct(path, data["springs"])
     if "mu" in data:
-        check_yarns(path, springs, data["yarn_links"], data["yarn_ptr"], data["mu"])
+        check_yarns(path, data["springs"], data["yarn_links"], data["yarn_ptr"], data["mu"])
 
 
 def _require_distinct(path: Path, springs: Int) -> None:
