@@ -92,13 +92,9 @@ def lay_measured(spacing: Float, thickness: Float, size: float, cells: int) -> L
 
 
 def build_cells(
-    drawdown: Bool,
-    config: WovenConfig,
-    tortuosity: Tortuosity,
-    seed: int,
-    lays: tuple[Lay, Lay] | None = None,
+    drawdown: Bool, config: WovenConfig, tortuosity: Tortuosity, seed: int, lays: tuple[Lay, Lay] | None = None,
     v_max: float = 1.0,
-) -> Cells:
+) -> Cells:  # fmt: skip
     """Cells of a cloth of a weave, repeated as often as its yarns need.
 
     `lays` are those of weft and warp, where yarns are not even. Raises BadInput for a cloth of too many cells, and

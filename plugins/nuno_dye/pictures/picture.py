@@ -122,15 +122,9 @@ def shade_window(
 
 
 def begin_drawing(
-    layers: Layers,
-    dyes: Sequence[DyeColour],
-    ground: Float | None,
-    window: Window,
-    scale: int,
-    layer: NDArray[np.uint8],
-    shade: NDArray[np.float32],
-    yarns: tuple[Int, Int],
-) -> Drawing:
+    layers: Layers, dyes: Sequence[DyeColour], ground: Float | None, window: Window, scale: int,
+    layer: NDArray[np.uint8], shade: NDArray[np.float32], yarns: tuple[Int, Int],
+) -> Drawing:  # fmt: skip
     """What is drawn again and again, with a cell more on each side of the window where the cloth has one."""
     _, ny, nx = layers.fibre.shape
     wide = Window(

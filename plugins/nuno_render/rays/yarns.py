@@ -78,13 +78,9 @@ def straight(worn: Worn, radius: float) -> YarnCurves:
 
 
 def radiance(
-    config: YarnsConfig,
-    worn: Worn,
-    camera: Camera,
-    progress: Progress | None = None,
-    threads: int | None = None,
+    config: YarnsConfig, worn: Worn, camera: Camera, progress: Progress | None = None, threads: int | None = None,
     flat: bool = False,
-) -> Float:
+) -> Float:  # fmt: skip
     """(height, width, 4): linear light, and the share of each pixel that is yarn.
 
     `threads` draw rows side by side, all processors unless given; `flat` yarns are one colour and cast no shadow.
