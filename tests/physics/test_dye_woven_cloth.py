@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import yaml
 from pydantic import ValidationError
+from test_dye_resist import write_image
 
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.laws.isotherms import Langmuir
 from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
 from nuno_dye.solvers.explicit import Explicit
-from nuno_dye.supplies.resist import write_image
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem
 from nuno_schemas.dye_picture import Layers, Window
 from nuno_schemas.errors import BadInput

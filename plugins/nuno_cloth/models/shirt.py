@@ -16,7 +16,7 @@ from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.models.triangles import face_areas, find_edges
 from nuno_cloth.models.wearer import STANDS, TURN, Wearer, find_wearer
 from nuno_cloth.quantities import Angle, Length
-from nuno_schemas.body_size import check_size
+from nuno_schemas.bodies import check_size
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
