@@ -4,13 +4,18 @@ BIN := .venv/bin
 SCENE ?= skirt-hula
 ARGS ?=
 
-.PHONY: run test lint bench soak lock audit clean
+.PHONY: run test test-all lint bench soak lock audit clean
 
 run: .venv/run.stamp  ## simulate the default scene: record it, show it, report on it
 	@$(BIN)/nuno run $(SCENE) $(ARGS)
 
-test: .venv/dev.stamp  ## all tests; those that need a missing system package skip by name
-	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
+PYTEST := $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+
+test: .venv/dev.stamp  ## a test of every law, in minutes; those that need a missing system package skip by name
+	$(PYTEST) -m "not full" $(ARGS)
+
+test-all: .venv/dev.stamp  ## all tests: also those marked `full`, which take long and rarely break
+	$(PYTEST) $(ARGS)
 
 lint: .venv/dev.stamp  ## ruff and mypy
 	$(BIN)/ruff check .

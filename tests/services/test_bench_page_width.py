@@ -9,7 +9,7 @@ from chromium import Page, find_browser
 
 from nuno_bench.report import page
 
-pytestmark = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
+pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
 
 POINTS = page.Table(
     ("solver", "setting", "outcome", "time [s]", *(f"quantity {i}" for i in range(8))),

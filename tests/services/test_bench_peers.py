@@ -70,6 +70,7 @@ def test_score_of_an_end_is_its_shift_and_its_stretch(sheet: Sheet) -> None:
     assert found.peak == pytest.approx(0.02)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("module", "made", "off"), [("mujoco", "Edges", 1e-9), ("newton", "SemiImplicit", 1e-4)])
 def test_engines_that_step_as_numpy_does_end_where_it_does(sheet: Sheet, module: str, made: str, off: float) -> None:
     """Both are symplectic Euler: the same springs, dampers, masses, drag and pins give the same positions."""

@@ -22,7 +22,7 @@ from nuno.recording.restore import control_events
 from nuno.scene import scene_file
 from nuno_schemas.fabric import Float
 
-pytestmark = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
+pytestmark = [pytest.mark.full, pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")]
 
 PATH = [(380 + 14 * i, 270 + 40 * np.sin(i / 2.5)) for i in range(13)]
 RIDGE = np.array([217, 72, 28])

@@ -36,6 +36,7 @@ INPUTS = 25
 """Of each kind; the part `fuzz` of `make soak` tries a hundred thousand, guided by the lines they reach."""
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", KINDS)
 def test_changed_inputs_are_accepted_whole_or_refused_in_words(name: str, tmp_path: Path) -> None:
     kind, random = KINDS[name], Random(1)
