@@ -6,6 +6,7 @@ import gc
 import os
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,20 +35,31 @@ APART = ("dye", "knit", "yarn", "stocking", "render", "ray", "curve", "field", "
 """Words in the names of test files that compile few of the kernels which the others compile."""
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Deal files that compile different kernels in turn, those with most tests first.
+    """Mark cases that are not quick as `full`. Deal files that compile different kernels in turn, those with most tests
+    first.
 
     Workers take files from the head of one queue. Two that compile the same kernel at once both pay for it, while
     one after the other the second finds it in the cache.
     """
     files: dict[Path, list[pytest.Item]] = {}
     for item in items:
+        for quick in item.iter_markers("quick"):
+            parameters = item.callspec.params  # type: ignore[attr-defined]
+            if any(_name_of(parameters[name]) not in values for name, values in quick.kwargs.items()):
+                item.add_marker("full")
         files.setdefault(item.path, []).append(item)
     halves: tuple[list[list[pytest.Item]], list[list[pytest.Item]]] = [], []
     for path, tests in sorted(files.items(), key=lambda entry: -len(entry[1])):
         halves[any(word in path.stem for word in APART)].append(tests)
     places = [((k + 0.5) / len(half), tests) for half in halves for k, tests in enumerate(half)]
     items[:] = [item for _, tests in sorted(places, key=lambda place: place[0]) for item in tests]
+
+
+def _name_of(value: Any) -> Any:
+    """A plugin's name; of anything else itself."""
+    return getattr(value, "name", value)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -97,6 +97,7 @@ def test_fibre_in_a_bath_comes_to_its_limit_and_not_beyond(name: str, law: str) 
     assert end.fixed == pytest.approx(most, rel=1e-6)
 
 
+@pytest.mark.quick(law=["langmuir"], steps=[7])
 @pytest.mark.parametrize("name", LONG)
 @pytest.mark.parametrize("law", ISOTHERMS)
 @pytest.mark.parametrize(("supplied", "steps", "limits"), [(False, 7, 2000.0), (True, 7, 2000.0), (True, 100, 500.0)])
@@ -146,6 +147,7 @@ def test_full_resist_lets_nothing_through(name: str) -> None:
     assert not end.phi[..., 9:].any() and end.phi.sum() == pytest.approx(phi.sum(), rel=1e-13)
 
 
+@pytest.mark.quick(law=["langmuir"], name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 @pytest.mark.parametrize("law", [None, "langmuir"])
 def test_frames_threads_and_a_resumed_run_change_no_bit(name: str, law: str | None) -> None:

@@ -191,6 +191,7 @@ POSES = STILL, replace(STILL, t=1.0)
 
 
 @PLUGINS
+@pytest.mark.quick(plugin=["implicit_euler"])
 @pytest.mark.parametrize("share", [0.9, 1.2])
 def test_an_incline_holds_or_lets_go_as_coulomb_says(plugin, share):
     mu = 0.4
@@ -214,6 +215,7 @@ def test_an_incline_holds_or_lets_go_as_coulomb_says(plugin, share):
 
 
 @PLUGINS
+@pytest.mark.full
 def test_any_number_of_threads_gives_equal_bytes(plugin, monkeypatch):
     monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)
     ends = []

@@ -216,6 +216,7 @@ LAWS: dict[str, Callable[[str, str], None]] = {
 }
 
 
+@pytest.mark.quick(solver=["symplectic_euler"])
 @pytest.mark.parametrize(("name", "solver"), [(name, solver) for name in LAWS for solver in SOLVERS])
 def test_scene_does_what_it_says(name: str, solver: str) -> None:
     try:

@@ -17,6 +17,8 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 
 FRAMES = 5
+QUICK = ("hanging-sheet", "drape-over-sphere", "skirt-hula")
+"""Scenes that have between them what shipped scenes are made of; each other one compiles its own kernels."""
 STRETCH = 0.25
 """No shipped scene stretches a spring further than this in its first frames."""
 DEPTH = 5e-3
@@ -41,6 +43,7 @@ def simulate(name: str) -> tuple[Simulation, list[float], list[float]]:
     return simulation, stretches, depths
 
 
+@pytest.mark.quick(name=QUICK)
 @pytest.mark.parametrize("name", sorted(scene_file.shipped()))
 def test_scene_holds_together_and_runs_the_same_twice(name: str) -> None:
     first, stretches, depths = simulate(name)

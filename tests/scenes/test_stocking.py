@@ -143,6 +143,7 @@ def row_heights(simulation: Simulation, x: Float) -> Float:
     return np.asarray(np.linalg.norm(np.diff(rows, axis=0), axis=-1).mean(axis=1))
 
 
+@pytest.mark.full
 def test_stitches_lie_the_same_at_any_step_and_otherwise_with_other_friction() -> None:
     whole, half = fit(), fit("solver.dt=5 ms")
     assert half[0].steps == 2 * whole[0].steps
@@ -197,6 +198,7 @@ def test_a_profile_leaves_sliding_points_where_they_are() -> None:
     profile_steps(watched, work.packed, x, v, work.stages, None)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_stocking_fits_both_legs_of_a_body(side: int, shared_data: Path) -> None:
     places = [[side * 0.22, 0.03, 0.08], [side * 0.11, 0.7, 0.02]]

@@ -128,6 +128,7 @@ def test_a_resumed_run_ends_in_the_same_bits(solver: str, tmp_path: Path) -> Non
         assert ours.series()["mobile_red"].tolist() == reference.series()["mobile_red"].tolist()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("how", [{"threads": 1}, {"threads": 2}, {"processes": True}])
 def test_where_it_runs_changes_no_bit(how: dict[str, Any], tmp_path: Path) -> None:
     scene = write_scene(tmp_path, data=arrays(150, 150))

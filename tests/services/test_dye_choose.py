@@ -38,6 +38,7 @@ def end_of(loaded: Loaded, steps: int = 0) -> Float:
     return np.stack([dyeing.state.phi, dyeing.state.fixed])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("law", ["partition", "langmuir"])
 def test_the_promise_counts_what_fibre_fixes_while_a_drop_spreads(law: str, tmp_path: Path) -> None:
     """Against small explicit steps: runs that begin alike agree with each other long before they are right."""
@@ -73,6 +74,7 @@ def test_the_choice_is_the_same_every_time_and_stands_in_the_recording(tmp_path:
     assert result.report["chosen"] == first.why
 
 
+@pytest.mark.quick(name=["fibre", "disc"], frames=[1, 4])
 @pytest.mark.parametrize(
     ("name", "length", "frames"),
     [("two-cells", 0.05, 200), *product(CASES, (9.0,), (1, 10)), *product(CASES, (900.0,), (4,))],

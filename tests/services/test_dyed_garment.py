@@ -26,6 +26,7 @@ from nuno.wire.arrays import decode_arrays
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("how", [{}, {"processes": True}])
 def test_each_has_the_bits_that_it_has_alone(how: dict[str, Any], tmp_path: Path) -> None:
     both = nuno.run(write(tmp_path), record=tmp_path / "both.mcap", **how)

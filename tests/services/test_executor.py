@@ -40,7 +40,7 @@ def cluster() -> Iterator[Any]:
         yield made
 
 
-@pytest.fixture(scope="module", params=["processes", "dask"])
+@pytest.fixture(scope="module", params=["processes", pytest.param("dask", marks=pytest.mark.full)])
 def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
     made: Any
     if request.param == "processes":
@@ -200,6 +200,7 @@ def scheduler() -> Iterator[Any]:
         yield made
 
 
+@pytest.mark.full
 def test_a_worker_with_another_version_is_refused_by_name(scheduler: Any, tmp_path: Path) -> None:
     old = tmp_path / "nuno-0.0.1.dist-info"
     old.mkdir()
@@ -209,6 +210,7 @@ def test_a_worker_with_another_version_is_refused_by_name(scheduler: Any, tmp_pa
     assert "nuno: 0.1.0 here, 0.0.1 there" in str(caught.value.value)
 
 
+@pytest.mark.full
 def test_a_worker_that_comes_without_nuno_is_refused_by_name(scheduler: Any, tmp_path: Path) -> None:
     (tmp_path / "nuno_bench.py").write_text("raise ImportError('not here')")
     with worker_of(scheduler, TESTS):
@@ -219,6 +221,7 @@ def test_a_worker_that_comes_without_nuno_is_refused_by_name(scheduler: Any, tmp
     cluster.close()
 
 
+@pytest.mark.full
 def test_a_cluster_whose_workers_are_all_gone_ends_the_sweep(scheduler: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nuno_bench.sweep.cluster.WORKER_SECONDS", 0.5)
     with pytest.raises(BadInput, match="has no worker"):
@@ -234,6 +237,7 @@ def test_a_cluster_whose_workers_are_all_gone_ends_the_sweep(scheduler: Any, mon
     cluster.close()
 
 
+@pytest.mark.full
 def test_a_scheduler_that_ends_in_mid_sweep_is_said(tmp_path: Path) -> None:
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as made:
         cluster = Cluster(made.scheduler_address)

@@ -100,6 +100,7 @@ def long_run(tmp_path: Path) -> Callable[..., Run]:
     return functools.partial(start_long, tmp_path)
 
 
+@pytest.mark.quick(service=["simulation"])
 @pytest.mark.parametrize("service", ["simulation", "collision", "recorder"])
 def test_killed_service_ends_the_run_and_is_named(long_run: Callable[..., Run], service: str) -> None:
     run = long_run(processes=True)

@@ -84,6 +84,7 @@ def outcomes(cases: list[str], solvers: list[str]) -> dict[tuple[str, str], Outc
     return {(o.case, o.solver): o for o in found}
 
 
+@pytest.mark.full
 def test_three_sound_solvers_pass_every_case() -> None:
     found = outcomes([], SOUND)
     assert {key: o.reason for key, o in found.items() if o.verdict != "passed"} == {}

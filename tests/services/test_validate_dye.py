@@ -25,6 +25,7 @@ def check(case: str, plugin: Any) -> Outcome:
     return validate.check(next(one for one in CASES if one.name == case), plugin)
 
 
+@pytest.mark.full
 def test_every_installed_solver_passes_every_case_that_it_can_pose_and_three_can_pose_each() -> None:
     part = validate.Part("dye", tuple(CASES), tuple(sorted(registry.installed(GROUP))))
     found = [validate.check(case, registry.load(GROUP, name)) for name in part.solvers for case in part.cases]
