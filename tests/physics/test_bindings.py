@@ -29,6 +29,7 @@ def spinning(t: float, rate: float, axis: Float, speed: Float) -> Poses:
     return Poses(t, rotation, np.stack([np.zeros(3), speed * t]))
 
 
+@pytest.mark.quick(plugin=["symplectic_euler"])
 @pytest.mark.parametrize("plugin", METHODS, ids=lambda p: p.name)
 def test_bound_vertices_follow_their_frame(plugin: Any) -> None:
     axis, speed, rate = np.array([1.0, 2.0, -0.5]), np.array([0.3, 0.0, -0.2]), 1.7

@@ -22,6 +22,7 @@ def push(x: Float, v: Float, t: float, out: Float) -> None:
     out += np.stack([x[:, 1], -2.0 * v[:, 0], np.full(len(x), t)], axis=1)
 
 
+@pytest.mark.quick(name=["symplectic_euler", "implicit_euler"])
 @pytest.mark.parametrize("name", ["symplectic_euler", "rk4", "rk4_printed", "implicit_euler", "dopri5", "xpbd"])
 def test_each_kind_is_its_laws(name: str) -> None:
     x, springs = random_net(12, 30, 1, c=0.5)

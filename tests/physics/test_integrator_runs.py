@@ -121,6 +121,7 @@ def test_terms_without_kernels_are_refused() -> None:
         RK4().prepare(RK4.Config(), system, start(system))
 
 
+@pytest.mark.full
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
 def test_forces_by_lists_give_equal_bytes_for_one_and_two_threads() -> None:
     """Springs that lock, yarns, hinges and wind; those that lie in runs, of a sheet, are tested with whole runs."""

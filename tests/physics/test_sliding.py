@@ -69,6 +69,7 @@ class World:
 METHODS = ["symplectic_euler", "leapfrog", "rk4", "dopri5", "implicit_euler", "tr_bdf2", "xpbd"]
 
 
+@pytest.mark.quick(name=["symplectic_euler", "implicit_euler"])
 @pytest.mark.parametrize("name", METHODS)
 def test_sticks_and_slides_on_an_incline_as_coulomb_says(name: str) -> None:
     """None below tan alpha = mu, else g (sin alpha - mu cos alpha) t^2 / 2, at two steps."""
@@ -90,6 +91,7 @@ def test_sticks_and_slides_on_an_incline_as_coulomb_says(name: str) -> None:
             assert world.state.v[2] == pytest.approx([max(0.0, pull * t), 0.0, 0.0], abs=1e-9)
 
 
+@pytest.mark.quick(name=["symplectic_euler"])
 @pytest.mark.parametrize("name", ["symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd"])
 def test_a_throw_up_an_incline_feels_friction_at_every_step_however_short(name: str) -> None:
     """Up at g (sin alpha + mu cos alpha), back at the difference: off by the step in which it turns round. In one of
@@ -142,6 +144,7 @@ def test_what_is_pressed_against_a_body_stands_still_and_so_does_what_presses(da
     assert np.abs(world.state.v).max() < 1e-10 and np.abs(world.state.x - x).max() < 1e-12
 
 
+@pytest.mark.quick(name=["symplectic_euler"])
 @pytest.mark.parametrize("name", ["symplectic_euler", "implicit_euler"])
 def test_cloth_never_enters_a_ring_that_turns_and_flies_up_through_it(name: str) -> None:
     mesh = meshes.torus(48, 20, 0.2, 0.07)
@@ -230,6 +233,7 @@ def test_what_the_body_is_given_the_cloth_has_lost() -> None:
     assert np.abs(1e-3 * world.state.v.sum(axis=0) - (weight - given)).max() < 1e-12
 
 
+@pytest.mark.full
 def test_threads_and_frames_change_no_bit() -> None:
     fabric = net(80, 0.6, np.array([0.0, 0.17, 0.0]), 5.0)
     found = []

@@ -127,6 +127,7 @@ def left(force: Float, point: Float, corners: Float) -> float:
     return best
 
 
+@pytest.mark.full
 def test_a_fit_without_friction_is_in_balance_by_a_count_of_its_own() -> None:
     simulation, positions = fit("bodies.0.friction=0")
     corners, x = corners_of(simulation), positions[-1]

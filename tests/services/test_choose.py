@@ -69,6 +69,7 @@ def steps(loaded: Loaded) -> int:
     return round(1.0 / float(loaded.scene.frame_rate) / float(loaded.scene.solver.dt))
 
 
+@pytest.mark.quick(accuracy=["normal"], contact=[False])
 @pytest.mark.parametrize("accuracy", list(choose.PROMISE))
 @pytest.mark.parametrize("contact", [False, True], ids=["free", "contact"])
 def test_delivers_what_it_promises(tmp_path: Path, accuracy: Accuracy, contact: bool) -> None:

@@ -59,6 +59,7 @@ def test_its_energy_is_in_the_balance(packages: Packages, tmp_path: Path) -> Non
     assert abs(sum(last.values()) - sum(first.values())) < 0.05 * change
 
 
+@pytest.mark.full
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
 def test_it_gives_equal_bytes_for_one_and_two_threads(packages: Packages, tmp_path: Path) -> None:
     packages.add_shown("magnets", PLAIN, "plain = magnets:Plain")

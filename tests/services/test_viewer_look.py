@@ -18,10 +18,13 @@ from nuno.viewer.layout import BACKGROUND
 from nuno.wire.sessions import free_port
 
 DRIVERS = [Path(folder) for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")]
-pytestmark = pytest.mark.skipif(
-    not any(list(folder.glob("*.json")) for folder in DRIVERS if folder.is_dir()),
-    reason="needs a Vulkan driver, in software too (Debian: mesa-vulkan-drivers)",
-)
+pytestmark = [
+    pytest.mark.full,
+    pytest.mark.skipif(
+        not any(list(folder.glob("*.json")) for folder in DRIVERS if folder.is_dir()),
+        reason="needs a Vulkan driver, in software too (Debian: mesa-vulkan-drivers)",
+    ),
+]
 SOON = 60.0
 
 

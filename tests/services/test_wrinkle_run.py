@@ -71,6 +71,7 @@ def test_a_run_changes_its_cloth_at_its_frame_and_is_replayed_to_the_last_bit(tm
     assert main(["export", str(whole.path), "--rrd", str(tmp_path / "a.rrd")]) == 0
 
 
+@pytest.mark.quick(name=["symplectic_euler"])
 @pytest.mark.parametrize("name", INTEGRATORS)
 def test_a_run_resumed_after_a_change_ends_in_the_same_bits(name: str, tmp_path: Path) -> None:
     scene = cloths(tmp_path, solver={"plugin": name}, allow_unstable=True, duration=0.2)
