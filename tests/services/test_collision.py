@@ -77,10 +77,13 @@ def test_passing_primitives_over_changes_nothing() -> None:
     parts = [(CAPSULE, *rng.uniform(-2, 2, (2, 3)), float(rng.uniform(0.05, 0.6))) for _ in range(20)]
     parts += [(BOX, rng.uniform(-2, 2, 3), rng.uniform(0.05, 0.8, 3), 0.0) for _ in range(20)]
     geometry = bodies(*parts)
+    inside = 0
     for offset in rng.uniform(-2, 2, (10, 3)):
         points = offset + rng.uniform(-0.3, 0.3, (40, 3))
         expected = np.maximum(-signed_distance(points, geometry, posed()), 0.0)
         assert penetration(points, geometry, posed()).tobytes() == expected.tobytes()
+        inside += np.count_nonzero(expected)
+    assert 40 < inside < 360
 
 
 def test_points_that_are_not_finite_are_outside() -> None:

@@ -110,7 +110,9 @@ def test_every_look_of_an_animation_is_inside_the_picture(path: Path) -> None:
         right = np.cross(forward, camera.up)
         half = np.tan(camera.fov / 2)
         for frame in frames:
-            for mesh in painter.meshes(frame):
+            meshes = list(painter.meshes(frame))
+            assert sum(len(mesh.vertices) for mesh in meshes) >= len(frame.x)
+            for mesh in meshes:
                 d = mesh.vertices - camera.eye
                 depth = d @ forward
                 assert np.abs(d @ camera.up / depth).max() <= half
