@@ -39,6 +39,7 @@ def test_diffusion_is_of_the_solvers_order(name: str) -> None:
     assert name != "rkl2" or errors[-1] < 2e-6
 
 
+@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 def test_a_sheet_takes_up_from_a_bath_as_the_closed_form_says(name: str) -> None:
     """M_t / M_inf = 1 - 8 / pi^2 sum exp(-D (2 n + 1)^2 pi^2 t / 4 l^2) / (2 n + 1)^2, both faces kept up."""
@@ -58,6 +59,7 @@ def test_a_sheet_takes_up_from_a_bath_as_the_closed_form_says(name: str) -> None
         assert report.supplied[0] == pytest.approx(end.phi.sum(), rel=1e-13)
 
 
+@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 @pytest.mark.parametrize("kept_up", [False, True])
 def test_fibre_takes_dye_with_second_order_up_to_its_limit(name: str, kept_up: bool) -> None:
@@ -116,6 +118,7 @@ def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(
     assert system.supply is None or (end.phi >= system.supply).all()
 
 
+@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 def test_what_is_legal_but_extreme_is_done(name: str) -> None:
     base = random_cells(14, 13)
@@ -137,6 +140,7 @@ def test_what_is_legal_but_extreme_is_done(name: str) -> None:
             assert end.phi.min() >= 0.0 and (end.phi[0] <= cells.mobile_room).all(), case
 
 
+@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 def test_full_resist_lets_nothing_through(name: str) -> None:
     cells = resisted(16, 20)
