@@ -91,7 +91,7 @@ def test_explicit_steps_equal_a_plain_loop() -> None:
     assert np.abs(ours.phi[0] - phi).max() < 1e-12
 
 
-@pytest.mark.quick(name=["explicit", "rkl2"])
+@pytest.mark.quick(name=["explicit"])
 @pytest.mark.parametrize(("name", "density"), [("explicit", 0), ("rkl2", 100), ("sdirk2", 100)])
 def test_sources_spread_as_the_closed_form_says(name: str, density: int) -> None:
     """The error falls with the square of the cells' size."""
@@ -108,7 +108,7 @@ def test_sources_spread_as_the_closed_form_says(name: str, density: int) -> None
     assert errors[0] < 6e-3 and errors[0] / errors[1] > 3.0
 
 
-@pytest.mark.quick(name=["explicit", "rkl2"])
+@pytest.mark.quick(name=["explicit"])
 @pytest.mark.parametrize("name", SOLVERS)
 def test_it_is_of_the_solvers_order(name: str) -> None:
     """Against classical Runge-Kutta steps, on the same cells."""
@@ -134,7 +134,7 @@ def test_it_is_of_the_solvers_order(name: str) -> None:
     assert np.log2(errors[-2] / errors[-1]) == pytest.approx(SOLVERS[name][2], abs=0.15)
 
 
-@pytest.mark.quick(name=["explicit", "rkl2"])
+@pytest.mark.quick(name=["explicit"])
 @pytest.mark.parametrize("name", SOLVERS)
 def test_below_the_bend_it_is_the_capped_coefficient(name: str) -> None:
     cells = resisted(9, 11)
@@ -146,7 +146,7 @@ def test_below_the_bend_it_is_the_capped_coefficient(name: str) -> None:
     assert np.abs(ours.phi - other.phi).max() < 1e-9
 
 
-@pytest.mark.quick(name=["explicit", "rkl2"])
+@pytest.mark.quick(name=["explicit"])
 @pytest.mark.parametrize("name", SOLVERS)
 def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(name: str) -> None:
     cells = resisted(12, 13)

@@ -165,6 +165,7 @@ def test_newton_steps_grow_little_with_stiffness(plugin, growth):
 
 
 @PLUGINS
+@pytest.mark.full
 def test_factorisations_give_equal_bytes_for_any_number_of_threads(plugin, monkeypatch):
     monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)
     ends = []
