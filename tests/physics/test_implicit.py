@@ -191,7 +191,7 @@ POSES = STILL, replace(STILL, t=1.0)
 
 
 @PLUGINS
-@pytest.mark.quick(plugin=["implicit_euler"])
+@pytest.mark.full
 @pytest.mark.parametrize("share", [0.9, 1.2])
 def test_an_incline_holds_or_lets_go_as_coulomb_says(plugin, share):
     mu = 0.4

@@ -47,6 +47,7 @@ def test_the_stitches_show_what_they_must(tmp_path: Path, capsys: pytest.Capture
     assert "along the courses wales zigzag" in capsys.readouterr().out
 
 
+@pytest.mark.full
 def test_a_stocking_that_does_not_settle_is_shown_as_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = yaml.safe_load(scene_file.find("knit/stocking-150").read_text())
     scene |= {"name": "short", "duration": "0.3 s"}

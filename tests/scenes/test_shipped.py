@@ -53,6 +53,7 @@ def test_scene_holds_together_and_runs_the_same_twice(name: str) -> None:
     assert simulate(name)[0].digest() == first.digest()
 
 
+@pytest.mark.quick(name=["skirt-hula"])
 @pytest.mark.parametrize("name", ["skirt-hula", "skirt-walk", "skirt-paper"])
 def test_waist_follows_its_frame(name: str) -> None:
     simulation, _, _ = simulate(name)

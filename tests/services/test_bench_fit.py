@@ -16,6 +16,7 @@ from nuno_bench.speed.leg.fit import fit
 SMALL = ("objects.stocking.model.wales=10", "objects.stocking.model.courses=19", "bodies.leg.collider.resolution=16")
 
 
+@pytest.mark.full
 def test_a_fit_ends_at_rest_and_one_that_does_not_is_no_figure() -> None:
     taken, steps = fit("stocking-150", *SMALL)
     assert steps > 10 and taken > 0.0

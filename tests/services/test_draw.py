@@ -248,6 +248,7 @@ def test_lines_that_could_not_be_raised_are_not_saved(tmp_path: Path) -> None:
     assert path.read_text() == two
 
 
+@pytest.mark.full
 def test_a_run_that_the_page_starts_waits_for_lines_and_takes_none_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
