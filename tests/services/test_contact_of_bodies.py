@@ -103,6 +103,7 @@ def test_bodies_out_of_reach_change_no_bit(tmp_path: Path) -> None:
         )  # fmt: skip
 
 
+@pytest.mark.full
 def test_a_point_between_two_kinds_of_contact_enters_neither(tmp_path: Path) -> None:
     """Gravity leans it against a block, which it slides down until it is in the floor by what it weighs."""
     block = cube("block", 0.611, contact=SLIDING, friction=0.0)
