@@ -45,6 +45,7 @@ def moved(plugin: Any, system: System) -> tuple[State, Memory]:
     return state, memory
 
 
+@pytest.mark.quick(plugin=["symplectic_euler"])
 @pytest.mark.parametrize("plugin", [SymplecticEuler(), Leapfrog(), XPBD()], ids=lambda p: p.name)
 def test_a_profile_changes_nothing(plugin: Any) -> None:
     """Not the state, not the friction anchors, and not one bit of what follows."""

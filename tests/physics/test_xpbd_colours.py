@@ -17,6 +17,7 @@ from nuno_schemas.fabric import Springs
 from nuno_schemas.system import Term
 
 
+@pytest.mark.full
 def test_any_number_of_threads_gives_equal_bytes(monkeypatch):
     """Of springs that lie in runs and of others."""
     monkeypatch.setattr(nuno_kernels.step.packing, "PARALLEL_FROM", 0)

@@ -50,6 +50,7 @@ def test_every_container_needs_a_certificate(compose: dict[str, Any]) -> None:
         assert command[command.index("--listen" if "--listen" in command else "--connect") + 1].startswith("tls/")
 
 
+@pytest.mark.full
 def test_its_commands_make_a_complete_recording(compose: dict[str, Any], tmp_path: Path) -> None:
     """With the certificates that `nuno certs` makes, each service with its own."""
     port = free_port()
