@@ -32,6 +32,7 @@ def give(share, grip, k):
     return grip / k * (1.0 + (share - 0.5) / (1.0 - share))
 
 
+@pytest.mark.quick(share=[0.99])
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
 def test_sticks_for_good_below_the_friction_angle(share):
     """It gives way once, because it is let go at once, then stands still: no creep in 20 s."""
@@ -158,6 +159,7 @@ def test_leaving_the_body_drops_the_anchor():
     np.testing.assert_array_equal(force[:, 0], [0.0, 5.0, 0.0])
 
 
+@pytest.mark.quick(damping=[0.0, 1.0])
 @pytest.mark.parametrize("damping", [0.0, 0.3, 0.5, 1.0, 2.0])
 def test_what_starts_to_slide_is_faster_than_coulomb_says_by_no_more_than_is_said(damping):
     """Let go at rest on an incline: all of what is said where the pull is hardly more than friction, as it falls with
