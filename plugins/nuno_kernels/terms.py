@@ -38,7 +38,7 @@ class Measured(NamedTuple):
 
 class Displaced(NamedTuple):
     """A step of xpbd under way: x (3, n) [m] at its start, u (3, n) how far vertices have moved [m], y and w (3, n)
-    scratch, mobility (1, n) [s^2/kg] (see nuno_integrators.xpbd.constraints), and 1 / the step [1/s].
+    scratch, mobility (1, n) [s^2/kg] (see nuno_kernels.forces.constraints), and 1 / the step [1/s].
     """
 
     x: Float
@@ -70,7 +70,7 @@ class Kernels:
     carry(term, moved, s)                          of xpbd: puts displacements of carried vertices into `Displaced`
     project(term, moved, s, held, threads)         of xpbd: solves for a body; see nuno_contact.penalty.projection
     sweep(batches, batch, moved)                   of batches of constraints: solves those of one batch, in place in the
-                                                   displacements; see nuno_integrators.xpbd.constraints
+                                                   displacements; see nuno_kernels.forces.constraints
     forget(batches)                                of batches of constraints: begins a step without forces
 
     Called from Python:
@@ -82,7 +82,7 @@ class Kernels:
     rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear_layout
     elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
-                                                   nuno_integrators.xpbd.packing
+                                                   nuno_kernels.forces.constraint_packing
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
     begin(term, x)                                 before an interval's first step
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]

@@ -1,1 +1,1 @@
-"""XPBD: springs, hinges and contact as compliant constraints, and the sweeps over them."""
+"""XPBD: its step, and sweeps over compliant constraints; those of springs and hinges are in nuno_kernels.forces."""

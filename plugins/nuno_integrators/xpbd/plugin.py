@@ -27,8 +27,8 @@ from pydantic import Field
 from nuno_integrators.compiled import Compiled, Told, Work, lacking, source_of
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.stability import measure_rates, stable_step
-from nuno_integrators.xpbd.packing import pack_constraints
 from nuno_integrators.xpbd.step import Swept, advance_xpbd
+from nuno_kernels.forces.constraint_packing import pack_constraints
 from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.step.packing import call_each, silence, silence_bodies
 from nuno_kernels.terms import kernels_of

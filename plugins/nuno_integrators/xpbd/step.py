@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_integrators.xpbd.constraints import Constraints, clear, forget, sweep
 from nuno_kernels import kernel, shared_source
+from nuno_kernels.forces.constraints import Constraints, clear, forget, sweep
 from nuno_kernels.step.acceleration import Extra, Own, Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import Displaced, each, over_blocks

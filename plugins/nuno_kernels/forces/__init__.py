@@ -1,1 +1,1 @@
-"""What fabric itself does: springs, hinges, yarns, their energies and matrices. Wind and contact are plugins."""
+"""What fabric does: springs, hinges, yarns, their energies, matrices, constraints. Wind and contact are plugins."""

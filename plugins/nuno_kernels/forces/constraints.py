@@ -24,7 +24,7 @@ about the step on that explicit methods stop at.
 
 Elements are sorted into batches, and batches into colours: batches of one colour share no vertex, so
 that threads change nothing; within a batch, eight elements computed together share none either
-(nuno_integrators.xpbd.packing).
+(nuno_kernels.forces.constraint_packing).
 """
 
 from __future__ import annotations
