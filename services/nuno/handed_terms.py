@@ -8,11 +8,12 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from nuno.wrong import Wrong, check_array, check_number
+from nuno_schemas.fabric import Fabric
 from nuno_schemas.system import Term
 
 
-def check_term(term: Term, vertices: int) -> None:
-    """A force on a fabric of so many vertices."""
+def check_term(term: Term, fabric: Fabric) -> None:
+    """A force on a fabric."""
     for name in ("omega_squared", "damping_rate"):
         check_number(name, getattr(term, name), 0.0)
     for name, value in term.facts.items():
@@ -23,7 +24,7 @@ def check_term(term: Term, vertices: int) -> None:
         )
     if not callable(term.data):
         for i, part in enumerate(term.data):
-            check_typed(f"data[{i}]", part, vertices)
+            check_typed(f"data[{i}]", part, fabric.number)
 
 
 def _is_typed(part: object) -> bool:

@@ -69,10 +69,14 @@ def check_field(what: str, field: DistanceField) -> None:
     check_array(f"{what}.low", field.low, np.float64, (3,))
     check_array(f"{what}.shape", field.shape, np.int32, (3,), 1)
     check_array(f"{what}.corners", field.corners, np.float32, (None, 32))
-    # Eight parts begin at every cell that is cut.
-    check_array(f"{what}.child", field.child, np.int32, (None,), -len(field.corners), len(field.child) - 8)
+    check_array(f"{what}.child", field.child, np.int32, (None,))
     if math.prod(field.shape.tolist()) > len(field.child):
         raise Wrong(f"{what}.child has {len(field.child)} cells, fewer than its shape")
+    cut = field.child >= 0
+    # Eight parts begin at every cell that is cut, later in the list: else whoever follows them would never arrive.
+    parts, leaves = field.child[cut], -1 - field.child[~cut].astype(np.int64)
+    if (parts <= np.flatnonzero(cut)).any() or (parts > len(cut) - 8).any() or (leaves >= len(field.corners)).any():
+        raise Wrong(f"{what}.child: cells lead nowhere")
     for name in ("size", "tolerance"):
         check_number(f"{what}.{name}", getattr(field, name), above=0.0)
 

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from contact_world import box, capsule, contact_for, geometry, move, plane
 
-from nuno_contact.penalty.field_distance import primitive_distance
+from nuno_contact.penalty.field_distance import Bodies, primitive_distance
 from nuno_contact.penalty.poses import pose_bodies
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.surface import surface
@@ -29,9 +29,8 @@ def posed(shape):
 
 
 def measure(contact, points):
-    return np.array(
-        [primitive_distance(*p, contact.kind[0], contact.posed, 0, contact.frames, 0, None, None, None) for p in points]
-    )
+    bodies = Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
+    return np.array([primitive_distance(tuple(p), 0, 0, bodies, None) for p in points])
 
 
 def cloud(number=300, seed=1):

@@ -9,6 +9,7 @@ import json
 import signal
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -147,7 +148,7 @@ def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, Path]:
     """The command on engines that are quick; one is not installed, one crashes: its code, output and folder."""
     small, folder, out = stiff_sheet(SMALL), tmp_path_factory.mktemp("peers"), io.StringIO()
-    end = stiff.End(np.zeros(3), 0.0, 1.001 * small.x, 0.5)
+    end = stiff.End(np.zeros(3), 0.0, 1.001 * small.x, 0.5, Counter())
     kinds = (
         fake("Still", {"shift": 0.0}, {"shift": 1.0}),
         fake("Crash", {"after": 0.0}),

@@ -263,7 +263,7 @@ def test_what_cannot_be_gone_on_from_is_refused(
     assert "goes on after that" in refusal(capsys, done, "--set", "duration=0.2")
     with nuno.open(done) as recording:
         second = recording.layout.chunks[1]
-    cut.write_bytes(done.read_bytes()[: second.offset - 9])
+    cut.write_bytes(done.read_bytes()[: second.chunk_start_offset])
     said = refusal(capsys, cut)
     assert "holds no checkpoint" in said and "run its scene again" in said
     cut.write_bytes(done.read_bytes()[:100])
@@ -275,7 +275,7 @@ def test_a_recording_damaged_at_its_end_is_gone_on_from(many_chunks: None, tmp_p
     with nuno.open(whole.path) as recording:
         place = recording.layout.chunks[len(recording.layout.chunks) * 2 // 3]
     data = bytearray(whole.path.read_bytes())
-    data[place.offset + place.length // 2] ^= 0x55
+    data[place.chunk_start_offset + place.chunk_length // 2] ^= 0x55
     damaged, on = tmp_path / "damaged.mcap", tmp_path / "on.mcap"
     damaged.write_bytes(data[:-100])
     assert main(["run", "--resume", str(damaged), "--no-view", "--record", str(on)]) == 0

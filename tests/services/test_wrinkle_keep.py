@@ -83,7 +83,7 @@ def test_a_rehearsed_change_leaves_nothing_behind(tmp_path: Path) -> None:
     scene = hung(tmp_path, "level", True)
     later = ("operations[0].at=0.05", "duration=0.1")
     plain, rehearsed = (Simulation(scene_file.read(scene, later), None, None, 1) for _ in range(2))
-    rehearsed.rehearse(None)
+    rehearsed.rehearse()
     assert rehearsed.changes == [] and rehearsed.applied == 0 and rehearsed.fabric.number == plain.fabric.number
     while not plain.finished:
         ours, theirs = plain.advance(None, None), rehearsed.advance(None, None)

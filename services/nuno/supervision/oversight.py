@@ -244,7 +244,10 @@ class Supervisor:
                 continue
             request: dict[str, Any] = {"error": error}
             if name == "recorder":
-                sent = {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
+                # A service that failed answers no more: of what it sent, what has come here has to come there.
+                heard = self.inbox.counts
+                sent = {topic: number + heard.missing[topic] for topic, number in heard.received.items()}
+                sent |= {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
                 failed = error or any(lost in self.errors for lost in self.needed)
                 state = "failed" if failed else str((self.ended or {}).get("state", "failed"))
                 request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
