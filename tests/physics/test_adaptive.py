@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nuno_integrators.explicit.adaptive import Dop853, Dopri5
+from nuno_integrators.explicit.stepsize import AT, BEFORE, NEXT, PENDING, take
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Springs, State
 from nuno_schemas.system import System, Term
@@ -137,3 +138,15 @@ def test_steps_without_end_are_given_up_by_name(plugin):
     assert "no step above" in report.message
     assert np.isfinite(state.x).all()
     assert state.x[0, 0] < 1e-6
+
+
+def test_a_step_after_one_that_was_refused_is_no_longer_than_it() -> None:
+    """Hairer, Norsett & Wanner 1993, section II.4: else it would be refused again; without a refusal it grows."""
+    control = np.zeros(4)
+    lengths = {}
+    for again in (False, True):
+        control[AT], control[PENDING], control[NEXT], control[BEFORE] = 0.0, 0.0, 1e-3, 0.5
+        take(control, 1e-3, 1e-3, 0.17, again)
+        lengths[again] = control[NEXT]
+        assert control[PENDING] == 1e-3
+    assert lengths[True] == 1e-3 < lengths[False]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from contact_world import STILL, G, box, capsule, contact_for, fall, geometry, move, plane, points
 
-from nuno_contact.penalty.contact import add_contact, commit_contact, count_contacts
+from nuno_contact.penalty.contact import add_contact, commit_contact, count_contacts, limit_approach
 from nuno_contact.penalty.plugin import Penalty, PenaltyConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
@@ -63,6 +63,17 @@ def test_impact_keeps_the_closed_form_share_of_its_speed(speed, zeta, body_moves
     fall(x, v, mass, np.zeros(3), contact, 0.0, 1.0, 40000, duration / 40000, np.zeros((3, 1)))
     relative = v[1, 0] - (speed if body_moves else 0.0)
     assert relative == pytest.approx(restitution(zeta) * speed, rel=2e-3)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.1, 7.0])
+def test_a_dashpot_sees_no_more_than_the_depth_gone_through_at_its_rate(speed):
+    """k depth + c min(speed, rate depth): over a step of 1 / rate no more than the way inside of the body."""
+    mass, k, depth, rate = np.array([2e-3]), 40.0, 1e-3, 100.0
+    contact = contact_for(geometry(plane(), damping=0.3), mass, k)
+    limit_approach(contact, rate)
+    force = force_on(contact, points((0.0, -depth, 0.0)), points((0.0, -speed, 0.0)))
+    damping = 0.6 * np.sqrt(k * mass[0])
+    assert force[1, 0] == pytest.approx(k * depth + damping * min(speed, rate * depth), rel=1e-12)
 
 
 def test_contact_never_pulls():

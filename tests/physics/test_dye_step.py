@@ -116,6 +116,21 @@ def test_equals_a_plain_loop(isotherm: str) -> None:
     assert (exact[1].max() > 0.0) == (isotherm != "nothing")
 
 
+def test_fibre_takes_no_more_than_there_is_however_fast_it_takes() -> None:
+    """At a rate of 5 a step would take five times the mobile dye; none is lost, and no cell owes any."""
+    cells = replace(resisted(11, 14), v_max=10.0)
+    phi, fixed = start(cells)
+    scale = 0.95 / largest_sum(face_values(cells))
+    found = run(phi, fixed, cells, scale, 5.0, "partition", LEVELS)
+    exact = phi, fixed
+    for _ in range(LEVELS):
+        exact = plain_step(*exact, cells, scale, 5.0, "partition")
+    assert found[0].min() >= 0.0 and found[1].max() > 0.0
+    assert found[0].sum() + found[1].sum() == pytest.approx(phi.sum(), rel=1e-13)
+    for a, b in zip(found, exact, strict=True):
+        assert np.abs(a - b).max() < 1e-12
+
+
 def test_without_a_limit_that_binds_it_is_diffusion_to_the_last_bit() -> None:
     cells = replace(random_cells(23, 30), v_max=1e6)
     phi = np.random.default_rng(5).random(cells.fibre.shape) * (cells.porosity > 0.0)
