@@ -11,6 +11,7 @@ import importlib
 import threading
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,13 @@ MODULES = {
 """Services by name; a module is imported only where its service runs. Each has `main(context)`."""
 
 
+def _here() -> Path:
+    """The working folder; where that has been removed, paths stay as they are."""
+    with suppress(OSError):
+        return Path.cwd()
+    return Path()
+
+
 @dataclass
 class Options:
     """What the user chose for a run, beside the scene."""
@@ -55,6 +63,8 @@ class Options:
     """Services that acknowledge every frame before the simulation runs far ahead."""
     temporary: bool = False
     """Whether the recording is not to be kept."""
+    folder: Path = field(default_factory=_here)
+    """Where paths begin: all threads share the working folder, and a plugin may leave it at any moment."""
 
     def __post_init__(self) -> None:
         if self.threads < 0:

@@ -36,11 +36,11 @@ def main(context: Context) -> None:
     if path is None:
         raise BadInput("the recorder needs a file", field="--record", remedy="name one: --record FILE")
     inbox = Inbox(context.bus, [ALL])
-    # Whatever a plugin may make of the working folder, which all threads share, the file is closed where it was begun.
-    writer = RecordingWriter(path.absolute(), describe_run(context.loaded, context.bus.run), assets(context.loaded))
+    folder, about = context.options.folder, describe_run(context.loaded, context.bus.run)
+    writer = RecordingWriter(folder / path, about, assets(context.loaded))
     if context.options.resume is not None:
         try:
-            with open_recording(context.options.resume) as before:
+            with open_recording(folder / context.options.resume) as before:
                 copy_until(before, writer)
         except BaseException:
             writer.discard()  # what is gone on from is still whole

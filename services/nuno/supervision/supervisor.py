@@ -134,7 +134,7 @@ def _conduct(
             supervisor.check_premises(progress)
         ready = time.perf_counter()
         if supervisor.options.record is not None and not supervisor.options.temporary:
-            runs.note_recording(supervisor.options.record)
+            runs.note_recording(supervisor.options.folder / supervisor.options.record)
         log.note(supervisor.run, log.READY, {"seconds": ready - began})
         error = supervisor.follow(progress)
     except BadInput:
