@@ -117,14 +117,14 @@ def test_equals_a_plain_loop(isotherm: str) -> None:
 
 
 def test_fibre_takes_no_more_than_there_is_however_fast_it_takes() -> None:
-    """At a rate of 5 a step would take five times the mobile dye; none is lost, and no cell owes any."""
+    """At a rate of 5, fibre with room would take five times the mobile dye; none is lost, and no cell owes any."""
     cells = replace(resisted(11, 14), v_max=10.0)
     phi, fixed = start(cells)
     scale = 0.95 / largest_sum(face_values(cells))
-    found = run(phi, fixed, cells, scale, 5.0, "partition", LEVELS)
+    found = run(phi, fixed, cells, scale, 5.0, "langmuir", LEVELS)
     exact = phi, fixed
     for _ in range(LEVELS):
-        exact = plain_step(*exact, cells, scale, 5.0, "partition")
+        exact = plain_step(*exact, cells, scale, 5.0, "langmuir")
     assert found[0].min() >= 0.0 and found[1].max() > 0.0
     assert found[0].sum() + found[1].sum() == pytest.approx(phi.sum(), rel=1e-13)
     for a, b in zip(found, exact, strict=True):
