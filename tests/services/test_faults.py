@@ -98,6 +98,7 @@ main(sys.argv[1:])
         assert child.wait(60.0) == 1
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.quick(word=["interrupted"])
 @pytest.mark.parametrize(("number", "word"), [(signal.SIGTERM, "terminated"), (signal.SIGINT, "interrupted")])
 def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, tmp_path: Path) -> None:
