@@ -65,7 +65,7 @@ class Kernels:
                                                    nuno_integrators.implicit.matrix
     diagonal(term, rows, block, origin, out)       adds the matrix' diagonal blocks to (6, w)
     multiply(term, rows, block, origin, u, out)    adds the matrix' product with u (3, n) to out (3, w)
-    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_integrators.implicit.factor
+    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.forces.assembly
 
     carry(term, moved, s)                          of xpbd: puts displacements of carried vertices into `Displaced`
     project(term, moved, s, held, threads)         of xpbd: solves for a body; see nuno_contact.penalty.projection

@@ -25,6 +25,13 @@ _command: int | None = None
 """The process of the `nuno` command."""
 
 
+def working_folder() -> str:
+    """The folder that this process works in; empty where that has been removed."""
+    with contextlib.suppress(OSError):
+        return os.getcwd()
+    return ""
+
+
 def return_large_arrays() -> None:
     """Give arrays of a megabyte and more back to the system when they are freed (glibc).
 

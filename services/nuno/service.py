@@ -11,7 +11,6 @@ import importlib
 import threading
 import traceback
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ import zenoh
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nuno.premises import offer_premises
+from nuno.process import working_folder
 from nuno.scene.scene_file import Loaded
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.health import offer_health
@@ -40,13 +40,6 @@ MODULES = {
 """Services by name; a module is imported only where its service runs. Each has `main(context)`."""
 
 
-def _here() -> Path:
-    """The working folder; where that has been removed, paths stay as they are."""
-    with suppress(OSError):
-        return Path.cwd()
-    return Path()
-
-
 @dataclass
 class Options:
     """What the user chose for a run, beside the scene."""
@@ -63,7 +56,7 @@ class Options:
     """Services that acknowledge every frame before the simulation runs far ahead."""
     temporary: bool = False
     """Whether the recording is not to be kept."""
-    folder: Path = field(default_factory=_here)
+    folder: Path = field(default_factory=lambda: Path(working_folder()))
     """Where paths begin: all threads share the working folder, and a plugin may leave it at any moment."""
 
     def __post_init__(self) -> None:

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.constraints import Constraints, HingeBatches, RunBatches, SpringBatches
+from nuno_kernels.forces.constraints import Constraints, RunBatches, SpringBatches
+from nuno_kernels.forces.hinge_constraints import HingeBatches
 from nuno_kernels.forces.hinges import HingeLists, HingeRuns
 from nuno_kernels.forces.springs import SpringLists, SpringRuns
 from nuno_kernels.lanes.simd import WIDTH

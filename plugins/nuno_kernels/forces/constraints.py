@@ -32,8 +32,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.hinges import FLAT, cross, dot, listed_corner, minus, times
-from nuno_kernels.lanes.choose import where_greater, where_not_zero
+from nuno_kernels.forces.hinges import listed_corner, minus, times
+from nuno_kernels.lanes.choose import where_not_zero
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import Displaced, each, each_block, register
@@ -65,21 +65,6 @@ class SpringBatches(NamedTuple):
     ends      (2, p) int32
     constants (3, p)                k [N/m], rest [m], c [N s/m]
     kept      (3, p)                forces [N] on the i ends; None as above
-    """
-
-    start: Long
-    ends: Int
-    constants: Float
-    kept: Float | None
-
-
-class HingeBatches(NamedTuple):
-    """Hinges by index, in whole vectors without a common vertex.
-
-    start     (batches + 1,) int64  columns of each batch
-    ends      (4, p) int32
-    constants (3, p)                k cos(rest), k sin(rest), k [N m]
-    kept      (9, p)                forces [N] as `sweep_hinges` says; None as above
     """
 
     start: Long
@@ -186,71 +171,6 @@ def sweep_spring_lists(batch: int, moved: Displaced, lists: SpringBatches, kept:
             add_at(u, row, ends, 1, p, 0.0 - mj * change[row])
 
 
-Parts = tuple[Lanes, Triple, Triple, Triple, Triple]
-
-
-@kernel
-def hinge_parts(x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes) -> Parts:
-    """Moments k sin(angle - rest) of eight hinges, and at x0 and x1 minus, at x2 and x3 plus the angle's gradient.
-
-    r = 1 / (|n1|^2 |n2|^2 |e|^2) as in nuno_kernels.forces.hinges.hinge_forces, 0 for a triangle without area.
-    """
-    e, d2, d3 = minus(x1, x0), minus(x2, x0), minus(x3, x0)
-    n1, n2 = cross(e, d2), cross(d3, e)
-    ee, q1, q2 = dot(e, e), dot(n1, n1), dot(n2, n2)
-    r = where_greater(q2, FLAT * ee * dot(d3, d3), 1.0 / (q1 * q2 * ee))
-    r = where_greater(q1, FLAT * ee * dot(d2, d2), r)
-    sine, cosine = dot(n1, d3) * (ee * root(r)), dot(n1, n2) * root(r * ee)
-    size = root(ee) * (ee * r)
-    g2, g3 = times(size * q2, n1), times(size * q1, n2)
-    g1 = plus(times(dot(d2, e) * (r * q1 * q2), g2), times(dot(d3, e) * (r * q1 * q2), g3))
-    return k_cos * sine - k_sin * cosine, minus(plus(g2, g3), g1), g1, g2, g3
-
-
-@kernel
-def moved_corner(x: Float, u: Float, ends: Int, which: int, p: int) -> Triple:
-    """Positions x + u of one corner of eight hinges."""
-    return plus(listed_corner(x, ends, which, p), listed_corner(u, ends, which, p))
-
-
-@kernel
-def sweep_hinges(batch: int, moved: Displaced, hinges: HingeBatches, kept: Float | None) -> None:
-    """Solve a batch's hinges in their order, in place in the displacements; `kept` is the hinges'.
-
-    Forces are f0 and f1 on x0 and x1, minus f2 and f3 on x2 and x3, with f0 = f2 + f3 - f1; (9, p) are kept.
-    """
-    x, u, mobility = moved.x, moved.u, moved.mobility
-    start, ends, constants = hinges.start, hinges.ends, hinges.constants
-    for p in range(start[batch], start[batch + 1], WIDTH):
-        m0, m1 = gather(mobility, 0, ends, 0, p), gather(mobility, 0, ends, 1, p)
-        m2, m3 = gather(mobility, 0, ends, 2, p), gather(mobility, 0, ends, 3, p)
-        moment, g0, g1, g2, g3 = hinge_parts(
-            moved_corner(x, u, ends, 0, p), moved_corner(x, u, ends, 1, p), moved_corner(x, u, ends, 2, p),
-            moved_corner(x, u, ends, 3, p), load(constants, 0, p), load(constants, 1, p),
-        )  # fmt: skip
-        k = load(constants, 2, p)
-        all_k = 1.0 + k * (m0 * dot(g0, g0) + m1 * dot(g1, g1) + m2 * dot(g2, g2) + m3 * dot(g3, g3))
-        if kept is None:
-            moment = moment / all_k
-            f1, f2, f3 = times(moment, g1), times(moment, g2), times(moment, g3)
-        else:
-            f1 = minus(times(moment, g1), (load(kept, 0, p), load(kept, 1, p), load(kept, 2, p)))
-            f2 = minus(times(moment, g2), (load(kept, 3, p), load(kept, 4, p), load(kept, 5, p)))
-            f3 = minus(times(moment, g3), (load(kept, 6, p), load(kept, 7, p), load(kept, 8, p)))
-            f0 = minus(plus(f2, f3), f1)
-            along = k * (m0 * dot(g0, f0) + m1 * dot(g1, f1) + m2 * dot(g2, f2) + m3 * dot(g3, f3)) / all_k
-            f1, f2, f3 = minus(f1, times(along, g1)), minus(f2, times(along, g2)), minus(f3, times(along, g3))
-            for row in range(3):
-                store(kept, row, p, load(kept, row, p) + f1[row])
-                store(kept, 3 + row, p, load(kept, 3 + row, p) + f2[row])
-                store(kept, 6 + row, p, load(kept, 6 + row, p) + f3[row])
-        for row in range(3):
-            add_at(u, row, ends, 0, p, m0 * (f2[row] + f3[row] - f1[row]))
-            add_at(u, row, ends, 1, p, m1 * f1[row])
-            add_at(u, row, ends, 2, p, 0.0 - m2 * f2[row])
-            add_at(u, row, ends, 3, p, 0.0 - m3 * f3[row])
-
-
 @kernel
 def solve_spring_runs(runs: RunBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's runs: fields that may be None are arguments, for numba prunes by these."""
@@ -261,12 +181,6 @@ def solve_spring_runs(runs: RunBatches, batch: int, moved: Displaced) -> None:
 def solve_springs(lists: SpringBatches, batch: int, moved: Displaced) -> None:
     """Solve a batch's listed springs."""
     sweep_spring_lists(batch, moved, lists, lists.kept)
-
-
-@kernel
-def solve_hinges(hinges: HingeBatches, batch: int, moved: Displaced) -> None:
-    """Solve a batch's hinges."""
-    sweep_hinges(batch, moved, hinges, hinges.kept)
 
 
 @kernel
@@ -284,7 +198,6 @@ def forget_kept(batches: Any) -> None:
 
 register(RunBatches, name="springs", sweep=solve_spring_runs, forget=forget_kept)
 register(SpringBatches, name="springs", sweep=solve_springs, forget=forget_kept)
-register(HingeBatches, name="hinges", sweep=solve_hinges, forget=forget_kept)
 
 sweep_each = each("sweep", "batch, moved")
 forget = each("forget", "")

@@ -146,7 +146,7 @@ def sum_yarns(yarns: YarnLists, linear: LinearLists, block: int, origin: int, ou
 
 @kernel
 def assemble_yarns(linear: LinearLists, places: Any, diagonal: Float, values: Float) -> None:
-    """Add pairs to a matrix that is to be factorised: see nuno_integrators.implicit.factor.assemble_springs."""
+    """Add pairs to a matrix that is to be factorised: see nuno_kernels.forces.assembly."""
     part, rows = np.empty((3, 3)), linear.rows
     for p in range(places.column.shape[0]):
         c, pair = places.column[p], 0

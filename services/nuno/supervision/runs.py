@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
 
+from nuno.process import working_folder
 from nuno.recording.writer import part_of
 from nuno_schemas.errors import BadInput, nearest
 
@@ -87,7 +88,7 @@ def announced(run: str, endpoint: str, scene: Path | None = None) -> Iterator[No
     The note is locked meanwhile. Its process's number would not do: once that has been killed, it may be another's.
     Raises BadInput where a run of that name goes on, or the note cannot be written.
     """
-    note: dict[str, object] = {"endpoint": endpoint, "folder": _here()}
+    note: dict[str, object] = {"endpoint": endpoint, "folder": working_folder()}
     if scene is not None:
         note["scene"] = str(scene.resolve())
     path = folder() / f"{run}.json"
@@ -192,16 +193,9 @@ def find(run: str) -> tuple[str, str]:
     return matches[0], alive[matches[0]]
 
 
-def _here() -> str:
-    """The folder that this program works in; empty where that has been removed."""
-    with suppress(OSError):
-        return os.getcwd()
-    return ""
-
-
 def _newest(begun: Sequence[tuple[str, str]]) -> list[str]:
     """Of folders and what was begun in them, in order, the last of this folder, or else of all; it is said which."""
-    here = [pair for pair in begun if pair[0] == _here()]
+    here = [pair for pair in begun if pair[0] == working_folder()]
     for place, found in (here or begun)[-1:]:
         print(f"{LAST} is {found}{'' if here else f', begun in {place}'}", file=sys.stderr, flush=True)
         return [found]
@@ -210,7 +204,7 @@ def _newest(begun: Sequence[tuple[str, str]]) -> list[str]:
 
 def note_recording(path: Path) -> None:
     """Let `last` mean a recording that is being written, by a run of the folder that this program works in."""
-    here = _here()
+    here = working_folder()
     notes = folder() / RECORDED
     target = notes / f"{hashlib.sha256(here.encode()).hexdigest()[:32]}.json"
     new = target.with_suffix(f".{os.getpid()}")
@@ -224,7 +218,7 @@ def find_recording(path: Path) -> Path:
     """The same path, or for `last` the recording that was written to last. Raises BadInput where there is none."""
     if str(path) != LAST:
         return path
-    known = [(_here(), file) for pattern in ("*.mcap", "*.mcap.part") for file in RECORDINGS.glob(pattern)]
+    known = [(working_folder(), file) for pattern in ("*.mcap", "*.mcap.part") for file in RECORDINGS.glob(pattern)]
     for note in (folder() / RECORDED).glob("*.json"):
         file = Path(_noted(note, "recording"))
         known += [(_noted(note, "folder"), one) for one in (file, part_of(file))]

@@ -60,8 +60,8 @@ KINDS = (
          f"{EXACT}; symplectic Euler written with slices of whole arrays, no compiler."),
     Kind("scipy", "scipy", "nuno_bench.peers.python", "SciPy",
          [{"method": "RK45", "rtol": 1e-3}, {"method": "RK45", "rtol": 1e-5}, {"method": "DOP853", "rtol": 1e-4}],
-         f"{EXACT}; forces by the same NumPy slices. Its implicit methods are held against ours on a smaller sheet "
-         "by nuno bench speed scipy: here each of their matrices has 24,576 columns."),
+         f"{EXACT}; forces by the same NumPy slices. Its implicit methods are left out: each of their "
+         "matrices has 24,576 columns."),
     _engine("mujoco", "Edges", [{"dt": 1 / 7500}, {"dt": 1 / 10000}],
             f"{EXACT}: springs of equal constants are a 1D flex, whose edges have that stiffness and damping; drag is "
             "an applied force. MuJoCo integrates such edges explicitly only, so integrator=Euler."),
