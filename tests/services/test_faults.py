@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import garment_scene
 import pytest
@@ -19,6 +20,7 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno.cli import main
+from nuno.recording import service as recording_service
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.scene import scene_file
 from nuno.service import SUPERVISOR, Options
@@ -26,7 +28,7 @@ from nuno.supervision import supervisor
 from nuno.supervision.oversight import Supervisor
 from nuno.supervision.supervisor import Deployment, Outcome
 from nuno.viewer.service import Viewer
-from nuno.wire.bus import Bus
+from nuno.wire.bus import Bus, Inbox
 from nuno.wire.sessions import hub_at
 from nuno_schemas.errors import BadInput, RunFailed
 from soak.processes import Processes
@@ -34,14 +36,22 @@ from soak.processes import Processes
 
 @pytest.mark.parametrize("early", [True, False])
 def test_a_viewer_that_dies_does_not_end_the_run(early: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor is it waited for, though the run would otherwise wait until it has written each frame."""
+    """Nor is it waited for, though the run would otherwise wait until it has written each frame; and what it says
+    before the recorder listens is not missed in the recording.
+    """
+    said: list[str] = []
 
     def fail(self: Viewer, *arguments: object) -> None:
         raise OSError("no more colours")
 
+    def listen_late(*arguments: Any) -> Inbox:
+        wait_until(lambda: any("without a view" in line for line in said))
+        return Inbox(*arguments)
+
     monkeypatch.setattr(Viewer, "__init__" if early else "show", fail)
+    if early:
+        monkeypatch.setattr(recording_service, "Inbox", listen_late)
     options = Options(record=tmp_path / "run.mcap", save=tmp_path / "run.rrd")
-    said: list[str] = []
     outcome = supervisor.supervise(
         scene_file.read(write_scene(tmp_path)),
         options,

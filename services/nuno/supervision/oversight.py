@@ -244,11 +244,12 @@ class Supervisor:
                 continue
             request: dict[str, Any] = {"error": error}
             if name == "recorder":
-                # A service that failed answers no more: of what it sent, what has come here has to come there.
-                heard = self.inbox.counts
-                sent = {topic: number + heard.missing[topic] for topic, number in heard.received.items()}
+                # A service that failed answers no more: of what it sent, what has come here has to come there. Not of
+                # one that the run goes on without: it may have spoken before the recorder listened.
+                heard, lost = self.inbox.counts, {f"{EVENT.name}/{service}" for service in self.without}
+                sent = {topic: n + heard.missing[topic] for topic, n in heard.received.items() if topic not in lost}
                 sent |= {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
-                failed = error or any(lost in self.errors for lost in self.needed)
+                failed = error or any(service in self.errors for service in self.needed)
                 state = "failed" if failed else str((self.ended or {}).get("state", "failed"))
                 request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
             # One that the run gave up waiting for has had its time.
