@@ -6,7 +6,7 @@ import errno
 import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,18 +15,21 @@ from typing import Any
 import pytest
 import zenoh
 from recorded_sheet import REPORT_TEXT, Item, Sheet, items
+from scenes import write_scene
 
+import nuno
 from nuno.recording import service
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import part_of, topic_of
 from nuno.scene import scene_file
 from nuno.service import SUPERVISOR, Context, Options, ack_topic
+from nuno.simulation.run import Simulation
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import free_port, hub
 from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import REPORT, STATE, Ack, Header
+from nuno_schemas.messages import REPORT, STATE, Ack, Header, Topic
 
 RUN = "waving-run"
 
@@ -230,3 +233,41 @@ def test_files_of_the_scene_travel_with_it(tmp_path: Path) -> None:
     with open_recording(tmp_path / "a.mcap") as recording:
         assert recording.attachments == ("check.png",)
         assert recording.attachment("check.png") == b"picture"
+
+
+def test_the_last_word_of_a_service_that_failed_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It answers no more how much it sent; what the supervisor has heard of it, the recording must have."""
+
+    class Slow:
+        """A session over which errors come half a second late."""
+
+        def __init__(self, session: zenoh.Session) -> None:
+            self._session = session
+
+        def declare_subscriber(self, key: str, take: Callable[[zenoh.Sample], None]) -> Any:
+            def later(sample: zenoh.Sample) -> None:
+                if b"on fire" in sample.payload.to_bytes():
+                    threading.Timer(0.5, take, [sample]).start()
+                else:
+                    take(sample)
+
+            return self._session.declare_subscriber(key, later)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._session, name)
+
+    def listen_slowly(bus: Bus, topics: list[Topic]) -> Inbox:
+        monkeypatch.setattr(bus, "session", Slow(bus.session))
+        return Inbox(bus, topics)
+
+    def fail(self: Simulation, *poses: object) -> None:
+        raise OSError("the loom is on fire")
+
+    monkeypatch.setattr(service, "Inbox", listen_slowly)
+    monkeypatch.setattr(Simulation, "advance", fail)
+    path = tmp_path / "run.mcap"
+    with pytest.raises(RunFailed, match="on fire"):
+        nuno.run(write_scene(tmp_path), record=path)
+    with open_recording(path) as recording:
+        said = [json.loads(m.payload)["text"] for m in recording.messages() if m.topic == "run/event/simulation"]
+        assert "on fire" in said[-1] and recording.metadata[END]["missing"] == "{}"
