@@ -92,3 +92,14 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
         frames.append(np.full(points.shape[0], frame, np.int32))
         number += points.shape[0]
     return np.concatenate(vertices), np.concatenate(faces), np.concatenate(frames)
+
+
+def vertex_normals(x: Float, faces: Int) -> Float:
+    """(n, 3) unit normals of vertices at (n, 3): means of their triangles' by area, 0 where there is none."""
+    a, b, c = np.take(x, faces.T, axis=0)
+    u, v, corners = (b - a).T, (c - a).T, faces.reshape(-1)
+    twice = (u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3))  # the cross product, by axes
+    normal = np.stack([np.bincount(corners, np.repeat(area, 3), len(x)) for area in twice], axis=1)
+    size = np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2)
+    unit: Float = normal / np.where(size > 0.0, size, 1.0)[:, None]
+    return unit

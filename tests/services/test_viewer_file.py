@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
+from nuno.export.cloth import ShownPiece
 from nuno.export.paint import INSET, paint_yarns
 from nuno.recording.writer import part_of
 from nuno.viewer.cloth import pack
 from nuno.viewer.file import PIPES, RerunFile
-from nuno.viewer.kernels import vertex_normals, vertex_stretch
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.require import require
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, STATE
-from nuno_schemas.surface import surface
+from nuno_schemas.surface import surface, vertex_normals
 from nuno_schemas.view import View
 
 CLOTH = "/world/cloth/sheet"
@@ -81,8 +81,7 @@ def test_a_saved_file_shades_each_frame_by_its_own_shape(saved: Path) -> None:
     shown, normals = (read(saved, CLOTH, f"Mesh3D:vertex_{what}") for what in ("positions", "normals"))
     assert sorted(normals) == list(range(20))
     for frame, points in shown.items():
-        expected = np.zeros((len(points), 3), np.float32)
-        vertex_normals(np.float32(points), faces, expected)
+        expected = vertex_normals(np.float32(points), faces)
         assert np.abs(np.float32(normals[frame]) - expected).max() < 1e-3
 
 
@@ -126,8 +125,7 @@ def test_curves_carry_the_messages_values_in_the_units_of_their_titles(saved: Pa
 def test_normals_of_a_capsule_point_from_its_axis() -> None:
     geometry = bodies()
     x, faces, frames = surface(geometry)
-    normals = np.zeros((len(x), 3), np.float32)
-    vertex_normals(x.astype(np.float32), faces, normals)
+    normals = vertex_normals(x, faces)
     capsule = x[frames == 1]
     along = np.clip(capsule[:, :1], -0.3, 0.3) * np.array([[1.0, 0, 0]])
     outward = (capsule - along) / geometry.radius[1]
@@ -138,16 +136,16 @@ def test_normals_of_a_capsule_point_from_its_axis() -> None:
 
 def test_a_vertex_shows_its_most_stretched_edge_and_never_hides_nan() -> None:
     edges = np.array([[0, 1], [1, 2], [2, 3]], np.int32)
-    out = np.zeros(4, np.float32)
-    vertex_stretch(np.array([0.2, 0.1, np.nan], np.float32), edges, out)
+    x = np.column_stack([[0.0, 1.2, 2.3, np.nan], np.zeros((4, 2))])
+    out = ShownPiece("line", 0, 4, edges[:0], edges, np.ones(3), None, None, None).stretch(x)
     assert out[:2] == pytest.approx([0.2, 0.2])
     assert np.isnan(out[2:]).all()
 
 
 def test_colours_run_from_violet_to_yellow_by_powers_of_ten(tmp_path: Path) -> None:
-    from nuno.viewer.cloth import GREY, TABLE, Cloth
+    from nuno.viewer.cloth import GREY, TABLE, paint
 
-    colours = Cloth._paint(np.array([-0.1, 0.001, 10**-1.5, 1.0, 5.0, np.nan], np.float32))
+    colours = paint(np.array([-0.1, 0.001, 10**-1.5, 1.0, 5.0, np.nan]))
     assert list(colours[[0, 1, 3, 4, 5]]) == [TABLE[0], TABLE[0], TABLE[-1], TABLE[-1], GREY]
     assert colours[2] in TABLE[126:130]
 

@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.surface import vertex_normals
 
 WAVES, SHORTEST = 64, 8.0
 """Waves that are added up, between the cloth's size (the diagonal of its bounding box) and so small a part of it."""
@@ -31,7 +32,7 @@ def roughen(fabric: Fabric, height: float, seed: int) -> Fabric:
     for binding in fabric.bindings:
         held[binding.vertices] = True
     moved[held] = 0.0
-    return replace(fabric, position=fabric.position + moved[:, None] * _normals(fabric.position, fabric.faces))
+    return replace(fabric, position=fabric.position + moved[:, None] * vertex_normals(fabric.position, fabric.faces))
 
 
 def _waves(x: Float, random: np.random.Generator) -> Float:
@@ -45,13 +46,3 @@ def _waves(x: Float, random: np.random.Generator) -> Float:
         along = level * math.cos(turn) * x[:, 0] + up * x[:, 1] + level * math.sin(turn) * x[:, 2]
         total += np.cos(number * along + phase)
     return math.sqrt(2.0 / WAVES) * total
-
-
-def _normals(x: Float, faces: Int) -> Float:
-    """(n, 3) unit normals of vertices at (n, 3), 0 where there is none."""
-    a, b, c = (x[faces[:, k]] for k in range(3))
-    corners, area = faces.reshape(-1), np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    normal = np.stack([np.bincount(corners, area[:, k], len(x)) for k in range(3)], axis=1)
-    size = np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2)
-    unit: Float = normal / np.where(size > 0.0, size, 1.0)[:, None]
-    return unit

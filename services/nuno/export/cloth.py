@@ -57,15 +57,16 @@ class ShownPiece:
 
     def link_stretch(self, x: Float) -> Float:
         """(e,) |d| / rest - 1 of every spring, for x (n, 3) [m] of this piece."""
-        d = x[self.edges[:, 1]] - x[self.edges[:, 0]]
+        start, end = np.take(x, self.edges.T, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.sqrt((d * d).sum(axis=1)) / self.rest - 1.0)
+            return np.asarray(np.linalg.norm(end - start, axis=1) / self.rest - 1.0)
 
     def stretch(self, x: Float) -> Float:
-        """(n,) largest |d| / rest - 1 of each vertex's springs, for x (n, 3) [m] of this piece."""
+        """(n,) largest |d| / rest - 1 of each vertex's springs, for x (n, 3) [m] of this piece; NaN where one is."""
         value, most = self.link_stretch(x), np.full(len(x), -1.0)
-        for end in (0, 1):
-            np.maximum.at(most, self.edges[:, end], value)
+        with np.errstate(invalid="ignore"):
+            for end in (0, 1):
+                np.maximum.at(most, self.edges[:, end], value)
         return most
 
 

@@ -17,6 +17,7 @@ from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.surface import vertex_normals
 
 
 def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
@@ -150,19 +151,11 @@ def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
 
 
 def _trimesh(x: Float, faces: Int, visual: Any) -> Any:
-    """A mesh with the normal of each vertex: the mean of its triangles' by area.
-
-    trimesh would find them with scipy, which nuno does without, and complain where it is missing.
-    """
+    """A mesh with its vertices' normals: trimesh would find them with scipy, which nuno does without."""
     import trimesh
 
-    across = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])
-    normals = np.zeros_like(x)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], across)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    # glTF wants unit length, also of a vertex that no triangle has a side to.
-    normals = np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), [0.0, 1.0, 0.0])
+    normals = vertex_normals(x, faces)
+    normals[~normals.any(axis=1)] = 0.0, 1.0, 0.0  # glTF wants unit length, also of a vertex of no triangle
     return trimesh.Trimesh(x, faces, vertex_normals=normals, process=False, visual=visual)
 
 

@@ -12,12 +12,11 @@ from nuno.collision.surfaces import NO_SURFACES, Surfaces
 from nuno.export.paint import BODY, INSET
 from nuno.viewer import layout
 from nuno.viewer.cloth import pack
-from nuno.viewer.kernels import vertex_normals
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float
-from nuno_schemas.surface import surface
+from nuno_schemas.surface import surface, vertex_normals
 
 GROUND = "#d3d6d9"
 
@@ -96,18 +95,14 @@ def solid(vertices: Float, faces: NDArray[Any], colour: str) -> Any:
     """A mesh that is smooth but for its edges: where a face and its vertex's mean normal differ
     by more than 40 degrees, the face's own is used, so that boxes have edges.
     """
-    x, triangles = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
-    mean = np.zeros((len(x), 3), np.float32)
-    vertex_normals(x, triangles, mean)
-    corners = x[triangles].reshape(-1, 3)
-    flat = np.zeros_like(corners)
+    corners = vertices[faces].reshape(-1, 3)
     unshared = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-    vertex_normals(corners, unshared, flat)
-    smooth = mean[triangles].reshape(-1, 3)
+    flat = vertex_normals(corners, unshared)
+    smooth = vertex_normals(vertices, faces)[faces].reshape(-1, 3)
     near = (smooth * flat).sum(axis=1, keepdims=True) > np.cos(np.radians(40.0))
     return rr.Mesh3D(
-        vertex_positions=corners,
+        vertex_positions=corners.astype(np.float32),
         triangle_indices=unshared,
-        vertex_normals=np.where(near, smooth, flat),
+        vertex_normals=np.where(near, smooth, flat).astype(np.float32),
         albedo_factor=int(pack(parse_hex(colour))[0]),
     )

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from nuno.cloth.tension import SPAN
 from nuno.export.cloth import ShownPiece
 from nuno.export.paint import PLAIN, STRETCH, paint_yarns, read_rgb
-from nuno.viewer.kernels import edge_stretch, paint, vertex_normals, vertex_stretch
 from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
+from nuno_schemas.fabric import Float
+from nuno_schemas.surface import vertex_normals
 
 SPRING_WIDTH, MASS_SIZE = -2.0, -4.5
 """Radii; negative ones are in pixels on the screen."""
@@ -61,30 +62,24 @@ class Cloth:
         dyed: bool = False,
         links: str = "stretch",
     ) -> None:
-        self.recording, self.path, self.start, self.stop = recording, path, piece.start, piece.stop
-        n = self.stop - self.start
-        self.faces, self.edges = (np.ascontiguousarray(rows, np.int32) for rows in (piece.faces, piece.edges))
-        self.rest = np.ascontiguousarray(piece.rest, np.float32)
-        self.stretch = np.zeros(len(self.edges), np.float32)
-        self.most = np.zeros(n, np.float32)
-        self.normals = np.zeros((n, 3), np.float32)
+        self.recording, self.path, self.piece = recording, path, piece
         self.dyed = dyed and piece.uv is not None
         named = piece.texture if not self.dyed else None
         image = images(named) if named and piece.uv is not None else None
         self.untextured = bool(named) and image is None
-        self.coloured = image is None and not self.dyed and not piece.colour and len(self.edges) > 0
+        self.coloured = image is None and not self.dyed and not piece.colour and len(piece.edges) > 0
         self.yarns = None
-        self.tensions = piece.tensions if links == "tension" and not len(self.faces) else None
+        self.tensions = piece.tensions if links == "tension" and not len(piece.faces) else None
         if self.tensions is not None:
             self.coloured = True
-        elif links == "yarn" and piece.yarns is not None and not len(self.faces) and not piece.colour:
+        elif links == "yarn" and piece.yarns is not None and not len(piece.faces) and not piece.colour:
             self.yarns = pack(paint_yarns(piece.yarns))
             self.coloured = False
         self._log_static(piece, image)
 
     def _log_static(self, piece: ShownPiece, image: NDArray[np.uint8] | None) -> None:
         colour = pack(parse_hex(piece.colour or PLAIN))
-        if not len(self.faces):
+        if not len(piece.faces):
             points = np.where(piece.pinned, pack(parse_hex("#c0392b")), pack(parse_hex("#34495e")))
             size = MASS_SIZE if self.tensions is None else CROSSING_SIZE
             self._log("masses", rr.Points3D.from_fields(colors=points.astype(np.uint32), radii=size), static=True)
@@ -92,7 +87,7 @@ class Cloth:
             springs = rr.LineStrips3D.from_fields(radii=SPRING_WIDTH, colors=None if self.coloured else once)
             self._log("springs", springs, static=True)
             return
-        self._log("", rr.Mesh3D.from_fields(triangle_indices=self.faces.astype(np.uint32)), static=True)
+        self._log("", rr.Mesh3D.from_fields(triangle_indices=piece.faces.astype(np.uint32)), static=True)
         if piece.uv is not None and (image is not None or self.dyed):
             # v points up on cloth and down in images.
             uv = np.asarray(piece.uv, np.float32) * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
@@ -104,7 +99,7 @@ class Cloth:
 
     def clear(self) -> None:
         """Show it no more from now on: other cloth takes its place."""
-        for below in ("",) if len(self.faces) else ("masses", "springs"):
+        for below in ("",) if len(self.piece.faces) else ("masses", "springs"):
             self._log(below, rr.Clear(recursive=False))
 
     def log_texture(self, image: NDArray[np.uint8]) -> None:
@@ -116,44 +111,37 @@ class Cloth:
 
         rerun's are float32 about the world's origin; what follows from how the cloth is shaped is found nearer to it.
         """
-        own = positions[self.start : self.stop]
-        x, near = np.ascontiguousarray(own, np.float32), np.ascontiguousarray(own - origin_of(own), np.float32)
-        if self.coloured:
-            edge_stretch(near, self.edges, self.rest, self.stretch)
-        if len(self.faces):
-            vertex_normals(near, self.faces, self.normals)
-            # rerun holds what it is given, and writes it later: of the next frame, if it were the same array.
+        piece = self.piece
+        own = positions[piece.start : piece.stop]
+        x, near = np.ascontiguousarray(own, np.float32), own - origin_of(own)
+        if len(piece.faces):
             mesh = rr.Mesh3D.from_fields(
-                vertex_positions=x, vertex_normals=self.normals.copy(), vertex_colors=self._vertex_colours()
+                vertex_positions=x,
+                vertex_normals=vertex_normals(near, piece.faces).astype(np.float32),
+                vertex_colors=paint(piece.stretch(near)) if self.coloured else None,
             )
             self._log("", mesh)
             return
         self._log("masses", rr.Points3D.from_fields(positions=x))
-        strips = rr.LineStrips3D.from_fields(
-            strips=segments(x, self.edges), colors=self._link_colours() if self.coloured else None
-        )
-        self._log("springs", strips)
+        colors = self._link_colours(near) if self.coloured else None
+        self._log("springs", rr.LineStrips3D.from_fields(strips=segments(x, piece.edges), colors=colors))
 
-    def _link_colours(self) -> NDArray[np.uint32]:
+    def _link_colours(self, near: Float) -> NDArray[np.uint32]:
+        stretch = self.piece.link_stretch(near)
         if self.tensions is None:
-            return self._paint(self.stretch)
-        share = (self.tensions(self.stretch) / self.tensions.most).astype(np.float32)
-        return self._paint(share, (1.0 / SPAN, 1.0))
-
-    def _vertex_colours(self) -> NDArray[np.uint32] | None:
-        if not self.coloured:
-            return None
-        vertex_stretch(self.stretch, self.edges, self.most)
-        return self._paint(self.most)
-
-    @staticmethod
-    def _paint(stretch: NDArray[np.float32], ends: tuple[float, float] = STRETCH) -> NDArray[np.uint32]:
-        out = np.empty(len(stretch), np.uint32)
-        paint(stretch, TABLE, math.log10(ends[0]), math.log10(ends[1]), GREY, out)
-        return out
+            return paint(stretch)
+        return paint(self.tensions(stretch) / self.tensions.most, (1.0 / SPAN, 1.0))
 
     def _log(self, below: str, what: Any, static: bool = False) -> None:
         self.recording.log(f"{self.path}/{below}" if below else self.path, what, static=static, strict=True)
+
+
+def paint(values: Float, ends: tuple[float, float] = STRETCH) -> NDArray[np.uint32]:
+    """Packed colours (n,) of values (n,): TABLE spread evenly over the logarithm of what lies between the ends."""
+    low, high = (math.log10(end) for end in ends)
+    place = (np.log10(np.clip(values, *ends)) - low) / (high - low)
+    known = np.where(np.isnan(values), 0.0, place)
+    return np.where(np.isnan(values), np.uint32(GREY), TABLE[np.round(255.0 * known).astype(int)])
 
 
 def texture_of(image: NDArray[np.uint8]) -> Any:
