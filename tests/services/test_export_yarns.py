@@ -14,7 +14,7 @@ from recorded_sheet import Sheet, write
 
 from nuno import api
 from nuno.cli import main
-from nuno.cli.export_yarns import tell_yarns
+from nuno.cli.export import tell_yarns
 from nuno.export.cloth import read_frame
 from nuno.export.curves import Form, export_yarns, make_yarns
 from nuno.recording.reader import open_recording

@@ -4,65 +4,130 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from pydantic import ValidationError
 
-from nuno.cli.common import warn
-from nuno.cli.export_flags import MESHES, add_arguments
-from nuno.cli.export_yarns import check_wish, prepare_yarns
+from nuno.cli.common import add_flags, add_set, warn
 from nuno.recording.reader import Recording, open_recording
 from nuno.supervision import runs
 from nuno_schemas.errors import BadInput
-from nuno_schemas.look import Crop
+from nuno_schemas.look import Crop, DyeView
 
 if TYPE_CHECKING:
     from nuno.export.dyed_pictures import Changes
 
-__all__ = ["add_arguments", "main"]
+MESHES = (".obj", ".ply", ".glb")
+FILES = {
+    "npz": "float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
+    "forces": "what acts on cloth in a frame, as .npz: forces by kind, accelerations, masses, springs and tensions",
+    "csv": "energy, stretch, penetration, dye and step time of every frame",
+    "png": "a picture of a frame",
+    "gif": "an animation",
+    "mp4": "an animation (needs nuno[video])",
+    "obj": "the cloth in a frame; a folder: every frame",
+    "ply": "the cloth in a frame; a folder: every frame",
+    "glb": "the cloth and bodies in a frame; a folder: every frame",
+    "rrd": "a file for the rerun viewer",
+    "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
+}
+"""What can be written, by its flag."""
+YARNS = ("samples", "radius", "curl")
+"""Settings of yarns as curves."""
+COLOURS = ["auto", "cloth", "stretch", "pressure"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="a file, or last")
+    what = parser.add_argument_group("what to write (any number of these)")
+    add_flags(what, {f"--{name}": ("FILE", text, Path) for name, text in FILES.items()})
+    _add_yarns(parser.add_argument_group("yarns as curves"))
+    _add_parts(parser.add_argument_group("which part"))
+    _add_drawn(parser.add_argument_group("how pictures and animations are drawn (default: as the scene says)"))
+
+
+def _add_yarns(yarns: argparse._ArgumentGroup) -> None:
+    text = "smooth: loops that hook into each other; straight: links, repaired where they would cut through a body "
+    yarns.add_argument("--form", choices=["smooth", "straight"], help=f"{text}(default: smooth)")
+    add_flags(yarns, {
+        "--samples": ("N", "smooth: points a link (default: 8)", int),
+        "--radius": ("LENGTH", "of the yarns, e.g. 30um, or of each kind, e.g. 20um,35um (default: 0.04 of the mean "
+                     "link, thicker for yarns of a higher linear density)"),
+        "--curl": ("SHARE", "smooth: how far loops reach beyond each other, of the shortest link", float),
+    })  # fmt: skip
+
+
+def _add_parts(which: argparse._ArgumentGroup) -> None:
+    painted = "pictures and animations: cloth in its own texture or colour, by its stretch, or by a knit's pressure "
+    own = "(default: its own where the scene gives one)"
+    which.add_argument("--colour", choices=COLOURS, default="auto", help=painted + own)
+    add_flags(which, {
+        "--frame": ("N", "frame for --npz, --forces, --png, meshes and yarns (default: the last)", int),
+        "--start": ("SECONDS", "animations: from here", float),
+        "--end": ("SECONDS", "animations: to here", float),
+        "--fps": ("N", "animations: pictures a second (default: 25)", float),
+        "--size": ("WxH", "of pictures of moving cloth, e.g. 960x720"),
+        "--style": ("NAME", "--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of "
+                    "pressure on skin); --set view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera"),
+    })  # fmt: skip
+    which.set_defaults(fps=25.0)
+
+
+def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
+    dyed = "dyed cloth: all dye, what fibre has fixed of it, or what is mobile"
+    drawn.add_argument("--view", choices=get_args(DyeView), help=dyed)
+    add_flags(drawn, {"--scale": ("N", "dyed cloth: pixels a cell", int)})
+    sides, part = ("LEFT", "TOP", "RIGHT", "BOTTOM"), "dyed cloth by itself: a part of it, e.g. 2mm 2mm 4mm 3mm"
+    drawn.add_argument("--crop", nargs=4, metavar=sides, help=part)
+    camera = "change from where moving cloth is looked at, e.g. view.azimuth=90deg (also elevation, target, distance, "
+    dye = "size); how dye is drawn, e.g. dye.dyes.0.colour.full=0.1, dye.picture.ground=#f0ead8; with --style how "
+    add_set(drawn, camera + dye + "yarns are, e.g. view.yarns.radius=0.1mm")
 
 
 def main(args: argparse.Namespace) -> int:
+    from nuno.export.target import together
+
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
-        written = _export(recording, args)
-    if not written:
-        raise BadInput(
-            "nothing to export was asked for", remedy="for example: nuno export RECORDING --npz out.npz --png out.png"
-        )
+        _check(recording, args)
+        with together():
+            written = _export(recording, args)
     for path in written:
         print(path)
     return 0
 
 
 def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
-    from nuno.export import meshes, tables
+    """Write what is asked for, what takes long last. Raises BadInput."""
+    from nuno.export import animations, meshes, pictures, tables
 
-    _check_kinds(recording, args)
-    _check_wishes(recording, args)
-    # What may be refused only while it is made is made before the first file is written.
-    drawn = _prepare_style(recording, args) if args.png and args.style else None
-    yarns = prepare_yarns(recording, args) if args.yarns else None
-    written: list[Path] = []
+    size, changes, written = _size(args.size), _changes(args), list[Path]()
     if args.npz:
         written.append(tables.export_npz(recording, args.npz, frame=args.frame))
     if args.forces:
         written.append(tables.export_forces(recording, args.forces, args.frame))
     if args.csv:
         written.append(tables.export_csv(recording, args.csv))
-    written += [drawn()] if drawn else []
-    written += _draw(recording, args)
+    if args.yarns:
+        written.append(_export_yarns(recording, args))
     for suffix in MESHES:
         path = getattr(args, suffix[1:])
         if path and path.suffix.lower() == suffix:
             written.append(meshes.export_mesh(recording, path, args.frame))
         elif path:
             written += meshes.export_meshes(recording, path, suffix, _progress)
-    written += [yarns()] if yarns else []
+    if args.png and args.style:
+        from nuno.export.yarns import export_yarn_picture
+
+        asked = args.style, args.frame, size, tuple(args.overrides)
+        written.append(export_yarn_picture(recording, args.png, *asked, _progress))
+    elif args.png:
+        written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour, changes))
+    for path in filter(None, (args.gif, args.mp4)):
+        when = args.fps, args.start, args.end
+        written.append(animations.export_animation(recording, path, size, *when, _progress, args.colour, changes))
     if args.rrd:
         from nuno.viewer.convert import convert
 
@@ -70,37 +135,54 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
     return written
 
 
-def _prepare_style(recording: Recording, args: argparse.Namespace) -> Callable[[], Path]:
-    """Draw a knit by rays; what writes the picture. Raises BadInput."""
-    from nuno.export.target import write_png
-    from nuno.export.yarns import draw_yarn_picture
+def _export_yarns(recording: Recording, args: argparse.Namespace) -> Path:
+    from nuno.export.curves import Form, export_yarns
 
-    overrides = tuple(args.overrides)
-    picture = draw_yarn_picture(recording, args.style, args.frame, _size(args.size), overrides, _progress)
-    return partial(write_png, args.png, picture)
+    form: Form = args.form or "smooth"
+    given = {name: getattr(args, name) for name in YARNS if getattr(args, name) is not None}
+    if "," in given.get("radius", ""):
+        given["radius"] = given["radius"].split(",")
+    made = export_yarns(recording, args.yarns, args.frame, form, given)
+    print(tell_yarns(form, made.facts), file=sys.stderr)
+    path: Path = args.yarns
+    return path
 
 
-def _draw(recording: Recording, args: argparse.Namespace) -> list[Path]:
-    """Pictures and animations."""
-    from nuno.export import animations, pictures
+def tell_yarns(form: str, facts: Mapping[str, float]) -> str:
+    """What an operation did, in words."""
+    count = {name: f"{int(value):,}" for name, value in facts.items()}
+    text = f"{form} yarns: {count['links']} links, {count['points']} points"
+    if "deepest" not in facts:
+        return f"{text}; no body is a mesh, so nothing is in their way"
+    text += f"; {count['repaired']} links cut through the body and were repaired, by {count['inserted']} points"
+    if facts["lost"]:
+        text += f"; {count['lost']} could not be"
+    return f"{text}; deepest of {count['samples']} samples: {1e6 * facts['deepest']:.3g} um"
 
-    size, changes = _size(args.size), _changes(args)
-    written: list[Path] = []
-    if args.png and not args.style:
-        written.append(pictures.export_picture(recording, args.png, args.frame, size, args.colour, changes))
+
+def _check(recording: Recording, args: argparse.Namespace) -> None:
+    """Raises BadInput where what is asked for does not go together, or is not what such a recording has."""
+    from nuno.export.animations import check_animation
+    from nuno.viewer.require import require
+
     for path in filter(None, (args.gif, args.mp4)):
-        when = args.fps, args.start, args.end
-        written.append(animations.export_animation(recording, path, size, *when, _progress, args.colour, changes))
-    return written
-
-
-def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
-    """Raises BadInput where something is asked for that a recording of its kind does not have."""
+        check_animation(path, args.fps, _size(args.size))
+    require(None, args.rrd, "--rrd")
+    for name in () if args.yarns else ("form", *YARNS):
+        if getattr(args, name) is not None:
+            raise BadInput("for yarns as curves", field=f"--{name}", remedy="add --yarns out.npz")
+    if not any(getattr(args, name) for name in FILES):
+        remedy = "for example: nuno export RECORDING --npz out.npz --png out.png"
+        raise BadInput("nothing to export was asked for", remedy=remedy)
+    if args.overrides and not (args.png or args.gif or args.mp4):
+        raise BadInput(
+            "for pictures and animations", field="--set", value=args.overrides[0], remedy="add --png out.png"
+        )
     if args.style and (recording.dyed_alone or not args.png):
         problem = "a style is for --png of a knit"
         raise BadInput(problem, str(recording.path), field="--style", value=args.style, remedy="leave it out")
     if recording.dyed_alone:
-        shapes = [name for name in ("forces", *(m[1:] for m in MESHES)) if getattr(args, name)]
+        shapes = [name for name in ("forces", "yarns", *(m[1:] for m in MESHES)) if getattr(args, name)]
         if shapes:
             problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
             raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)
@@ -114,57 +196,6 @@ def _check_kinds(recording: Recording, args: argparse.Namespace) -> None:
         if getattr(args, name) is not None:
             problem = "for pictures of dyed cloth; the recording is of cloth that moves"
             raise BadInput(problem, str(recording.path), field=f"--{name}", remedy="leave it out")
-
-
-def _check_wishes(recording: Recording, args: argparse.Namespace) -> None:
-    """Raises BadInput for what cannot be written as it is asked for: before the first file is."""
-    from nuno.export.animations import check_animation
-    from nuno.export.target import check_target
-    from nuno.viewer.require import require
-
-    size, changes, files = _size(args.size), _changes(args), (".npz", ".csv", ".png", *MESHES)
-    wanted = [(getattr(args, suffix[1:]), suffix) for suffix in files] + [(args.forces, ".npz")]
-    for path, suffix in wanted:
-        # A mesh of every frame goes into a folder.
-        if path and (suffix not in MESHES or path.suffix.lower() == suffix):
-            check_target(path, suffix)
-    for path in filter(None, (args.gif, args.mp4)):
-        check_animation(path, args.fps, size)
-    require(None, args.rrd, "--rrd")
-    check_wish(recording, args)
-    check = _check_dyed_pictures if recording.dyed_alone else _check_pictures
-    check(recording, args, changes)
-
-
-def _check_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
-    from nuno.export import camera, cloth, dyed_pictures, pictures
-
-    arrays = args.forces or (args.npz and args.frame is not None)
-    if args.png or arrays or any(getattr(args, suffix[1:]) for suffix in MESHES):
-        cloth.read_frame(recording, args.frame)
-    if args.png:
-        pictures.check_sides(_size(args.size))
-    if args.gif or args.mp4:
-        pictures.choose_frames(recording, args.fps, args.start, args.end)
-    seen_from, of_dye = camera.of_camera(recording, changes.overrides)
-    camera.read_view(recording, seen_from)
-    if (args.png and not args.style) or args.gif or args.mp4:
-        if args.colour == "pressure":
-            pictures.require_pressure(recording)
-        elif args.colour != "stretch":
-            dyed_pictures.read_dyed_object(recording, replace(changes, overrides=of_dye))
-
-
-def _check_dyed_pictures(recording: Recording, args: argparse.Namespace, changes: Changes) -> None:
-    from nuno.export import dyed_pictures
-
-    if args.png:
-        dyed_pictures.find_amounts(recording, args.frame)
-    if args.gif or args.mp4:
-        dyed_pictures.choose_amounts(recording, args.start, args.end)
-    if args.png or args.gif or args.mp4:
-        with dyed_pictures.dyed_pictures(recording, changes):
-            pass
 
 
 def _changes(args: argparse.Namespace) -> Changes:

@@ -10,16 +10,18 @@ from pydantic import BaseModel, ValidationError
 
 from nuno import registry
 from nuno.cloth import build
+from nuno.collision.bodies import build_bodies
 from nuno.export.cloth import read_frame
 from nuno.export.target import check_target, opened, writing
-from nuno.export.yarns import body_surface
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
+from nuno.scene.scene_file import Loaded
+from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import State
-from nuno_schemas.operation import Operation, Outcome
+from nuno_schemas.fabric import Fabric, State
+from nuno_schemas.operation import Operation, Outcome, Surface
 
 Form = Literal["straight", "smooth"]
 """straight: the knit's links, repaired where they would cut through a body; smooth: loops as curves."""
@@ -37,18 +39,41 @@ def make_yarns(
     """
     operation, config = find_operation(form, settings or {})
     path = str(recording.path)
+    if "edge_yarn" not in recording.fabric()[0]:
+        remedy = "yarns are what the model knit makes"
+        raise BadInput("the recording's cloth has no yarns", path, field="--yarns", remedy=remedy)
     with restored_scene(recording) as loaded:
-        fabric, skin = build.build_fabric(loaded)[0], body_surface(loaded, frame.t)
-    if frame.x.shape != fabric.position.shape:
-        raise BadInput(f"frame {frame.number} has {len(frame.x)} points, and the scene {fabric.number}", path)
-    if not np.isfinite(frame.x).all():
-        remedy = "name an earlier one with --frame"
-        raise BadInput("the frame's positions are not finite", path, value=frame.number, remedy=remedy)
-    x = np.ascontiguousarray(frame.x, np.float64)
-    made: Outcome = operation.apply(config, fabric, State(x, np.zeros_like(x), frame.t), skin)
+        fabric = build.build_fabric(loaded)[0]
+        if frame.x.shape != fabric.position.shape:
+            raise BadInput(f"frame {frame.number} has {len(frame.x)} points, and the scene {fabric.number}", path)
+        if not np.isfinite(frame.x).all():
+            remedy = "name an earlier one with --frame"
+            raise BadInput("the frame's positions are not finite", path, value=frame.number, remedy=remedy)
+        made = apply(operation, config, loaded, fabric, frame)
     if made.curves is None:
         raise BadInput("the operation made no curves", value=OPERATIONS[form])
     return made
+
+
+def apply(operation: Operation, config: BaseModel, loaded: Loaded, fabric: Fabric, frame: Frame) -> Outcome:
+    """What an operation makes of a frame, and of the bodies that are meshes then."""
+    x = np.ascontiguousarray(frame.x, np.float64)
+    return operation.apply(config, fabric, State(x, np.zeros_like(x), frame.t), _body_surface(loaded, frame.t))
+
+
+def _body_surface(loaded: Loaded, t: float) -> Surface | None:
+    """The bodies that are meshes at t [s], None where there is none."""
+    if not loaded.scene.bodies:
+        return None
+    bodies = build_bodies(loaded)
+    geometry, poses = bodies.geometry, bodies.poses(t)
+    vertices, faces, count = [], [], 0
+    for primitive in np.flatnonzero(np.isin(geometry.kind, OF_TRIANGLES)).tolist():
+        placed, triangles = build.place_mesh(geometry, poses, primitive)
+        vertices.append(placed)
+        faces.append(triangles + count)
+        count += len(placed)
+    return Surface(np.concatenate(vertices), np.concatenate(faces).astype(np.int32)) if vertices else None
 
 
 def find_operation(form: Form, settings: dict[str, Any]) -> tuple[Operation, BaseModel]:
@@ -65,16 +90,6 @@ def find_operation(form: Form, settings: dict[str, Any]) -> tuple[Operation, Bas
         raise BadInput(problem, field=f"--{name}", value=settings.get(name)) from None
 
 
-def check_yarns(path: Path) -> str:
-    """The ending of a file of yarns. Raises BadInput for one that cannot be written."""
-    suffix = path.suffix.lower()
-    if suffix not in KINDS:
-        limit = ", ".join(KINDS)
-        raise BadInput("no such kind of file of yarns", field="--yarns", value=path.name, limit=limit)
-    check_target(path, suffix)
-    return suffix
-
-
 def export_yarns(
     source: Recording | Path | str,
     path: Path,
@@ -85,27 +100,24 @@ def export_yarns(
     """Write the yarns of one frame (default: the last) as curves; the name's ending says how.
 
     .npz holds the arrays of YarnCurves, the operation's own of each point, and frame and t [s]; .obj polylines [m],
-    one object a kind of yarn. Returns what was made. Raises BadInput as make_yarns does.
+    one object a kind of yarn. Returns what was made. Raises BadInput as make_yarns does, and for another ending.
     """
-    check_yarns(path)
+    suffix = path.suffix.lower()
+    if suffix not in KINDS:
+        limit = ", ".join(KINDS)
+        raise BadInput("no such kind of file of yarns", field="--yarns", value=path.name, limit=limit)
+    check_target(path, suffix)
     with opened(source) as recording:
         shown = read_frame(recording, frame)
         made = make_yarns(recording, shown, form, settings)
-    write_curves(path, made, shown)
-    return made
-
-
-def write_curves(path: Path, made: Outcome, shown: Frame) -> None:
-    """Write the curves that were made of a frame's yarns."""
-    suffix = check_yarns(path)
-    curves = made.curves
-    assert curves is not None
+    assert made.curves is not None
     with writing(path, suffix) as new, new.open("wb") as stream:
         if suffix == ".npz":
-            fields = {name: np.asarray(values) for name, values in vars(curves).items()}
+            fields = {name: np.asarray(values) for name, values in vars(made.curves).items()}
             np.savez(stream, allow_pickle=False, **fields, **made.arrays, frame=shown.number, t=shown.t)
         else:
-            _write_obj(stream, curves, shown)
+            _write_obj(stream, made.curves, shown)
+    return made
 
 
 def _write_obj(stream: BinaryIO, curves: YarnCurves, frame: Frame) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 import numpy as np
@@ -53,21 +54,45 @@ def check_target(path: Path, suffix: str) -> None:
         raise BadInput(problem, value=str(path), remedy="choose another name, or remove it")
 
 
+_TOGETHER: ContextVar[dict[Path, Path] | None] = ContextVar("together", default=None)
+"""Files that wait for others, by their places."""
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """What is written meanwhile takes its place at the end: all of it, or none where a part of it is refused."""
+    waiting: dict[Path, Path] = {}
+    token = _TOGETHER.set(waiting)
+    try:
+        yield
+        for path, new in waiting.items():
+            new.replace(path)
+    finally:
+        _TOGETHER.reset(token)
+        for new in waiting.values():
+            new.unlink(missing_ok=True)
+
+
 @contextmanager
 def writing(path: Path, suffix: str) -> Iterator[Path]:
-    """A new file beside `path`, which takes its place when all went well. Raises BadInput."""
+    """A new file beside `path`, which takes its place when all went well; see `together`. Raises BadInput."""
     check_target(path, suffix)
+    waiting = _TOGETHER.get()
     new = path.with_name(f".{path.stem}.{os.getpid()}.part{suffix}")
     try:
         new.open("wb").close()
         yield new
-        new.replace(path)
+        if waiting is None:
+            new.replace(path)
+        else:
+            waiting[path] = new
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInput(f"cannot write there: {reason}", value=str(path), remedy="choose another place") from None
     finally:
-        with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
-            new.unlink(missing_ok=True)
+        if waiting is None or path not in waiting:
+            with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
+                new.unlink(missing_ok=True)
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> Path:

@@ -12,31 +12,27 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno import registry
-from nuno.cloth.build import build_fabric, place_mesh
+from nuno.cloth.build import build_fabric
 from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.yarns import structural_edges
-from nuno.collision.bodies import build_bodies
 from nuno.export.camera import place_camera, read_view, z_up
 from nuno.export.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces
+from nuno.export.curves import apply, find_operation
 from nuno.export.target import Progress, check_target, opened, write_png
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.recording.restore import restored_scene
 from nuno.scene.scene_file import Chosen, Loaded
-from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.curves import YarnCurves
 from nuno_schemas.drawing import Camera, Mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, State
-from nuno_schemas.operation import Surface
+from nuno_schemas.fabric import Fabric
 from nuno_schemas.view import View
 from nuno_schemas.yarn_picture import SurfaceValues, Worn
 
 GROUP = "nuno.yarn_pictures"
 STYLE = "yarns"
 """The style of a scene that names none."""
-CURVES = "smooth"
-"""The operation that makes curves of yarns."""
 
 
 def export_yarn_picture(
@@ -137,32 +133,12 @@ def recorded_bodies(recording: Recording, t: float) -> list[Mesh]:
 
 def make_curves(loaded: Loaded, fabric: Fabric, frame: Frame, config: BaseModel) -> YarnCurves | None:
     """Yarns as smooth curves, z up; as thick as `config` says, where it does."""
-    plugin = registry.load("nuno.operations", CURVES)
     radius = getattr(config, "radius", None)
-    options: dict[str, Any] = {} if radius is None else {"radius": radius}
-    x = np.ascontiguousarray(frame.x, np.float64)
-    state = State(x, np.zeros_like(x), frame.t)
-    curves: YarnCurves | None = plugin.apply(
-        plugin.Config.model_validate(options), fabric, state, body_surface(loaded, frame.t)
-    ).curves
+    operation, settings = find_operation("smooth", {} if radius is None else {"radius": radius})
+    curves = apply(operation, settings, loaded, fabric, frame).curves
     if curves is None:
         return None
     return YarnCurves(z_up(curves.points), curves.ptr, curves.radius, curves.kind, curves.names, z_up(curves.normal))
-
-
-def body_surface(loaded: Loaded, t: float) -> Surface | None:
-    """The bodies that are meshes at t [s], None where there is none."""
-    if not loaded.scene.bodies:
-        return None
-    bodies = build_bodies(loaded)
-    geometry, poses = bodies.geometry, bodies.poses(t)
-    vertices, faces, count = [], [], 0
-    for primitive in np.flatnonzero(np.isin(geometry.kind, OF_TRIANGLES)).tolist():
-        placed, triangles = place_mesh(geometry, poses, primitive)
-        vertices.append(placed)
-        faces.append(triangles + count)
-        count += len(placed)
-    return Surface(np.concatenate(vertices), np.concatenate(faces).astype(np.int32)) if vertices else None
 
 
 def find_camera(view: View, worn: Worn, size: tuple[int, int] | None) -> Camera:
