@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nuno.cli import main
-from nuno.cli.fabrics import find_presets, table
+from nuno.cli.presets import find_presets, table
 from nuno_cloth.fabrics.presets import PRESETS
 from nuno_schemas.preset import Preset
 from nuno_schemas.units import to_si
@@ -18,7 +18,7 @@ SI = {"density": "kg/m^2", "bend_warp": "N*m", "bend_weft": "N*m"}
 
 @pytest.fixture(scope="module")
 def presets() -> dict[str, Preset]:
-    return find_presets()
+    return find_presets("fabrics")
 
 
 def test_values_are_the_materials_in_units_that_scenes_take(presets: dict[str, Preset]) -> None:
@@ -55,6 +55,6 @@ def test_an_unknown_fabric_is_answered_with_the_nearest(capsys: pytest.CaptureFi
 
 def test_the_docs_show_what_the_command_prints(presets: dict[str, Preset]) -> None:
     shown = DOCS.read_text()
-    for line in table([presets["denim"]]):
+    for line in table([presets["denim"]]).splitlines():
         assert line in shown
     assert all(f"`{name}`" in shown for name in presets)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nuno.cli import main
-from nuno.cli.yarns import find_yarns, show
+from nuno.cli.presets import find_presets, show
 from nuno_knit.yarns import PRESETS
 from nuno_schemas.units import to_si
 
@@ -22,7 +22,7 @@ FIELDS = {
 
 
 def test_values_are_the_yarns_in_units_that_scenes_take() -> None:
-    found = find_yarns()
+    found = find_presets("yarns")
     assert list(found) == list(PRESETS)
     for name, preset in found.items():
         for measure in preset.measures:
@@ -47,4 +47,4 @@ def test_an_unknown_yarn_is_answered_with_the_nearest(capsys: pytest.CaptureFixt
 
 
 def test_the_docs_show_what_the_command_prints() -> None:
-    assert "\n".join(show(list(find_yarns().values()))) in DOCS.read_text()
+    assert show(list(find_presets("yarns").values())) in DOCS.read_text()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from nuno.draw import keep
 from nuno.draw.append import append_items
 from nuno.draw.guard import MOST_BYTES
 from nuno.draw.lines import by_object, positions, read_strokes
-from nuno.draw.refusals import said_by_run
 from nuno.draw.server import Server
 from nuno.draw.sight import Sight
 from nuno.recording.restore import control_events
@@ -186,12 +184,6 @@ def test_lines_are_given_by_their_objects_own_triangles() -> None:
     assert exact["b"][0]["points"] == [[5.2, 5.5, 5.0], [5.0, 5.0, 5.0]]
     with pytest.raises(BadInput, match="two pieces"):
         read_strokes([{"points": [[0, 0.2, 0.3], [3, 0.3, 0.3]], "height": 0.01}], sight)
-
-
-@pytest.mark.parametrize("field", [None, "lines[1]", "wrinkle.lines[1].height"])
-def test_what_a_run_refuses_is_read_as_it_was_said(field: str | None) -> None:
-    said = BadInput("too high: by far", "add", None, field, 5.0, "1 m: the cloth", "a smaller height")
-    assert said_by_run(BadInput(str(said))) == replace(said, file=None, value="5.0")
 
 
 def test_saving_again_takes_the_place_of_what_was_saved(tmp_path: Path) -> None:

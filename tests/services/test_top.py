@@ -9,7 +9,7 @@ import zenoh
 from live_run import Run, wait_until
 
 from nuno.cli import main
-from nuno.top import compare, table
+from nuno.cli.top import compare, table
 from nuno.wire.bus import Bus
 from nuno.wire.health import Health, ask_health
 
@@ -34,7 +34,9 @@ def test_counts_of_a_paused_run_agree(paused: tuple[Run, zenoh.Session]) -> None
     assert found["recorder"].received_bytes == sum(health.sent_bytes for health in found.values())
     assert sum(health.missing + health.refused for health in found.values()) == 0
     lines = compare(found, ask_health(bus, SERVICES))
-    assert lines[0].service == "simulation" and lines[0].frames == 0.0 and {line.behind for line in lines} == {0}
+    assert (
+        lines[0]["service"] == "simulation" and lines[0]["frames"] == 0.0 and {line["behind"] for line in lines} == {0}
+    )
 
 
 def health(service: str, time: float, frame: int, leads: bool = False, **counts: int) -> Health:
@@ -53,16 +55,16 @@ def test_rates_and_what_is_behind_follow_from_two_looks() -> None:
         "viewer": health("viewer", 1.0, 5),  # has come between the two
     }
     leader, recorder = compare(before, after)
-    assert (leader.service, leader.frames, leader.sent, leader.behind, leader.late) == (
+    assert (leader["service"], leader["frames"], leader["sent"], leader["behind"], leader["late"]) == (
         "simulation",
         30.0,
         30.0,
         0,
         0.0,
     )
-    assert (recorder.received, recorder.received_megabytes, recorder.missing) == (60.0, 1.5, 2)
-    assert recorder.behind == 10 and recorder.late == pytest.approx(1000 * 10 / 30)
-    assert recorder.processor == 0.5
+    assert (recorder["received"], recorder["received_megabytes"], recorder["missing"]) == (60.0, 1.5, 2)
+    assert recorder["behind"] == 10 and recorder["late"] == pytest.approx(1000 * 10 / 30)
+    assert recorder["processor"] == 0.5
     shown = table([leader, recorder]).splitlines()
     assert shown[1].split()[-4:] == ["50%", "1", "MiB", "h:1"] and shown[2].split()[-3:] == ['"', '"', "h:1"]
 

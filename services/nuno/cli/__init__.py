@@ -33,8 +33,8 @@ COMMANDS = {
     "gallery": ("nuno_bench.gallery.command", "one page with pictures of all scenes of a kind: dye, knit, wrinkle"),
     "plugins": ("nuno.cli.plugins", "which plugins are installed"),
     "scenes": ("nuno.cli.scenes", "the scenes that come with nuno"),
-    "fabrics": ("nuno.cli.fabrics", "the fabrics that scenes can name, in measured units, with sources"),
-    "yarns": ("nuno.cli.yarns", "the yarns that knits can name, with sources"),
+    "fabrics": ("nuno.cli.presets", "the fabrics that scenes can name, in measured units, with sources"),
+    "yarns": ("nuno.cli.presets", "the yarns that knits can name, with sources"),
     "schema": ("nuno.cli.schema", "JSON Schema of scenes, for editors"),
     "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
 }
@@ -103,6 +103,7 @@ def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
         description=summary[0].upper() + summary[1:] + ".",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.set_defaults(command=name)
     module.add_arguments(parser)
     return module, parser
 

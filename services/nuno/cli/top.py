@@ -7,18 +7,28 @@ import contextlib
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any
 
 from nuno.cli.common import add_run, find_run
 from nuno.service import SUPERVISOR
-from nuno.top import ServiceLine, as_json, compare, head, table
 from nuno.wire.bus import Bus
 from nuno.wire.health import Health, ask_health
 from nuno.wire.sessions import spoke
+from nuno.words import factor
 from nuno_schemas.errors import BadInput
 
 PATIENCE = 3.0
 """How long the run is waited for [s]."""
+COLUMNS = (
+    ("service", "service", ""), ("frame", "frame", ""), ("frames/s", "frames", ".1f"), ("behind", "behind", ""),
+    ("ms", "late", ".0f"), ("out/s", "sent", ".1f"), ("out MB/s", "sent_megabytes", ".2f"), ("in/s", "received", ".1f"),
+    ("in MB/s", "received_megabytes", ".2f"), ("waiting", "waiting", ""), ("missing", "missing", ""),
+    ("refused", "refused", ""), ("CPU", "processor", ".0%"), ("memory", "memory", ""), ("process", "process", ""),
+)  # fmt: skip
+"""Heading, what of a line stands below it, and its format."""
+Line = dict[str, Any]
+"""What one service did between two answers of it, as --json prints it; see `compare`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,15 +41,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Look at the run until it ends or the user has seen enough."""
     run, endpoint = find_run(args)
+
+    def told(lines: list[Line]) -> str:
+        return json.dumps({"run": run, "services": lines}) if args.json else f"{head(run, lines)}\n{table(lines)}"
+
     with spoke(endpoint, args.config) as session, contextlib.suppress(KeyboardInterrupt):
         looks = filter(None, (compare(*pair) for pair in look(Bus(session, run, "top"), args.interval)))
         if args.once:
-            _print(run, next(looks, []), as_text=not args.json)
+            lines = next(looks, [])
+            print(told(lines) if lines or args.json else f"{run} has ended")
         elif args.json or not sys.stdout.isatty():
             for lines in looks:
-                _print(run, lines, as_text=not args.json)
+                print(told(lines), end="\n" if args.json else "\n\n", flush=True)
         else:
-            _show(run, looks)
+            _show(run, map(told, looks))
             print(f"{run} has ended")
     return 0
 
@@ -63,20 +78,77 @@ def look(bus: Bus, interval: float) -> Iterator[tuple[dict[str, Health], dict[st
         before = after
 
 
-def _print(run: str, lines: list[ServiceLine], as_text: bool) -> None:
-    if not as_text:
-        print(json.dumps(as_json(run, lines)), flush=True)
-    elif lines:
-        print(head(run, lines), table(lines), "", sep="\n", flush=True)
-    else:
-        print(f"{run} has ended")
-
-
-def _show(run: str, looks: Iterator[list[ServiceLine]]) -> None:
+def _show(run: str, looks: Iterator[str]) -> None:
     """In place, on a terminal."""
     from rich.live import Live
     from rich.text import Text
 
     with Live(Text(f"{run}: looking ..."), auto_refresh=False, transient=False) as live:
-        for lines in looks:
-            live.update(Text(f"{head(run, lines)}\n{table(lines)}", no_wrap=True), refresh=True)
+        for shown in looks:
+            live.update(Text(shown, no_wrap=True), refresh=True)
+
+
+def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[Line]:
+    """A line for each service that answered twice; who leads comes first.
+
+    behind is the number of frames that it has still to take in, and late what they take at the present rate [ms], None
+    while the run stands still; frames, sent and received are rates [1/s]; processor is a share of one core, of the
+    whole process.
+    """
+    both = sorted((h for h in after.values() if h.service in before), key=lambda h: (not h.leads, h.service))
+    leader = max((h for h in both if h.leads), key=lambda h: h.frame, default=None)
+    pace = rate(before[leader.service], leader, "frame") if leader is not None else 0.0
+    lines: list[Line] = []
+    for now in both:
+        rates = {name: rate(before[now.service], now, name) for name in ("frame", "sent", "received", "processor")}
+        behind = max(0, leader.frame - now.frame) if leader is not None and now.frame >= 0 else 0
+        lines.append({
+            "service": now.service, "leads": now.leads, "frame": now.frame, "t": now.t,
+            "frames": rates["frame"] if now.frame >= 0 else 0.0, "behind": behind,
+            "late": 0.0 if not behind else 1e3 * behind / pace if pace > 0.0 else None,
+            "sent": rates["sent"], "sent_megabytes": rate(before[now.service], now, "sent_bytes") / 1e6,
+            "received": rates["received"],
+            "received_megabytes": rate(before[now.service], now, "received_bytes") / 1e6,
+            "waiting": now.waiting, "missing": now.missing, "refused": now.refused,
+            "processor": rates["processor"], "memory": now.memory, "process": f"{now.host}:{now.pid}",
+        })  # fmt: skip
+    return lines
+
+
+def rate(old: Health, now: Health, name: str) -> float:
+    """Change of a count in a second."""
+    seconds = now.time - old.time
+    return (getattr(now, name) - getattr(old, name)) / seconds if seconds > 0.0 else 0.0
+
+
+def head(run: str, lines: list[Line]) -> str:
+    """Where the run is."""
+    first = lines[0]
+    if not first["leads"]:
+        return f"{run}: before its first frame"
+    speed = first["frames"] * first["t"] / first["frame"] if first["frame"] > 0 else 0.0
+    pace = f"{first['frames']:.1f} frames/s, {factor(speed)} real time" if first["frames"] else "standing still"
+    return f"{run}: frame {first['frame']}, t = {first['t']:.3f} s; {pace}"
+
+
+def table(lines: list[Line]) -> str:
+    """Aligned columns; services of one process share its processor time and memory, which stand at the first."""
+    rows, seen = [[heading for heading, _, _ in COLUMNS]], set[str]()
+    for line in lines:
+        shown = line | {"memory": f"{line['memory'] / 2**20:.0f} MiB"}
+        if line["frame"] < 0:
+            shown |= {"frame": None, "late": None}
+        cells = ["-" if shown[key] is None else format(shown[key], spec) for _, key, spec in COLUMNS]
+        if line["process"] in seen:
+            cells[-3:-1] = '"', '"'
+        seen.add(line["process"])
+        rows.append(cells)
+    return align(rows, (0, len(COLUMNS) - 1))
+
+
+def align(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
+    """Lines of cells; columns are flush right, those of `left` flush left."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    sides = [str.ljust if i in left else str.rjust for i in range(len(widths))]
+    padded = ([side(*cell) for side, *cell in zip(sides, row, widths, strict=True)] for row in rows)
+    return "\n".join("  ".join(cells).rstrip() for cells in padded)

@@ -5,37 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 
 from nuno.cli.common import add_run, find_run
-from nuno.cli.top import look
-from nuno.top import align
+from nuno.cli.top import Line, align, look
 from nuno.wire.bus import Bus
 from nuno.wire.health import Health
 from nuno.wire.sessions import spoke
 
 HEADINGS = ("topic", "type", "encoding", "by", "messages", "bytes each", "a second", "MB/s")
-
-
-@dataclass(frozen=True)
-class TopicLine:
-    """One topic of one service: messages and their mean size [bytes] since its start, and what went out in a second
-    of the time that it was looked at.
-    """
-
-    topic: str
-    type: str
-    encoding: str
-    service: str
-    messages: int
-    size: float
-    rate: float
-    megabytes: float
-
-    def cells(self) -> list[str]:
-        """Under HEADINGS."""
-        told = [self.topic, self.type, self.encoding, self.service, f"{self.messages:,}"]
-        return [*told, f"{self.size:,.0f}" if self.messages else "-", f"{self.rate:.1f}", f"{self.megabytes:.3f}"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,25 +32,35 @@ def main(args: argparse.Namespace) -> int:
         return 0
     lines = compare(*pair)
     if args.json:
-        print(json.dumps({"run": run, "endpoint": endpoint, "topics": [asdict(line) for line in lines]}))
+        print(json.dumps({"run": run, "endpoint": endpoint, "topics": lines}))
     else:
         print(f"zenoh at {endpoint}, keys {bus.key('TOPIC')}")
-        print(align([HEADINGS, *(line.cells() for line in lines)], range(4)))
+        print(align([HEADINGS, *map(_cells, lines)], range(4)))
     return 0
 
 
-def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[TopicLine]:
-    """A line for each topic of each service that answered twice, in the order of their names."""
-    lines = []
+def _cells(line: Line) -> list[str]:
+    """Under HEADINGS."""
+    size = f"{line['size']:,.0f}" if line["messages"] else "-"
+    told = [line[name] for name in ("topic", "type", "encoding", "service")]
+    return [*told, f"{line['messages']:,}", size, f"{line['rate']:.1f}", f"{line['megabytes']:.3f}"]
+
+
+def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[Line]:
+    """A line for each topic of each service that answered twice, in the order of their names.
+
+    messages and their mean size [bytes] are since the service's start, rate and megabytes what went out in a second.
+    """
+    lines: list[Line] = []
     for name in before.keys() & after.keys():
         seconds = after[name].time - before[name].time
-        old = {one.topic: one for one in before[name].topics}
+        old = {one.topic: (one.sent, one.sent_bytes) for one in before[name].topics}
         for now in after[name].topics:
-            sent, size = (
-                getattr(now, count) - (getattr(old[now.topic], count) if now.topic in old else 0)
-                for count in ("sent", "sent_bytes")
-            )
-            mean = now.sent_bytes / now.sent if now.sent else 0.0
-            rates = (sent / seconds, size / seconds / 1e6) if seconds > 0.0 else (0.0, 0.0)
-            lines.append(TopicLine(now.topic, now.type, now.encoding, name, now.sent, mean, *rates))
-    return sorted(lines, key=lambda line: (line.topic, line.service))
+            sent, size = old.get(now.topic, (0, 0))
+            lines.append({
+                "topic": now.topic, "type": now.type, "encoding": now.encoding, "service": name, "messages": now.sent,
+                "size": now.sent_bytes / now.sent if now.sent else 0.0,
+                "rate": (now.sent - sent) / seconds if seconds > 0.0 else 0.0,
+                "megabytes": (now.sent_bytes - size) / seconds / 1e6 if seconds > 0.0 else 0.0,
+            })  # fmt: skip
+    return sorted(lines, key=lambda line: (line["topic"], line["service"]))

@@ -15,7 +15,7 @@ from typing import Any
 from nuno.draw import keep
 from nuno.draw.follow import Follower
 from nuno.draw.lines import by_object, pieces_of, read_strokes, to_obj
-from nuno.draw.refusals import beside, describe, said_by_run
+from nuno.draw.refusals import beside, describe
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board, Sight
 from nuno.scene.scene_file import Loaded
@@ -199,7 +199,7 @@ class Desk:
             try:
                 follower.control(action="add", item=item)
             except BadInput as error:
-                refused = {"ok": False} | describe(beside(said_by_run(error), strokes, which, sight))
+                refused = {"ok": False} | describe(beside(error, strokes, which, sight))
                 break
             applied += which
         with contextlib.suppress(RunFailed, BadMessage):

@@ -78,7 +78,8 @@ class Follower:
             raise BadInput(f"the run does not answer: {error}", remedy=remedy) from None
         if answer.get("ok"):
             return answer
-        raise BadInput(str(answer.get("error", "refused")))
+        told = answer.get("refused", {"problem": str(answer.get("error", "refused"))})
+        raise BadInput(**(told | {"file": None}))  # whatever the run calls what it was asked
 
     def step(self) -> None:
         """Take one frame of a paused run, and wait until it stands still again. Raises BadInput."""

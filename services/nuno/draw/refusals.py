@@ -11,8 +11,6 @@ from nuno.draw.lines import Stroke, line_at, piece_of
 from nuno.draw.sight import Sight
 from nuno_schemas.errors import BadInput
 
-_SAID = re.compile(r"^  (value|limit|remedy): +", re.MULTILINE)
-_HEAD = re.compile(r"(?:add: )?(?:([\w.\[\]]+): )?(.+)", re.DOTALL)
 _LINE = re.compile(r"lines\[(\d+)\]")
 _TRIANGLE = re.compile(r"triangle (\d+)")
 
@@ -27,16 +25,6 @@ def describe(error: BadInput) -> dict[str, Any]:
         "limit": error.limit,
         "remedy": error.remedy,
     }
-
-
-def said_by_run(error: BadInput) -> BadInput:
-    """A refusal that came over the bus as text, taken apart again."""
-    parts = _SAID.split(error.problem)
-    found = dict(zip(parts[1::2], (part.strip() for part in parts[2::2]), strict=True))
-    head = _HEAD.fullmatch(parts[0].strip())
-    field, problem = head.groups() if head else (None, parts[0].strip())
-    value = found.get("value", "").strip("'\"") or None
-    return BadInput(problem, field=field, value=value, limit=found.get("limit"), remedy=found.get("remedy"))
 
 
 def beside(error: BadInput, strokes: Sequence[Stroke], which: Sequence[int], sight: Sight) -> BadInput:

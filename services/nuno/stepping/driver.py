@@ -119,7 +119,8 @@ class Driver(Publishing):
             try:
                 change = (self.change if action == "set" else self.add)(str(request.get("item")))
             except BadInput as error:
-                return {"ok": False, "error": str(error)}
+                told = {name: str(value) for name, value in vars(error).items() if value is not None}
+                return {"ok": False, "error": str(error), "refused": told}
         elif action != "status":
             return {"ok": False, "error": f"unknown action {action!r}; known: {', '.join(ACTIONS)}"}
         if action not in ("start", "status"):

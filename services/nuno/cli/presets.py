@@ -1,0 +1,68 @@
+"""`nuno fabrics` and `nuno yarns`: what scenes can name, in measured units, and their sources."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+
+from nuno import registry
+from nuno.cli.top import align
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.preset import Preset
+
+GROUP = "nuno.models"
+LISTS = {"fabrics": "presets", "yarns": "yarns"}
+"""The method of a model that lists what each command shows."""
+LEGENDS = {
+    "fabrics": "The first row of a fabric holds the values of its source, which springs and hinges follow at any "
+    "resolution. Below, what virtual tensile, shear and bending tests measure on 5 cm x 5 cm: with the sides held they "
+    "give the same; free sides narrow under tension. No source gives the damping ratio: it is ours. Any value can be "
+    "replaced in a scene, for example fabric: {preset: denim, bend_warp: 80 uN*m}.",
+    "yarns": "EA is a yarn's tensile stiffness, force per strain; from the strain lock on it is EA_lock. Any value can "
+    "be given in a scene, for example yarns: [nylon, {name: mine, ea: 2 N, density: 44 dtex}].",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")
+
+
+def main(args: argparse.Namespace) -> int:
+    known = find_presets(args.command)
+    for name in args.names:
+        if name not in known:
+            raise BadInput(f"no {args.command.removesuffix('s')} {name!r}", remedy=nearest(name, known))
+    print(show([preset for name, preset in known.items() if not args.names or name in args.names]))
+    print(f"\n{textwrap.fill(LEGENDS[args.command], 100)}")
+    return 0
+
+
+def find_presets(command: str) -> dict[str, Preset]:
+    """By name, of every installed model that lists some."""
+    models = (registry.load(GROUP, name) for name in sorted(registry.installed(GROUP)))
+    lists = (getattr(model, LISTS[command], None) for model in models)
+    return {preset.name: preset for each in lists if each is not None for preset in each()}
+
+
+def show(presets: list[Preset]) -> str:
+    """Their values as a table, then the source of each."""
+    sources = (textwrap.fill(f"{one.name}: {one.source}", 100, subsequent_indent="  ") for one in presets)
+    return "\n".join([table(presets), "", *sources])
+
+
+def table(presets: list[Preset]) -> str:
+    """A head with units, then for each preset its values and one line for each virtual test of it."""
+    if not presets:
+        return ""
+    columns = presets[0].measures
+    rows = [["", *(column.name for column in columns)], ["", *(f"[{column.unit or '1'}]" for column in columns)]]
+    for preset in presets:
+        tests = dict.fromkeys(test for measure in preset.measures for test in measure.measured)
+        rows.append([preset.name, *(_digits(measure.given) for measure in preset.measures)])
+        rows += [[f"  {test}", *(_digits(one.measured.get(test)) for one in preset.measures)] for test in tests]
+    return align(rows)
+
+
+def _digits(value: float | None) -> str:
+    """Four significant digits, never as a power of ten; nothing for None."""
+    return "" if value is None else f"{float(f'{value:.4g}'):.10f}".rstrip("0").rstrip(".")
