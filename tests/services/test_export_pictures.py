@@ -217,7 +217,7 @@ def test_bad_wishes_are_refused(path: Path, tmp_path: Path, name: str, options: 
         ("--png a.png --glb a.png/x.glb", "no such folder"),
         ("--png a.png --gif b.gif --start 999", "nothing to show"),
         ("--png a.png --gif b.gif --fps 0", "--fps: no such rate"),
-        ("--png a.png --rrd b.mcap", "--rrd: a rerun file's name ends in .rrd"),
+        ("--png a.png --rrd b.mcap", "--rrd: the name must end in .rrd"),
     ],
 )
 def test_nothing_is_written_where_one_of_several_files_cannot_be(

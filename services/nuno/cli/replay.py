@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 from nuno.cli.common import add_config, add_flags, warn
@@ -20,6 +21,7 @@ from nuno.viewer.require import add_view, choose_view
 from nuno.wire.bus import Bus
 from nuno.wire.health import offer_health
 from nuno.wire.sessions import hub_at
+from nuno.wire.watch import Watch
 from nuno_schemas.errors import BadInput
 
 
@@ -60,37 +62,27 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         bus = Bus(session, run, SUPERVISOR)
         offer_health(bus)
         stack.enter_context(bus.alive())
-        viewer = None
         if shown:
-            loaded = stack.enter_context(restored_scene(recording))
-            viewer = _Viewer(loaded, bus, options)
+            stack.enter_context(_viewer(stack.enter_context(restored_scene(recording)), bus, options))
         print(f"replaying {recording.path} as {run} at {endpoint}", file=sys.stderr)
         with contextlib.suppress(KeyboardInterrupt):
             replay.run(bus, recording)
-        if viewer is not None:
-            viewer.finish()
     total = sum(replay.sent.values())
     print(f"{total} messages, {replay.frames} frames")
     return 0
 
 
-class _Viewer:
+@contextlib.contextmanager
+def _viewer(loaded: Loaded, bus: Bus, options: Options) -> Iterator[None]:
     """The viewer service, in a thread, for one replay."""
-
-    def __init__(self, loaded: Loaded, bus: Bus, options: Options) -> None:
-        from nuno.wire.watch import Watch
-
-        self.bus, self.view = bus, options.view
-        self.thread = threading.Thread(
-            target=run_service, args=("viewer", loaded, bus.session, bus.run, options), daemon=True
-        )
-        self.thread.start()
-        if Watch(bus).wait_for({"viewer"}, 60.0):
-            raise BadInput("the viewer did not start")
-
-    def finish(self) -> None:
-        answer = self.bus.ask_json("finish/viewer", {}, 30.0)
-        self.thread.join(10.0)
-        if answer.get("file"):
-            print(f"rerun file {answer['file']}")
-        keep_page(self.view, answer)
+    work = ("viewer", loaded, bus.session, bus.run, options)
+    thread = threading.Thread(target=run_service, args=work, daemon=True)
+    thread.start()
+    if Watch(bus).wait_for({"viewer"}, 60.0):
+        raise BadInput("the viewer did not start")
+    yield
+    answer = bus.ask_json("finish/viewer", {}, 30.0)
+    thread.join(10.0)
+    if answer.get("file"):
+        print(f"rerun file {answer['file']}")
+    keep_page(options.view, answer)

@@ -150,5 +150,5 @@ def align(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
     """Lines of cells; columns are flush right, those of `left` flush left."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     sides = [str.ljust if i in left else str.rjust for i in range(len(widths))]
-    padded = ([side(*cell) for side, *cell in zip(sides, row, widths, strict=True)] for row in rows)
+    padded = ([side(cell, width) for side, cell, width in zip(sides, row, widths, strict=True)] for row in rows)
     return "\n".join("  ".join(cells).rstrip() for cells in padded)

@@ -19,7 +19,7 @@ from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.collision.surfaces import Surfaces
 from nuno.export.paint import INSET, read_rgb
 from nuno.recording.reader import Recording
-from nuno.recording.recorded import Arrays, Frame
+from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.recording.restore import restored_scene
 from nuno.wire.arrays import BadMessage, decode_points
 from nuno_schemas.bodies import PLANE, Geometry, Poses
@@ -214,15 +214,7 @@ def body_vertices(recording: Recording, bodies: ShownBodies | None, t: float) ->
 
 def read_frame(recording: Recording, number: int | None = None) -> Frame:
     """A frame by its number, or the last. Raises BadInput where it is not in the recording."""
-    times = {frame: time for time, (frame, _) in recording.marks().items()}
-    if number is None:
-        message = recording.last(STATE.name)
-    elif number in times:
-        message = next(
-            recording.messages([STATE.name], start=times[number] / 1e9, end=times[number] / 1e9 + 1e-9), None
-        )
-    else:
-        message = None
+    message, times = find_message(recording, STATE.name, number)
     if message is None:
         raise recording.no_frame(number, times)
     frame, digest = recording.marks().get(message.log_time, (message.seq, ""))
@@ -230,6 +222,17 @@ def read_frame(recording: Recording, number: int | None = None) -> Frame:
         return Frame(frame, message.t, digest, decode_points(message.payload))
     except BadMessage as error:
         raise BadInput(f"frame {frame} is damaged: {error}", str(recording.path)) from None
+
+
+def find_message(recording: Recording, topic: str, number: int | None) -> tuple[Recorded | None, dict[int, int]]:
+    """A topic's message of a frame by its number, or the last; and the log times [ns] of all frames."""
+    times = {frame: time for time, (frame, _) in recording.marks().items()}
+    if number is None:
+        return recording.last(topic), times
+    if number not in times:
+        return None, times
+    start = times[number] / 1e9
+    return next(recording.messages([topic], start, start + 1e-9), None), times
 
 
 def check_size(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> None:

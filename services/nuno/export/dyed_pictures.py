@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nuno.dye.painter import PICTURE_SIDE, DyePainter, painter_of
-from nuno.export.cloth import ShownPiece
+from nuno.export.cloth import ShownPiece, find_message
 from nuno.export.target import Progress
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
@@ -42,11 +42,15 @@ class Changes:
     overrides: tuple[str, ...] = ()
 
 
-class Dyed:
-    """The cloth of a recording of dye as a painter draws it. Raises BadInput for one that is damaged, or cannot be."""
+class DyedPictures:
+    """The cloth of a recording of dye as a painter draws it: by itself, or as the texture of an object `name`.
 
-    def __init__(self, recording: Recording, painter: DyePainter) -> None:
-        self.recording, self.painter = recording, painter
+    Raises BadInput for a recording that is damaged, or cannot be drawn.
+    """
+
+    def __init__(self, recording: Recording, painter: DyePainter, name: str = "") -> None:
+        self.recording, self.painter, self.name = recording, painter, name
+        self._last: tuple[int, Picture] | None = None
         cloth = recording.last(CLOTH.name)
         if cloth is None:
             raise BadInput("the recording does not describe the cloth that is dyed", str(recording.path))
@@ -65,31 +69,19 @@ class Dyed:
         except BadMessage as error:
             raise BadInput(f"the recording is damaged: {error}", str(self.recording.path)) from None
 
-
-class DyedPictures(Dyed):
-    """Draws the frames of a recording of dye."""
-
     def draw(self, message: Recorded) -> Picture:
         """(h, w, 3) sRGB picture of one frame's amounts, with a strip below where there is room for its text."""
         picture, painter = self.picture(message), self.painter
-        name = self.recording.scene.get("name", "")
-        return caption(picture, f"{name}   {_view(painter)}t = {_time(painter.time)}", painter.pixel)
-
-
-class DyedObject(Dyed):
-    """Gives the object that a scene dyes the picture of its cloth as its texture.
-
-    The cloth's cells cover the object's texture coordinates, x to the right being u and y down 1 - v: the picture
-    is an image as any other that is laid on cloth.
-    """
-
-    def __init__(self, recording: Recording, painter: DyePainter, name: str) -> None:
-        super().__init__(recording, painter)
-        self.name = name
-        self._last: tuple[int, Picture] | None = None
+        scene, view = self.recording.scene.get("name", ""), painter.look.view
+        shown = "" if view == "all" else f"{view} dye   "
+        return caption(picture, f"{scene}   {shown}t = {_time(painter.time)}", painter.pixel)
 
     def dress(self, pieces: list[ShownPiece], t: float) -> list[ShownPiece]:
-        """The pieces of cloth, the dyed one with its texture at t [s]. Raises BadInput where amounts are damaged."""
+        """The pieces of cloth, the dyed one with its texture at t [s]. Raises BadInput where amounts are damaged.
+
+        The cloth's cells cover the object's texture coordinates, x to the right being u and y down 1 - v: the picture
+        is an image as any other that is laid on cloth.
+        """
         return [
             replace(piece, image=self.texture(t), colour=None)
             if piece.name == self.name and piece.uv is not None
@@ -131,24 +123,19 @@ def dyed_pictures(
         yield DyedPictures(recording, painter)
 
 
-def read_dyed_object(recording: Recording, changes: Changes | None = None) -> DyedObject | None:
+def read_dyed_object(recording: Recording, changes: Changes | None = None) -> DyedPictures | None:
     """What is dyed of a recording's objects, None where nothing is. Raises BadInput."""
     dye = recording.scene.get("dye")
     name = dye.get("object") if isinstance(dye, dict) else None
     if name is None:
         return None
     with changed_painter(recording, changes or Changes(), TEXTURE_SIDE) as painter:
-        return DyedObject(recording, painter, str(name))
+        return DyedPictures(recording, painter, str(name))
 
 
 def find_amounts(recording: Recording, number: int | None) -> Recorded:
     """The amounts of a frame by its number, or the last. Raises BadInput where they are not in the recording."""
-    times = {frame: time for time, (frame, _) in recording.marks().items()}
-    message = recording.last(CONCENTRATION.name)
-    if number is not None:
-        start = times[number] / 1e9 if number in times else np.inf
-        found = recording.messages([CONCENTRATION.name], start, start + 1e-9) if number in times else iter(())
-        message = next(found, None)
+    message, times = find_message(recording, CONCENTRATION.name, number)
     if message is None and number in times:
         shown = [recording.marks()[at][0] for at in _recorded(recording)]
         limit = f"the nearest is frame {min(shown, key=lambda one: abs(one - number))}" if shown else "it holds none"
@@ -226,8 +213,3 @@ def _bar(pixel: float, width: int) -> tuple[int, str]:
 def _time(t: float) -> str:
     unit, name = time_of(t)
     return f"{t / unit:.3g} {name}"
-
-
-def _view(painter: DyePainter) -> str:
-    view = painter.look.view
-    return "" if view == "all" else f"{view} dye   "

@@ -109,11 +109,12 @@ class Painter:
         pieces = self.pieces(frame.t)
         check_size(self.recording, pieces, frame)
         pieces = pieces if self.dyed is None else self.dyed.dress(pieces, frame.t)
-        if self.pressure is None:
-            meshes = [_cloth_mesh(piece, frame.x[piece.start : piece.stop]) for piece in pieces]
-        else:
-            by_point = paint_pressure(self.pressure(frame.x), self.most)
-            meshes = [_painted(piece, frame.x, by_point) for piece in pieces]
+        painted = None if self.pressure is None else paint_pressure(self.pressure(frame.x), self.most)
+        own = [slice(piece.start, piece.stop) for piece in pieces]
+        meshes = [
+            _cloth_mesh(piece, frame.x[mine], None if painted is None else painted[mine])
+            for piece, mine in zip(pieces, own, strict=True)
+        ]
         points = body_vertices(self.recording, self.bodies, frame.t)
         if self.bodies is not None and len(points):
             grey = np.tile(parse_hex(BODY), (len(points), 1))
@@ -218,25 +219,27 @@ def choose_frames(recording: Recording, fps: float, start: float | None, end: fl
     return [times[known[place]] for place in np.minimum(places, len(known) - 1)]
 
 
-def _cloth_mesh(piece: ShownPiece, x: Float) -> Mesh:
-    """A piece with faces as it is, a net as thin tubes along its springs."""
+def _cloth_mesh(piece: ShownPiece, x: Float, colours: Float | None = None) -> Mesh:
+    """A piece at its own points x (n, 3) as it is, or in colours (n, 3); a net as thin tubes along its springs."""
     if not len(piece.faces):
-        vertices, faces, _ = tubes(x, piece.edges)
-        return Mesh(vertices, faces, np.repeat(_paint_links(piece, x), 2 * SIDES, axis=0), two_sided=False)
+        vertices, faces, owner = tubes(x, piece.edges)
+        painted = np.repeat(_paint(piece, x), 2 * SIDES, axis=0) if colours is None else colours[owner]
+        return Mesh(vertices, faces, painted, two_sided=False)
     if piece.image is not None and piece.uv is not None:
         # v points up on cloth and down in images.
         uv = piece.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
         return Mesh(x, piece.faces, uv=uv, image=piece.image)
-    return Mesh(x, piece.faces, _paint(piece, x))
+    return Mesh(x, piece.faces, _paint(piece, x) if colours is None else colours)
 
 
-def _painted(piece: ShownPiece, x: Float, by_point: Float) -> Mesh:
-    """A piece of all points x (n, 3) in their colours (n, 3)."""
-    own = slice(piece.start, piece.stop)
-    if len(piece.faces):
-        return Mesh(x[own], piece.faces, by_point[own])
-    vertices, faces, owner = tubes(x[own], piece.edges)
-    return Mesh(vertices, faces, by_point[own][owner], two_sided=False)
+def _paint(piece: ShownPiece, x: Float) -> Float:
+    """Linear light of vertices (n, 3), or of a net's links (e, 3): of their yarns, the piece's own, else by stretch."""
+    net = not len(piece.faces)
+    if net and piece.yarns is not None:
+        return paint_yarns(piece.yarns)
+    if piece.colour is not None or not len(piece.edges):
+        return np.tile(parse_hex(piece.colour or PLAIN), (len(piece.edges) if net else len(x), 1))
+    return paint_stretch(piece.link_stretch(x) if net else piece.stretch(x))
 
 
 def require_pressure(recording: Recording) -> Pressures:
@@ -252,18 +255,3 @@ def _most(pressure: Pressures, shown: list[Frame]) -> float:
     """What 19 of 20 points are below in each of these frames [Pa]: edges and closed toes have many times more."""
     found = [np.percentile(pressure(frame.x), 95.0) for frame in shown if np.isfinite(frame.x).all()]
     return float(max(found, default=0.0)) or 1.0
-
-
-def _paint_links(piece: ShownPiece, x: Float) -> Float:
-    """(e, 3) linear light of a net's links: of their yarns, else the net's own, else of each by its stretch."""
-    if piece.yarns is not None:
-        return paint_yarns(piece.yarns)
-    if piece.colour is not None:
-        return np.tile(parse_hex(piece.colour), (len(piece.edges), 1))
-    return paint_stretch(piece.link_stretch(x))
-
-
-def _paint(piece: ShownPiece, x: Float) -> Float:
-    if piece.colour is not None or not len(piece.edges):
-        return np.tile(parse_hex(piece.colour or PLAIN), (len(x), 1))
-    return paint_stretch(piece.stretch(x))

@@ -27,6 +27,7 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".png": (0, b"\x89PNG"),
     ".gif": (0, b"GIF8"),
     ".mp4": (4, b"ftyp"),
+    ".rrd": (0, b"RRF"),
 }
 """How a file of each kind begins: offset and bytes."""
 

@@ -18,7 +18,7 @@ from nuno.viewer import layout
 from nuno.viewer.about import about, about_tension, tension_legend
 from nuno.viewer.bodies import BodiesView
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
-from nuno.viewer.dyed import DyedCloth, DyedTexture
+from nuno.viewer.dyed import DyedCloth
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
@@ -77,7 +77,10 @@ class Bridge:
         self._bodies: BodiesView | None = None
         self._speed = painter.speed if painter is not None else None
         self._dyed_object = painter.object if painter is not None else None
-        self._dyed = self._dye(painter) if painter is not None else None
+        self._dyed: DyedCloth | None = None
+        if painter is not None:
+            wear = self._wear if painter.object is not None else None
+            self._dyed = DyedCloth(recording, painter, live, wear, self._arrange)
         self._energy: list[str] = []
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
@@ -103,11 +106,6 @@ class Bridge:
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
         self._log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
-
-    def _dye(self, painter: DyePainter) -> DyedCloth:
-        if painter.object is None:
-            return DyedCloth(self.recording, painter, self.live)
-        return DyedTexture(self.recording, painter, self.live, self._wear, self._arrange)
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Log one message; other topics are passed over. A message outside any frame
@@ -203,9 +201,9 @@ class Bridge:
             self._log("/plots/energy", layout.names([*energy, "total"]), static=True)
             self._log("/plots/stretch", layout.names(["largest stretch"]), static=True)
             self._log("/plots/time", layout.names(["computing the frame"]), static=True)
-        values = [number(value) for value in status.energy.values()]
+        values = [layout.number(value) for value in status.energy.values()]
         self._log("/plots/energy", rr.Scalars([*values, sum(values)]))
-        self._log("/plots/stretch", rr.Scalars(100.0 * number(status.stretch)))
+        self._log("/plots/stretch", rr.Scalars(100.0 * layout.number(status.stretch)))
         self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
         if status.message:
             self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
@@ -254,8 +252,3 @@ class Bridge:
     def _report(self, payload: bytes) -> None:
         text = json.dumps(json.loads(payload), indent=2)
         self._log("/report", rr.TextDocument(f"```json\n{text}\n```", media_type="text/markdown"), static=True)
-
-
-def number(value: float | None) -> float:
-    """What a message says as null is not finite; curves have a gap there."""
-    return math.nan if value is None else value

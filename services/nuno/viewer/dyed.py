@@ -32,18 +32,29 @@ AMOUNTS, WIDTHS = ["supplied", "total", "mobile", "fixed"], [5.0, 2.0, 2.0, 2.0]
 
 
 class DyedCloth:
-    """Logs pictures of a cloth's amounts, each once, and curves of their totals.
+    """Logs what dyed cloth looks like, each picture once, and curves of its amounts.
 
     recording  the rerun stream
     painter    draws; `every` of its scene's picture [s] is the time between two pictures
     live       pictures may be skipped; `flush` shows the last of them
+    wear       logs a picture as the texture of the object that is dyed, a part of the scene in space; None for a cloth
+               that is dyed by itself, whose picture is all there is
+    arrange    arranges the window of that scene in space anew
     """
 
-    def __init__(self, recording: Any, painter: DyePainter, live: bool) -> None:
+    def __init__(
+        self,
+        recording: Any,
+        painter: DyePainter,
+        live: bool,
+        wear: Callable[[Picture], None] | None,
+        arrange: Callable[[], None],
+    ) -> None:
         self.recording, self.painter, self.live = recording, painter, live
-        self.every = painter.look.every or 0.0
+        self.every = painter.look.every or (0.0 if wear is None else painter.duration / TEXTURES)
         self.names: list[str] = []
         self.shown: Picture | None = None
+        self._wear, self._arrange = wear, arrange
         self._waiting: tuple[int, float, bytes] | None = None
         self._drawn = -math.inf
         """When the last picture was drawn, in wall time [s]."""
@@ -52,6 +63,9 @@ class DyedCloth:
 
     def set_time(self, frame: int, t: float) -> None:
         """What is logged next belongs to a frame at t [s] of the scene."""
+        if self._wear is not None:
+            layout.set_time(self.recording, frame, t)
+            return
         self.recording.reset_time()  # of what else this thread has shown
         self.recording.set_time("frame", sequence=frame)
         self.recording.set_time(layout.DYE_TIMELINE, duration=t * self.painter.speed)
@@ -60,8 +74,10 @@ class DyedCloth:
         """Raises BadMessage, and BadInput for a cloth that cannot be drawn."""
         self.painter.take_cloth(payload)
         self.shown = None
-        arrays, text = decode_arrays(payload)
-        self.describe(str(text.get("scene", "")), arrays["fibre"].shape)
+        if self._wear is None:
+            arrays, text = decode_arrays(payload)
+            page = about(str(text.get("scene", "")), self.painter, arrays["fibre"].shape)
+            self._log("/about", rr.TextDocument(page, media_type="text/markdown"), static=True)
 
     def take_amounts(self, frame: int, t: float, payload: bytes) -> None:
         """Show a frame, now or later. Raises BadMessage."""
@@ -82,38 +98,26 @@ class DyedCloth:
         if list(status.mobile) != self.names:
             self.names = list(status.mobile)
             for name in self.names:
-                self.log(_curves(name), layout.names(AMOUNTS, WIDTHS), static=True)
-            self.arrange()
+                self._log(_curves(name), layout.names(AMOUNTS, WIDTHS), static=True)
+            self._arrange_window()
         for name in self.names:
-            mobile, fixed = (_number(amount.get(name)) for amount in (status.mobile, status.fixed))
-            values = [_number(status.supplied.get(name)), mobile + fixed, mobile, fixed]
-            self.log(_curves(name), rr.Scalars(values))
-        self.time_frame(status.step_seconds)
+            mobile, fixed = (layout.number(amount.get(name)) for amount in (status.mobile, status.fixed))
+            values = [layout.number(status.supplied.get(name)), mobile + fixed, mobile, fixed]
+            self._log(_curves(name), rr.Scalars(values))
+        if self._wear is None:
+            self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
         if status.message:
-            self.log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
+            self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
 
-    def describe(self, scene: str, shape: tuple[int, ...]) -> None:
-        """Say what is shown of a scene's cells (2, ny, nx)."""
-        page = about(scene, self.painter, shape)
-        self.log("/about", rr.TextDocument(page, media_type="text/markdown"), static=True)
-
-    def arrange(self) -> None:
-        """Arrange the window, when the dyes are known."""
-        self.log("/plots/time", layout.names(["computing the frame"]), static=True)
+    def _arrange_window(self) -> None:
+        """When the dyes are known."""
+        if self._wear is not None:
+            self._arrange()
+            return
+        self._log("/plots/time", layout.names(["computing the frame"]), static=True)
         duration = self.painter.duration * self.painter.speed
         blueprint = layout.arrange_dyed(self.names, self.painter.shape, duration, self.live)
         self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
-
-    def time_frame(self, seconds: float) -> None:
-        """How long a frame took [s]."""
-        self.log("/plots/time", rr.Scalars(1000.0 * seconds))
-
-    def show(self, picture: Picture) -> None:
-        """Log a picture that is not the last one."""
-        self.log(layout.PICTURE, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
-
-    def log(self, path: str, *what: Any, static: bool = False) -> None:
-        self.recording.log(path, *what, static=static, strict=True)
 
     def _draw(self, frame: int, t: float, payload: bytes) -> None:
         self._waiting = None
@@ -122,46 +126,14 @@ class DyedCloth:
         if self.shown is not None and np.array_equal(picture, self.shown):
             return
         self.set_time(frame, t)
-        self.show(picture)
+        if self._wear is not None:
+            self._wear(picture)
+        else:
+            self._log(layout.PICTURE, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
         self.shown = picture
 
-
-class DyedTexture(DyedCloth):
-    """The same as the texture of an object, which is part of the scene in space.
-
-    wear     logs a picture as the object's texture
-    arranged arranges the scene's window anew
-    """
-
-    def __init__(
-        self,
-        recording: Any,
-        painter: DyePainter,
-        live: bool,
-        wear: Callable[[Picture], None],
-        arranged: Callable[[], None],
-    ) -> None:
-        super().__init__(recording, painter, live)
-        self.every = painter.look.every or painter.duration / TEXTURES
-        self._wear, self._arranged = wear, arranged
-
-    def set_time(self, frame: int, t: float) -> None:
-        """In the scene's time, in which the object moves."""
-        layout.set_time(self.recording, frame, t)
-
-    def show(self, picture: Picture) -> None:
-        """Dye the object."""
-        self._wear(picture)
-
-    def arrange(self) -> None:
-        """The scene's window, with the dyes' curves."""
-        self._arranged()
-
-    def describe(self, scene: str, shape: tuple[int, ...]) -> None:
-        """The scene's own page says what is shown."""
-
-    def time_frame(self, seconds: float) -> None:
-        """The scene's own curve is that of what moves."""
+    def _log(self, path: str, *what: Any, static: bool = False) -> None:
+        self.recording.log(path, *what, static=static, strict=True)
 
 
 def viewer_painter(loaded: Loaded) -> DyePainter:
@@ -190,10 +162,6 @@ supplied is what it was given so far: total and supplied lie on each other.
 
 def _curves(name: str) -> str:
     return layout.entity("plots", "dye", name)
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 def _jpeg(picture: Picture) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -173,3 +174,8 @@ def names(labels: list[str], widths: list[float] | None = None) -> Any:
     """Names and colours of a plot's curves; a curve named "total" is grey."""
     colours = [TOTAL if label == "total" else CURVES[i % len(CURVES)] for i, label in enumerate(labels)]
     return rr.SeriesLines(names=labels, colors=colours, widths=widths or [2.0] * len(labels))
+
+
+def number(value: float | None) -> float:
+    """What a message says as null is not finite; curves have a gap there."""
+    return math.nan if value is None else value

@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
-from nuno.recording.writer import part_of
+from nuno.export.target import check_target
 from nuno_schemas.errors import BadInput
 
 VIEWS = ("window", "web")
 ADDRESS = "rerun+http://"
-MAGIC = b"RRF"
 
 
 def has_screen() -> bool:
@@ -53,21 +53,7 @@ def require(view: str | None, save: Path | None, option: str = "--save") -> None
         remedy = "--view web serves a page for a browser; --save FILE.rrd writes a file; --no-view shows nothing"
         raise BadInput("there is no screen to open a window on", field="--view", value=view, remedy=remedy)
     if save is not None:
-        _require_target(save, option)
-
-
-def _require_target(path: Path, option: str) -> None:
-    if path.suffix != ".rrd":
-        raise BadInput("a rerun file's name ends in .rrd", field=option, value=str(path), remedy=f"{path}.rrd")
-    part = part_of(path)
-    try:
-        if path.exists() and path.open("rb").read(3) not in (MAGIC, b""):
-            remedy = "choose another name"
-            raise BadInput(
-                "the file there is none of rerun's and would be lost", field=option, value=str(path), remedy=remedy
-            )
-        part.open("wb").close()
-        part.unlink()
-    except OSError as error:
-        remedy = "choose a folder that exists and can be written"
-        raise BadInput(f"cannot write there: {error.strerror}", field=option, value=str(path), remedy=remedy) from None
+        try:
+            check_target(save, ".rrd")
+        except BadInput as error:
+            raise replace(error, field=option) from None
