@@ -8,13 +8,12 @@ from nuno import registry
 from nuno_schemas.bodies import BOX, MESH, Geometry, Poses, no_rows
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.surface import box_mesh
 from nuno_schemas.system import System, Term
 from nuno_testing.subject import Subject, made_twice
 
 GRAVITY, STEP = np.array([0.0, -9.81, 0.0]), 2e-4
-CORNERS = np.array([[x, y, z] for x in (-3.0, 3.0) for y in (-1.0, 0.0) for z in (-3.0, 3.0)])
-SIDES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
-                  [0, 6, 4], [1, 5, 7], [1, 7, 3]], np.int32)  # fmt: skip
+CORNERS, SIDES = box_mesh(np.array([0.0, -0.5, 0.0]), np.array([3.0, 0.5, 3.0]))
 
 
 def block(kind: int, friction: float) -> Geometry:

@@ -135,10 +135,7 @@ TEXTS = [
     SHEET,
     "nuno: 1\noperations:   # mine\n  - {a: 1}   # one\n  - x: a\n    text: |\n      b\n\n      c\n# after\nname: x\n",
     "nuno: 1\noperations:\n- a: [1,\n    2]   # c\n- b\nname: y",
-    "nuno: 1\noperations: []  # none\nname: z\n",
-    "nuno: 1\noperations: [\n  {a: 1}, # c\n  {b: 2} # d\n  ]\nq: 1\n",
     "nuno: 1\noperations:\nname: z\n",
-    "{nuno: 1, name: x}\n",
     "nuno: 1\ndescription: >\n  folded\n  text\n\n\n# c\n",
     "---\nnuno: 1\nname: x\n...\n",
     "nuno: 1\r\nname: x # c\r\n",
@@ -158,7 +155,13 @@ def test_lines_are_added_and_all_else_stays_as_it_was_written(text: str) -> None
     assert len(yaml_lines.parse(again, "")[0]["operations"]) == len(before.get("operations") or []) + 3
 
 
-@pytest.mark.parametrize("text", ["nuno: 1\noperations: 5\n", "nuno: 1\noperations: &a [1]\nname: *a\n", "- 1\n"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nuno: 1\noperations: 5\n", "nuno: 1\noperations: &a\n- 1\nname: *a\n", "- 1\n",
+        "nuno: 1\noperations: [{a: 1}]\n", "{nuno: 1, name: x}\n",
+    ],
+)  # fmt: skip
 def test_a_text_that_would_say_something_else_is_refused(text: str) -> None:
     with pytest.raises(BadInput) as refused:
         append_items(text, "operations", [ITEM], "scene.yaml")

@@ -31,11 +31,11 @@ COMMANDS = {
     ),
     "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
     "gallery": ("nuno_bench.gallery.command", "one page with pictures of all scenes of a kind: dye, knit, wrinkle"),
-    "plugins": ("nuno.cli.plugins", "which plugins are installed"),
-    "scenes": ("nuno.cli.scenes", "the scenes that come with nuno"),
+    "plugins": ("nuno.cli.lists", "which plugins are installed"),
+    "scenes": ("nuno.cli.lists", "the scenes that come with nuno"),
     "fabrics": ("nuno.cli.presets", "the fabrics that scenes can name, in measured units, with sources"),
     "yarns": ("nuno.cli.presets", "the yarns that knits can name, with sources"),
-    "schema": ("nuno.cli.schema", "JSON Schema of scenes, for editors"),
+    "schema": ("nuno.cli.lists", "JSON Schema of scenes, for editors"),
     "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
 }
 """Module and summary of each command; a module has `add_arguments(parser)` and `main(args)`.

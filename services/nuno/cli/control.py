@@ -14,6 +14,14 @@ from nuno.supervision.supervisor import control
 from nuno_schemas.errors import BadInput
 
 SLOW = "the run answers when the frame that it is in is done"
+NEEDS = {
+    "set": ("KEY=VALUE", "set damping=0.5"),
+    "add": (
+        "a supply, a resist or an operation",
+        "add 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'",
+    ),
+}
+"""What an action cannot be without, and an example."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,15 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     run, endpoint = find_run(args)
     request: dict[str, object] = {"action": args.action}
-    if args.action == "set":
+    if args.action in NEEDS:
+        needed, example = NEEDS[args.action]
         if not args.item:
-            remedy = "for example, of cloth that moves: nuno control last set damping=0.5"
-            raise BadInput("set needs KEY=VALUE", remedy=remedy)
-        request["item"] = args.item
-    if args.action == "add":
-        if not args.item:
-            example = "nuno control last add 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'"
-            raise BadInput("add needs a supply, a resist or an operation", remedy=f"for example: {example}")
+            raise BadInput(f"{args.action} needs {needed}", remedy=f"for example: nuno control last {example}")
         request["item"] = args.item
     if args.action == "step":
         if args.item is not None and not args.item.isdigit():

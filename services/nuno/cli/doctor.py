@@ -19,7 +19,7 @@ from nuno.scene import scene_file
 from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
-from nuno.wire.sessions import free_port, hub_at
+from nuno.wire.sessions import hub_at
 
 LEAST_MEMORY = 2**29
 """[bytes] that a run of a small scene takes, compiling its kernels included."""
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Print a line for each; 1 where a run could not work."""
     del args
-    checks = (_machine, _memory, _kernels, _gpu, _bus, _port, _rerun, _mp4, _screen, _disk)
+    checks = (_machine, _memory, _kernels, _bus, _rerun, _mp4, _screen, _disk)
     names = ("nuno", "numpy", "numba", "llvmlite", "eclipse-zenoh", "mcap")
     rows = [Row("python", "ok", platform.python_version()), *(Row(name, "ok", version(name)) for name in names)]
     for check in checks:
@@ -114,20 +114,9 @@ def _cache() -> Row:
     return Row("kernel cache", "ok", text)
 
 
-def _gpu() -> Row:
-    found = [*Path("/dev").glob("nvidia[0-9]*"), *Path("/dev").glob("dri/renderD*")]
-    if found:
-        return Row("gpu", "ok", f"{', '.join(map(str, found))}: not used, kernels run on the processor")
-    return Row("gpu", "ok", "none is seen, and none is needed: kernels run on the processor")
-
-
 def _bus() -> Row:
     with hub_at(None):
         return Row("bus", "ok", "listens on loopback only, no scouting")
-
-
-def _port() -> Row:
-    return Row("port", "ok", f"{free_port()} is free on loopback; each run takes one of its own")
 
 
 def _rerun() -> Row:

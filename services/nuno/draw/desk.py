@@ -27,6 +27,9 @@ START_PATIENCE = 1800.0
 """Longest that a run may take to be there [s]: the first one on a machine compiles kernels for minutes."""
 END_PATIENCE = 20.0
 """How long a run may take to end [s] when the page's server does."""
+ACTS = dict.fromkeys(("pause", "resume", "step"), "control")
+ACTS |= {name: name for name in ("about", "start", "back", "check", "apply", "save", "export")}
+"""What the page may ask for, and which method of a desk does it."""
 
 
 class Desk:
@@ -45,28 +48,17 @@ class Desk:
         self._trial: keep.Trial | None = None
         self._keeper = keep.Keeper(loaded) if loaded is not None else None
         self._lock = threading.Lock()
-        self._acts = {
-            "about": self.about,
-            "start": self.start,
-            "back": self.back,
-            "pause": self.control,
-            "resume": self.control,
-            "step": self.control,
-            "check": self.check,
-            "apply": self.apply,
-            "save": self.save,
-            "export": self.export,
-        }
 
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out one request of the page's. Raises BadInput, which the page shows."""
         name = str(request.get("do"))
-        if name not in self._acts:
-            raise BadInput("no such request", value=name, limit=", ".join(self._acts))
+        if name not in ACTS:
+            raise BadInput("no such request", value=name, limit=", ".join(ACTS))
         if name == "check":  # it may compile kernels for a while, and changes nothing
             return self.check(request)
         with self._lock:
-            return self._acts[name](request)
+            found: dict[str, Any] = getattr(self, ACTS[name])(request)
+            return found
 
     def about(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """What the page begins with."""

@@ -38,12 +38,15 @@ def size_of(x: Float) -> float:
 
 def see_scene(loaded: Loaded) -> Sight:
     """The cloth of a scene as it is at the start. Raises BadInput for one without triangles."""
-    require_cloth(loaded)
+    if not loaded.scene.moves:
+        remedy = "name a scene with objects, such as hanging-sheet"
+        raise BadInput("there is no cloth here to draw ridges and valleys on", value=loaded.scene.name, remedy=remedy)
     bodies = build_bodies(loaded) if loaded.scene.bodies else None
     geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
     fabric, pieces = build.build_fabric(loaded, geometry, poses)
     if not len(fabric.faces):
-        raise loaded.at("objects[0].model", no_triangles())
+        remedy = "draw on a sheet, a skirt or a mesh; a net of yarns has no surface"
+        raise loaded.at("objects[0].model", BadInput("cloth without triangles cannot be drawn on", remedy=remedy))
     require_springs(loaded, fabric)
     drawn = draw_bodies(geometry, size_of(fabric.position))
     return Sight(
@@ -54,13 +57,6 @@ def see_scene(loaded: Loaded) -> Sight:
         drawn.faces,
         frames=loaded.scene.frames,
     )
-
-
-def require_cloth(loaded: Loaded) -> None:
-    """Raises BadInput for a scene in which no cloth moves."""
-    if not loaded.scene.moves:
-        remedy = "name a scene with objects, such as hanging-sheet"
-        raise BadInput("there is no cloth here to draw ridges and valleys on", value=loaded.scene.name, remedy=remedy)
 
 
 def require_springs(loaded: Loaded, fabric: Fabric) -> None:
@@ -74,11 +70,6 @@ def require_springs(loaded: Loaded, fabric: Fabric) -> None:
         remedy = "draw on a mesh or a shirt, or give the sheet or skirt cells: triangles"
         problem = "lines cannot be drawn on this cloth: it has no springs along the edges of its triangles"
         raise loaded.at("objects[0].model", BadInput(problem, remedy=remedy))
-
-
-def no_triangles() -> BadInput:
-    remedy = "draw on a sheet, a skirt or a mesh; a net of yarns has no surface"
-    return BadInput("cloth without triangles cannot be drawn on", remedy=remedy)
 
 
 def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:

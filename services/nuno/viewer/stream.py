@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from nuno.wire.sessions import free_port
 from nuno_schemas.view import View
 
 if TYPE_CHECKING:
@@ -39,16 +40,7 @@ def say(**what: Any) -> None:
 
 def port_or_free(port: int) -> int:
     """`port` where nothing listens on it, for addresses that do not change; else any free one."""
-    for choice in (port, 0):
-        with socket.socket() as probe:
-            if os.name == "posix":
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((LOOPBACK, choice))
-                return int(probe.getsockname()[1])
-            except OSError:
-                continue
-    raise OSError("no free port on loopback")
+    return free_port() if listens(port) else port
 
 
 def listens(port: int, host: str = LOOPBACK) -> bool:

@@ -1,0 +1,46 @@
+"""`nuno plugins`, `nuno scenes` and `nuno schema`: what a scene may name."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from nuno import registry
+from nuno.scene import scene_file, yaml_lines
+from nuno_schemas.plugin import GROUPS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    if parser.get_default("command") == "plugins":
+        parser.add_argument("group", nargs="?", help="only this kind, e.g. nuno.integrators")
+    elif parser.get_default("command") == "scenes":
+        parser.add_argument("--paths", action="store_true", help="print where they are")
+
+
+def main(args: argparse.Namespace) -> int:
+    if args.command == "plugins":
+        _list_plugins(args.group)
+    elif args.command == "scenes":
+        _list_scenes(args.paths)
+    else:
+        from nuno.scene.json_schema import scene_schema
+
+        print(json.dumps(scene_schema(), indent=2))
+    return 0
+
+
+def _list_plugins(wanted: str | None) -> None:
+    """Without importing any."""
+    for group, meaning in GROUPS.items():
+        if wanted in (None, group, group.removeprefix("nuno.")):
+            print(f"{group}  ({meaning})")
+            for name, points in sorted(registry.claims(group).items()):
+                twice = "" if len(points) == 1 else "   claimed twice: a scene that names it is refused"
+                print(f"  {name:20} {', '.join(map(registry.package, points))}{twice}")
+
+
+def _list_scenes(paths: bool) -> None:
+    for folder in ("", *scene_file.FOLDERS):
+        for name, path in scene_file.shipped(folder).items():
+            data, _ = yaml_lines.parse(path.read_text(), str(path))
+            print(path if paths else f"{name:28} {data.get('description', '')}")
