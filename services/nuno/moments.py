@@ -87,19 +87,15 @@ class _Part:
         if again is None or not again.stepper.frame <= frame <= again.stepper.frame + 1:
             number, start = self._nearest(frame)
             if again is None or not number <= again.stepper.frame <= frame:
-                again = self._again = self._begin(start)
+                if again is not None:  # the first time, with what has not begun yet
+                    self._stepper = self._make()
+                again = self._again = Again(self._recording, self._stepper, start)
         again.go_to(frame)
         if not again.comes_to(self._digests.get(frame)):
             part = again.stepper.part
             problem = f"simulated again, frame {frame} of the {part} comes out otherwise than it was recorded"
             raise BadInput(problem, path, remedy="nuno verify says where, and what is another than it was then")
         return again.stepper
-
-    def _begin(self, start: Recorded | None) -> Again:
-        """From a checkpoint's message on, or from the start: the first time with what has not begun yet."""
-        if self._again is not None:
-            self._stepper = self._make()
-        return Again(self._recording, self._stepper, start)
 
     def _nearest(self, frame: int) -> tuple[int, Recorded | None]:
         """Frame and message of the last checkpoint from which a frame can be reached; -1 and None from the start."""

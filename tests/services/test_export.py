@@ -69,9 +69,6 @@ def test_npz_is_the_last_checkpoint_and_nothing_else(path: Path, tmp_path: Path)
         assert archive["v"].tobytes() == SHEET.v(t).tobytes()
         assert archive["t"].shape == ()
         assert float(archive["t"]) == t
-    export_npz(path, tmp_path / "early.npz", t=0.25)
-    with np.load(tmp_path / "early.npz") as archive:
-        assert float(archive["t"]) == 9 / RATE
 
 
 def test_csv_holds_every_digit_and_names_units(path: Path, tmp_path: Path) -> None:

@@ -129,7 +129,7 @@ def _export(recording: Recording, args: argparse.Namespace) -> list[Path]:
         when = args.fps, args.start, args.end
         written.append(animations.export_animation(recording, path, size, *when, _progress, args.colour, changes))
     if args.rrd:
-        from nuno.viewer.convert import convert
+        from nuno.viewer.file import convert
 
         written.append(convert(recording, args.rrd))
     return written

@@ -52,14 +52,15 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     simulation = Simulation.with_bodies(loaded)
     rows = _size(simulation)
     if simulation.geometry is not None and simulation.poses is not None:
-        rows += [*_contact(loaded), *_worn(simulation, simulation.geometry, simulation.poses)]
+        scene, groups = loaded.scene, build.group_contacts(loaded)
+        met = [f"{contact.name} with {', '.join(scene.bodies[i].name for i in own)}" for contact, own in groups]
+        rows += [("contact", "; ".join(met)), *_worn(simulation, simulation.geometry, simulation.poses)]
     seconds = simulation.time_frame()  # from here on the cloth has moved
-    return [
-        *rows,
-        ("solver", _solver(simulation)),
-        *([("chosen", loaded.why)] if loaded.why else []),
-        *_cost(simulation, seconds),
-    ]
+    solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
+    rows.append(("solver", solver + (f", solved as configured up to {limit * 1e3:.4g} ms" if limit < math.inf else "")))
+    rows += [("chosen", loaded.why)] if loaded.why else []
+    size = (12 * loaded.scene.frames + 48 * simulation.checkpoints) * simulation.fabric.number
+    return rows + simulation.describe_cost(seconds, size, build.estimate_memory(loaded)[1])
 
 
 def _size(simulation: Simulation) -> list[tuple[str, str]]:
@@ -77,15 +78,6 @@ def _size(simulation: Simulation) -> list[tuple[str, str]]:
     ]
 
 
-def _contact(loaded: Loaded) -> list[tuple[str, str]]:
-    """How the cloth meets which bodies."""
-    groups = [
-        (contact.name, ", ".join(loaded.scene.bodies[i].name for i in own))
-        for contact, own in build.group_contacts(loaded)
-    ]
-    return [("contact", "; ".join(f"{name} with {bodies}" for name, bodies in groups))]
-
-
 def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tuple[str, str]]:
     """Where the frames that carry cloth start, and whether it starts in a body."""
     frames = dict.fromkeys(f"{binding.body}/{binding.frame}" for binding in simulation.fabric.bindings)
@@ -96,16 +88,3 @@ def _worn(simulation: Simulation, geometry: Geometry, poses: Poses) -> list[tupl
     ]
     rows += [("WARNING", text) for text in start_warnings(simulation.fabric, simulation.state.x, geometry, poses)]
     return rows
-
-
-def _solver(simulation: Simulation) -> str:
-    told, resolved = simulation.describe_step(simulation.loaded.integrator.name, simulation.limit.dt), ""
-    if math.isfinite(simulation.limit.resolved):
-        resolved = f", solved as configured up to {simulation.limit.resolved * 1e3:.4g} ms"
-    return told + resolved
-
-
-def _cost(simulation: Simulation, seconds: float) -> list[tuple[str, str]]:
-    scene, vertices = simulation.loaded.scene, simulation.fabric.number
-    size = (12 * scene.frames + 48 * simulation.checkpoints) * vertices
-    return simulation.describe_cost(seconds, size, build.estimate_memory(simulation.loaded)[1])

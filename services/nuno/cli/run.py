@@ -55,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    with contextlib.ExitStack() as stack:
-        return _run(stack.enter_context(_scene(args)), args)
+    with _scene(args) as loaded:
+        return _run(loaded, args)
 
 
 @contextlib.contextmanager
@@ -97,8 +97,9 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     if options.record is not None and options.record.is_file():
         print(f"replaces {options.record} once the new one is whole", flush=True)
     beside = options.record.with_suffix(log.SUFFIX) if options.record is not None else None
+    picture = not args.no_view and options.view is None and options.record is not None
     with log.written(run, args.log or beside):
-        return execute(loaded, options, deployment, picture=_wants_picture(args, options))
+        return execute(loaded, options, deployment, picture)
 
 
 def _options(args: argparse.Namespace, run: str) -> Options:
@@ -109,10 +110,6 @@ def _options(args: argparse.Namespace, run: str) -> Options:
         record = target or record
     view = choose_view(args)
     return Options(record=record, save=args.save, view=view, resume=args.resume, threads=args.threads)
-
-
-def _wants_picture(args: argparse.Namespace, options: Options) -> bool:
-    return not args.no_view and options.view is None and options.record is not None
 
 
 def _name_files(options: Options, outcome: supervisor.Outcome) -> None:

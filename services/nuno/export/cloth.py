@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from typing import Any
@@ -149,14 +149,19 @@ def read_texture(recording: Recording, texture: str | None) -> NDArray[np.uint8]
 
     Only attachments are read: a path in a file from somewhere else must not pick files here.
     """
-    parts = PurePath(texture).parts if texture else ()
-    names = [n for n in recording.attachments if parts and parts[-len(PurePath(n).parts) :] == PurePath(n).parts]
-    if not names:
+    name = find_named(texture or "", recording.attachments)
+    if name is None:
         return None
     try:
-        return read_rgb(io.BytesIO(recording.attachment(names[0])))
+        return read_rgb(io.BytesIO(recording.attachment(name)))
     except (OSError, ValueError) as error:
-        raise BadInput(f"the texture cannot be read: {error}", str(recording.path), value=names[0]) from None
+        raise BadInput(f"the texture cannot be read: {error}", str(recording.path), value=name) from None
+
+
+def find_named(path: str, names: Iterable[str]) -> str | None:
+    """The first of a scene's own files, by their names in it, in whose name a path on another disk ends."""
+    parts = PurePath(path).parts
+    return next((name for name in names if parts[-len(PurePath(name).parts) :] == PurePath(name).parts), None)
 
 
 @dataclass(frozen=True)
@@ -184,21 +189,13 @@ def shape_bodies(geometry: Geometry, first: Poses | None) -> ShownBodies:
     level = _level(geometry, first.rotation) if first else np.zeros(len(geometry.kind), bool)
     moved = first.translation[geometry.frame] if first else np.zeros_like(geometry.a)
     heights = (geometry.a + moved)[level, 1]
-    return ShownBodies(*surface(_without(geometry, level), INSET), float(heights.max()) if len(heights) else None)
+    ended = geometry.of_primitives(np.flatnonzero(~level).tolist())
+    return ShownBodies(*surface(ended, INSET), float(heights.max()) if len(heights) else None)
 
 
 def _level(geometry: Geometry, rotation: Float) -> NDArray[np.bool_]:
     still = (np.abs(rotation[geometry.frame, 0]) == 1.0) & (geometry.kind == PLANE)
     return np.asarray(still & (geometry.b[:, 1] > 1.0 - 1e-9))
-
-
-def _without(geometry: Geometry, drop: NDArray[np.bool_]) -> Geometry:
-    kept = {name: getattr(geometry, name)[~drop] for name in ("kind", "frame", "body", "a", "b", "radius")}
-    rest = {name: getattr(geometry, name) for name in ("bodies", "frames", "stiffness", "damping", "friction")}
-    number = np.cumsum(~drop) - 1
-    stays = ~drop[geometry.owner]
-    owner = number[geometry.owner[stays]].astype(np.int32)
-    return Geometry(**kept, **rest, vertices=geometry.vertices, faces=geometry.faces[stays], owner=owner)
 
 
 def body_vertices(recording: Recording, bodies: ShownBodies | None, t: float) -> Float:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from nuno import registry
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
+from nuno.collision.surfaces import Surfaces
 from nuno.export.cloth import read_frame
 from nuno.export.target import check_target, opened, writing
 from nuno.recording.reader import Recording
@@ -22,6 +23,7 @@ from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.operation import Operation, Outcome, Surface
+from nuno_schemas.surface import surface
 
 Form = Literal["straight", "smooth"]
 """straight: the knit's links, repaired where they would cut through a body; smooth: loops as curves."""
@@ -66,14 +68,9 @@ def _body_surface(loaded: Loaded, t: float) -> Surface | None:
     if not loaded.scene.bodies:
         return None
     bodies = build_bodies(loaded)
-    geometry, poses = bodies.geometry, bodies.poses(t)
-    vertices, faces, count = [], [], 0
-    for primitive in np.flatnonzero(np.isin(geometry.kind, OF_TRIANGLES)).tolist():
-        placed, triangles = build.place_mesh(geometry, poses, primitive)
-        vertices.append(placed)
-        faces.append(triangles + count)
-        count += len(placed)
-    return Surface(np.concatenate(vertices), np.concatenate(faces).astype(np.int32)) if vertices else None
+    meshes = np.flatnonzero(np.isin(bodies.geometry.kind, OF_TRIANGLES)).tolist()
+    skin = Surfaces(*surface(bodies.geometry.of_primitives(meshes)))
+    return Surface(skin.at(bodies.poses(t)), skin.faces) if meshes else None
 
 
 def find_operation(form: Form, settings: dict[str, Any]) -> tuple[Operation, BaseModel]:

@@ -19,6 +19,9 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.surface import vertex_normals
 
+MATT = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
+"""Of glTF's materials."""
+
 
 def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
     """Write one frame (default: the last) of the cloth; the name's ending says how.
@@ -167,8 +170,7 @@ def _visual(piece: ShownPiece, x: Float) -> Any:
 
     if piece.image is not None and piece.uv is not None:
         image = Image.fromarray(piece.image)
-        material = PBRMaterial(baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=True)
-        return TextureVisuals(uv=piece.uv, material=material)
+        return TextureVisuals(uv=piece.uv, material=PBRMaterial(baseColorTexture=image, doubleSided=True, **MATT))
     if piece.colour is not None or not len(piece.edges):
         return _plain(piece.colour or PLAIN, two_sided=True)
     # glTF's vertex colours are linear light.
@@ -182,6 +184,4 @@ def _plain(colour: str, two_sided: bool) -> Any:
 
     # Factors, like vertex colours, are linear light.
     factor = [*np.round(255.0 * parse_hex(colour)).astype(np.uint8).tolist(), 255]
-    return TextureVisuals(
-        material=PBRMaterial(baseColorFactor=factor, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=two_sided)
-    )
+    return TextureVisuals(material=PBRMaterial(baseColorFactor=factor, doubleSided=two_sided, **MATT))

@@ -20,8 +20,8 @@ from nuno_schemas.messages import DYE_CHECKPOINT
 UNITS = {"balance": "1", "t": "s", "time": "s", "step_seconds": "s", "depth": "m", "mean": "m", "stretch": "1"}
 
 
-def export_npz(source: Recording | Path | str, path: Path, t: float | None = None, frame: int | None = None) -> Path:
-    """Write the last checkpoint (not after t [s]): x, v (n, 3) and t, of a knit `pressure` (n,) [Pa], all float64.
+def export_npz(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:
+    """Write the last checkpoint: x, v (n, 3) and t, of a knit `pressure` (n,) [Pa], all float64.
 
     Or that of a frame by its number, which is simulated again where it is none of a checkpoint's. Of a cloth that is
     dyed: phi, fixed and t; the amounts are (2, ny, nx), or (dyes, 2, ny, nx) for several dyes, as in the file of the
@@ -32,8 +32,13 @@ def export_npz(source: Recording | Path | str, path: Path, t: float | None = Non
     """
     with opened(source) as recording:
         if frame is None:
-            arrays = {} if recording.dyed_alone else _cloth(recording, t)
-            arrays |= _dye(recording, t) if DYE_CHECKPOINT.name in recording.counts else {}
+            arrays = {}
+            if not recording.dyed_alone:
+                point = recording.last_checkpoint()
+                arrays = _with_pressure(recording, {"x": point.x, "v": point.v, "t": np.array(point.t)})
+            if DYE_CHECKPOINT.name in recording.counts:
+                point = recording.last_checkpoint(topic=DYE_CHECKPOINT.name)
+                arrays |= {name: per_dye(values) for name, values in point.state.items()} | {"t": np.array(point.t)}
         else:
             arrays = _state(recording, find_moment(recording, frame))
         _write(path, arrays)
@@ -87,19 +92,9 @@ def _state(recording: Recording, moment: Moment) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _cloth(recording: Recording, t: float | None) -> dict[str, NDArray[Any]]:
-    point = recording.last_checkpoint(before=t)
-    return _with_pressure(recording, {"x": point.x, "v": point.v, "t": np.array(point.t)})
-
-
 def _with_pressure(recording: Recording, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     measured = read_pressure(recording)
     return arrays if measured is None else arrays | {"pressure": measured(arrays["x"])}
-
-
-def _dye(recording: Recording, t: float | None) -> dict[str, NDArray[Any]]:
-    point = recording.last_checkpoint(t, DYE_CHECKPOINT.name)
-    return {name: per_dye(values) for name, values in point.state.items()} | {"t": np.array(point.t)}
 
 
 def export_csv(source: Recording | Path | str, path: Path) -> Path:

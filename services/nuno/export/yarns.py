@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from nuno import registry
@@ -50,27 +49,14 @@ def export_yarn_picture(
     field, a frame that is not there, and for what the style cannot draw.
     """
     check_target(path, ".png")
-    with opened(source) as recording:
-        return write_png(path, draw_yarn_picture(recording, style, frame, size, overrides, progress))
-
-
-def draw_yarn_picture(
-    recording: Recording,
-    style: str | None = None,
-    frame: int | None = None,
-    size: tuple[int, int] | None = None,
-    overrides: tuple[str, ...] = (),
-    progress: Progress | None = None,
-) -> NDArray[np.uint8]:
-    """The picture that `export_yarn_picture` writes, (height, width, 3). Raises BadInput as that does."""
-    with styled(recording, style, overrides) as (loaded, chosen):
+    with opened(source) as recording, styled(recording, style, overrides) as (loaded, chosen):
         shown = read_frame(recording, frame)
         worn = read_worn(recording, loaded, shown, chosen)
-        view = loaded.scene.view
-        picture: NDArray[np.uint8] = chosen.plugin.draw(
-            with_caption(chosen, recording, shown), worn, find_camera(view, worn, size), progress
-        )
-    return picture
+        camera = find_camera(loaded.scene.view, worn, size)
+        name = recording.metadata.get("run", {}).get("scene") or str(recording.scene.get("name", ""))
+        colours = [piece.colour for piece in read_pieces(recording) if piece.yarns is not None and piece.colour]
+        config = captioned(chosen, name, shown.t, colours)
+        return write_png(path, chosen.plugin.draw(config, worn, camera, progress))
 
 
 @contextmanager
@@ -104,8 +90,12 @@ def read_worn(recording: Recording, loaded: Loaded, frame: Frame, chosen: Chosen
         raise BadInput(
             "the recording has no yarns to draw", str(recording.path), field="--style", remedy="leave --style out"
         )
-    cloth = [Mesh(z_up(frame.x[p.start : p.stop]), p.faces) for p in pieces if len(p.faces)]
-    return put_on(loaded, fabric, frame, chosen, [*recorded_bodies(recording, frame.t), *cloth])
+    shown = [Mesh(z_up(frame.x[p.start : p.stop]), p.faces) for p in pieces if len(p.faces)]
+    bodies = read_bodies(recording)
+    points = body_vertices(recording, bodies, frame.t)
+    if bodies is not None and len(points):
+        shown.insert(0, Mesh(z_up(points), bodies.faces, two_sided=False))
+    return put_on(loaded, fabric, frame, chosen, shown)
 
 
 def put_on(loaded: Loaded, fabric: Fabric, frame: Frame, chosen: Chosen, bodies: list[Mesh]) -> Worn:
@@ -124,13 +114,6 @@ def find_values(loaded: Loaded, fabric: Fabric, frame: Frame) -> SurfaceValues:
     return SurfaceValues("points", np.asarray(pressure, np.float64), "pressure [Pa]")
 
 
-def recorded_bodies(recording: Recording, t: float) -> list[Mesh]:
-    """All bodies at t [s] as one mesh, z up."""
-    bodies = read_bodies(recording)
-    points = body_vertices(recording, bodies, t)
-    return [] if bodies is None or not len(points) else [Mesh(z_up(points), bodies.faces, two_sided=False)]
-
-
 def make_curves(loaded: Loaded, fabric: Fabric, frame: Frame, config: BaseModel) -> YarnCurves | None:
     """Yarns as smooth curves, z up; as thick as `config` says, where it does."""
     radius = getattr(config, "radius", None)
@@ -147,17 +130,10 @@ def find_camera(view: View, worn: Worn, size: tuple[int, int] | None) -> Camera:
     return place_camera(view, everything, size or view.size)
 
 
-def with_caption(chosen: Chosen, recording: Recording, frame: Frame) -> BaseModel:
-    """The style's settings, with the scene's name and the time for a caption unless they have one; yarns in the
-    colour of their object, where that has one and they have none.
-    """
-    name = recording.metadata.get("run", {}).get("scene") or str(recording.scene.get("name", ""))
-    colours = [piece.colour for piece in read_pieces(recording) if piece.yarns is not None and piece.colour]
-    return captioned(chosen, name, frame.t, colours)
-
-
 def captioned(chosen: Chosen, name: str, t: float, colours: list[str]) -> BaseModel:
-    """The style's settings, with what they leave out: a caption of scene and time [s], the first of the colours."""
+    """The style's settings, with what they leave out: a caption of scene and time [s], and for yarns the first of the
+    colours that their objects have.
+    """
     config: Any = chosen.config
     update: dict[str, Any] = {}
     if config.caption is None:

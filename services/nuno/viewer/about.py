@@ -46,16 +46,9 @@ def about_tension(most: list[float]) -> str:
     """The colours of tension, as Markdown; `most` are the strongest [N] of the pieces of cloth that have them."""
     if not most:
         return ""
-    values = most[0] * np.power(SPAN, [0.0, -1 / 3, -2 / 3, -1.0])
-    names = zip(("yellow", "green", "blue", "violet"), values, strict=True)
-    rows = "\n".join(f"| {colour} | {tension:.3g} N |" for colour, tension in names)
     return f"""
-**Links of yarns**: their tension along the yarn, on a logarithmic scale; the strongest is that of the stiffest link
-as long again as at rest.
-
-| colour | tension |
-| --- | --- |
-{rows}
+**Links of yarns**: their tension along the yarn, by the scale below the scene. Its end, {most[0]:.3g} N, is that of the
+stiffest link as long again as at rest.
 """
 
 

@@ -1,18 +1,25 @@
-"""A rerun file, written as messages come."""
+"""A rerun file, written as messages come, or from a recording."""
 
 from __future__ import annotations
 
 import os
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
 
 import rerun as rr
+from pydantic import ValidationError
 
 from nuno.dye.painter import DyePainter
+from nuno.export.cloth import read_texture
+from nuno.recording.reader import Recording
+from nuno.recording.restore import restored_scene
 from nuno.recording.writer import part_of
 from nuno.viewer.bridge import APPLICATION, Bridge
 from nuno.viewer.cloth import ReadImage, read_image
+from nuno.viewer.dyed import viewer_painter
+from nuno.wire.arrays import BadMessage
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.view import View
 
@@ -119,3 +126,26 @@ class _Copy(threading.Thread):
                 except OSError as error:
                     self.error = error
         os.close(self._source)
+
+
+def convert(recording: Recording, path: Path) -> Path:
+    """Write every message of a finished recording to a rerun file. Raises BadInput for a damaged one."""
+    run = recording.metadata.get("run", {}).get("id", recording.path.stem)
+    try:
+        view = View.model_validate(recording.scene.get("view", {}))
+    except ValidationError:
+        view = View()
+    with ExitStack() as stack:
+        painter = None
+        if recording.scene.get("dye"):  # its files are there meanwhile
+            painter = viewer_painter(stack.enter_context(restored_scene(recording)))
+        file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter)
+        marks = recording.marks()
+        try:
+            for message in recording.messages():
+                frame, _ = marks.get(message.log_time, (-1, ""))
+                file.feed(message.topic, frame, message.t, message.payload)
+        except BadMessage as error:
+            file.abort()
+            raise BadInput(f"a message cannot be read: {error}", str(recording.path)) from None
+        return file.finish()

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
+from nuno.export.cloth import find_named
 from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
 from nuno.service import Context, each_message
@@ -52,13 +53,10 @@ class Viewer:
         self.leader = STATE.name if scene.moves else CONCENTRATION.name
         self.live: LiveView | None = None
         if options.view:
-            self.live = LiveView(options.view, context.bus.run, view, self.announce, again, self.leader)
+            self.live = LiveView(options.view, context.bus.run, view, context.event, again, self.leader)
         self.acknowledges = context.bus.service in options.must_see
         # Without a file a viewer may come late, and then sees what is new.
         self.inbox = Inbox(context.bus, VIEWED, newest_only=self.file is None)
-
-    def announce(self, kind: str, text: str) -> None:
-        self.context.event(kind, text)
 
     def handle(self, message: Message) -> None:
         """Show one message, after the cloth that it is about.
@@ -150,16 +148,9 @@ def with_own_textures(fabric: bytes, files: Mapping[str, Path]) -> bytes:
     try:
         arrays, text = decode_arrays(fabric)
         for piece in text["objects"]:
-            if piece.get("texture"):
-                piece["texture"] = _own(str(piece["texture"]), files)
+            if path := piece.get("texture"):
+                name = find_named(str(path), files)
+                piece["texture"] = str(files[name]) if name else f"{PurePath(path).name} (not among the scene's files)"
     except (BadMessage, KeyError, TypeError, AttributeError):
         return fabric
     return encode_arrays(arrays, text)
-
-
-def _own(texture: str, files: Mapping[str, Path]) -> str:
-    parts = PurePath(texture).parts
-    for name, path in files.items():
-        if parts[-len(PurePath(name).parts) :] == PurePath(name).parts:
-            return str(path)
-    return f"{parts[-1]} (not among the scene's files)"
