@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nuno.export.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
-from nuno.export.dyed_pictures import read_dyed_object
+from nuno.export.dyed_pictures import DyedPictures, read_dyed_object
 from nuno.export.paint import BODY, PLAIN, paint_stretch
 from nuno.export.target import Progress, opened, writing
 from nuno.recording.reader import Recording
@@ -31,15 +31,11 @@ def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = 
     its nodes are moved to. Raises BadInput for another ending, a frame that is not there or not finite, or where the
     file cannot be written.
     """
-    suffix = path.suffix.lower()
+    suffix = _known(path.suffix.lower(), path)
     with opened(source) as recording:
         shown = read_frame(recording, frame)
-        pieces = read_pieces(recording, shown.t)
-        shown = _finite(recording, pieces, shown)
         dyed = read_dyed_object(recording) if suffix == ".glb" else None
-        pieces = pieces if dyed is None else dyed.dress(pieces, shown.t)
-        with writing(path, _known(suffix, path)) as new, new.open("wb") as stream:
-            _write(suffix, stream, recording, pieces, shown)
+        _write(path, suffix, recording, read_pieces(recording, shown.t), dyed, shown)
     return path
 
 
@@ -61,11 +57,8 @@ def export_meshes(
         cloth, number = Pieces(recording), recording.counts.get("sim/state", 0)
         dyed = read_dyed_object(recording) if suffix == ".glb" else None
         for frame in recording.frames():
-            pieces = cloth.at(frame.t)
-            dressed = pieces if dyed is None else dyed.dress(pieces, frame.t)
             path = folder / f"frame_{frame.number:05d}{suffix}"
-            with writing(path, suffix) as new, new.open("wb") as stream:
-                _write(suffix, stream, recording, dressed, _finite(recording, pieces, frame))
+            _write(path, suffix, recording, cloth.at(frame.t), dyed, frame)
             written.append(path)
             if progress is not None:
                 progress(len(written), number)
@@ -74,27 +67,25 @@ def export_meshes(
 
 def _known(suffix: str, path: Path) -> str:
     if suffix not in (".obj", ".ply", ".glb"):
-        raise BadInput(
-            "no such kind of mesh file", value=str(path), limit=".obj, .ply, .glb", remedy="change the ending"
-        )
+        remedy = "change the ending"
+        raise BadInput("no such kind of mesh file", value=str(path), limit=".obj, .ply, .glb", remedy=remedy)
     return suffix
 
 
-def _finite(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> Frame:
+def _write(
+    path: Path, suffix: str, recording: Recording, pieces: list[ShownPiece], dyed: DyedPictures | None, frame: Frame
+) -> None:
     check_size(recording, pieces, frame)
     if not np.isfinite(frame.x).all():
         remedy = "name an earlier one with --frame"
         raise BadInput("the frame's positions are not finite", str(recording.path), value=frame.number, remedy=remedy)
-    return frame
-
-
-def _write(suffix: str, stream: BinaryIO, recording: Recording, pieces: list[ShownPiece], frame: Frame) -> None:
-    if suffix == ".obj":
-        _write_obj(stream, pieces, frame)
-    elif suffix == ".ply":
-        _write_ply(stream, pieces, frame)
-    else:
-        stream.write(_glb(recording, pieces, frame))
+    with writing(path, suffix) as new, new.open("wb") as stream:
+        if suffix == ".obj":
+            _write_obj(stream, pieces, frame)
+        elif suffix == ".ply":
+            _write_ply(stream, pieces, frame)
+        else:
+            stream.write(_glb(recording, pieces if dyed is None else dyed.dress(pieces, frame.t), frame))
 
 
 def _write_obj(stream: BinaryIO, pieces: list[ShownPiece], frame: Frame) -> None:

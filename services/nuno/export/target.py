@@ -67,7 +67,8 @@ def together() -> Iterator[None]:
     try:
         yield
         for path, new in waiting.items():
-            new.replace(path)
+            with _told(path):
+                new.replace(path)
     finally:
         _TOGETHER.reset(token)
         for new in waiting.values():
@@ -81,19 +82,27 @@ def writing(path: Path, suffix: str) -> Iterator[Path]:
     waiting = _TOGETHER.get()
     new = path.with_name(f".{path.stem}.{os.getpid()}.part{suffix}")
     try:
-        new.open("wb").close()
-        yield new
-        if waiting is None:
-            new.replace(path)
-        else:
-            waiting[path] = new
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise BadInput(f"cannot write there: {reason}", value=str(path), remedy="choose another place") from None
+        with _told(path):
+            new.open("wb").close()
+            yield new
+            if waiting is None:
+                new.replace(path)
+            else:
+                waiting[path] = new
     finally:
         if waiting is None or path not in waiting:
             with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
                 new.unlink(missing_ok=True)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Errors of the disk as BadInput."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BadInput(f"cannot write there: {reason}", value=str(path), remedy="choose another place") from None
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> Path:
