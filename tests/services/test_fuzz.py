@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import struct
 import zipfile
-import zlib
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -18,7 +16,6 @@ from nuno import registry
 from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, Recording
-from nuno.recording.recover import recover
 from nuno.scene.files import SceneFiles
 from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
 from nuno_kernels.meshes.file import load_mesh
@@ -26,7 +23,6 @@ from nuno_schemas.bodies import FIELD, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.field import DistanceField
 from soak.fuzz import KINDS
-from soak.fuzz.containers import CHUNK, MCAP, mcap_record, mcap_records
 from soak.fuzz.files import BVH
 from soak.fuzz.worker import Trial
 
@@ -257,24 +253,3 @@ def test_recordings_of_what_no_run_records(tmp_path: Path) -> None:
         for read in (lambda: recording.missing, recording.marks, recording.series):
             with pytest.raises(BadInput, match="no whole number"):
                 read()
-
-
-def test_a_channel_without_schema_is_named_and_nothing_is_left_behind(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap.part"
-    with path.open("wb") as stream:
-        file = McapFile(stream)
-        file.add_metadata("run", {"run": "a"})
-        channel = file.add_channel("sim/status", "json", "nuno.Status", "jsonschema", b"{}")
-        file.add_message(channel, 0, 0, 0, b"{}")
-        file.flush()
-    data = path.read_bytes()
-    records = []
-    for code, body in mcap_records(data[len(MCAP) :]):
-        if code == CHUNK:
-            inside = b"".join(mcap_record(*one) for one in mcap_records(body[40:]) if one[0] != 3)
-            body = body[:16] + struct.pack("<QIIQ", len(inside), zlib.crc32(inside), 0, len(inside)) + inside
-        records.append(mcap_record(code, body))
-    path.write_bytes(MCAP + b"".join(records))
-    with pytest.raises(BadInput, match="sim/status has no schema"):
-        recover(path)
-    assert [one.name for one in tmp_path.iterdir()] == [path.name]

@@ -14,7 +14,6 @@ import nuno
 from nuno.cli import main
 from nuno.recording.gaps import Gap, find_gaps, missing, shortcoming
 from nuno.recording.reader import open_recording
-from nuno.recording.recover import recover
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.report import lines
 from nuno.wire.bus import Publisher
@@ -82,9 +81,6 @@ def test_of_a_run_that_was_killed_the_file_itself_tells(tmp_path: Path) -> None:
         assert missing(recording) == {STATUS.name: 4}
         text = shortcoming(recording)
         assert text.startswith("INCOMPLETE: cut short at 0.38 s, and read up to its last whole chunk; missing: 4 of ")
-    with open_recording(recover(part_of(path))) as recording:
-        assert missing(recording) == {STATUS.name: 4}
-        assert shortcoming(recording).startswith("INCOMPLETE: recovered from a run that was cut short at 0.38 s; ")
 
 
 def test_whole_recordings_have_no_gap(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from recorded_sheet import Item, Sheet, items, metadata, write
 from nuno.recording import writer as writer_module
 from nuno.recording.mcap_file import MAGIC
 from nuno.recording.reader import END, Recording, open_recording
-from nuno.recording.recover import recover
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATE
@@ -168,28 +167,6 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "missing.mcap", tmp_path):
         with pytest.raises(BadInput, match="cannot be read"):
             open_recording(path)
-
-
-def test_recover_copies_the_whole_chunks(many_chunks: tuple[Path, list[tuple[str, int, bytes]]]) -> None:
-    path, whole = many_chunks
-    data = path.read_bytes()
-    part = path.with_name("killed.mcap.part")
-    part.write_bytes(data[: len(data) // 2])
-    with open_recording(part) as cut:
-        expected = found(cut)
-    target = recover(part)
-    assert target == path.with_name("killed.mcap")
-    with open_recording(target) as recording:
-        assert found(recording) == expected == whole[: len(expected)]
-        assert not recording.recovered
-        assert not recording.complete
-        assert recording.metadata[END]["state"] == "recovered"
-        assert recording.attachment("f") == b"attached"
-    assert len(expected) > 5
-    with pytest.raises(BadInput, match="exists"):
-        recover(part)
-    with pytest.raises(BadInput, match="nothing to recover"):
-        recover(target)
 
 
 class SmallDisk(io.FileIO):

@@ -70,8 +70,6 @@ def shortcoming(recording: Recording) -> str:
     lost = counted(missing(recording))
     if recording.recovered:
         seen = f"cut short at {recording.span[1]:g} s, and read up to its last whole chunk"
-    elif recording.metadata.get(END, {}).get("state") == "recovered":
-        seen = f"recovered from a run that was cut short at {recording.span[1]:g} s"
     else:
         seen = "" if lost else "its run failed"
     return "INCOMPLETE: " + "; ".join(text for text in (seen, f"missing: {lost}" if lost else "") if text)

@@ -30,7 +30,6 @@ from mcap.records import (
     McapRecord,
     Message,
     Metadata,
-    Schema,
 )
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
@@ -57,7 +56,6 @@ class Layout:
     """Finished, with an index whose checksum fits; else found by scanning."""
     readable: int
     """Bytes up to the end of the last whole record."""
-    schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
     attachments: dict[str, int] = field(default_factory=dict)
@@ -148,7 +146,7 @@ def _from_index(stream: BinaryIO, size: int) -> Layout:
     if not all(chunk.message_index_offsets for chunk in chunks) or (counts and not chunks):
         raise Damaged("the index does not say what chunks hold")
     places = {one.name: one.offset for one in summary.attachment_indexes}
-    return Layout(size, True, size, summary.schemas, summary.channels, chunks, places, metadata, counts)
+    return Layout(size, True, size, summary.channels, chunks, places, metadata, counts)
 
 
 def _from_scan(stream: BinaryIO, size: int, path: Path) -> Layout:
@@ -183,8 +181,6 @@ def _add_chunk(layout: Layout, chunk: Chunk, at: int, end: int) -> None:
     for record in _records_of(chunk):
         if isinstance(record, Message):
             found[record.channel_id] += 1
-        elif isinstance(record, Schema):
-            layout.schemas[record.id] = record
         elif isinstance(record, Channel):
             layout.channels[record.id] = record
     layout.counts += found

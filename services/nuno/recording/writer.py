@@ -80,7 +80,7 @@ def _open(path: Path) -> BinaryIO:
             raise BadInput(problem, field="--record", value=str(path), remedy="choose another name")
         return part.open("xb")
     except FileExistsError:
-        remedy = "it is being written, or its run was killed: choose another name, or recover or remove it"
+        remedy = "it is being written, or its run was killed: choose another name, or move it away"
         raise BadInput("an unfinished recording is there", field="--record", value=str(part), remedy=remedy) from None
     except OSError as error:
         remedy = "choose a folder that exists and can be written, with --record FILE"

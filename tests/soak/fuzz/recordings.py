@@ -12,7 +12,6 @@ from typing import Any
 import nuno
 from nuno.export.cloth import read_bodies, read_pieces
 from nuno.recording.reader import Recording
-from nuno.recording.recover import recover
 from nuno.recording.restore import control_events, restored_scene
 from nuno.scene import scene_file
 from nuno_schemas.errors import BadInput
@@ -38,7 +37,7 @@ DYED: dict[str, Any] = {
     },
 }  # fmt: skip
 SELDOM = 8
-"""Of so many recordings one is recovered, and its scene made ready to run: both take longer than all the rest."""
+"""Of so many recordings one has its scene made ready to run: that takes longer than all the rest."""
 MOST_SCENE = 450
 """Bytes of a shipped scene that inputs are made from: long ones take long to read."""
 WORDS = (
@@ -71,12 +70,6 @@ def _recording(folder: Path) -> Read:
                     part(recording)
                 except BadInput as error:  # the others must still say what they can
                     refused.append(error)
-            recovered = recording.recovered
-        if recovered and len(parts) == len(PARTS):
-            (folder / "out.mcap").unlink(missing_ok=True)
-            recover(path, folder / "out.mcap")
-            with Recording(folder / "out.mcap") as again:
-                require(not again.recovered, "what was recovered is a finished file")
         if refused:
             raise refused[0]
 
