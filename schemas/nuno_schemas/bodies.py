@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.field import DistanceField
+from nuno_schemas.layout import Bounds
 
 CAPSULE, PLANE, BOX, MESH, FIELD = 0, 1, 2, 3, 4
 OF_TRIANGLES = (MESH, FIELD)
@@ -46,20 +47,20 @@ class Geometry:
                              empty where they are only to be drawn
     """
 
-    bodies: tuple[str, ...]
-    frames: tuple[str, ...]
-    kind: NDArray[np.int8]
-    frame: Int
-    body: Int
-    a: Float
-    b: Float
-    radius: Float
-    stiffness: Float
-    damping: Float
-    friction: Float
-    vertices: Float = field(default_factory=partial(no_rows, np.float64, 3))
-    faces: Int = field(default_factory=partial(no_rows, np.int32, 3))
-    owner: Int = field(default_factory=partial(no_rows, np.int32))
+    bodies: Annotated[tuple[str, ...], "b"]
+    frames: Annotated[tuple[str, ...], "f"]
+    kind: Annotated[NDArray[np.int8], "p", Bounds(CAPSULE, FIELD)]
+    frame: Annotated[Int, "p", Bounds(0, below="f")]
+    body: Annotated[Int, "p", Bounds(0, below="b")]
+    a: Annotated[Float, "p", 3]
+    b: Annotated[Float, "p", 3]
+    radius: Annotated[Float, "p"]
+    stiffness: Annotated[Float, "b", Bounds(finite=False)]
+    damping: Annotated[Float, "b"]
+    friction: Annotated[Float, "b"]
+    vertices: Annotated[Float, "v", 3] = field(default_factory=partial(no_rows, np.float64, 3))
+    faces: Annotated[Int, "t", 3, Bounds(0, below="v")] = field(default_factory=partial(no_rows, np.int32, 3))
+    owner: Annotated[Int, "t", Bounds(0, below="p")] = field(default_factory=partial(no_rows, np.int32))
     fields: tuple[DistanceField | None, ...] = ()
 
     def distance_field(self, primitive: int) -> DistanceField | None:
@@ -105,9 +106,9 @@ class Poses:
     interpolation is the body's velocity.
     """
 
-    t: float
-    rotation: Float
-    translation: Float
+    t: Annotated[float, Bounds()]
+    rotation: Annotated[Float, "f", 4]
+    translation: Annotated[Float, "f", 3]
 
     def same_place(self, other: Poses) -> bool:
         """Whether the frames are where others are, to the last bit."""

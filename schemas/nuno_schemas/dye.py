@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 from nuno_schemas.dye_picture import Photograph
 from nuno_schemas.dyeing import WeiszZollinger
 from nuno_schemas.fabric import Bool, Float, Int, Memory
+from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Files, Plugin
 
 
@@ -28,12 +29,12 @@ class Tortuosity:
     weave   additional, in a layer, between fibre above and fibre below (tau 2)
     """
 
-    layers: float
-    beside: float
-    rim: float
-    gap: float
-    yarn: float
-    weave: float
+    layers: Annotated[float, Bounds(0.0)]
+    beside: Annotated[float, Bounds(0.0)]
+    rim: Annotated[float, Bounds(0.0)]
+    gap: Annotated[float, Bounds(0.0)]
+    yarn: Annotated[float, Bounds(0.0)]
+    weave: Annotated[float, Bounds(0.0)]
 
 
 @dataclass(frozen=True)
@@ -53,15 +54,15 @@ class Cells:
                                  pictures; None where nothing says
     """
 
-    fibre: Bool
-    up: Bool
-    porosity: Float
-    twist: Float
-    resist: Float
-    size: float
+    fibre: Annotated[Bool, 2, "ny", "nx"]
+    up: Annotated[Bool, 2, "ny", "nx"]
+    porosity: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
+    twist: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
+    resist: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
+    size: Annotated[float, Bounds(above=0.0)]
     tortuosity: Tortuosity
-    v_max: float = 1.0
-    yarns: tuple[Int, Int] | None = None
+    v_max: Annotated[float, Bounds(above=0.0)] = 1.0
+    yarns: tuple[Annotated[Int, "ny", Bounds(0)], Annotated[Int, "nx", Bounds(0)]] | None = None
     photograph: Photograph | None = None
     ground: tuple[Float, Float] | None = None
 
@@ -93,8 +94,8 @@ class Isotherm:
     """
 
     kind: str
-    first: float = 0.0
-    second: float = 0.0
+    first: Annotated[float, Bounds(0.0)] = 0.0
+    second: Annotated[float, Bounds(0.0)] = 0.0
     function: Callable[[Float, Float], Float] | None = None
 
 
@@ -137,8 +138,8 @@ class DyeSystem:
 class DyeState:
     """Amounts at time t [s], (dyes, 2, ny, nx): phi is mobile, fixed has been taken by fibre."""
 
-    phi: Float
-    fixed: Float
+    phi: Annotated[Float, "dyes", 2, "ny", "nx"]
+    fixed: Annotated[Float, "dyes", 2, "ny", "nx"]
     t: float = 0.0
 
 
@@ -150,9 +151,9 @@ class DyeReport:
     """
 
     status: Literal["ok", "diverged", "unconverged"]
-    steps: int
-    mobile: tuple[float, ...]
-    fixed: tuple[float, ...]
+    steps: Annotated[int, Bounds(0)]
+    mobile: Annotated[tuple[float, ...], "dyes"]
+    fixed: Annotated[tuple[float, ...], "dyes"]
     message: str = ""
     totals: Mapping[str, int] = field(default_factory=dict)
     """What adds up over a run."""
@@ -173,10 +174,10 @@ class Supply:
     """
 
     kind: str
-    dye: int
-    cells: Bool
-    amount: float
-    start: float = 0.0
+    dye: Annotated[int, Bounds(0, below="dyes")]
+    cells: Annotated[Bool, 2, "ny", "nx"]
+    amount: Annotated[float, Bounds(0.0)]
+    start: Annotated[float, Bounds(0.0)] = 0.0
     stop: float | None = None
     liquor: float | None = None
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_schemas.layout import Bounds
 from nuno_schemas.yarns import Yarns
 
 Float = NDArray[np.float64]
@@ -46,15 +47,15 @@ class Springs:
            grows by k_lock [N/m] from there: k_lock >= k, as of a covered yarn once its cover is straight
     """
 
-    first: Int
-    count: Int
-    stride: Int
-    k: Float
-    rest: Float
-    c: Float
-    kind: NDArray[np.int8]
-    lock: Float | None = None
-    k_lock: Float | None = None
+    first: Annotated[Int, "m", 2, Bounds(0, below="n")]
+    count: Annotated[Int, "m", Bounds(0, strided=True)]
+    stride: Annotated[Int, "m", Bounds(strided=True)]
+    k: Annotated[Float, ("m", "number"), Bounds(0.0)]
+    rest: Annotated[Float, ("m", "number"), Bounds(0.0)]
+    c: Annotated[Float, ("m", "number"), Bounds(0.0)]
+    kind: Annotated[NDArray[np.int8], "m", Bounds(0, strided=True)]
+    lock: Annotated[Float, ("m", "number"), Bounds(0.0)] | None = None
+    k_lock: Annotated[Float, ("m", "number"), Bounds(0.0)] | None = None
 
     @property
     def number(self) -> int:
@@ -138,11 +139,11 @@ class Hinges:
     the edge length and A1, A2 the two areas, stores B curvature^2 / 2 per area.
     """
 
-    first: Int
-    count: Int
-    stride: Int
-    k: Float
-    rest: Float
+    first: Annotated[Int, "m", 4, Bounds(0, below="n")]
+    count: Annotated[Int, "m", Bounds(0, strided=True)]
+    stride: Annotated[Int, "m", Bounds(strided=True)]
+    k: Annotated[Float, ("m", "number"), Bounds(0.0)]
+    rest: Annotated[Float, ("m", "number")]
 
     @property
     def number(self) -> int:
@@ -164,7 +165,7 @@ class Binding:
     vertices (b,) int32; body and frame are names, e.g. "dancer" and "hips".
     """
 
-    vertices: Int
+    vertices: Annotated[Int, "b", Bounds(0, below="n")]
     body: str
     frame: str
 
@@ -193,18 +194,18 @@ class Fabric:
     """
 
     name: str
-    position: Float
-    velocity: Float
-    mass: Float
-    pinned: Bool
-    faces: Int
+    position: Annotated[Float, "n", 3]
+    velocity: Annotated[Float, "n", 3]
+    mass: Annotated[Float, "n", Bounds(above=0.0)]
+    pinned: Annotated[Bool, "n"]
+    faces: Annotated[Int, "f", 3, Bounds(0, below="n")]
     springs: Springs | None = None
     hinges: Hinges | None = None
-    uv: NDArray[np.float32] | None = None
+    uv: Annotated[NDArray[np.float32], "n", 2] | None = None
     bindings: tuple[Binding, ...] = ()
     texture: str | None = None
     yarns: Yarns | None = None
-    cells: Int | None = None
+    cells: Annotated[Int, "c", 4, Bounds(0, below="n")] | None = None
     origin: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -216,8 +217,8 @@ class Fabric:
 class State:
     """What changes: x (n, 3) [m], v (n, 3) [m/s], both float64 and C-contiguous; t [s]."""
 
-    x: Float
-    v: Float
+    x: Annotated[Float, "n", 3]
+    v: Annotated[Float, "n", 3]
     t: float = 0.0
 
     def copy(self) -> State:

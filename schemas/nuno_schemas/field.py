@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.layout import Bounds
 
 
 @dataclass(frozen=True)
@@ -24,13 +26,13 @@ class DistanceField:
     corners   (l, 32) float32  of each leaf: distance [m] and gradient x, y, z at its eight corners, z fastest
     """
 
-    low: Float
-    size: float
-    shape: Int
-    tolerance: float
+    low: Annotated[Float, 3]
+    size: Annotated[float, Bounds(above=0.0)]
+    shape: Annotated[Int, 3, Bounds(1)]
+    tolerance: Annotated[float, Bounds(above=0.0)]
     band: float
-    child: Int
-    corners: NDArray[np.float32]
+    child: Annotated[Int, "c"]
+    corners: Annotated[NDArray[np.float32], "l", 32]
 
     @property
     def nbytes(self) -> int:

@@ -11,15 +11,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from nuno_schemas.bodies import Geometry, Poses, no_rows
-from nuno_schemas.fabric import Fabric, Float, Memory, State
+from nuno_schemas.bodies import CAPSULE, FIELD, Geometry, Poses, no_rows
+from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.field import DistanceField
+from nuno_schemas.layout import Bounds
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term
 
 GROUPS: Mapping[str, str] = {
@@ -157,15 +158,15 @@ class Integrator(Plugin, Protocol):
 class BodyShape:
     """A collider's primitives and frames, in the layout of Geometry (one body)."""
 
-    frames: tuple[str, ...]
-    kind: NDArray[np.int8]
-    frame: NDArray[np.int32]
-    a: Float
-    b: Float
-    radius: Float
-    vertices: Float = field(default_factory=partial(no_rows, np.float64, 3))
-    faces: NDArray[np.int32] = field(default_factory=partial(no_rows, np.int32, 3))
-    owner: NDArray[np.int32] = field(default_factory=partial(no_rows, np.int32))
+    frames: Annotated[tuple[str, ...], "j"]
+    kind: Annotated[NDArray[np.int8], "p", Bounds(CAPSULE, FIELD)]
+    frame: Annotated[Int, "p", Bounds(0, below="j")]
+    a: Annotated[Float, "p", 3]
+    b: Annotated[Float, "p", 3]
+    radius: Annotated[Float, "p", Bounds(0.0)]
+    vertices: Annotated[Float, "v", 3] = field(default_factory=partial(no_rows, np.float64, 3))
+    faces: Annotated[Int, "t", 3, Bounds(0, below="v")] = field(default_factory=partial(no_rows, np.int32, 3))
+    owner: Annotated[Int, "t", Bounds(0, below="p")] = field(default_factory=partial(no_rows, np.int32))
     fields: tuple[DistanceField, ...] = ()
     notes: tuple[str, ...] = ()
     """What the user should know of it, in words: where a mesh is open."""
@@ -186,9 +187,9 @@ class Mover:
     `pose(t)` gives rotation (j, 4) and translation (j, 3) of every joint in the world.
     """
 
-    joints: tuple[str, ...]
-    parents: NDArray[np.int32]
-    offsets: Float
+    joints: Annotated[tuple[str, ...], "j"]
+    parents: Annotated[Int, "j", Bounds(-1, below="j")]
+    offsets: Annotated[Float, "j", 3]
     pose: Callable[[float], tuple[Float, Float]]
 
 

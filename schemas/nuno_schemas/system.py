@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.layout import Bounds
 
 
 @dataclass(frozen=True)
@@ -23,10 +24,10 @@ class Term:
 
     name: str
     data: tuple[Any, ...] | Callable[[Float, Float, float, Float], None]
-    omega_squared: float = 0.0
+    omega_squared: Annotated[float, Bounds(0.0)] = 0.0
     """Most this term can add to the squared angular frequency [1/s^2] where it is not active
     at the start (contact); terms active at the start leave 0 and are measured."""
-    damping_rate: float = 0.0
+    damping_rate: Annotated[float, Bounds(0.0)] = 0.0
     """Most this term can add to the damping rate c/m [1/s] where it is not active at the start."""
     facts: Mapping[str, float] = field(default_factory=dict)
     """Numbers for the report: of contact the depth m g / k at which it rests ("rest_depth", [m]), and by how much more
@@ -73,10 +74,10 @@ class StepLimit:
     its steps only in part reaches the accuracy that it is configured for, inf for any other.
     """
 
-    dt: float
-    omega: float
-    damping: float
-    resolved: float = math.inf
+    dt: Annotated[float, Bounds(above=0.0, finite=False)]
+    omega: Annotated[float, Bounds(0.0, finite=False)]
+    damping: Annotated[float, Bounds(0.0, finite=False)]
+    resolved: Annotated[float, Bounds(0.0, finite=False)] = math.inf
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class StepReport:
     """What an integrator did in a frame."""
 
     status: Literal["ok", "diverged", "unconverged"]
-    steps: int
+    steps: Annotated[int, Bounds(0)]
     message: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Wall time per part [s], e.g. {"forces": .., "contact": ..}, where it can be told apart."""

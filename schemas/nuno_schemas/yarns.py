@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+
+from nuno_schemas.layout import Bounds
 
 if TYPE_CHECKING:  # a fabric has yarns, so that at run time it is fabric that imports this
     from nuno_schemas.fabric import Float, Int, Springs
@@ -29,12 +31,12 @@ class Yarns:
     its own, keeps its tension.
     """
 
-    links: Int
-    ptr: Int
-    mu: Float
-    kind: NDArray[np.int8]
+    links: Annotated[NDArray[np.int32], "l", Bounds(0)]
+    ptr: Annotated[NDArray[np.int32], "p", Bounds(0)]
+    mu: Annotated[NDArray[np.float64], "y", Bounds(0.0, np.nextafter(0.5, 0.0))]
+    kind: Annotated[NDArray[np.int8], "y", Bounds(0)]
     names: tuple[str, ...] = ("yarn",)
-    density: Float | None = None
+    density: Annotated[NDArray[np.float64], "y", Bounds(above=0.0)] | None = None
 
     @property
     def number(self) -> int:

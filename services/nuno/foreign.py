@@ -19,6 +19,7 @@ from nuno.wrong import Wrong, check_array
 from nuno_schemas.dye import DyeState, Isotherm
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float, State
+from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Mover
 from nuno_schemas.system import Term
 
@@ -123,6 +124,6 @@ class Foreign:
     ) -> None:
         """Raises RunFailed for another shape or dtype, and values that are not finite."""
         try:
-            check_array(what, values, np.float64, shape, finite=finite, strided=strided)
+            check_array(what, values, np.float64, shape, Bounds(finite=finite, strided=strided))
         except Wrong as error:
             raise RunFailed(f"{self._who}: {error}") from None

@@ -1,17 +1,95 @@
-"""One array, number or distance field held against what it has to be."""
+"""Values held against what they have to be: arrays, numbers, and classes whose annotations say so."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from nuno_schemas.field import DistanceField
+from nuno_schemas.layout import Bounds
+
+UNBOUNDED = Bounds()
 
 
 class Wrong(Exception):
     """What a plugin handed over is not what its kind owes; the text begins with the field."""
+
+
+def check_layout(what: str, value: Any, lengths: Mapping[str, int] | None = None) -> None:
+    """Raises Wrong for the first field of a dataclass or named tuple that is not as its annotation says.
+
+    `what` stands before a field's name; `lengths` are those that are known beforehand. `nuno_schemas.layout` says what
+    annotations mean. What compiled code is given as it is, a named tuple, has nothing else than arrays, finite numbers
+    and None; an array without lengths may have any there, and hold NaN: it may be scratch.
+    """
+    found = dict(lengths or {})
+    for name, hint in _hints(value.__class__).items():
+        _check_field(what + name, getattr(value, name), hint, value, found)
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    """The annotation of each field of a dataclass or named tuple."""
+    hints = get_type_hints(kind, include_extras=True)
+    names = (field.name for field in fields(kind)) if is_dataclass(kind) else kind._fields
+    return {name: hints[name] for name in names}
+
+
+def _check_field(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str, int]) -> None:
+    """Raises Wrong for one field of `owner`; adds lengths that it is the first to have."""
+    whole, sizes, bounds = _read(hint)
+    args: tuple[Any, ...] = get_args(whole)
+    kind: Any = get_origin(whole) or whole
+    if value is None and NoneType in get_args(hint):
+        return
+    if bounds is not None and bounds.below:
+        bounds = bounds._replace(high=lengths.get(bounds.below, math.inf) - 1)
+    if kind is np.ndarray or isinstance(value, np.ndarray):
+        if not sizes and not isinstance(owner, tuple):
+            return
+        known = get_args(args[1])[0] if kind is np.ndarray else Any
+        dtype: Any = np.asarray(value).dtype.type if known is Any else known
+        shape = tuple(_length(size, owner, lengths) for size in sizes) if sizes else (None,) * np.ndim(value)
+        check_array(what, value, dtype, shape, bounds or Bounds(finite=bool(sizes)))
+        lengths |= {size: length for size, length in zip(sizes, np.shape(value), strict=False) if type(size) is str}
+    elif is_dataclass(kind):
+        check_type(what, value, whole)
+        check_layout(f"{what}.", value, lengths)
+    elif kind is Literal:
+        if value not in args:
+            raise Wrong(f"{what} is {value!r}, not {', '.join(args[:-1])} or {args[-1]}")
+    elif kind is tuple and not isinstance(owner, tuple):
+        if sizes and len(value) != lengths.setdefault(sizes[0], len(value)):
+            raise Wrong(f"{what} are {len(value)}, not {lengths[sizes[0]]}")
+        hints = args[:1] * len(value) if args[-1] is Ellipsis else args
+        for i, (one, its) in enumerate(zip(value, hints, strict=True)):
+            _check_field(f"{what}[{i}]", one, its, None, lengths)
+    elif bounds is not None or (isinstance(owner, tuple) and not isinstance(value, bool | None)):
+        check_number(what, value, bounds or UNBOUNDED)
+
+
+def _read(hint: Any) -> tuple[Any, list[Any], Bounds | None]:
+    """The type that an annotation names, but for None, its lengths, and its bounds."""
+    if NoneType in get_args(hint):
+        hint = next(kind for kind in get_args(hint) if kind is not NoneType)
+    kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    return (
+        kind,
+        [mark for mark in marks if not isinstance(mark, Bounds)],
+        next((mark for mark in marks if isinstance(mark, Bounds)), None),
+    )
+
+
+def _length(size: Any, owner: Any, lengths: Mapping[str, int]) -> int | tuple[int, ...] | None:
+    """What a length of an annotation comes to, None where it is open."""
+    if isinstance(size, tuple):
+        return tuple(lengths[name] if name in lengths else int(getattr(owner, name)) for name in size)
+    return lengths.get(size) if isinstance(size, str) else int(size)
 
 
 def check_type(what: str, value: object, kind: type) -> None:
@@ -25,60 +103,38 @@ def check_array(
     values: Any,
     dtype: type[np.generic],
     shape: tuple[int | tuple[int, ...] | None, ...],
-    low: float = -np.inf,
-    high: float = np.inf,
-    above: float = -np.inf,
-    strided: bool = False,
-    finite: bool = True,
+    bounds: Bounds = UNBOUNDED,
 ) -> None:
-    """Raises Wrong for another dtype or shape, an array that is not C-contiguous unless it may be `strided`, and the
-    first value that is not finite, below `low`, over `high` or not `above`.
-
-    `shape` may leave a length open by None, and allow several by a tuple.
+    """Raises Wrong for another dtype or shape, an array that is not C-contiguous unless it may be, and the first value
+    that is out of bounds. `shape` may leave a length open by None, and allow several by a tuple.
     """
     name = np.dtype(dtype).name
     if not isinstance(values, np.ndarray) or values.dtype != dtype or not _fits(values.shape, shape):
         given = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
         raise Wrong(f"{what} is {given}, not {name} {_written(shape)}")
-    if not strided and not values.flags.c_contiguous:
+    if not bounds.strided and not values.flags.c_contiguous:
         raise Wrong(f"{what} is not C-contiguous: give numpy.ascontiguousarray of it")
-    if not finite or dtype is np.bool_:
+    if not bounds.finite or dtype is np.bool_:
         return
-    good = np.isfinite(values) & (values >= low) & (values <= high)
-    if above > -np.inf:
-        good &= values > above
+    good = np.isfinite(values) & (values >= bounds.low) & (values <= bounds.high)
+    if bounds.above > -np.inf:
+        good &= values > bounds.above
     if not good.all():
         place = tuple(int(i) for i in np.argwhere(~good)[0])
-        limit = _limit(low, high, above) if np.isfinite(values[place]) else ""
-        raise Wrong(f"{what} is {values[place]} at row {place[0]}{limit}")
+        raise Wrong(f"{what} is {values[place]} at row {place[0]}{_limit(values[place], bounds)}")
 
 
-def check_number(what: str, value: Any, low: float = -np.inf, above: float = -np.inf, finite: bool = True) -> None:
-    """Raises Wrong for what is no number, NaN, below `low` or not `above`; and for infinity unless that is allowed."""
+def check_number(what: str, value: Any, bounds: Bounds = UNBOUNDED) -> None:
+    """Raises Wrong for what is no number, NaN, or out of bounds, infinity among it unless that is allowed."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise Wrong(f"{what} is {type(value).__name__}, no number")
-    if math.isnan(value) or (finite and math.isinf(value)):
-        raise Wrong(f"{what} is {value}")
-    if value < low or (above > -np.inf and value <= above):
-        raise Wrong(f"{what} is {value}{_limit(low, np.inf, above)}")
-
-
-def check_field(what: str, field: DistanceField) -> None:
-    """A distance field whose cells lead to cells and leaves that there are."""
-    check_type(what, field, DistanceField)
-    check_array(f"{what}.low", field.low, np.float64, (3,))
-    check_array(f"{what}.shape", field.shape, np.int32, (3,), 1)
-    check_array(f"{what}.corners", field.corners, np.float32, (None, 32))
-    check_array(f"{what}.child", field.child, np.int32, (None,))
-    if math.prod(field.shape.tolist()) > len(field.child):
-        raise Wrong(f"{what}.child has {len(field.child)} cells, fewer than its shape")
-    cut = field.child >= 0
-    # Eight parts begin at every cell that is cut, later in the list: else whoever follows them would never arrive.
-    parts, leaves = field.child[cut], -1 - field.child[~cut].astype(np.int64)
-    if (parts <= np.flatnonzero(cut)).any() or (parts > len(cut) - 8).any() or (leaves >= len(field.corners)).any():
-        raise Wrong(f"{what}.child: cells lead nowhere")
-    for name in ("size", "tolerance"):
-        check_number(f"{what}.{name}", getattr(field, name), above=0.0)
+    if (
+        math.isnan(value)
+        or (bounds.finite and math.isinf(value))
+        or not bounds.low <= value <= bounds.high
+        or (bounds.above > -np.inf and value <= bounds.above)
+    ):
+        raise Wrong(f"{what} is {value}{_limit(value, bounds)}")
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | tuple[int, ...] | None, ...]) -> bool:
@@ -96,7 +152,12 @@ def _written(shape: tuple[int | tuple[int, ...] | None, ...]) -> str:
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
 
 
-def _limit(low: float, high: float, above: float) -> str:
-    if above > -np.inf:
-        return f", not above {above:g}"
-    return f", outside {low:.12g} to {high:.12g}" if high < np.inf else f", less than {low:g}"
+def _limit(value: Any, bounds: Bounds) -> str:
+    """The bound that a value breaks; none is to blame where it is not finite."""
+    if not np.isfinite(value):
+        return ""
+    if bounds.above > -np.inf:
+        return f", not above {bounds.above:g}"
+    return (
+        f", outside {bounds.low:.12g} to {bounds.high:.12g}" if bounds.high < np.inf else f", less than {bounds.low:g}"
+    )

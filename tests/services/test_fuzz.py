@@ -216,9 +216,9 @@ def _geometry(**changed: Any) -> Geometry:
     ("change", "words"),
     [
         ({}, ""),
-        ({"faces": np.array([[0, 1, 3]], np.int32)}, "faces goes from 0 to 3, of 3"),
-        ({"owner": np.full(1, -1, np.int32)}, "owner goes from -1"),
-        ({"frame": np.ones(1, np.int32)}, "frame goes from 1"),
+        ({"faces": np.array([[0, 1, 3]], np.int32)}, "faces is 3 at row 0, outside 0 to 2"),
+        ({"owner": np.full(1, -1, np.int32)}, "owner is -1 at row 0, outside 0 to 0"),
+        ({"frame": np.ones(1, np.int32)}, "frame is 1 at row 0, outside 0 to 0"),
         ({"a": np.zeros((1, 2))}, "a is float64"),
         ({"radius": np.zeros(1, np.int64)}, "radius is int64"),
     ],

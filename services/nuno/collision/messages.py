@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from nuno.handed import check_field
 from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
-from nuno.wrong import Wrong, check_field
+from nuno.wrong import Wrong, check_layout
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.field import DistanceField
 
@@ -43,30 +42,15 @@ def decode_geometry(payload: bytes) -> Geometry:
         fields = tuple(_field(arrays, number, text["fields"][number]) for number in range(len(text.get("fields", ()))))
         plain = {name: arrays[name] for name in (*_ARRAYS, *_MESHES)}
         geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields)
-        _check(geometry)
+        check_layout("", geometry)  # kernels take shapes and indices as they are
+        for number, field in enumerate(geometry.fields):
+            if field is not None:
+                check_field(f"fields[{number}]", field)
         return geometry
-    except (LookupError, TypeError, ValueError, OverflowError, Wrong) as error:
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"geometry without {error}") from None
-
-
-def _check(geometry: Geometry) -> None:
-    """Raises BadMessage for arrays of other shapes than Geometry says, and indices of what is not there: kernels
-    take both as they are.
-    """
-    g = geometry
-    p, b, v, t = len(g.kind), len(g.bodies), len(g.vertices), len(g.faces)
-    shapes = {"kind": (p,), "frame": (p,), "body": (p,), "a": (p, 3), "b": (p, 3), "radius": (p,), "stiffness": (b,),
-              "damping": (b,), "friction": (b,), "vertices": (v, 3), "faces": (t, 3), "owner": (t,)}  # fmt: skip
-    below = {"frame": len(g.frames), "body": b, "faces": v, "owner": p}
-    for name, shape in shapes.items():
-        values = getattr(g, name)
-        if values.shape != shape or values.dtype.kind != ("i" if name in (*below, "kind") else "f"):
-            raise BadMessage(f"geometry whose {name} is {values.dtype} {values.shape}, not {shape}")
-        if name in below and values.size and not 0 <= values.min() <= values.max() < below[name]:
-            raise BadMessage(f"geometry whose {name} goes from {values.min()} to {values.max()}, of {below[name]}")
-    for number, field in enumerate(g.fields):
-        if field is not None:
-            check_field(f"fields[{number}]", field)
+    except Wrong as error:
+        raise BadMessage(f"geometry of which {error}") from None
 
 
 def _field(
@@ -87,15 +71,10 @@ def decode_poses(payload: bytes) -> Poses:
     """Raises BadMessage."""
     arrays, text = decode_arrays(payload)
     try:
-        rotation, translation, t = arrays["rotation"], arrays["translation"], float(text["t"])
+        poses = Poses(float(text["t"]), arrays["rotation"], arrays["translation"])
+        check_layout("", poses)
+        return poses
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"poses without {error}") from None
-    if (
-        rotation.shape != (len(translation), 4)
-        or translation.shape[1:] != (3,)
-        or not math.isfinite(t)
-        or not np.isfinite(rotation).all()
-        or not np.isfinite(translation).all()
-    ):
-        raise BadMessage(f"poses of shapes {rotation.shape} and {translation.shape}, or not finite")
-    return Poses(t, rotation, translation)
+    except Wrong as error:
+        raise BadMessage(f"poses of which {error}") from None
