@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from nuno.process import refusing_exit
+from nuno.process import refusing_exit, working_folder
 
 T = TypeVar("T")
 
@@ -63,16 +63,9 @@ def _signals() -> Iterator[list[int]]:
 @contextlib.contextmanager
 def _same_folder() -> Iterator[None]:
     """Put back the working folder, which all threads share."""
-    before = _folder()
+    before = working_folder()
     try:
         yield
     finally:
-        if before and _folder() != before:
+        if before and working_folder() != before:
             os.chdir(before)
-
-
-def _folder() -> str:
-    try:
-        return os.getcwd()
-    except FileNotFoundError:  # it has been removed
-        return ""

@@ -9,13 +9,19 @@ from __future__ import annotations
 import datetime
 import ipaddress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from nuno_schemas.errors import BadInput
-
-if TYPE_CHECKING:
-    from cryptography import x509
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 ROUTER, AUTHORITY = "router", "authority"
 AUTHORITY_DAYS = 3650
@@ -28,19 +34,15 @@ class Pair:
     """A certificate and its private key."""
 
     certificate: x509.Certificate
-    key: EllipticCurvePrivateKey
+    key: ec.EllipticCurvePrivateKey
 
     @property
     def certificate_pem(self) -> bytes:
-        from cryptography.hazmat.primitives.serialization import Encoding
-
         return self.certificate.public_bytes(Encoding.PEM)
 
     @property
     def key_pem(self) -> bytes:
         """PKCS 8, not encrypted: the file's mode is what keeps it."""
-        from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-
         return self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
@@ -62,11 +64,6 @@ def sign(authority: Pair, role: str, days: float, hosts: tuple[str, ...] = ()) -
 
 
 def _make(name: str, authority: Pair | None, days: float, hosts: tuple[str, ...]) -> Pair:
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes
-    from cryptography.hazmat.primitives.asymmetric import ec
-    from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
-
     key = ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     begin, end = now() - SKEW, now() + datetime.timedelta(days=days)
@@ -90,12 +87,10 @@ def _make(name: str, authority: Pair | None, days: float, hosts: tuple[str, ...]
             .add_extension(x509.SubjectAlternativeName([host_name(host) for host in hosts]), critical=False)
             .add_extension(issuer, critical=False)
         )
-    return Pair(builder.sign(authority.key if authority else key, hashes.SHA256()), key)
+    return Pair(builder.sign(authority.key if authority else key, SHA256()), key)
 
 
 def _usage(signs: bool) -> x509.KeyUsage:
-    from cryptography import x509
-
     return x509.KeyUsage(
         digital_signature=not signs, content_commitment=False, key_encipherment=False, data_encipherment=False,
         key_agreement=False, key_cert_sign=signs, crl_sign=signs, encipher_only=False, decipher_only=False,
@@ -104,8 +99,6 @@ def _usage(signs: bool) -> x509.KeyUsage:
 
 def host_name(host: str) -> x509.GeneralName:
     """A name or an address, as a certificate holds it. Raises BadInput for what is neither."""
-    from cryptography import x509
-
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
@@ -121,27 +114,19 @@ def host_name(host: str) -> x509.GeneralName:
 
 def load(certificate: bytes, key: bytes) -> Pair:
     """A pair from PEM. Raises ValueError for what is none, or does not belong together."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key
-
     loaded, private = x509.load_pem_x509_certificate(certificate), load_pem_private_key(key, None)
-    if not isinstance(private, EllipticCurvePrivateKey) or private.public_key() != loaded.public_key():
+    if not isinstance(private, ec.EllipticCurvePrivateKey) or private.public_key() != loaded.public_key():
         raise ValueError("the key does not belong to the certificate")
     return Pair(loaded, private)
 
 
 def name_of(certificate: x509.Certificate) -> str:
     """Its common name: the role."""
-    from cryptography.x509.oid import NameOID
-
     found = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(found[0].value) if found else ""
 
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:
     """Names and addresses that it is for."""
-    from cryptography import x509
-
     names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     return [str(name.value) for name in names]

@@ -14,6 +14,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from cryptography.exceptions import InvalidSignature
+from cryptography.x509 import load_pem_x509_certificate
+
 from nuno.access import certificates
 from nuno.access.certificates import AUTHORITY, ROUTER, Pair
 from nuno.access.rights import access_control, read_rights
@@ -93,14 +96,11 @@ def check(folder: Path) -> list[Kept]:
 
 
 def _check(folder: Path, role: str, trusted: bytes) -> Kept:
-    from cryptography import x509
-    from cryptography.exceptions import InvalidSignature
-
     path, wrong = _path(folder, role), ""
     try:
         own, signer, key = _read(path, role)
         pair = certificates.load(own, key)
-        authority = x509.load_pem_x509_certificate(trusted)
+        authority = load_pem_x509_certificate(trusted)
         pair.certificate.verify_directly_issued_by(authority)
         if signer != trusted or certificates.name_of(pair.certificate) != role:
             raise ValueError("it is another role's, or another authority's")

@@ -24,54 +24,28 @@ class Plan:
 
 def make_plan(loaded: Loaded, options: Options) -> Plan:
     """Choose the services for a scene and the user's options."""
-    if not loaded.scene.moves:
-        return _plan_dye(options)
-    services, left_out = ["simulation"], []
     scene = loaded.scene
-    if not scene.objects:
-        left_out.append("cloth, and all that acts on it: the scene has no objects")
-    if scene.dye is not None:
-        services.append("dye")
-    if scene.bodies:
-        services.append("collision")
-    else:
-        left_out.append("collision service and contact force: the scene has no bodies")
-    if scene.view.pictures is not None:
-        services.append("render")
-    else:
-        left_out.append("render service: view.pictures is not given")
-    _plan_outputs(options, services, left_out)
-    if not scene.forces:
-        left_out.append("wind and other forces: the scene names none")
-    if not scene.damping:
-        left_out.append("viscous damping: 0")
-    if not any(scene.gravity):
-        left_out.append("gravity: 0")
     absent = [name for name, part in (("dye", scene.dye), ("wrinkles", scene.operations)) if not part]
-    if absent:
-        left_out.append(f"{' and '.join(absent)}: the scene has none")
-    return Plan(tuple(services), _must_see(services, options), tuple(left_out))
-
-
-def _plan_dye(options: Options) -> Plan:
-    """The services of a cloth that is dyed by itself."""
-    services, left_out = ["dye"], ["simulation and collision services: nothing in the scene moves"]
-    _plan_outputs(options, services, left_out)
-    return Plan(tuple(services), _must_see(services[1:], options), tuple(left_out))
-
-
-def _plan_outputs(options: Options, services: list[str], left_out: list[str]) -> None:
-    """Add recorder and viewer, or why they are left out."""
-    if options.record is not None:
-        services.append("recorder")
-    else:
-        left_out.append("recorder: not asked for")
-    if options.view is not None or options.save is not None:
-        services.append("viewer")
-    else:
-        left_out.append("viewer: no screen, or not asked for")
-
-
-def _must_see(services: list[str], options: Options) -> tuple[str, ...]:
-    """A window may skip frames; a file that is being written may not."""
-    return tuple(n for n in ("dye", "collision", "recorder") if n in services) + (("viewer",) if options.save else ())
+    # Each with whether it is needed, and what is said where it is not.
+    services = [
+        ("simulation", scene.moves, "simulation and collision services: nothing in the scene moves"),
+        ("dye", scene.dye is not None, ""),
+        ("collision", bool(scene.bodies), "collision service and contact force: the scene has no bodies"),
+        ("render", scene.view.pictures is not None, "render service: view.pictures is not given"),
+        ("recorder", options.record is not None, "recorder: not asked for"),
+        ("viewer", bool(options.view or options.save), "viewer: no screen, or not asked for"),
+    ]
+    parts = [
+        ("cloth", bool(scene.objects), "cloth, and all that acts on it: the scene has no objects"),
+        ("forces", bool(scene.forces), "wind and other forces: the scene names none"),
+        ("damping", bool(scene.damping), "viscous damping: 0"),
+        ("gravity", any(scene.gravity), "gravity: 0"),
+        ("others", not absent, f"{' and '.join(absent)}: the scene has none"),
+    ]
+    if not scene.moves:  # a cloth that is dyed by itself has none of what acts on others
+        services, parts = [one for one in services if one[0] != "collision"], []
+    chosen = tuple(name for name, needed, _ in services if needed)
+    # A window may skip frames; a file that is being written may not. Nobody waits for the one that leads.
+    seers = {"dye", "collision", "recorder", *(["viewer"] if options.save else [])}
+    must_see = tuple(name for name in chosen[1:] if name in seers)
+    return Plan(chosen, must_see, tuple(text for _, needed, text in (*services, *parts) if not needed and text))
