@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 
-from nuno.recording.gaps import gaps_of
+from nuno.recording.gaps import count_gaps
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import Recorded
 from nuno.service import SUPERVISOR
@@ -177,7 +177,7 @@ def count_lost(path: Path, stream: Stream) -> tuple[int, int]:
             yield message
 
     with open_recording(path) as recording:
-        gaps = sum(gap.number for gap in gaps_of(read(recording)))
+        gaps = sum(count_gaps(read(recording)).values())
     return max(stream.count - seen, gaps), wrong
 
 

@@ -7,13 +7,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from nuno.recording.gaps import find_gaps, missing, shortcoming
+from nuno.recording.gaps import missing, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
 from nuno.report import lines
 from nuno.supervision import runs
-
-MOST_GAPS = 5
-"""Gaps that are listed for a person."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +32,6 @@ def main(args: argparse.Namespace) -> int:
 def describe(recording: Recording) -> dict[str, Any]:
     """What `nuno info --json` prints: the file, whether it is complete, counts, what is missing, the report."""
     end = recording.metadata.get(END, {})
-    lost = missing(recording)
     return {
         "file": str(recording.path),
         "bytes": recording.path.stat().st_size,
@@ -43,8 +39,7 @@ def describe(recording: Recording) -> dict[str, Any]:
         "complete": recording.complete,
         "cut": recording.recovered,
         "messages": recording.counts,
-        "missing": lost,
-        "gaps": [vars(gap) for gap in find_gaps(recording)] if lost else [],
+        "missing": missing(recording),
         "refused": recording.json(end.get("refused", "{}")),
         "span": list(recording.span),
         "attachments": list(recording.attachments),
@@ -59,10 +54,6 @@ def _rows(recording: Recording) -> list[tuple[str, str]]:
     rows = [("file", f"{facts['file']} ({facts['bytes'] / 1e6:.1f} MB)")]
     rows.append(("state", f"{facts['state']}, {shortcoming(recording) or 'complete'}"))
     rows += [(topic, f"{number:,} missing") for topic, number in facts["missing"].items()]
-    gaps = facts["gaps"] and [str(gap) for gap in find_gaps(recording)]
-    if len(gaps) > MOST_GAPS:
-        gaps = [*gaps[:MOST_GAPS], f"and {len(gaps) - MOST_GAPS:,} more (nuno info --json lists all)"]
-    rows += [("gap" if i == 0 else "", text) for i, text in enumerate(gaps)]
     rows.append(("time", f"{facts['span'][0]:g} to {facts['span'][1]:g} s"))
     rows += [(topic, f"{count} message{'s' if count != 1 else ''}") for topic, count in facts["messages"].items()]
     rows += [("file inside", name) for name in facts["attachments"]]

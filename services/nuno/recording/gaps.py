@@ -2,51 +2,25 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from nuno.recording.reader import END, Recording
 from nuno.recording.recorded import Recorded
 from nuno.words import counted
 
 
-@dataclass(frozen=True)
-class Gap:
-    """Messages `first` to `last` of a topic are not there; before the message of time `t` [s]."""
-
-    topic: str
-    first: int
-    last: int
-    t: float
-
-    @property
-    def number(self) -> int:
-        return self.last - self.first + 1
-
-    def __str__(self) -> str:
-        numbers = f"number {self.first}" if self.number == 1 else f"numbers {self.first} to {self.last}"
-        return f"{self.topic}: {numbers}, before {self.t:g} s"
-
-
-def find_gaps(recording: Recording) -> list[Gap]:
-    """Every gap, in the file's order. Reads the whole file. Raises BadInput."""
-    return gaps_of(recording.messages())
-
-
-def gaps_of(messages: Iterable[Recorded]) -> list[Gap]:
-    """Every gap in messages as they stand in a file.
+def count_gaps(messages: Iterable[Recorded]) -> dict[str, int]:
+    """How many numbers of each topic are left out before a later one, in messages as they stand in a file.
 
     Every sender numbers each of its topics from 0 on. A run that goes on from another's checkpoint counts anew; the
     part that was copied ends where the checkpoint stood, and lacks nothing before it.
     """
-    following: dict[str, int] = {}
-    gaps = []
+    following, lost = Counter[str](), Counter[str]()
     for message in messages:
-        expected = following.get(message.topic, 0)
-        if message.seq > expected:
-            gaps.append(Gap(message.topic, expected, message.seq - 1, message.t))
+        lost[message.topic] += max(0, message.seq - following[message.topic])
         following[message.topic] = message.seq + 1
-    return gaps
+    return {topic: number for topic, number in lost.items() if number}
 
 
 def missing(recording: Recording) -> dict[str, int]:
@@ -57,10 +31,7 @@ def missing(recording: Recording) -> dict[str, int]:
     """
     if "missing" in recording.metadata.get(END, {}):
         return recording.missing
-    counts: dict[str, int] = {}
-    for gap in find_gaps(recording):
-        counts[gap.topic] = counts.get(gap.topic, 0) + gap.number
-    return counts
+    return count_gaps(recording.messages())
 
 
 def shortcoming(recording: Recording) -> str:
