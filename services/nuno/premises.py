@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import zenoh
-from pydantic import BaseModel
 
 from nuno.scene.files import stamp_of
 from nuno.scene.override import item_at, number_or_name, parts_of
@@ -33,18 +32,10 @@ NOTHING = "nothing"
 REMEDY = "give its host the same scene and files, and each service the same --set and --root"
 
 
-class Premises(BaseModel):
-    """What one service starts from."""
-
-    scene: dict[str, Any]
-    """As validated, in SI units, with all defaults."""
-    decided: bool
-    """Whether solver and step are chosen: not every service needs them."""
-    resumes: bool
-    files: dict[str, str]
-    """sha256 of what the scene names, by its name there."""
-    versions: dict[str, str]
-    """Of packages, and of the plugins that the scene names."""
+Premises = dict[str, Any]
+"""What one service starts from: each value of its scene as validated, in SI units and with all defaults, by its field;
+`file NAME`, the sha256 of what the scene names; `version NAME`, of a package or of a plugin that the scene names;
+whether it `resumes`; and whether solver and step are `decided`, which not every service needs. JSON can say it all."""
 
 
 def premises_of(loaded: Loaded, resumes: bool) -> Premises:
@@ -55,22 +46,28 @@ def premises_of(loaded: Loaded, resumes: bool) -> Premises:
         place = tuple(map(number_or_name, parts_of(chosen.field)))
         item_at(scene, place).update(chosen.config.model_dump(mode="json"))
     packages = {name: version for name, version in versions().items() if name in CHANGE_RESULTS}
-    files = {}
+    found = leaves(scene) | {"decided": not loaded.scene.undecided, "resumes": resumes}
+    found |= {f"version {name}": version for name, version in (packages | plugins(loaded)).items()}
     for name, path in assets(loaded).items():
         try:
             if stamp_of(path) != loaded.files.stamps[name]:
                 raise BadInput("it has changed since it was read", str(path), remedy="start the run again")
             with path.open("rb") as stream:
-                files[name] = hashlib.file_digest(stream, "sha256").hexdigest()
+                found[f"file {name}"] = hashlib.file_digest(stream, "sha256").hexdigest()
         except OSError as error:
             raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
-    return Premises(
-        scene=scene,
-        decided=not loaded.scene.undecided,
-        resumes=resumes,
-        files=files,
-        versions=packages | plugins(loaded),
-    )
+    return found
+
+
+def leaves(value: object, field: str = "") -> Premises:
+    """Each value that is no mapping or list by its field, as `bodies[0].collider.radius`."""
+    if isinstance(value, Mapping):
+        items = [(f"{field}.{name}" if field else str(name), one) for name, one in value.items()]
+    elif isinstance(value, list):
+        items = [(f"{field}[{i}]", one) for i, one in enumerate(value)]
+    else:
+        return {field: value}
+    return {name: leaf for inner, one in items for name, leaf in leaves(one, inner).items()}
 
 
 def offer_premises(bus: Bus, loaded: Loaded, resumes: bool) -> None:
@@ -80,7 +77,7 @@ def offer_premises(bus: Bus, loaded: Loaded, resumes: bool) -> None:
     def answer(query: zenoh.Query) -> None:
         question = Question(PREMISES, key, query)
         try:
-            question.answer(premises_of(loaded, resumes).model_dump_json().encode())
+            question.answer_json(premises_of(loaded, resumes))
         except BadInput as error:
             question.answer_json({"problem": str(error)})
 
@@ -93,63 +90,41 @@ def check_premises(bus: Bus, services: set[str], loaded: Loaded, resumes: bool) 
     Raises BadInput for another scene or file, RunFailed, with the service as its peer, where one does not answer.
     """
     answers = {name: bus.ask_ahead(f"{PREMISES}/{name}", timeout=PATIENCE) for name in sorted(services)}
-    own = Premises.model_validate_json(premises_of(loaded, resumes).model_dump_json())  # as the others come
+    own = json.loads(json.dumps(premises_of(loaded, resumes)))  # as the others come
     notes = []
     for name, answer in answers.items():
         try:
-            said = json.loads(answer())
+            theirs = json.loads(answer())
         except RunFailed as error:
             raise RunFailed(str(error), peer=name) from None
-        if "problem" in said:
-            raise BadInput(f"the {name} service cannot begin: {said['problem']}")
-        theirs = Premises.model_validate(said)
+        if "problem" in theirs:
+            raise BadInput(f"the {name} service cannot begin: {theirs['problem']}")
         notes += compare(name, theirs, own)
-        own.files = theirs.files | own.files  # what the supervisor's host lacks, the others must agree on
+        # What the supervisor's host lacks, the others must agree on.
+        own = {field: value for field, value in theirs.items() if field.startswith("file ")} | own
     return notes
 
 
 def compare(service: str, theirs: Premises, own: Premises) -> list[str]:
-    """Versions that differ, in words. Raises BadInput where scene or files do, with the first that does."""
-    there_read, here_read = (
-        one.scene if theirs.decided and own.decided else _undecided(one.scene) for one in (theirs, own)
-    )
-    for field, there, here in differences(there_read, here_read):
-        problem, limit = f"the {service} service has read another scene", f"{here!r:.60}, as the run has it"
-        raise BadInput(problem, field=field, value=there, limit=limit, remedy=REMEDY)
-    for name in sorted(theirs.files.keys() & own.files.keys()):
-        if theirs.files[name] != own.files[name]:
+    """Versions that differ, in words. Raises BadInput for the first value of the scene, or file, that does."""
+    choosing = () if theirs.get("decided") and own["decided"] else ("solver", "accuracy", "dye.solver")
+    notes = []
+    for field in {**theirs, **own}:
+        there, here = theirs.get(field, NOTHING), own.get(field, NOTHING)
+        kind, _, name = field.partition(" ")
+        if there == here or field == "decided" or (kind in ("file", "version") and NOTHING in (there, here)):
+            continue
+        if kind == "version":
+            text = f"the {service} service has {name} {there}, the run {here}"
+            notes.append(f"{text}: equal bits are promised for equal versions")
+        elif kind == "file":
             problem = f"the {service} service has read another file of that name"
             raise BadInput(problem, value=name, remedy=REMEDY)
-    if service in RESUMING and theirs.resumes != own.resumes:
-        problem = f"the {service} service {'goes on from a recording' if theirs.resumes else 'starts anew'}"
-        remedy = "give the run and its simulation, dye and recorder the same --resume"
-        raise BadInput(f"{problem}, the run does not", field="--resume", remedy=remedy)
-    shared = theirs.versions.keys() & own.versions.keys()
-    return [
-        f"the {service} service has {name} {theirs.versions[name]}, the run {own.versions[name]}: "
-        "equal bits are promised for equal versions"
-        for name in sorted(shared)
-        if theirs.versions[name] != own.versions[name]
-    ]
-
-
-def _undecided(scene: Mapping[str, Any]) -> dict[str, Any]:
-    """Without what is still to be chosen."""
-    left = {name: value for name, value in scene.items() if name not in ("solver", "accuracy")}
-    if isinstance(dye := left.get("dye"), dict):
-        left["dye"] = {name: value for name, value in dye.items() if name != "solver"}
-    return left
-
-
-def differences(one: object, other: object, field: str = "") -> Iterator[tuple[str, object, object]]:
-    """Each field whose value differs, as `bodies[0].collider.radius`, with both; "nothing" where there is none."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        for name in dict.fromkeys((*one, *other)):
-            inner = f"{field}.{name}" if field else str(name)
-            yield from differences(one.get(name, NOTHING), other.get(name, NOTHING), inner)
-    elif isinstance(one, list) and isinstance(other, list):
-        for i in range(max(len(one), len(other))):
-            each, its = (values[i] if i < len(values) else NOTHING for values in (one, other))
-            yield from differences(each, its, f"{field}[{i}]")
-    elif one != other:
-        yield field, one, other
+        elif field == "resumes" and service in RESUMING:
+            problem = f"the {service} service {'goes on from a recording' if there else 'starts anew'}"
+            remedy = "give the run and its simulation, dye and recorder the same --resume"
+            raise BadInput(f"{problem}, the run does not", field="--resume", remedy=remedy)
+        elif field != "resumes" and not field.startswith(choosing):
+            problem, limit = f"the {service} service has read another scene", f"{here!r:.60}, as the run has it"
+            raise BadInput(problem, field=field, value=there, limit=limit, remedy=REMEDY)
+    return notes
