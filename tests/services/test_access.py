@@ -25,5 +25,7 @@ def test_without_access_control_the_same_attempts_succeed(tmp_path: Path, monkey
     monkeypatch.setattr(folder, "access_control", none)
     with access.guarded_run(tmp_path) as guarded:
         spared = Rights(asks=("finish/*",))  # the run is to be stopped by its operator
-        got = access.attempt(guarded, guarded.endpoint, guarded.config("collision"), spared)
-    assert got is not None and min(got) > 0, "messages read, requests taken, forgeries delivered"
+        # The hub waits for the run's services alone: to an observer that lags it may drop what was forged.
+        tries = (access.attempt(guarded, guarded.endpoint, guarded.config("collision"), spared) for _ in range(5))
+        got = any(one is not None and min(one) > 0 for one in tries)
+    assert got, "messages read, requests taken, forgeries delivered"
