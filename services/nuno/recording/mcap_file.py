@@ -86,11 +86,10 @@ class McapFile:
         self._chunk = _OpenChunk()
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
-        self._chunk_indexes: list[McapRecord] = []
+        self._chunk_indexes: list[ChunkIndex] = []
         self._attachment_indexes: list[McapRecord] = []
         self._metadata_indexes: list[McapRecord] = []
         self._counts: dict[int, int] = defaultdict(int)
-        self._span: tuple[int, int] | None = None
         stream.write(MAGIC + record_bytes(Header("nuno", "nuno")))
 
     def add_channel(self, topic: str, encoding: str, schema: str, schema_encoding: str, schema_data: bytes) -> int:
@@ -107,8 +106,6 @@ class McapFile:
         """Queue a message; times in ns. The payload must not change before `flush`."""
         self._chunk.add_message(channel, sequence, log_time, publish_time, payload)
         self._counts[channel] += 1
-        start, end = self._span or (log_time, log_time)
-        self._span = min(start, log_time), max(end, log_time)
 
     @property
     def pending(self) -> int:
@@ -166,7 +163,7 @@ class McapFile:
             (Opcode.SCHEMA, list(self._schemas.values())),
             (Opcode.CHANNEL, list(self._channels)),
             (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self._chunk_indexes),
+            (Opcode.CHUNK_INDEX, list(self._chunk_indexes)),
             (Opcode.ATTACHMENT_INDEX, self._attachment_indexes),
             (Opcode.METADATA_INDEX, self._metadata_indexes),
         ]
@@ -182,15 +179,14 @@ class McapFile:
         self._stream.flush()
 
     def _statistics(self) -> Statistics:
-        start, end = self._span or (0, 0)
         return Statistics(
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunk_indexes),
             message_count=sum(self._counts.values()),
-            message_end_time=end,
-            message_start_time=start,
+            message_end_time=max((chunk.message_end_time for chunk in self._chunk_indexes), default=0),
+            message_start_time=min((chunk.message_start_time for chunk in self._chunk_indexes), default=0),
             metadata_count=len(self._metadata_indexes),
             schema_count=len(self._schemas),
         )
