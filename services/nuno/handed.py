@@ -6,18 +6,16 @@ with the field and the first row that is amiss. What annotations say is checked 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.wrong import Wrong, check_array, check_layout, check_number, check_type
+from nuno.wrong import Wrong, check_array, check_field, check_layout, check_number, check_type
 from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
 from nuno_schemas.dye import Cells, DyeReport, DyeState, Isotherm, Supply
 from nuno_schemas.fabric import Fabric, Hinges, Memory, Springs, State
-from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
 from nuno_schemas.operation import Outcome
 from nuno_schemas.plugin import BodyShape, Mover
@@ -90,17 +88,6 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
         raise Wrong(f"fields are {len(shape.fields)}, of {int((shape.kind == FIELD).sum())} primitives that have one")
     for i, field in enumerate(shape.fields):
         check_field(f"fields[{i}]", field)
-
-
-def check_field(what: str, field: DistanceField) -> None:
-    """A distance field whose cells lead to cells and leaves that there are."""
-    if math.prod(field.shape.tolist()) > len(field.child):
-        raise Wrong(f"{what}.child has {len(field.child)} cells, fewer than its shape")
-    cut = field.child >= 0
-    # Eight parts begin at every cell that is cut, later in the list: else whoever follows them would never arrive.
-    parts, leaves = field.child[cut], -1 - field.child[~cut].astype(np.int64)
-    if (parts <= np.flatnonzero(cut)).any() or (parts > len(cut) - 8).any() or (leaves >= len(field.corners)).any():
-        raise Wrong(f"{what}.child: cells lead nowhere")
 
 
 def check_mover(mover: Mover) -> None:

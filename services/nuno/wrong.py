@@ -1,4 +1,4 @@
-"""Values held against what they have to be: arrays, numbers, and classes whose annotations say so."""
+"""Values held against what they have to be: arrays, numbers, classes whose annotations say so, distance fields."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
 
 UNBOUNDED = Bounds()
@@ -29,7 +30,7 @@ def check_layout(what: str, value: Any, lengths: Mapping[str, int] | None = None
     """
     found = dict(lengths or {})
     for name, hint in _hints(value.__class__).items():
-        _check_field(what + name, getattr(value, name), hint, value, found)
+        _check_one(what + name, getattr(value, name), hint, value, found)
 
 
 @cache
@@ -40,7 +41,7 @@ def _hints(kind: Any) -> dict[str, Any]:
     return {name: hints[name] for name in names}
 
 
-def _check_field(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str, int]) -> None:
+def _check_one(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str, int]) -> None:
     """Raises Wrong for one field of `owner`; adds lengths that it is the first to have."""
     whole, sizes, bounds = _read(hint)
     args: tuple[Any, ...] = get_args(whole)
@@ -68,7 +69,7 @@ def _check_field(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str
             raise Wrong(f"{what} are {len(value)}, not {lengths[sizes[0]]}")
         hints = args[:1] * len(value) if args[-1] is Ellipsis else args
         for i, (one, its) in enumerate(zip(value, hints, strict=True)):
-            _check_field(f"{what}[{i}]", one, its, None, lengths)
+            _check_one(f"{what}[{i}]", one, its, None, lengths)
     elif bounds is not None or (isinstance(owner, tuple) and not isinstance(value, bool | None)):
         check_number(what, value, bounds or UNBOUNDED)
 
@@ -135,6 +136,17 @@ def check_number(what: str, value: Any, bounds: Bounds = UNBOUNDED) -> None:
         or (bounds.above > -np.inf and value <= bounds.above)
     ):
         raise Wrong(f"{what} is {value}{_limit(value, bounds)}")
+
+
+def check_field(what: str, field: DistanceField) -> None:
+    """A distance field whose cells lead to cells and leaves that there are."""
+    if math.prod(field.shape.tolist()) > len(field.child):
+        raise Wrong(f"{what}.child has {len(field.child)} cells, fewer than its shape")
+    cut = field.child >= 0
+    # Eight parts begin at every cell that is cut, later in the list: else whoever follows them would never arrive.
+    parts, leaves = field.child[cut], -1 - field.child[~cut].astype(np.int64)
+    if (parts <= np.flatnonzero(cut)).any() or (parts > len(cut) - 8).any() or (leaves >= len(field.corners)).any():
+        raise Wrong(f"{what}.child: cells lead nowhere")
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | tuple[int, ...] | None, ...]) -> bool:

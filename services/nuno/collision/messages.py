@@ -7,9 +7,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from nuno.handed import check_field
 from nuno.wire.arrays import BadMessage, decode_arrays, encode_arrays
-from nuno.wrong import Wrong, check_layout
+from nuno.wrong import Wrong, check_field, check_layout
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.field import DistanceField
 
