@@ -77,5 +77,9 @@ def test_every_plugin_of_a_kind_is_tried(group: str) -> None:
     assert set(EXAMPLES[group]) == {point.name for point in entry_points(group=group)}
 
 
+LONG = ("particle_wind", "euler", "rk4_printed", "dopri5", "shirt", "implicit")
+"""Plugins whose kernels or cloth take long to make, beside others of their kind that take their paths."""
+
 for group in GROUPS:
-    globals()[f"test_{group.removeprefix('nuno.')}"] = contract(group, **EXAMPLES[group])
+    quick = pytest.mark.quick(name=[name for name in EXAMPLES[group] if name not in LONG])
+    globals()[f"test_{group.removeprefix('nuno.')}"] = quick(contract(group, **EXAMPLES[group]))

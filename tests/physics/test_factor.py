@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from implicit_nets import DOWN, PLUGINS, dense, sheet
 from nets import make_fabric, make_system, start
-from test_implicit import DOWN, PLUGINS, dense, sheet
 
 import nuno_kernels.step.packing
 from nuno_integrators.implicit.conjugate import multiply

@@ -38,6 +38,7 @@ def forces(contact: Contact, x: Float, v: Float, parallel: bool = False) -> Floa
     return force
 
 
+@pytest.mark.full
 def test_cloth_comes_to_rest_on_a_ball_where_it_does_on_its_field() -> None:
     """Points that fall on a rough ball stay where they land, on one of triangles as on a true one."""
     radius, tolerance, k = 0.3, 2e-3, 200.0

@@ -117,7 +117,7 @@ def motion(folder: Path, names: tuple[str, ...], solver: dict[str, Any]) -> list
     return [simulation.state.x[piece.start : piece.stop].copy() for piece in simulation.pieces]
 
 
-@pytest.mark.quick(solver=["explicit"])
+@pytest.mark.full
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_an_object_moves_as_it_does_without_the_other(solver: str, folder: Path) -> None:
     chosen, tolerance = SOLVERS[solver]

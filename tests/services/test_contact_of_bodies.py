@@ -112,6 +112,7 @@ def test_a_point_between_two_kinds_of_contact_enters_neither(tmp_path: Path) -> 
     assert found.x[1, :2] == pytest.approx([0.51, -0.01 * G / 100.0], abs=1e-6)
 
 
+@pytest.mark.full
 def test_what_a_mesh_presses_into_a_floor_stays_off_the_mesh(tmp_path: Path) -> None:
     """The floor gives way: the cube's lower side ends 5 mm inside of it, and the point its gap lower."""
     down = {"plugin": "keyframes", "times": [0.1, 0.3], "positions": [[0, 0, 0], [0, -0.105, 0]]}

@@ -44,6 +44,7 @@ def test_the_solver_runs_compiled_to_where_another_goes(packages: Packages, tmp_
     assert sys.modules["heun3"].advance_heun3.signatures
 
 
+@pytest.mark.full
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
 def test_the_solver_gives_equal_bytes_for_one_and_two_threads(packages: Packages, tmp_path: Path) -> None:
     packages.add_shown("heun3")
@@ -68,6 +69,7 @@ def test_the_collider_holds_up_a_sheet(packages: Packages, tmp_path: Path) -> No
     assert x[:, 1].mean() > -0.2
 
 
+@pytest.mark.full
 def test_the_lines_shown_hold_all_of_them_to_the_contract(packages: Packages, tmp_path: Path) -> None:
     for module in POINTS:
         packages.add_shown(module)

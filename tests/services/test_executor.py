@@ -78,11 +78,13 @@ def test_what_a_task_raises_ends_the_sweep(executor: Executor) -> None:
     assert dict(executor.run(sweep_tasks.divide, [2])) == {2: 0.5}
 
 
+@pytest.mark.full
 def test_a_task_whose_process_is_lost_is_run_again(executor: Executor, tmp_path: Path) -> None:
     tasks = [(str(tmp_path / "once"), number) for number in range(5)]
     assert dict(executor.run(sweep_tasks.die_at_first, tasks)) == {task: task[1] for task in tasks}
 
 
+@pytest.mark.full
 def test_a_task_that_always_loses_its_process_is_named_and_the_others_are_done(tmp_path: Path) -> None:
     executor = Processes(2)
     tasks = [(str(tmp_path / "always"), number) for number in range(4)]
@@ -268,6 +270,7 @@ def test_what_is_no_scheduler_is_refused_within_seconds(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.full
 def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(BadInput, match="not installed") as caught:

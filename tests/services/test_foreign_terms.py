@@ -71,6 +71,7 @@ def test_it_gives_equal_bytes_for_one_and_two_threads(packages: Packages, tmp_pa
     assert one.digest == two.digest
 
 
+@pytest.mark.full
 def test_what_changes_in_it_is_compiled_anew(packages: Packages, tmp_path: Path) -> None:
     """By the next process: the kernel that is kept calls it by its type alone, and no name leads there."""
     packages.add_shown("magnets", PLAIN, "plain = magnets:Plain")

@@ -15,6 +15,7 @@ SIDES = [129, 130]
 """Enough vertices to run on several threads, in numbers that no block divides."""
 
 
+@pytest.mark.full
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
 def test_more_threads_than_cores_give_the_same_bits(tmp_path: Path) -> None:
     """A sheet of springs and hinges that falls askew onto a ball in the wind: all that is parallel."""
