@@ -89,17 +89,3 @@ class Knit:
         wale = np.stack([legs + q, arcs[0] + q, legs + q + 1, arcs[1] + q + 1], axis=1).reshape(-1)
         end = wale[:1] if self.periodic else wale[:0]
         return np.concatenate([wale if self.periodic else wale[:-1], end]).astype(np.int32)
-
-    def neighbours(self) -> Int:
-        """(points, 4) links up, down, left and right of every point, -1 where there is none."""
-        found = np.full((self.points, 4), -1, np.int32)
-        pairs, index = self.pairs(), np.arange(self.links, dtype=np.int32)
-        for part, first, second in ((slice(0, self.legs), 0, 1), (slice(self.legs, None), 3, 2)):
-            found[pairs[part, 0], first] = index[part]
-            found[pairs[part, 1], second] = index[part]
-        return found
-
-    def point_kind(self) -> Int:
-        """(points,) 0 to 3, 2 (r % 2) + q % 2: with two yarns in turn the yarns around a point follow from it."""
-        row, column = np.divmod(np.arange(self.points), self.columns)
-        return np.asarray(2 * (row % 2) + column % 2, np.int32)

@@ -10,9 +10,10 @@ from model_files import Folder, build, files
 from pydantic import ValidationError
 
 from nuno_knit.knit import Knit, KnitConfig, structure
+from nuno_knit.structure import Knit as Structure
 from nuno_knit.yarns import PRESETS
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric
+from nuno_schemas.fabric import Fabric, Int
 
 __all__ = ["files"]
 
@@ -69,18 +70,28 @@ def test_a_course_is_one_continuous_square_wave(form: str, wales: int, courses: 
         assert column.tolist() == (q % columns).tolist()
 
 
+def links_around(net: Structure) -> Int:
+    """(rows, columns, 4) links up, down, left and right of every point, -1 where there is none."""
+    found = np.full((net.points, 4), -1)
+    pairs, index = net.pairs(), np.arange(net.links)
+    for part, first, second in ((slice(0, net.legs), 0, 1), (slice(net.legs, None), 3, 2)):
+        found[pairs[part, 0], first] = index[part]
+        found[pairs[part, 1], second] = index[part]
+    return found.reshape(net.courses + 1, net.columns, 4)
+
+
 @pytest.mark.parametrize(("form", "wales", "courses"), [("panel", 5, 8), ("tube", 6, 8)])
 def test_two_yarns_in_turn_make_four_kinds_of_points(form: str, wales: int, courses: int, files: Folder) -> None:
     """The yarns up, down, left and right of an inner point depend on the parities of its row and column only."""
     fabric = knit(files, form, wales, courses)
     net = structure(KnitConfig(form=form, wales=wales, courses=courses))  # type: ignore[arg-type]
     assert fabric.springs is not None
-    around = net.neighbours()
-    inner = (around >= 0).all(axis=1)
+    around = links_around(net)
+    inner = np.argwhere((around >= 0).all(axis=2))
     yarns = (fabric.springs.k == 10.0).astype(int)[around]
     kinds: dict[int, set[tuple[int, ...]]] = {}
-    for kind, four in zip(net.point_kind()[inner], yarns[inner].tolist(), strict=True):
-        kinds.setdefault(int(kind), set()).add(tuple(four))
+    for row, column in inner.tolist():
+        kinds.setdefault(2 * (row % 2) + column % 2, set()).add(tuple(yarns[row, column].tolist()))
     assert kinds == {0: {(0, 1, 0, 1)}, 1: {(0, 1, 1, 0)}, 2: {(1, 0, 1, 0)}, 3: {(1, 0, 0, 1)}}
 
 
@@ -88,7 +99,7 @@ def test_a_kind_turned_by_a_course_is_the_other_yarns(files: Folder) -> None:
     """One course on, the yarns change places: kinds 0 and 2, 1 and 3 are each other with the yarns exchanged."""
     fabric = knit(files, "panel", 3, 6)
     assert fabric.springs is not None
-    around = structure(KnitConfig(wales=3, courses=6)).neighbours().reshape(7, 6, 4)[1:-1, 1:-1]
+    around = links_around(structure(KnitConfig(wales=3, courses=6)))[1:-1, 1:-1]
     k = fabric.springs.k[around]
     assert np.array_equal(k[1:] == 1.0, k[:-1] == 10.0)
 

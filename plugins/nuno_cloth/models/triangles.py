@@ -12,7 +12,7 @@ others it may ask for negative stiffness, and an equilateral triangle has warp =
 springs: then the s_i >= 0 are those of the least squares of relative errors, in which tension counts
 TENSION times as much as shear, because cloth that stretches is wrong at first sight. So tension is
 kept where any springs can keep it, and on equilateral triangles shear becomes a third of the
-softer of warp and weft at the least: 0.6 to 136 times the presets' (`affine_stiffness` measures it).
+softer of warp and weft at the least: 0.6 to 136 times the presets'.
 An edge's k is the sum over its triangles.
 
 Hinges. k = B e^2 / (A1 + A2), B between those of warp and weft by the direction across the edge.
@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_cloth.fabrics.presets import Material
-from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.fabric import Float, Int
 
 TENSION = 1000.0
 
@@ -138,26 +138,3 @@ def hinge_stiffness(material: Material, x: Float, edges: Edges, area: Float, war
     rigidity = across @ np.array([material.bend_warp, material.bend_weft])
     k: Float = (rigidity * np.square(e).sum(1) / total)[edges.inner]
     return k
-
-
-@dataclass(frozen=True)
-class AffineStiffness:
-    """What the springs of a flat piece give under uniform strain [N/m]."""
-
-    warp: float
-    weft: float
-    shear: float
-    coupling: float
-
-
-def affine_stiffness(fabric: Fabric, warp: Float, weft: Float) -> AffineStiffness:
-    """Stiffness per area of a flat piece, `warp` and `weft` (3,) being unit vectors in its plane."""
-    assert fabric.springs is not None
-    x, pairs = fabric.position, fabric.springs.pairs()
-    d = x[pairs[:, 1]] - x[pairs[:, 0]]
-    energy = fabric.springs.per_spring(fabric.springs.k) * np.square(d).sum(1) / face_areas(x, fabric.faces).sum()
-    unit = d / np.linalg.norm(d, axis=1)[:, None]
-    w, f = (unit @ warp) ** 2, (unit @ weft) ** 2
-    return AffineStiffness(
-        *(float((energy * part).sum()) for part in (w * w, f * f, w * f, w * f)),
-    )
