@@ -192,6 +192,13 @@ def source_of(loop: Any, extra: object) -> Any:
     return loop if extra is None else loop.py_func
 
 
+def cloth_size(fabric: Fabric) -> float:
+    """Diagonal of the cloth's bounding box at the start [m], 1 where it has none."""
+    if fabric.number == 0:
+        return 1.0
+    return float(np.linalg.norm(np.ptp(fabric.position, axis=0))) or 1.0
+
+
 def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
     """Write the interval into contact and bindings; without poses there is nothing to meet or to follow."""
     if poses is None:

@@ -9,7 +9,6 @@ from nuno_schemas.errors import BadInput
 
 INSTALL = {
     "matplotlib": "nuno[bench]",
-    "scipy": "nuno[bench]",
     "mujoco": "nuno[peers]",
     "newton": "nuno[peers]",
     "rtree": "nuno[peers]",

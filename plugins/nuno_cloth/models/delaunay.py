@@ -1,9 +1,4 @@
-"""Triangles of a flat piece of cloth: points spread evenly inside of an outline, joined after Delaunay.
-
-Each point digs out the triangles whose circumcircles hold it and is joined to the hole's rim (A. Bowyer, D. F. Watson,
-Computer Journal 24(2), 1981). Triangles are kept as a map from their edges, ways round included, to the corner
-opposite, which is all that digging and walking need.
-"""
+"""Triangles of a flat piece of cloth: points spread evenly inside of an outline, joined after Delaunay."""
 
 from __future__ import annotations
 
@@ -13,12 +8,8 @@ from nuno_schemas.fabric import Bool, Float, Int
 
 INSET = 0.6
 """Least distance of points inside from the outline, in spacings: nearer ones would give flat triangles."""
-FAR = 1e3
-"""Corners of the triangle that everything is put into, in sizes of the outline."""
 ROUNDS = 10
 """Times that points inside are moved to the mean of their neighbours."""
-
-Edges = dict[tuple[int, int], int]
 
 
 def fill_outline(outline: Float, spacing: float) -> tuple[Float, Int]:
@@ -65,61 +56,15 @@ def _distance(points: Float, outline: Float) -> Float:
 
 
 def triangulate(points: Float) -> Int:
-    """(f, 3) Delaunay triangles of points (n, 2), no two of them at one place, counter-clockwise."""
-    n, middle = len(points), points.mean(axis=0)
-    size = FAR * float(np.ptp(points, axis=0).max())
-    corners = middle + size * np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]])
-    at = [(float(x), float(y)) for x, y in np.concatenate([points, corners])]
-    edges: Edges = {}
-    _add(edges, n, n + 1, n + 2)
-    last = (n, n + 1)
-    # Along the rows of a grid each point lies near the one before it, which keeps the walks short.
-    for p in range(n):
-        last = _insert(edges, at, p, last)
-    found = [(a, b, c) for (a, b), c in edges.items() if a < min(b, c) and max(a, b, c) < n]
-    return np.array(sorted(found), np.int32)
+    """(f, 3) Delaunay triangles of points (n, 2), no two of them at one place: counter-clockwise, each from its first
+    vertex on, sorted.
+    """
+    from scipy.spatial import Delaunay  # half a second to import, for shirts alone
 
-
-def _add(edges: Edges, a: int, b: int, c: int) -> None:
-    edges[a, b], edges[b, c], edges[c, a] = c, a, b
-
-
-def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    """Twice the area of a triangle, positive counter-clockwise."""
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-def _insert(edges: Edges, at: list[tuple[float, float]], p: int, start: tuple[int, int]) -> tuple[int, int]:
-    """Put point p into the triangulation; an edge at it, from which to look for the next."""
-    a, b = start
-    walking = True
-    while walking:
-        c, walking = edges[a, b], False
-        for i, j in ((a, b), (b, c), (c, a)):
-            if _turn(at[i], at[j], at[p]) < 0.0:
-                a, b, walking = j, i, True
-                break
-    c = edges[a, b]
-    waiting, rim = [(a, b), (b, c), (c, a)], []
-    for edge in waiting:
-        del edges[edge]
-    while waiting:
-        i, j = waiting.pop()
-        k = edges.get((j, i))
-        if k is None or not _in_circle(at[j], at[i], at[k], at[p]):
-            rim.append((i, j))
-            continue
-        for edge in ((j, i), (i, k), (k, j)):
-            del edges[edge]
-        waiting += [(i, k), (k, j)]
-    for i, j in rim:
-        _add(edges, i, j, p)
-    return p, rim[0][0]
-
-
-def _in_circle(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], p: tuple[float, float]) -> bool:
-    """Whether p lies within the circle through a, b, c, which go round it counter-clockwise."""
-    ax, ay, bx, by, cx, cy = a[0] - p[0], a[1] - p[1], b[0] - p[0], b[1] - p[1], c[0] - p[0], c[1] - p[1]
-    aa, bb, cc = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
-    value = aa * (bx * cy - cx * by) - bb * (ax * cy - cx * ay) + cc * (ax * by - bx * ay)
-    return value > 0.0
+    faces = Delaunay(points).simplices
+    one, other = (points[faces[:, k]] - points[faces[:, 0]] for k in (1, 2))
+    clockwise = one[:, 0] * other[:, 1] < one[:, 1] * other[:, 0]
+    faces[clockwise] = faces[clockwise, ::-1]
+    first = faces.argmin(axis=1)[:, None]
+    faces = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+    return np.ascontiguousarray(faces[np.lexsort(faces.T[::-1])], np.int32)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, Told, Work, source_of
+from nuno_integrators.compiled import Compiled, Told, Work, cloth_size, source_of
 from nuno_integrators.explicit.combine import Buffers, Stage, combine
 from nuno_integrators.explicit.stepsize import (
     ACCEPTED,
@@ -37,7 +37,7 @@ from nuno_kernels.lanes.simd import WIDTH
 from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.step.blocks import block_count
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
 
@@ -196,13 +196,6 @@ class Adaptive(Compiled):
         for coefficient in reversed(self.tableau.polynomial):
             result = z @ result + coefficient * one
         return result
-
-
-def cloth_size(fabric: Fabric) -> float:
-    """Diagonal of the cloth's bounding box at the start [m], 1 where it has none."""
-    if fabric.number == 0:
-        return 1.0
-    return float(np.linalg.norm(np.ptp(fabric.position, axis=0))) or 1.0
 
 
 class Dopri5(Adaptive):

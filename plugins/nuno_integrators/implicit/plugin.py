@@ -20,8 +20,7 @@ import numba
 import numpy as np
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, Told, Work, lacking
-from nuno_integrators.explicit.adaptive import cloth_size
+from nuno_integrators.compiled import Compiled, Told, Work, cloth_size, lacking
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import Stage, compile_stage, limit_approach, make_stage, solve_stage
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate

@@ -200,10 +200,15 @@ def _split(x: Float, faces: Int, loops: list[Loop], planes: list[Float]) -> tupl
     """Which vertices (n,) lie beyond the first section, and which beyond the second; None where the sections do not
     part the mesh so.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components  # slow to import, for knits over limbs alone
+
     _, pairs = edge_numbers(faces)
     key = pairs[:, 0].astype(np.int64) * len(x) + pairs[:, 1]
     cut = np.isin(key, np.concatenate([loop.edges[:, 0] * len(x) + loop.edges[:, 1] for loop in loops]))
-    part = _components(len(x), pairs[~cut])
+    kept = pairs[~cut]
+    joined = coo_array((np.ones(len(kept)), kept.T), (len(x), len(x)))
+    part = connected_components(joined, directed=False)[1]
     sides = []
     for loop, plane in zip(loops, planes, strict=True):
         ends = loop.edges.reshape(-1)
@@ -212,19 +217,6 @@ def _split(x: Float, faces: Int, loops: list[Loop], planes: list[Float]) -> tupl
     if not (len(inner) == len(same) == 1 and inner[0] == same[0]) or inner[0] in before or inner[0] in beyond:
         return None
     return np.isin(part, before), np.isin(part, beyond)
-
-
-def _components(n: int, pairs: Int) -> Int:
-    """(n,) the lowest number of the vertices that edges (e, 2) join each to."""
-    part = np.arange(n)
-    while True:
-        before = part.copy()
-        low = np.minimum(part[pairs[:, 0]], part[pairs[:, 1]])
-        np.minimum.at(part, pairs[:, 0], low)
-        np.minimum.at(part, pairs[:, 1], low)
-        part = part[part]
-        if np.array_equal(before, part):
-            return np.asarray(part)
 
 
 def _loops_at(x: Float, faces: Int, value: Float) -> list[Loop]:

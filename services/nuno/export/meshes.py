@@ -145,7 +145,7 @@ def _glb(recording: Recording, pieces: list[ShownPiece], frame: Frame) -> bytes:
 
 
 def _trimesh(x: Float, faces: Int, visual: Any) -> Any:
-    """A mesh with its vertices' normals: trimesh would find them with scipy, which nuno does without."""
+    """A mesh with its vertices' normals: trimesh would find them with scipy, which takes a second to import."""
     import trimesh
 
     normals = vertex_normals(x, faces)
