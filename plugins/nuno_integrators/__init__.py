@@ -1,1 +1,1 @@
-"""Explicit integrators: euler, symplectic_euler, leapfrog, rk4 and rk4_printed."""
+"""Methods that advance cloth in time: explicit, implicit and XPBD; the forces that they take are no part of it."""

@@ -7,11 +7,12 @@ import pytest
 from nets import accelerations, find_hinges, make_fabric, make_hinges, make_system, triangulate
 
 from nuno_kernels.forces.energy import measure_energy
-from nuno_kernels.forces.hinges import HingeLists, HingeRuns, hinge_angles
+from nuno_kernels.forces.hinges import HingeLists, HingeRuns
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.step.packing import pack, to_rows
 from nuno_schemas.fabric import Float, Hinges
 from nuno_schemas.system import System
+from nuno_wrinkle.edges import fold_angles
 
 
 def sheet(rows: int, columns: int, spacing: float = 0.1) -> Float:
@@ -37,7 +38,7 @@ def test_angle_is_positive_in_a_valley(angle: float) -> None:
     """Edge on the x axis, left triangle flat, right one turned by `angle` towards the normals (+z)."""
     position = np.array([[0, 0, 0], [1, 0, 0], [0.3, 1, 0], [0.6, -np.cos(angle), np.sin(angle)]], float)
     quads = np.array([[0, 1, 2, 3]], np.int32)
-    assert abs(hinge_angles(position, quads)[0] - angle) < 1e-14
+    assert abs(fold_angles(position, quads)[0] - angle) < 1e-14
     for rest in (0.0, 0.7, -2.0):
         system = make_system(make_fabric(position, hinges=make_hinges(quads, np.array([2.5]), np.array([rest]))))
         exact = 2.0 * 2.5 * np.sin(0.5 * (angle - rest)) ** 2

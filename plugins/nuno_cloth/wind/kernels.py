@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.hinges import cross, dot, listed_corner, minus, run_corner
 from nuno_kernels.lanes.choose import alternate, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, add_at, load, magnitude, read, root, splat, store, write
-from nuno_kernels.step.blocks import Long, assign_runs, block_count, cut_runs, local_targets, owned_copies, pad_lists
+from nuno_kernels.lanes.simd import WIDTH, Triple, add_at, load, magnitude, read, root, splat, store, write
+from nuno_kernels.lanes.triples import cross, dot, gather_triple, minus, plus, read_triple, times
+from nuno_kernels.step.blocks import Long, assign_runs, block_count, cut_runs, list_copies
 from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bool, Float, Int
 
@@ -74,48 +74,40 @@ class ParticleWind(NamedTuple):
     force: Float
 
 
-@kernel
-def read_air(air: Any) -> Any:
-    """Velocity and coefficients as numbers: inside a loop, reading a tuple's array counts a reference."""
-    return air.velocity[0], air.velocity[1], air.velocity[2], air.normal, air.tangential
+Air = tuple[tuple[float, float, float], float, float]
+"""Velocity [m/s], and the coefficients across and along a triangle as in WindRuns."""
 
 
 @kernel
-def mean_flow(air: float, v0: Any, v1: Any, v2: Any) -> Any:
-    """One component of the air's velocity relative to eight triangles."""
-    return air - (1.0 / 3.0) * (v0 + v1 + v2)
+def read_air(wind: WindRuns | WindLists) -> Air:
+    """The air as numbers: inside a loop, reading a tuple's array counts a reference."""
+    return (wind.velocity[0], wind.velocity[1], wind.velocity[2]), wind.normal, wind.tangential
 
 
 @kernel
-def wind_forces(x0: Any, x1: Any, x2: Any, v0: Any, v1: Any, v2: Any, air: Any) -> Any:
-    """A third of the force [N] on each of eight triangles; `air` is what read_air gives."""
-    wx, wy, wz, normal, tangential = air
+def wind_forces(x0: Triple, x1: Triple, x2: Triple, v0: Triple, v1: Triple, v2: Triple, air: Air) -> Triple:
+    """A third of the force [N] on each of eight triangles."""
+    velocity, normal, tangential = air
     m = cross(minus(x1, x0), minus(x2, x0))
-    u = (
-        mean_flow(wx, v0[0], v1[0], v2[0]),
-        mean_flow(wy, v0[1], v1[1], v2[1]),
-        mean_flow(wz, v0[2], v1[2], v2[2]),
-    )
+    u = minus(velocity, times(1.0 / 3.0, plus(plus(v0, v1), v2)))
     mm, um = dot(m, m), dot(u, m)
     along = where_not_zero(mm, um / mm)
-    push = normal * magnitude(um) * along
-    fx, fy, fz = push * m[0], push * m[1], push * m[2]
+    f = times(normal * magnitude(um) * along, m)
     if tangential != 0.0:
-        tx, ty, tz = u[0] - along * m[0], u[1] - along * m[1], u[2] - along * m[2]
-        drag = tangential * root(mm * (tx * tx + ty * ty + tz * tz))
-        fx, fy, fz = fx + drag * tx, fy + drag * ty, fz + drag * tz
-    return fx, fy, fz
+        t = minus(u, times(along, m))
+        f = plus(f, times(tangential * root(mm * dot(t, t)), t))
+    return f
 
 
 @kernel
-def third_corner(x: Any, even: int, odd: int, m: int, i: int) -> Any:
+def third_corner(x: Float, even: int, odd: int, m: int, i: int) -> Triple:
     """Positions or velocities of the third corner of up to eight triangles from vertex i on."""
-    a, b = run_corner(x, even, m), run_corner(x, odd, m)
+    a, b = read_triple(x, 0, even, m), read_triple(x, 0, odd, m)
     return alternate(a[0], b[0], i), alternate(a[1], b[1], i), alternate(a[2], b[2], i)
 
 
 @kernel
-def add_wind_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+def add_wind_runs(runs: WindRuns, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the wind on a block's runs to its forces (3, w); see add_hinge_runs."""
     flow, wait, start, task = read_air(runs), np.empty((3, LONGEST + WIDTH)), runs.start, runs.task
     for t in range(start[block], start[block + 1]):
@@ -123,8 +115,8 @@ def add_wind_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any
         for q in range(0, count, WIDTH):
             m = min(WIDTH, count - q)
             f = wind_forces(
-                run_corner(x, i + q, m), run_corner(x, j + q, m), third_corner(x, even + q, odd + q, m, i),
-                run_corner(v, i + q, m), run_corner(v, j + q, m), third_corner(v, even + q, odd + q, m, i),
+                read_triple(x, 0, i + q, m), read_triple(x, 0, j + q, m), third_corner(x, even + q, odd + q, m, i),
+                read_triple(v, 0, i + q, m), read_triple(v, 0, j + q, m), third_corner(v, even + q, odd + q, m, i),
                 flow,
             )  # fmt: skip
             for row in range(3):
@@ -143,13 +135,13 @@ def add_wind_runs(runs: Any, block: int, origin: int, x: Any, v: Any, force: Any
 
 
 @kernel
-def add_wind_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+def add_wind_lists(lists: WindLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the wind on a block's listed triangles to its forces (3, w)."""
     flow, start, corners = read_air(lists), lists.start, lists.corners
     for p in range(start[block], start[block + 1], WIDTH):
         f = wind_forces(
-            listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p), listed_corner(x, corners, 2, p),
-            listed_corner(v, corners, 0, p), listed_corner(v, corners, 1, p), listed_corner(v, corners, 2, p),
+            gather_triple(x, corners, 0, p), gather_triple(x, corners, 1, p), gather_triple(x, corners, 2, p),
+            gather_triple(v, corners, 0, p), gather_triple(v, corners, 1, p), gather_triple(v, corners, 2, p),
             flow,
         )  # fmt: skip
         for row in range(3):
@@ -158,7 +150,7 @@ def add_wind_lists(lists: Any, block: int, origin: int, x: Any, v: Any, force: A
 
 
 @kernel
-def add_particle_wind(wind: Any, block: int, origin: int, x: Any, v: Any, force: Any) -> None:
+def add_particle_wind(wind: ParticleWind, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the same force [N] to every column of force (3, w)."""
     for axis in range(3):
         for vertex in range(force.shape[1]):
@@ -229,9 +221,4 @@ def _pack_runs(runs: Long, vertices: int) -> tuple[Long, Long]:
 def _pack_lists(faces: Long, vertices: int) -> tuple[Long, Int]:
     """Bounds and lists per block of (f, 3) faces in the order of their vertices."""
     corners = np.ascontiguousarray(faces[np.lexsort((faces.max(axis=1), faces.min(axis=1)))].T)
-    element, bounds = owned_copies(corners, block_count(vertices))
-    element, start = pad_lists(element, bounds, WIDTH)
-    filled = element >= 0
-    target = local_targets(np.where(filled, corners[:, element], -1), start, vertices)
-    table = np.concatenate([np.where(filled, corners[:, element], 0), target]).astype(np.int32)
-    return start, table
+    return list_copies(corners, vertices)[1:]

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nuno_integrators.explicit.updates import add
 from nuno_integrators.implicit.matrix import Linear
 from nuno_kernels import kernel
 from nuno_kernels.step.blocks import BLOCK, PADDING
@@ -79,16 +80,6 @@ def descend_block(block: int, a: Vectors, step: float) -> None:
     sums[block] = total
 
 
-@kernel
-def turn_block(block: int, z: Float, p: Float, turn: float) -> None:
-    """p = z + turn p on a block's vertices."""
-    low, high = block * BLOCK, min((block + 1) * BLOCK, p.shape[1])
-    for row in range(3):
-        for v in range(low, high):
-            p[row, v] = z[row, v] + turn * p[row, v]
-
-
-turn_blocks = over_blocks(turn_block, "z, p, turn")
 descend_blocks = over_blocks(descend_block, "a, step")
 
 
@@ -97,7 +88,7 @@ def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
     """Set p = z + turn p and q = A p; returns p.q."""
     blocks = a.sums.shape[0]
     # Before a product, which reads its neighbours' p.
-    turn_blocks(a.z, a.p, turn, blocks, threads)
+    add(a.p, a.z, turn, a.p, threads)
     if threads is None:
         for block in range(blocks):
             multiply_block(block, a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums)

@@ -74,10 +74,3 @@ def add_stiffness(base: Float, moved: Float, scale: Any, own: Float) -> None:
         own[3, p] += a[0, 1]
         own[4, p] += a[0, 2]
         own[5, p] += a[1, 2]
-
-
-def positive_part(a: Float) -> Float:
-    """The part of a symmetric matrix (3, 3) with positive eigenvalues."""
-    out = a.copy()
-    keep_positive(out, np.empty((3, 3)), np.empty(3))
-    return out

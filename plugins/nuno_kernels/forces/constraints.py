@@ -32,9 +32,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.hinges import listed_corner, minus, times
+from nuno_kernels.forces.springs import listed_difference, run_constant, run_difference
 from nuno_kernels.lanes.choose import where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, store, write
+from nuno_kernels.lanes.triples import dot, load_triple, minus, plus, read_triple, times
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import Displaced, each, each_block, register
 from nuno_schemas.fabric import Bool, Float, Int
@@ -82,44 +83,17 @@ class Constraints(NamedTuple):
 
 
 @kernel
-def plus(a: Triple, b: Triple) -> Triple:
-    """a + b of two triples."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@kernel
-def kept_rows(kept: Float, p: int) -> Triple:
-    """Eight forces from (3, w)."""
-    return load(kept, 0, p), load(kept, 1, p), load(kept, 2, p)
-
-
-@kernel
-def keep_rows(kept: Float, p: int, f: Triple) -> None:
-    """Eight forces into (3, w)."""
-    store(kept, 0, p, f[0])
-    store(kept, 1, p, f[1])
-    store(kept, 2, p, f[2])
-
-
-@kernel
 def spring_pull(d: Triple, u: Triple, mobility: Lanes, k: Lanes, rest: Lanes, rate: Lanes) -> Triple:
     """Forces on the i ends of eight springs.
 
     d is the vector from i to j at the step's start, u how it changed since without the spring; `rate` is
     c / h and `mobility` that of both ends. Springs of length 0 have no direction and exert no force.
     """
-    px, py, pz = plus(d, u)
-    square = px * px + py * py + pz * pz
+    p = plus(d, u)
+    square = dot(p, p)
     length = root(square)
-    missing = k * (length - rest) * length + rate * (u[0] * px + u[1] * py + u[2] * pz)
-    f = where_not_zero(square, missing / (square * (1.0 + (k + rate) * mobility)))
-    return f * px, f * py, f * pz
-
-
-@kernel
-def read_rows(a: Float, p: int, m: int) -> Triple:
-    """Up to eight columns of (3, n)."""
-    return read(a, 0, p, m), read(a, 1, p, m), read(a, 2, p, m)
+    missing = k * (length - rest) * length + rate * dot(u, p)
+    return times(where_not_zero(square, missing / (square * (1.0 + (k + rate) * mobility))), p)
 
 
 @kernel
@@ -133,14 +107,13 @@ def sweep_spring_runs(batch: int, moved: Displaced, runs: RunBatches, each: bool
             m = min(WIDTH, count - q)
             a, b, p = i + q, j + q, column + q
             where = at if each is None else at + q
-            k = splat(constants[0, where]) if each is None else read(constants, 0, where, m)
-            rest = splat(constants[1, where]) if each is None else read(constants, 1, where, m)
-            c = splat(constants[2, where]) if each is None else read(constants, 2, where, m)
+            k, rest = run_constant(0, where, m, constants, each), run_constant(1, where, m, constants, each)
+            c = run_constant(2, where, m, constants, each)
             mi, mj = read(mobility, 0, a, m), read(mobility, 0, b, m)
-            ui, uj = read_rows(u, a, m), read_rows(u, b, m)
+            ui, uj = read_triple(u, 0, a, m), read_triple(u, 0, b, m)
             if kept is not None:
-                ui, uj = minus(ui, times(mi, kept_rows(kept, p))), plus(uj, times(mj, kept_rows(kept, p)))
-            d = minus(read_rows(x, b, m), read_rows(x, a, m))
+                ui, uj = minus(ui, times(mi, load_triple(kept, 0, p))), plus(uj, times(mj, load_triple(kept, 0, p)))
+            d = run_difference(x, a, b, m)
             f = spring_pull(d, minus(uj, ui), mi + mj, k, rest, inverse_step * c)
             for row in range(3):
                 if kept is not None:
@@ -156,17 +129,17 @@ def sweep_spring_lists(batch: int, moved: Displaced, lists: SpringBatches, kept:
     start, ends, constants = lists.start, lists.ends, lists.constants
     for p in range(start[batch], start[batch + 1], WIDTH):
         mi, mj = gather(mobility, 0, ends, 0, p), gather(mobility, 0, ends, 1, p)
-        d = minus(listed_corner(x, ends, 1, p), listed_corner(x, ends, 0, p))
-        change = minus(listed_corner(u, ends, 1, p), listed_corner(u, ends, 0, p))
+        d, change = listed_difference(x, ends, 0, p), listed_difference(u, ends, 0, p)
         if kept is not None:
-            change = plus(change, times(mi + mj, kept_rows(kept, p)))
+            change = plus(change, times(mi + mj, load_triple(kept, 0, p)))
         k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
         f = spring_pull(d, change, mi + mj, k, rest, inverse_step * c)
         change = f
         if kept is not None:
-            change = minus(f, kept_rows(kept, p))
-            keep_rows(kept, p, f)
+            change = minus(f, load_triple(kept, 0, p))
         for row in range(3):
+            if kept is not None:
+                store(kept, row, p, f[row])
             add_at(u, row, ends, 0, p, mi * change[row])
             add_at(u, row, ends, 1, p, 0.0 - mj * change[row])
 

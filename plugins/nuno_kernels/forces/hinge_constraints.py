@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.constraints import forget_kept, plus
-from nuno_kernels.forces.hinges import FLAT, cross, dot, listed_corner, minus, times
-from nuno_kernels.lanes.choose import where_greater
+from nuno_kernels.forces.constraints import forget_kept
+from nuno_kernels.forces.hinges import hinge_shape
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, root, store
+from nuno_kernels.lanes.triples import dot, gather_triple, load_triple, minus, plus, times
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import Displaced, register
 from nuno_schemas.fabric import Float, Int
@@ -36,24 +36,20 @@ Parts = tuple[Lanes, Triple, Triple, Triple, Triple]
 def hinge_parts(x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes) -> Parts:
     """Moments k sin(angle - rest) of eight hinges, and at x0 and x1 minus, at x2 and x3 plus the angle's gradient.
 
-    r = 1 / (|n1|^2 |n2|^2 |e|^2) as in nuno_kernels.forces.hinges.hinge_forces, 0 for a triangle without area.
+    r is 0 for a triangle without area: see nuno_kernels.forces.hinges.hinge_shape.
     """
-    e, d2, d3 = minus(x1, x0), minus(x2, x0), minus(x3, x0)
-    n1, n2 = cross(e, d2), cross(d3, e)
-    ee, q1, q2 = dot(e, e), dot(n1, n1), dot(n2, n2)
-    r = where_greater(q2, FLAT * ee * dot(d3, d3), 1.0 / (q1 * q2 * ee))
-    r = where_greater(q1, FLAT * ee * dot(d2, d2), r)
+    n1, n2, d3, ee, q1, q2, r, t2, t3 = hinge_shape(x0, x1, x2, x3)
     sine, cosine = dot(n1, d3) * (ee * root(r)), dot(n1, n2) * root(r * ee)
     size = root(ee) * (ee * r)
     g2, g3 = times(size * q2, n1), times(size * q1, n2)
-    g1 = plus(times(dot(d2, e) * (r * q1 * q2), g2), times(dot(d3, e) * (r * q1 * q2), g3))
+    g1 = plus(times(t2, g2), times(t3, g3))
     return k_cos * sine - k_sin * cosine, minus(plus(g2, g3), g1), g1, g2, g3
 
 
 @kernel
 def moved_corner(x: Float, u: Float, ends: Int, which: int, p: int) -> Triple:
     """Positions x + u of one corner of eight hinges."""
-    return plus(listed_corner(x, ends, which, p), listed_corner(u, ends, which, p))
+    return plus(gather_triple(x, ends, which, p), gather_triple(u, ends, which, p))
 
 
 @kernel
@@ -77,9 +73,9 @@ def sweep_hinges(batch: int, moved: Displaced, hinges: HingeBatches, kept: Float
             moment = moment / all_k
             f1, f2, f3 = times(moment, g1), times(moment, g2), times(moment, g3)
         else:
-            f1 = minus(times(moment, g1), (load(kept, 0, p), load(kept, 1, p), load(kept, 2, p)))
-            f2 = minus(times(moment, g2), (load(kept, 3, p), load(kept, 4, p), load(kept, 5, p)))
-            f3 = minus(times(moment, g3), (load(kept, 6, p), load(kept, 7, p), load(kept, 8, p)))
+            f1 = minus(times(moment, g1), load_triple(kept, 0, p))
+            f2 = minus(times(moment, g2), load_triple(kept, 3, p))
+            f3 = minus(times(moment, g3), load_triple(kept, 6, p))
             f0 = minus(plus(f2, f3), f1)
             along = k * (m0 * dot(g0, f0) + m1 * dot(g1, f1) + m2 * dot(g2, f2) + m3 * dot(g3, f3)) / all_k
             f1, f2, f3 = minus(f1, times(along, g1)), minus(f2, times(along, g2)), minus(f3, times(along, g3))

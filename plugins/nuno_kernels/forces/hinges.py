@@ -28,18 +28,9 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import where_greater
-from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
-from nuno_kernels.step.blocks import (
-    Long,
-    assign_runs,
-    block_count,
-    choose_runs,
-    cut_runs,
-    is_small,
-    local_targets,
-    owned_copies,
-    pad_lists,
-)
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, read, root, splat, store, write
+from nuno_kernels.lanes.triples import cross, dot, gather_triple, minus, plus, read_triple, times
+from nuno_kernels.step.blocks import Long, assign_runs, block_count, choose_runs, cut_runs, is_small, list_copies
 from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bool, Float, Hinges, Int
 
@@ -82,35 +73,12 @@ class HingeLists(NamedTuple):
     curved: bool | None
 
 
-@kernel
-def cross(a: Triple, b: Triple) -> Triple:
-    """a x b of two triples."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+Shape = tuple[Triple, Triple, Triple, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]
 
 
 @kernel
-def dot(a: Triple, b: Triple) -> Lanes:
-    """a.b of two triples."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel
-def minus(a: Triple, b: Triple) -> Triple:
-    """a - b of two triples."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@kernel
-def times(w: Lanes, a: Triple) -> Triple:
-    """w a of a number and a triple."""
-    return w * a[0], w * a[1], w * a[2]
-
-
-@kernel
-def hinge_forces(
-    x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes, curved: bool | None
-) -> tuple[Triple, Triple, Triple]:
-    """Pull on x1 and push on x2 and x3 of eight hinges: force 1, minus force 2, minus force 3.
+def hinge_shape(x0: Triple, x1: Triple, x2: Triple, x3: Triple) -> Shape:
+    """Of eight hinges n1, n2, x3 - x0, |e|^2, |n1|^2, |n2|^2, r, t2 and t3.
 
     All quotients come from one, r = 1/(|n1|^2 |n2|^2 |e|^2), which is set to 0 where a triangle has
     no area; divisions and roots are what a hinge costs.
@@ -120,19 +88,21 @@ def hinge_forces(
     ee, q1, q2 = dot(e, e), dot(n1, n1), dot(n2, n2)
     r = where_greater(q2, FLAT * ee * dot(d3, d3), 1.0 / (q1 * q2 * ee))
     r = where_greater(q1, FLAT * ee * dot(d2, d2), r)
+    return n1, n2, d3, ee, q1, q2, r, dot(d2, e) * (r * q1 * q2), dot(d3, e) * (r * q1 * q2)
+
+
+@kernel
+def hinge_forces(
+    x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes, curved: bool | None
+) -> tuple[Triple, Triple, Triple]:
+    """Pull on x1 and push on x2 and x3 of eight hinges: force 1, minus force 2, minus force 3."""
+    n1, n2, d3, ee, q1, q2, r, t2, t3 = hinge_shape(x0, x1, x2, x3)
     moment = k_cos * (dot(n1, d3) * root(r * ee))
     if curved is not None:
         moment = moment - k_sin * (dot(n1, n2) * root(r))
     pull = moment * (ee * ee * r)
     f2, f3 = times(pull * q2, n1), times(pull * q1, n2)
-    t2, t3 = dot(d2, e) * (r * q1 * q2), dot(d3, e) * (r * q1 * q2)
-    return (t2 * f2[0] + t3 * f3[0], t2 * f2[1] + t3 * f3[1], t2 * f2[2] + t3 * f3[2]), f2, f3
-
-
-@kernel
-def listed_corner(x: Float, corners: Int, which: int, p: int) -> Triple:
-    """Positions of one corner of eight hinges."""
-    return gather(x, 0, corners, which, p), gather(x, 1, corners, which, p), gather(x, 2, corners, which, p)
+    return plus(times(t2, f2), times(t3, f3)), f2, f3
 
 
 @kernel
@@ -141,8 +111,8 @@ def add_hinge_lists(lists: HingeLists, block: int, origin: int, x: Float, v: Flo
     start, corners, constants = lists.start, lists.corners, lists.constants
     for p in range(start[block], start[block + 1], WIDTH):
         f1, f2, f3 = hinge_forces(
-            listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p),
-            listed_corner(x, corners, 2, p), listed_corner(x, corners, 3, p),
+            gather_triple(x, corners, 0, p), gather_triple(x, corners, 1, p),
+            gather_triple(x, corners, 2, p), gather_triple(x, corners, 3, p),
             load(constants, 0, p), load(constants, 1, p), lists.curved,
         )  # fmt: skip
         for row in range(3):
@@ -153,9 +123,14 @@ def add_hinge_lists(lists: HingeLists, block: int, origin: int, x: Float, v: Flo
 
 
 @kernel
-def run_corner(x: Float, i: int, m: int) -> Triple:
-    """Positions of one corner of up to eight hinges of a run."""
-    return read(x, 0, i, m), read(x, 1, i, m), read(x, 2, i, m)
+def add_waiting(force: Float, task: Long, t: int, origin: int, wait: Float) -> None:
+    """Add what waits of a run, three rows of (12, .) for each corner, to a block's forces (3, w)."""
+    for c in range(4):
+        if (task[t, 6] >> c) & 1:
+            for q in range(0, task[t, 4], WIDTH):
+                m, p = min(WIDTH, task[t, 4] - q), task[t, c] + q - origin
+                for row in range(3):
+                    write(force, row, p, m, read(force, row, p, m) + load(wait, 3 * c + row, q))
 
 
 @kernel
@@ -173,20 +148,15 @@ def add_hinge_runs(runs: HingeRuns, block: int, origin: int, x: Float, v: Float,
         for q in range(0, count, WIDTH):
             m = min(WIDTH, count - q)
             f1, f2, f3 = hinge_forces(
-                run_corner(x, i0 + q, m), run_corner(x, i1 + q, m), run_corner(x, i2 + q, m),
-                run_corner(x, i3 + q, m), k_cos, k_sin, runs.curved,
+                read_triple(x, 0, i0 + q, m), read_triple(x, 0, i1 + q, m), read_triple(x, 0, i2 + q, m),
+                read_triple(x, 0, i3 + q, m), k_cos, k_sin, runs.curved,
             )  # fmt: skip
             for row in range(3):
                 store(wait, row, q, f2[row] + f3[row] - f1[row])
                 store(wait, 3 + row, q, f1[row])
                 store(wait, 6 + row, q, 0.0 - f2[row])
                 store(wait, 9 + row, q, 0.0 - f3[row])
-        for c in range(4):
-            if (task[t, 6] >> c) & 1:
-                for q in range(0, count, WIDTH):
-                    m, p = min(WIDTH, count - q), task[t, c] + q - origin
-                    for row in range(3):
-                        write(force, row, p, m, read(force, row, p, m) + load(wait, 3 * c + row, q))
+        add_waiting(force, task, t, origin, wait)
 
 
 for _kind, _add, _layout in ((HingeRuns, add_hinge_runs, "runs"), (HingeLists, add_hinge_lists, "lists")):
@@ -234,23 +204,7 @@ def _pack_hinge_lists(hinges: Hinges, chosen: Bool, vertices: int) -> HingeLists
     order = np.lexsort((quads.max(axis=1), quads.min(axis=1)))
     quads = np.ascontiguousarray(quads[order].T)
     values = _constants(hinges.per_hinge(hinges.k)[chosen][order], hinges.per_hinge(hinges.rest)[chosen][order])
-    element, bounds = owned_copies(quads, block_count(vertices))
-    element, start = pad_lists(element, bounds, WIDTH)
-    filled = element >= 0
-    target = local_targets(np.where(filled, quads[:, element], -1), start, vertices)
-    corners = np.concatenate([np.where(filled, quads[:, element], 0), target]).astype(np.int32)
-    constants = np.ascontiguousarray(np.where(filled, values[:, element], 0.0))
+    element, start, corners = list_copies(quads, vertices)
+    constants = np.ascontiguousarray(np.where(element >= 0, values[:, element], 0.0))
     curved = True if is_small(hinges.number) or constants[1].any() else None
     return HingeLists(start, corners, constants, curved)
-
-
-def hinge_angles(position: Float, quads: Int) -> Float:
-    """(h,) angles [rad] in (-pi, pi] of hinges (h, 4) at positions (n, 3): 0 flat, positive a valley.
-
-    A hinge with a triangle without area has angle 0.
-    """
-    x0, x1, x2, x3 = (position[quads[:, c]] for c in range(4))
-    e = x1 - x0
-    n1, n2 = np.cross(e, x2 - x0), np.cross(x3 - x0, e)
-    sine = (n1 * (x3 - x0)).sum(axis=1) * np.sqrt((e * e).sum(axis=1))
-    return np.asarray(np.arctan2(sine, (n1 * n2).sum(axis=1)))

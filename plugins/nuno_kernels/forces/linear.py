@@ -16,18 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.hinges import (
-    FLAT,
-    LONGEST,
-    HingeLists,
-    HingeRuns,
-    cross,
-    dot,
-    listed_corner,
-    minus,
-    run_corner,
-    times,
-)
+from nuno_kernels.forces.hinges import LONGEST, HingeLists, HingeRuns, add_waiting, hinge_shape
 from nuno_kernels.forces.linear_layout import (
     HINGE_ROWS,
     SPRING_ROWS,
@@ -53,7 +42,8 @@ from nuno_kernels.forces.springs import (
 )
 from nuno_kernels.forces.springs import LONGEST as LONGEST_SPRINGS
 from nuno_kernels.lanes.choose import higher, where_greater, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, read, root, splat, store, write
+from nuno_kernels.lanes.triples import dot, gather_triple, load_triple, minus, plus, read_triple, times
 from nuno_schemas.fabric import Float
 
 
@@ -113,7 +103,7 @@ def fill_spring_lists(
     """Write the rows of a block's listed springs at x (3, n), after a step from `before`."""
     ends, constants = lists.ends, lists.constants
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
-        d, d0 = listed_difference(x, ends, p), listed_difference(before, ends, p)
+        d, d0 = listed_difference(x, ends, 0, p), listed_difference(before, ends, 0, p)
         k, rest, c = load(constants, 0, p), load(constants, 1, p), load(constants, 2, p)
         lock = listed_lock(p, constants, 3, lists.locks)
         found = spring_rows(d, d0, k, rest, rate * c, lock, lists.locks, floor, follow)
@@ -122,10 +112,9 @@ def fill_spring_lists(
 
 
 @kernel
-def spring_product(a: Lanes, wx: Lanes, wy: Lanes, wz: Lanes, dx: Lanes, dy: Lanes, dz: Lanes) -> Triple:
+def spring_product(alpha: Lanes, w: Triple, d: Triple) -> Triple:
     """(alpha I + w w^T) d of eight springs."""
-    s = wx * dx + wy * dy + wz * dz
-    return a * dx + wx * s, a * dy + wy * s, a * dz + wz * s
+    return plus(times(alpha, d), times(dot(w, d), w))
 
 
 @kernel
@@ -138,11 +127,8 @@ def multiply_spring_runs(runs: SpringRuns, linear: LinearRuns, block: int, origi
         near = side == 3 and j - i < FAR
         for q in range(0, count, WIDTH):
             m = min(WIDTH, count - q)
-            f = spring_product(
-                read(rows, 0, at + q, m), read(rows, 1, at + q, m), read(rows, 2, at + q, m), read(rows, 3, at + q, m),
-                read(u, 0, i + q, m) - read(u, 0, j + q, m), read(u, 1, i + q, m) - read(u, 1, j + q, m),
-                read(u, 2, i + q, m) - read(u, 2, j + q, m),
-            )  # fmt: skip
+            d = run_difference(u, j + q, i + q, m)
+            f = spring_product(read(rows, 0, at + q, m), read_triple(rows, 1, at + q, m), d)
             for row in range(3):
                 if side & 1:
                     write(out, row, i + q - origin, m, read(out, row, i + q - origin, m) + f[row])
@@ -164,11 +150,8 @@ def multiply_spring_lists(
     """Add the products of a block's listed springs with u (3, n) to `out` (3, w)."""
     ends, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):
-        f = spring_product(
-            load(rows, 0, p), load(rows, 1, p), load(rows, 2, p), load(rows, 3, p),
-            gather(u, 0, ends, 0, p) - gather(u, 0, ends, 1, p), gather(u, 1, ends, 0, p) - gather(u, 1, ends, 1, p),
-            gather(u, 2, ends, 0, p) - gather(u, 2, ends, 1, p),
-        )  # fmt: skip
+        d = minus(gather_triple(u, ends, 0, p), gather_triple(u, ends, 1, p))
+        f = spring_product(load(rows, 0, p), load_triple(rows, 1, p), d)
         for row in range(3):
             add_at(out, row, ends, 2, p, f[row])
             add_at(out, row, ends, 3, p, 0.0 - f[row])
@@ -178,22 +161,14 @@ def multiply_spring_lists(
 def hinge_rows(x0: Triple, x1: Triple, x2: Triple, x3: Triple, k_cos: Lanes, k_sin: Lanes) -> Rows:
     """sqrt(k cos(angle - rest)) times the gradient of eight hinges' angles at x1, x2 (negative) and x3 (negative).
 
-    With r = 1 / (q1 q2 e^2) as in nuno_kernels.forces.hinges.hinge_forces: |e| / (q1 q2) = |e| e^2 r.
+    |e| / (|n1|^2 |n2|^2) = |e| |e|^2 r, with r of nuno_kernels.forces.hinges.hinge_shape.
     """
-    e, d2, d3 = minus(x1, x0), minus(x2, x0), minus(x3, x0)
-    n1, n2 = cross(e, d2), cross(d3, e)
-    ee, q1, q2 = dot(e, e), dot(n1, n1), dot(n2, n2)
-    r = where_greater(q2, FLAT * ee * dot(d3, d3), 1.0 / (q1 * q2 * ee))
-    r = where_greater(q1, FLAT * ee * dot(d2, d2), r)
+    n1, n2, d3, ee, q1, q2, r, t2, t3 = hinge_shape(x0, x1, x2, x3)
     cosine, sine = dot(n1, n2) * root(r * ee), dot(n1, d3) * (ee * root(r))
     k = higher(k_cos * cosine + k_sin * sine, splat(0.0))
     size = root(k * ee) * (ee * r)
     f2, f3 = times(size * q2, n1), times(size * q1, n2)
-    t2, t3 = dot(d2, e) * (r * q1 * q2), dot(d3, e) * (r * q1 * q2)
-    return (
-        t2 * f2[0] + t3 * f3[0], t2 * f2[1] + t3 * f3[1], t2 * f2[2] + t3 * f3[2],
-        f2[0], f2[1], f2[2], f3[0], f3[1], f3[2],
-    )  # fmt: skip
+    return plus(times(t2, f2), times(t3, f3)) + f2 + f3
 
 
 @kernel
@@ -207,8 +182,8 @@ def fill_hinge_runs(
         for q in range(0, task[t, 4], WIDTH):
             m = min(WIDTH, task[t, 4] - q)
             found = hinge_rows(
-                run_corner(x, task[t, 0] + q, m), run_corner(x, task[t, 1] + q, m),
-                run_corner(x, task[t, 2] + q, m), run_corner(x, task[t, 3] + q, m),
+                read_triple(x, 0, task[t, 0] + q, m), read_triple(x, 0, task[t, 1] + q, m),
+                read_triple(x, 0, task[t, 2] + q, m), read_triple(x, 0, task[t, 3] + q, m),
                 splat(constants[0, at]), splat(constants[1, at]),
             )  # fmt: skip
             for row in range(HINGE_ROWS):
@@ -224,8 +199,8 @@ def fill_hinge_lists(
     corners, constants = lists.corners, lists.constants
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
         found = hinge_rows(
-            listed_corner(x, corners, 0, p), listed_corner(x, corners, 1, p), listed_corner(x, corners, 2, p),
-            listed_corner(x, corners, 3, p), load(constants, 0, p), load(constants, 1, p),
+            gather_triple(x, corners, 0, p), gather_triple(x, corners, 1, p), gather_triple(x, corners, 2, p),
+            gather_triple(x, corners, 3, p), load(constants, 0, p), load(constants, 1, p),
         )  # fmt: skip
         for row in range(HINGE_ROWS):
             store(linear.rows, row, p, found[row])
@@ -250,25 +225,17 @@ def multiply_hinge_runs(runs: HingeRuns, linear: LinearRuns, block: int, origin:
         at = linear.column[t]
         for q in range(0, task[t, 4], WIDTH):
             m, c = min(WIDTH, task[t, 4] - q), at + q
-            g = (
-                read(rows, 0, c, m), read(rows, 1, c, m), read(rows, 2, c, m), read(rows, 3, c, m), read(rows, 4, c, m),
-                read(rows, 5, c, m), read(rows, 6, c, m), read(rows, 7, c, m), read(rows, 8, c, m),
-            )  # fmt: skip
+            g = read_triple(rows, 0, c, m) + read_triple(rows, 3, c, m) + read_triple(rows, 6, c, m)
             s = hinge_product(
-                g, run_corner(u, task[t, 0] + q, m), run_corner(u, task[t, 1] + q, m),
-                run_corner(u, task[t, 2] + q, m), run_corner(u, task[t, 3] + q, m),
+                g, read_triple(u, 0, task[t, 0] + q, m), read_triple(u, 0, task[t, 1] + q, m),
+                read_triple(u, 0, task[t, 2] + q, m), read_triple(u, 0, task[t, 3] + q, m),
             )  # fmt: skip
             for row in range(3):
                 store(wait, row, q, s * (g[3 + row] + g[6 + row] - g[row]))
                 store(wait, 3 + row, q, s * g[row])
                 store(wait, 6 + row, q, 0.0 - s * g[3 + row])
                 store(wait, 9 + row, q, 0.0 - s * g[6 + row])
-        for corner in range(4):
-            if (task[t, 6] >> corner) & 1:
-                for q in range(0, task[t, 4], WIDTH):
-                    m, p = min(WIDTH, task[t, 4] - q), task[t, corner] + q - origin
-                    for row in range(3):
-                        write(out, row, p, m, read(out, row, p, m) + load(wait, 3 * corner + row, q))
+        add_waiting(out, task, t, origin, wait)
 
 
 @kernel
@@ -276,13 +243,10 @@ def multiply_hinge_lists(lists: HingeLists, linear: LinearLists, block: int, ori
     """Add the products of a block's listed hinges with u (3, n) to `out` (3, w)."""
     corners, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):
-        g = (
-            load(rows, 0, p), load(rows, 1, p), load(rows, 2, p), load(rows, 3, p), load(rows, 4, p),
-            load(rows, 5, p), load(rows, 6, p), load(rows, 7, p), load(rows, 8, p),
-        )  # fmt: skip
+        g = load_triple(rows, 0, p) + load_triple(rows, 3, p) + load_triple(rows, 6, p)
         s = hinge_product(
-            g, listed_corner(u, corners, 0, p), listed_corner(u, corners, 1, p),
-            listed_corner(u, corners, 2, p), listed_corner(u, corners, 3, p),
+            g, gather_triple(u, corners, 0, p), gather_triple(u, corners, 1, p),
+            gather_triple(u, corners, 2, p), gather_triple(u, corners, 3, p),
         )  # fmt: skip
         for row in range(3):
             add_at(out, row, corners, 4, p, s * (g[3 + row] + g[6 + row] - g[row]))

@@ -29,13 +29,13 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.hinges import dot, listed_corner, minus
 from nuno_kernels.forces.linear import slope_at
 from nuno_kernels.forces.linear_layout import LinearLists, linear_lists
-from nuno_kernels.forces.springs import listed_lock, tensions
+from nuno_kernels.forces.springs import listed_difference, listed_lock, tensions
 from nuno_kernels.forces.yarns import YarnLists
 from nuno_kernels.lanes.choose import higher, where_not_zero
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, root, splat, store
+from nuno_kernels.lanes.triples import dot, load_triple
 from nuno_kernels.step.blocks import BLOCK
 from nuno_schemas.fabric import Float
 
@@ -63,9 +63,8 @@ def fill_yarns(
     """Write the rows of a block's pairs at x (3, n), after a step from `before`; `floor` is the least alpha."""
     corners, constants, rows = yarns.corners, yarns.constants, linear.rows
     for p in range(yarns.start[block], yarns.start[block + 1], WIDTH):
-        middle, middle0 = listed_corner(x, corners, 1, p), listed_corner(before, corners, 1, p)
-        a, a0 = minus(middle, listed_corner(x, corners, 0, p)), minus(middle0, listed_corner(before, corners, 0, p))
-        b, b0 = minus(listed_corner(x, corners, 2, p), middle), minus(listed_corner(before, corners, 2, p), middle0)
+        a, a0 = listed_difference(x, corners, 0, p), listed_difference(before, corners, 0, p)
+        b, b0 = listed_difference(x, corners, 1, p), listed_difference(before, corners, 1, p)
         inverse_a, length_a = link_rows(a, a0, follow)
         inverse_b, length_b = link_rows(b, b0, follow)
         k_a, k_b = load(constants, 0, p), load(constants, 3, p)
@@ -90,11 +89,9 @@ def multiply_yarns(yarns: YarnLists, linear: LinearLists, block: int, origin: in
     """Add the products of a block's pairs with u (3, n) to `out` (3, w)."""
     corners, rows = linear.indices, linear.rows
     for p in range(linear.start[block], linear.start[block + 1], WIDTH):
-        a = load(rows, 0, p), load(rows, 1, p), load(rows, 2, p)
-        b = load(rows, 3, p), load(rows, 4, p), load(rows, 5, p)
+        a, b = load_triple(rows, 0, p), load_triple(rows, 3, p)
         m, across_a, across_b = load(rows, 6, p), load(rows, 7, p), load(rows, 8, p)
-        middle = listed_corner(u, corners, 1, p)
-        to_a, to_b = minus(middle, listed_corner(u, corners, 0, p)), minus(listed_corner(u, corners, 2, p), middle)
+        to_a, to_b = listed_difference(u, corners, 0, p), listed_difference(u, corners, 1, p)
         s_a, s_b = dot(a, to_a), dot(b, to_b)
         along_a, along_b = m * s_b - across_a * s_a, m * s_a - across_b * s_b
         for row in range(3):

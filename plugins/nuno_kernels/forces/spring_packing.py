@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_kernels.forces.springs import LONGEST, SpringLists, SpringRuns
-from nuno_kernels.lanes.simd import WIDTH
 from nuno_kernels.step.blocks import (
     SHORTEST,
     Long,
@@ -14,9 +13,7 @@ from nuno_kernels.step.blocks import (
     choose_runs,
     cut_runs,
     is_small,
-    local_targets,
-    owned_copies,
-    pad_lists,
+    list_copies,
 )
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
@@ -124,13 +121,8 @@ def locking(constants: Float) -> bool | None:
 def _pack_lists(pairs: Long, constants: Float, vertices: int, general: bool = False) -> SpringLists:
     """Lists per block of (s, 2) springs in the order of their vertices; `general` ones are taken as damped."""
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
-    ends, constants = pairs[order].T, constants[:, order]
-    element, bounds = owned_copies(ends, block_count(vertices))
-    element, start = pad_lists(element, bounds, WIDTH)
-    filled = element >= 0
-    ends = np.where(filled, ends[:, element], 0)
-    target = local_targets(np.where(filled, ends, -1), start, vertices)
-    constants = np.where(filled, constants[:, element], 0.0)
+    constants = constants[:, order]
+    element, start, ends = list_copies(pairs[order].T, vertices)
+    constants = np.ascontiguousarray(np.where(element >= 0, constants[:, element], 0.0))
     damped = True if general or constants[2].any() else None
-    table = np.concatenate([ends, target]).astype(np.int32)
-    return SpringLists(start, np.ascontiguousarray(table), np.ascontiguousarray(constants), damped, locking(constants))
+    return SpringLists(start, ends, constants, damped, locking(constants))

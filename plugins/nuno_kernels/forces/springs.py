@@ -14,7 +14,8 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import higher, where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, splat, store, write
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, read, root, splat, store, write
+from nuno_kernels.lanes.triples import dot, gather_triple, minus, read_triple, times
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int
@@ -85,19 +86,17 @@ def tension_at(length: float, constants: Float, c: int, locks: bool | None) -> f
 
 
 @kernel
-def pull(dx: Lanes, dy: Lanes, dz: Lanes, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
+def pull(d: Triple, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
     """k (|d| - L) / |d|: exactly 0 at the rest length, which k - k L / |d| is not."""
-    square = dx * dx + dy * dy + dz * dz
+    square = dot(d, d)
     length = root(square)
     return where_not_zero(square, tensions(length, k, rest, lock, locks) / length)
 
 
 @kernel
-def damped_pull(
-    dx: Lanes, dy: Lanes, dz: Lanes, approach: Lanes, k: Lanes, rest: Lanes, c: Lanes, lock: Lock, locks: bool | None
-) -> Lanes:
+def damped_pull(d: Triple, approach: Lanes, k: Lanes, rest: Lanes, c: Lanes, lock: Lock, locks: bool | None) -> Lanes:
     """(k (|d| - L) + c approach / |d|) / |d| with approach = (v_j - v_i).d."""
-    square = dx * dx + dy * dy + dz * dz
+    square = dot(d, d)
     length = root(square)
     inverse = 1.0 / length
     return where_not_zero(square, (tensions(length, k, rest, lock, locks) + c * (approach * inverse)) * inverse)
@@ -131,16 +130,13 @@ def listed_lock(p: int, constants: Float, row: int, locks: bool | None) -> Lock:
 @kernel
 def run_difference(x: Float, i: int, j: int, m: int) -> Triple:
     """x[:, j] - x[:, i] of up to eight that follow each other."""
-    return read(x, 0, j, m) - read(x, 0, i, m), read(x, 1, j, m) - read(x, 1, i, m), read(x, 2, j, m) - read(x, 2, i, m)
+    return minus(read_triple(x, 0, j, m), read_triple(x, 0, i, m))
 
 
 @kernel
-def listed_difference(x: Float, ends: Int, p: int) -> Triple:
-    """x[:, ends[1]] - x[:, ends[0]] of eight listed ones."""
-    return (
-        gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p), gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p),
-        gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p),
-    )  # fmt: skip
+def listed_difference(x: Float, indices: Int, which: int, p: int) -> Triple:
+    """x at the indices in row `which` + 1 minus x at those in row `which`, of eight from place p on."""
+    return minus(gather_triple(x, indices, which + 1, p), gather_triple(x, indices, which, p))
 
 
 @kernel
@@ -149,23 +145,13 @@ def run_forces(
     damped: bool | None, locks: bool | None,
 ) -> Triple:  # fmt: skip
     """Forces on the i ends of up to eight springs of a run, of which the first has the `ends` i and j."""
-    i, j = ends
-    dx = read(x, 0, j, m) - read(x, 0, i, m)
-    dy = read(x, 1, j, m) - read(x, 1, i, m)
-    dz = read(x, 2, j, m) - read(x, 2, i, m)
+    d = run_difference(x, ends[0], ends[1], m)
     k, rest = run_constant(0, at, m, constants, each), run_constant(1, at, m, constants, each)
     lock = run_lock(at, m, constants, each, locks)
     if damped is None:
-        w = pull(dx, dy, dz, k, rest, lock, locks)
-    else:
-        c = run_constant(2, at, m, constants, each)
-        approach = (
-            (read(v, 0, j, m) - read(v, 0, i, m)) * dx
-            + (read(v, 1, j, m) - read(v, 1, i, m)) * dy
-            + (read(v, 2, j, m) - read(v, 2, i, m)) * dz
-        )
-        w = damped_pull(dx, dy, dz, approach, k, rest, c, lock, locks)
-    return w * dx, w * dy, w * dz
+        return times(pull(d, k, rest, lock, locks), d)
+    approach = dot(run_difference(v, ends[0], ends[1], m), d)
+    return times(damped_pull(d, approach, k, rest, run_constant(2, at, m, constants, each), lock, locks), d)
 
 
 @kernel
@@ -201,22 +187,12 @@ def listed_forces(
     x: Float, v: Float, ends: Int, p: int, constants: Float, damped: bool | None, locks: bool | None
 ) -> Triple:
     """Forces on the i ends of eight listed springs."""
-    dx = gather(x, 0, ends, 1, p) - gather(x, 0, ends, 0, p)
-    dy = gather(x, 1, ends, 1, p) - gather(x, 1, ends, 0, p)
-    dz = gather(x, 2, ends, 1, p) - gather(x, 2, ends, 0, p)
-    k = load(constants, 0, p)
-    rest = load(constants, 1, p)
+    d, k, rest = listed_difference(x, ends, 0, p), load(constants, 0, p), load(constants, 1, p)
     lock = listed_lock(p, constants, 3, locks)
     if damped is None:
-        w = pull(dx, dy, dz, k, rest, lock, locks)
-    else:
-        approach = (
-            (gather(v, 0, ends, 1, p) - gather(v, 0, ends, 0, p)) * dx
-            + (gather(v, 1, ends, 1, p) - gather(v, 1, ends, 0, p)) * dy
-            + (gather(v, 2, ends, 1, p) - gather(v, 2, ends, 0, p)) * dz
-        )
-        w = damped_pull(dx, dy, dz, approach, k, rest, load(constants, 2, p), lock, locks)
-    return w * dx, w * dy, w * dz
+        return times(pull(d, k, rest, lock, locks), d)
+    approach = dot(listed_difference(v, ends, 0, p), d)
+    return times(damped_pull(d, approach, k, rest, load(constants, 2, p), lock, locks), d)
 
 
 @kernel
@@ -224,13 +200,10 @@ def add_lists(lists: SpringLists, block: int, origin: int, x: Float, v: Float, f
     """Add a block's listed springs to its forces (3, w)."""
     start, ends, constants = lists.start, lists.ends, lists.constants
     for p in range(start[block], start[block + 1], WIDTH):
-        fx, fy, fz = listed_forces(x, v, ends, p, constants, lists.damped, lists.locks)
-        add_at(force, 0, ends, 2, p, fx)
-        add_at(force, 1, ends, 2, p, fy)
-        add_at(force, 2, ends, 2, p, fz)
-        add_at(force, 0, ends, 3, p, 0.0 - fx)
-        add_at(force, 1, ends, 3, p, 0.0 - fy)
-        add_at(force, 2, ends, 3, p, 0.0 - fz)
+        f = listed_forces(x, v, ends, p, constants, lists.damped, lists.locks)
+        for row in range(3):
+            add_at(force, row, ends, 2, p, f[row])
+            add_at(force, row, ends, 3, p, 0.0 - f[row])
 
 
 def damps(springs: SpringRuns | SpringLists) -> bool:

@@ -24,10 +24,11 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.forces.linear_layout import listed_elements
 from nuno_kernels.forces.spring_packing import spring_constants
-from nuno_kernels.forces.springs import listed_lock, tensions
+from nuno_kernels.forces.springs import listed_difference, listed_lock, tensions
 from nuno_kernels.lanes.choose import where_not_zero
-from nuno_kernels.lanes.simd import WIDTH, Triple, add_at, gather, load, root
-from nuno_kernels.step.blocks import BLOCK, Long, block_count, is_small, local_targets, owned_copies, pad_lists
+from nuno_kernels.lanes.simd import WIDTH, add_at, load, root
+from nuno_kernels.lanes.triples import dot
+from nuno_kernels.step.blocks import BLOCK, Long, is_small, list_copies
 from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int, Springs
 from nuno_schemas.yarns import Yarns
@@ -52,31 +53,20 @@ class YarnLists(NamedTuple):
 
 
 @kernel
-def listed_link(x: Float, corners: Int, which: int, p: int) -> Triple:
-    """x of corner which + 1 minus x of corner `which`, of eight pairs."""
-    return (
-        gather(x, 0, corners, which + 1, p) - gather(x, 0, corners, which, p),
-        gather(x, 1, corners, which + 1, p) - gather(x, 1, corners, which, p),
-        gather(x, 2, corners, which + 1, p) - gather(x, 2, corners, which, p),
-    )
-
-
-@kernel
 def add_yarns(yarns: YarnLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add to a block's forces (3, w) what passes along its yarns."""
     corners, constants = yarns.corners, yarns.constants
     for p in range(yarns.start[block], yarns.start[block + 1], WIDTH):
-        a, b = listed_link(x, corners, 0, p), listed_link(x, corners, 1, p)
-        square_a, square_b = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
+        a, b = listed_difference(x, corners, 0, p), listed_difference(x, corners, 1, p)
+        square_a, square_b = dot(a, a), dot(b, b)
         long_a, long_b = root(square_a), root(square_b)
         lock_a = listed_lock(p, constants, 6, yarns.locks)
         lock_b = listed_lock(p, constants, 8, yarns.locks)
         pull_a = tensions(long_a, load(constants, 0, p), load(constants, 1, p), lock_a, yarns.locks)
         pull_b = tensions(long_b, load(constants, 3, p), load(constants, 4, p), lock_b, yarns.locks)
         if yarns.damped is not None:
-            va, vb = listed_link(v, corners, 0, p), listed_link(v, corners, 1, p)
-            pull_a = pull_a + load(constants, 2, p) * ((va[0] * a[0] + va[1] * a[1] + va[2] * a[2]) / long_a)
-            pull_b = pull_b + load(constants, 5, p) * ((vb[0] * b[0] + vb[1] * b[1] + vb[2] * b[2]) / long_b)
+            pull_a = pull_a + load(constants, 2, p) * (dot(listed_difference(v, corners, 0, p), a) / long_a)
+            pull_b = pull_b + load(constants, 5, p) * (dot(listed_difference(v, corners, 1, p), b) / long_b)
         along_a = where_not_zero(square_a, where_not_zero(square_b, pull_b) / long_a)
         along_b = where_not_zero(square_b, where_not_zero(square_a, pull_a) / long_b)
         for row in range(3):
@@ -157,11 +147,9 @@ def pack_yarns(yarns: Yarns, springs: Springs, vertices: int) -> YarnLists | Non
     corners = pair_corners(springs.pairs(), neighbours)
     order = np.lexsort((corners.max(axis=0), corners.min(axis=0)))
     corners = corners[:, order]
-    element, start = pad_lists(*owned_copies(corners, block_count(vertices)), WIDTH)
+    element, start, table = list_copies(corners, vertices)
     filled = element >= 0
-    target = local_targets(np.where(filled, corners[:, element], -1), start, vertices)
-    table = np.concatenate([np.where(filled, corners[:, element], 0).astype(np.int32), target])
-    del corners, target
+    del corners
     # Constants are most of a knit's memory: each row is written once, in its place.
     named = spring_constants(springs)
     constants = np.zeros((2 * len(named), element.shape[0]))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_kernels.lanes.simd import WIDTH
 from nuno_schemas.fabric import Bool, Int
 
 Long = NDArray[np.int64]
@@ -61,10 +62,10 @@ def owned_copies(indices: Long | Int, blocks: int) -> tuple[Long, Long]:
     return element[order].astype(np.int64), bounds.astype(np.int64)
 
 
-def pad_lists(element: Long, bounds: Long, width: int) -> tuple[Long, Long]:
+def pad_lists(element: Long, bounds: Long) -> tuple[Long, Long]:
     """Make every block's list a whole number of vectors; the added places hold -1."""
     length = np.diff(bounds)
-    padded = -(-length // width) * width
+    padded = -(-length // WIDTH) * WIDTH
     start = np.concatenate([[0], np.cumsum(padded)]).astype(np.int64)
     out = np.full(int(start[-1]), -1, np.int64)
     block = np.repeat(np.arange(length.shape[0]), length)
@@ -79,6 +80,16 @@ def local_targets(indices: Long | Int, start: Long, vertices: int) -> Int:
     local = indices - origin
     own = (indices >= 0) & (local >= 0) & (local < width)
     return np.ascontiguousarray(np.where(own, local, width), np.int32)
+
+
+def list_copies(indices: Long | Int, vertices: int) -> tuple[Long, Long, Int]:
+    """Lists per block of elements with vertices (w, m): the element (p,) in each place, -1 where it only fills a vector
+    up; bounds (blocks + 1,); and (2 w, p) int32 the vertices, then their columns in the block's own forces.
+    """
+    element, start = pad_lists(*owned_copies(indices, block_count(vertices)))
+    filled = element >= 0
+    target = local_targets(np.where(filled, indices[:, element], -1), start, vertices)
+    return element, start, np.concatenate([np.where(filled, indices[:, element], 0).astype(np.int32), target])
 
 
 def cut_runs(runs: Long, longest: int) -> Long:
