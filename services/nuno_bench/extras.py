@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterable
 
 from nuno_schemas.errors import BadInput
 
@@ -18,22 +17,14 @@ INSTALL = {
 """What pip takes for each; Open3D is no extra of ours, since it holds other packages back."""
 
 
-def missing(packages: Iterable[str]) -> list[str]:
-    """Those of them that are not installed."""
-    return [package for package in packages if importlib.util.find_spec(package) is None]
+def missing(package: str) -> str:
+    """That it is not installed, and how it is; empty where it is."""
+    there = importlib.util.find_spec(package) is not None
+    return "" if there else f"{package} is not installed (pip install '{INSTALL.get(package, package)}')"
 
 
-def told(packages: Iterable[str]) -> str:
-    """That they are not installed, and how each is."""
-    return ", ".join(f"{package} is not installed ({_command(package)})" for package in packages)
-
-
-def require(what: str, packages: Iterable[str], field: str | None = None) -> None:
+def require(what: str, package: str, field: str | None = None) -> None:
     """Raises BadInput where `what`, in words, needs a package that is not installed."""
-    if lacking := missing(packages):
-        problem = f"{what} {' and '.join(lacking)}, which {'is' if len(lacking) == 1 else 'are'} not installed"
-        raise BadInput(problem, field=field, remedy="; ".join(dict.fromkeys(map(_command, lacking))))
-
-
-def _command(package: str) -> str:
-    return f"pip install '{INSTALL.get(package, package)}'"
+    if missing(package):
+        remedy = f"pip install '{INSTALL.get(package, package)}'"
+        raise BadInput(f"{what} {package}, which is not installed", field=field, remedy=remedy)

@@ -50,32 +50,27 @@ class Others:
         return f"{text}: TIMES ARE DISTURBED" if share > DISTURBED else text
 
 
-def describe() -> dict[str, str]:
-    """Machine, threads and versions, as text by name.
-
-    Call it after the kernels have run: numba names its threading layer only then.
-    """
-    return {
-        "processor": f"{processor()}, {cores()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB",
-        "system": platform.platform(),
-        "kernels": f"at most {numba.config.NUMBA_NUM_THREADS} threads, {_layer()}",
-        "versions": ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in PACKAGES)]),
-        "date": time.strftime("%Y-%m-%d"),
-    }
-
-
-def about(others: Others, **more: str) -> dict[str, str]:
-    """What a report says of how it was made: the command, the machine, what else it was doing, and `more`."""
-    return {"command": command(), **more, **describe(), "load": others.describe()}
-
-
-def _layer() -> str:
-    try:
-        return f"threading layer {numba.threading_layer()}"
-    except ValueError:
-        return "no parallel kernel has run"
-
-
 def command() -> str:
     """The command line that makes these figures again."""
     return "nuno " + shlex.join(sys.argv[1:])
+
+
+def about(others: Others, **more: str) -> dict[str, str]:
+    """What a report says of how it was made, as text by name: the command, `more`, machine, versions, what else ran.
+
+    Call it after the kernels have run: numba names its threading layer only then.
+    """
+    try:
+        layer = f"threading layer {numba.threading_layer()}"
+    except ValueError:
+        layer = "no parallel kernel has run"
+    return {
+        "command": command(),
+        **more,
+        "processor": f"{processor()}, {cores()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB",
+        "system": platform.platform(),
+        "kernels": f"at most {numba.config.NUMBA_NUM_THREADS} threads, {layer}",
+        "versions": ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in PACKAGES)]),
+        "date": time.strftime("%Y-%m-%d"),
+        "load": others.describe(),
+    }

@@ -31,14 +31,31 @@ def add_shared(parser: argparse.ArgumentParser, *names: str) -> None:
         parser.add_argument(name, **SHARED[name])
 
 
+def add_count(parser: argparse.ArgumentParser, name: str, what: str, default: int | None = None) -> None:
+    """An option that takes a number of at least 1."""
+
+    def count(text: str) -> int:
+        if (given := int(text)) < 1:
+            raise BadInput("at least one is needed", field=name, value=given)
+        return given
+
+    parser.add_argument(name, type=count, default=default, metavar="N", help=what)
+
+
 def add_repeats(parser: argparse.ArgumentParser, default: int, what: str) -> None:
-    parser.add_argument("--repeats", type=int, default=default, metavar="N", help=f"{what} (default: %(default)s)")
+    add_count(parser, "--repeats", f"{what} (default: %(default)s)", default)
 
 
 def add_seconds(parser: argparse.ArgumentParser, name: str, default: float, what: str) -> None:
-    """An option that takes a wall time [s]."""
-    text = f"{what} (default: %(default)g)"
-    parser.add_argument(name, type=float, default=default, metavar="SECONDS", help=text)
+    """An option that takes a wall time [s] in which something can be done."""
+
+    def seconds(text: str) -> float:
+        if not 0.0 < (given := float(text)) < math.inf:
+            raise BadInput("some time is needed", field=name, value=given, limit="more than 0 s")
+        return given
+
+    what = f"{what} (default: %(default)g)"
+    parser.add_argument(name, type=seconds, default=default, metavar="SECONDS", help=what)
 
 
 def names_of(given: str | None) -> list[str]:
@@ -51,15 +68,3 @@ def require_known(names: Sequence[str], known: Collection[str], what: str, field
     for name in names:
         if name not in known:
             raise BadInput(f"no such {what}", field=field, value=name, remedy=nearest(name, known))
-
-
-def require_repeats(repeats: int) -> None:
-    """Raises BadInput for none."""
-    if repeats < 1:
-        raise BadInput("at least one repeat is needed", field="--repeats", value=repeats)
-
-
-def require_budget(seconds: float) -> None:
-    """Raises BadInput for a wall time [s] in which nothing can be done."""
-    if not (seconds > 0.0 and math.isfinite(seconds)):
-        raise BadInput("a sweep needs time", field="--budget", value=seconds, limit="more than 0 s")

@@ -24,8 +24,6 @@ BY_NAME = (
 """Where modules are imported by a name that a table in the code gives, not a file or a message."""
 OF_TYPES = "nuno_kernels/terms.py"
 """Makes a function for the types in a tuple, whose source names kernels by their numbers alone."""
-OF_A_CLUSTER = "nuno_bench/sweep/cluster.py"
-"""Hands tasks, pickled, to a Dask cluster of the user's, which runs whatever its clients send it."""
 
 
 def findings(source: str, place: str = "") -> list[str]:
@@ -38,7 +36,7 @@ def _found(tree: ast.AST, place: str) -> Iterator[tuple[int, str]]:
         if isinstance(node, ast.Import | ast.ImportFrom):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
             bad = [name for name in names if name.partition(".")[0] in MODULES]
-            yield from ((node.lineno, f"imports {name}") for name in bad if not place.endswith(OF_A_CLUSTER))
+            yield from ((node.lineno, f"imports {name}") for name in bad)
         if not isinstance(node, ast.Call):
             continue
         name = _dotted(node.func)

@@ -17,8 +17,7 @@ from nuno.simulation.run import Simulation
 from nuno.words import roughly
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery.kind import Kind, Shown
-from nuno_bench.sweep.executor import Here
-from nuno_bench.sweep.kept import Kept
+from nuno_bench.sweep.executor import Executor
 from nuno_bench.validation import suite
 from nuno_bench.validation.laws.base import Outcome
 
@@ -86,7 +85,7 @@ def test_validate_says_what_is_left_by_the_mean_of_what_is_done(
     monkeypatch.setattr(suite, "check_named", check_named)
     monkeypatch.setattr(suite, "SAY_EVERY", 0.0)
     parts, said = suite.choose_parts(["one step", "projectile", "rotation"], []), list[str]()
-    outcomes = suite.check_all(parts, Here(), Kept(tmp_path / "kept", {}, False), said.append)
+    outcomes = suite.check_all(parts, Executor(), said.append)
     every = [(case.name, solver) for part in parts for case in part.cases for solver in part.solvers]
     assert [(one.case, one.solver) for one in outcomes] == every
     assert said[0] == f"{len(every)} checks; the first of them tell how long all take"

@@ -12,13 +12,12 @@ import pytest
 
 from nuno import registry
 from nuno.cli import main
-from nuno_bench.report import markdown, page
-from nuno_bench.report.result import Result, number, text_table
+from nuno_bench.report import page
+from nuno_bench.report.result import Result, number
 from nuno_bench.speed import command as speed
 from nuno_bench.speed import timing
 from nuno_bench.speed.steps import meshes
 from nuno_bench.speed.steps.meshes import net, sheet
-from nuno_bench.speed.steps.sliced import SlicedCloth
 from nuno_bench.speed.timing import watch_compiler
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import State
@@ -50,19 +49,6 @@ def test_failing_case_is_reported_and_others_go_on(monkeypatch: pytest.MonkeyPat
     (result,) = speed.run_case("broken", 1)
     assert result.verdict == "failed"
     assert "no_such_function" in result.failure
-
-
-def test_numpy_peer_takes_the_same_steps_as_the_kernels() -> None:
-    side, steps, dt = 17, 40, 2e-4
-    fabric = sheet(side, side)
-    system, state = meshes.system_of(fabric)
-    x, v = np.ascontiguousarray(state.x.T), np.ascontiguousarray(state.v.T)
-    SlicedCloth(fabric, np.asarray(system.gravity)).advance(x, v, steps, dt)
-    plugin = registry.load("nuno.integrators", "symplectic_euler")
-    memory = plugin.prepare(plugin.Config(), system, state)
-    plugin.advance(system, state, memory, None, steps, dt)
-    moved = np.abs(state.x - fabric.position).max()
-    np.testing.assert_allclose(x.T, state.x, rtol=0, atol=1e-9 * moved)
 
 
 def test_nets_of_a_sheet_move_like_the_sheet() -> None:
@@ -142,20 +128,20 @@ def test_figure_marks_a_curve_that_ended_early() -> None:
 
 def test_only_the_measured_section_of_a_page_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "page.md"
-    begin, end = markdown.marks("speed")
+    begin, end = page.marks("speed")
     path.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
     for _ in range(2):
-        markdown.replace_section(path, "speed", [markdown.table(("a", "b"), [["x|y", "1"]])])
+        page.replace_section(path, "speed", [page.Table(("a", "b"), [["x|y", "1"]])])
         assert path.read_text() == f"before\n{begin}\n\n| a | b |\n| --- | --- |\n| x\\|y | 1 |\n\n{end}\nafter\n"
     with pytest.raises(BadInput, match="no section"):
-        markdown.replace_section(path, "integrators", ["new"])
+        page.replace_section(path, "integrators", ["new"])
     assert "new" not in path.read_text()
 
 
 def test_numbers_read_well() -> None:
     shown = [number(value) for value in (0.0, 0.123456, 1234.5, -2.0, 1.5e-7, 3e12)]
     assert shown == ["0", "0.123", "1,234", "-2", "1.5e-07", "3e+12"]
-    lines = text_table(("a", "n"), [["x", "1"], ["yy", "22"]]).splitlines()
+    lines = page.Table(("a", "n"), [["x", "1"], ["yy", "22"]]).text().splitlines()
     assert lines[2:] == ["x    1", "yy  22"]
 
 

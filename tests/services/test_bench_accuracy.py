@@ -22,6 +22,8 @@ def delivered(path: Path, out: Path, *flags: str) -> list[dict[str, Any]]:
     assert code == int(any(one["verdict"] != "agrees" for one in results))
     with (out / "accuracy.csv").open() as stream:
         assert [row["verdict"] for row in csv.DictReader(stream)] == [one["verdict"] for one in results]
+    page = (out / "accuracy.html").read_text()
+    assert all(one["verdict"] in page for one in results)
     return results
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nuno.cli import main
-from nuno_bench.report import markdown
+from nuno_bench.report.page import marks
 from nuno_bench.report.result import Result
 from nuno_bench.speed import command as speed
 from nuno_bench.speed.leg import fit as fit_speed
@@ -40,7 +40,7 @@ def test_every_stocking_is_fitted_on_both_legs_against_its_bar(monkeypatch: pyte
 
 def test_chosen_cases_have_a_section_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = tmp_path / "page.md"
-    page.write_text("".join(f"{mark}\n" for name in ("speed", "speed fit") for mark in markdown.marks(name)))
+    page.write_text("".join(f"{mark}\n" for name in ("speed", "speed fit") for mark in marks(name)))
     monkeypatch.setattr(speed, "run_case", lambda name, repeats: [Result(name, "seconds", "s", (1.0,))])
     assert main(["bench", "speed", "fit", "--docs", str(page)]) == 0
     text = page.read_text()

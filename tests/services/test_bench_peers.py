@@ -9,7 +9,6 @@ import json
 import signal
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -20,24 +19,19 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page
-from nuno_bench.peers.command import stiff_sheet
 from nuno_bench.peers.problem import Score, Sheet, judge
 from nuno_bench.peers.process import Point, measure
-from nuno_bench.peers.python import NumPy, _fabric
-from nuno_bench.peers.table import KINDS, Kind, label
-from nuno_bench.speed.steps import stiff
-from nuno_bench.speed.steps.sliced import SlicedCloth
-from nuno_schemas.fabric import State
+from nuno_bench.peers.python import NumPy, stiff_sheet
+from nuno_bench.peers.table import KINDS, Kind
+from nuno_schemas.fabric import Float, State
 
 SMALL = ("objects.0.model.resolution=[9, 8]",)
 HERE = str(Path(__file__).parent)
 
 
 @pytest.fixture
-def sheet(tmp_path: Path) -> Sheet:
-    """As an engine's process reads it."""
-    stiff_sheet(SMALL).save(tmp_path / "sheet.npz")
-    return Sheet.load(tmp_path / "sheet.npz")
+def sheet() -> Sheet:
+    return stiff_sheet(*SMALL)
 
 
 @pytest.fixture
@@ -46,7 +40,8 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def fake(made: str, *settings: dict[str, float], package: str = "") -> Kind:
-    return Kind(f"fake-{made.lower()}", package, "fake_engines", made, settings, f"{made} <is> given.")
+    named = {str(setting): setting for setting in settings}
+    return Kind(f"fake-{made.lower()}", package, "fake_engines", made, named, f"{made} <is> given.")
 
 
 def test_arrays_given_to_engines_have_the_accelerations_of_our_kernels(sheet: Sheet) -> None:
@@ -57,7 +52,7 @@ def test_arrays_given_to_engines_have_the_accelerations_of_our_kernels(sheet: Sh
     state, other = State(np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)), np.empty((3, n))
     forces = simulation.loaded.integrator.plugin.forces
     own = forces(simulation.system, state, simulation.memory, None).acceleration.T
-    SlicedCloth(_fabric(sheet), sheet.gravity, float(sheet.drag)).accelerate(x, v, other)
+    NumPy(sheet, 1e-3).accelerate(x, v, other)
     np.testing.assert_allclose(other, own, rtol=0, atol=1e-12 * np.abs(own).max())
 
 
@@ -84,7 +79,7 @@ def test_engines_that_step_as_numpy_does_end_where_it_does(sheet: Sheet, module:
 
 
 def test_engine_in_a_process_of_its_own_gives_its_score(sheet: Sheet, fakes: None) -> None:
-    point = measure(fake("Still"), {"shift": 2e-3}, "still", sheet, sheet.x + 0.0, 3, 60.0)
+    point = measure(fake("Still", {"shift": 2e-3}), "{'shift': 0.002}", sheet, sheet.x + 0.0, 3, 60.0)
     assert point.failure == ""
     assert len(point.seconds) == 3
     assert min(point.seconds) >= 0.01
@@ -106,25 +101,23 @@ def test_engine_in_a_process_of_its_own_gives_its_score(sheet: Sheet, fakes: Non
 def test_engine_that_breaks_is_a_mark_with_its_reason(
     sheet: Sheet, fakes: None, made: str, setting: dict[str, float], limit: float, reason: str
 ) -> None:
-    point = measure(fake(made), setting, made, sheet, sheet.x, 1, limit)
+    point = measure(fake(made, setting), str(setting), sheet, sheet.x, 1, limit)
     assert point.score is None
     assert reason in point.failure
 
 
 def test_engine_that_breaks_while_it_repeats_keeps_what_it_has(sheet: Sheet, fakes: None) -> None:
-    point = measure(fake("Crash"), {"after": 3.0}, "", sheet, 1.001 * sheet.x, 5, 60.0)
+    point = measure(fake("Crash", {"after": 3.0}), "{'after': 3.0}", sheet, 1.001 * sheet.x, 5, 60.0)
     assert len(point.seconds) == 2
     assert point.score is not None
     assert point.failure == ""
     assert "signal SIGSEGV" in point.remark
 
 
-def test_engine_whose_starter_was_killed_ends_by_itself(sheet: Sheet, fakes: None, tmp_path: Path) -> None:
-    asked = {"module": "fake_engines", "made": "Hang", "setting": {"after": 0.0}, "repeats": 1, "limit": 0.0}
-    asked |= {"sheet": str(tmp_path / "sheet.npz"), "end": str(tmp_path / "end.npy"), "began": 0.0}
-    (tmp_path / "request.json").write_text(json.dumps(asked))
-    command = [sys.executable, "-m", "nuno_bench.peers.process", str(tmp_path / "request.json")]
-    assert subprocess.run(command, check=False, timeout=60.0).returncode == -signal.SIGALRM
+def test_engine_whose_starter_was_killed_ends_by_itself(fakes: None) -> None:
+    code = "from multiprocessing import Pipe; from nuno_bench.peers.process import work; "
+    code += "work(Pipe()[1], 'fake_engines', 'Hang', {'after': 0.0}, None, 1, 0.0)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60.0).returncode == -signal.SIGALRM
 
 
 def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
@@ -136,19 +129,28 @@ def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
         Point("other", "fine", 0.1, (5.0,), good),
         Point("never", "", None, (), None, "not done after 9 s"),
     ]
-    kinds = [Kind(name, "", "", "", (), "") for name in ("nuno-a", "other", "never")]
+    kinds = [Kind(name, "", "", "", {}, "") for name in ("nuno-a", "other", "never")]
     found = peer_page.Found(kinds, points, (), 1.0)
-    assert [row[-1] for row in peer_page.rows(found)] == ["not accurate", "best of its kind"] * 2 + ["failed"]
-    assert peer_page.notes(found) == [["never", "", "not done after 9 s"]]
+    assert [row[-1] for row in peer_page.settings(found).rows] == ["not accurate", "best of its kind"] * 2 + ["failed"]
+    assert peer_page.notes(found).rows == [["never", "", "not done after 9 s"]]
     assert "10 times faster" in " ".join(peer_page.verdicts(found))
     assert "Accurate and done at no setting shown: never." in peer_page.verdicts(found)
+
+
+class Stretched:
+    """The converged run, quickly."""
+
+    def __init__(self, sheet: Sheet) -> None:
+        self.end = 1.001 * sheet.x
+
+    def advance(self, seconds: float) -> Float:
+        return self.end
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, Path]:
     """The command on engines that are quick; one is not installed, one crashes: its code, output and folder."""
-    small, folder, out = stiff_sheet(SMALL), tmp_path_factory.mktemp("peers"), io.StringIO()
-    end = stiff.End(np.zeros(3), 0.0, 1.001 * small.x, 0.5, Counter())
+    small, folder, out = stiff_sheet(*SMALL), tmp_path_factory.mktemp("peers"), io.StringIO()
     kinds = (
         fake("Still", {"shift": 0.0}, {"shift": 1.0}),
         fake("Crash", {"after": 0.0}),
@@ -160,9 +162,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, Path]:
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
         patch.setenv("PYTHONPATH", HERE)
         patch.setattr(peers, "KINDS", kinds)
-        patch.setattr(peers, "label", lambda setting: f"{setting}")
         patch.setattr(peers, "stiff_sheet", lambda: small)
-        patch.setattr(stiff, "run", lambda *overrides: end)
+        patch.setattr(peers, "Nuno", lambda sheet, solver: Stretched(sheet))
         code = main(argv)
     return code, out.getvalue(), folder
 
@@ -220,5 +221,6 @@ def test_names_choose_engines_or_one_way_of_theirs() -> None:
 
 def test_every_setting_has_a_label_of_its_own() -> None:
     for kind in KINDS:
-        labels = [label(setting) for setting in kind.settings]
-        assert len(set(labels)) == len(labels) >= 1
+        assert len(kind.settings) >= 1 and all(kind.settings), kind.name
+    sizes = {kind.name: len(kind.settings) for kind in KINDS}
+    assert (sizes["newton-vbd"], sizes["scipy"], sizes["nuno-tr_bdf2"]) == (4, 3, 3)

@@ -13,17 +13,17 @@ from scenes import BALL, write_scene
 
 from nuno import registry
 from nuno.cli import main as nuno_main
-from nuno_bench.precision import command as precision
-from nuno_bench.precision.errors import POSITIONS
 from nuno_bench.precision.findings import fit_order, judge
-from nuno_bench.precision.page import Findings
+from nuno_bench.precision.page import Findings, report
 from nuno_bench.precision.settings import choose_solvers
 from nuno_bench.precision.sweep import MORE, Runner
-from nuno_bench.problem.observe import Problem, simulate
-from nuno_bench.problem.reference import GROUP, Reference
+from nuno_bench.problem.observe import POSITIONS, Problem, simulate
+from nuno_bench.problem.reference import Reference
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepReport
+
+GROUP = Problem.group
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_a_step_beyond_the_limit_is_a_marked_failure(tmp_path: Path) -> None:
     assert {point.outcome for point in beyond} <= {"diverged", "ran away"}
     assert all(point.message and not point.errors and point.seconds for point in beyond)
     assert all(point.done for point in found.points if not point.beyond)
-    page = precision.write(tmp_path / "page", found)[0].read_text()
+    page = report(found).page()
     assert all(point.setting in page and point.message in page for point in beyond)
 
 
@@ -144,7 +144,7 @@ def test_a_reference_that_disagrees_with_itself_fails(
         )
         return Reference(sure.run, coarse, "made to disagree", 0.0, sure.twin)  # fmt: skip
 
-    monkeypatch.setattr(precision, "make_reference", unsure)
+    monkeypatch.setattr("nuno_bench.problem.horizon.make_reference", unsure)
     path = write_net(tmp_path)
     assert nuno_main(["bench", "precision", str(path), *FLAGS, "--solvers", "rk4,dopri5", "--out", str(tmp_path)]) == 1
     said = capsys.readouterr()

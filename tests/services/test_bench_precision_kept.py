@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from line_net import problem_of, reference_of, write_net
-from precision_sweeps import FLAGS, arguments, swept
+from precision_sweeps import FLAGS, swept
 
 from nuno.cli import main as nuno_main
 from nuno_bench.precision import command as precision
@@ -104,9 +104,12 @@ def test_a_budget_leaves_finer_points_out_by_name(tmp_path: Path, found: Finding
     assert dropped | kept == {p.key for p in found.points}
 
 
-def test_a_place_that_cannot_be_written_is_refused_before_a_reference_is_computed(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_refused_before_a_reference_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(precision, "pose", None)
     path = write_net(tmp_path)
     (tmp_path / "out").write_text("a file in the folder's place")
     with pytest.raises(BadInput, match="cannot write there") as refused:
-        precision._check(arguments(path))
+        swept(path)
     assert (refused.value.field, refused.value.value) == ("--out", str(tmp_path / "out"))

@@ -14,11 +14,11 @@ from test_bench_precision_dye import write_wave
 
 from nuno.cli import main as nuno_main
 from nuno_bench import machine
-from nuno_bench.precision.errors import POSITIONS
 from nuno_bench.precision.findings import fit_order
-from nuno_bench.precision.page import Findings, orders, own_sentence
+from nuno_bench.precision.page import Findings, orders
 from nuno_bench.precision.point import Point
 from nuno_bench.problem.dye import AMOUNTS
+from nuno_bench.problem.observe import POSITIONS
 from nuno_bench.report.result import number
 
 
@@ -34,7 +34,7 @@ def test_the_own_step_and_twice_it_are_swept_and_the_sentence_is_that_of_their_r
     assert len({point.key for point in found.points}) == len(found.points)
     errors = [point.errors[POSITIONS].l2 for point in (own, coarser)]
     assert errors[1] / errors[0] == pytest.approx(16.0, rel=0.1)
-    said = own_sentence(found)
+    said = found.own_sentence
     assert said.startswith(f"This scene as it is (rk4, {own.setting}): error in positions {errors[0]:.2e}, run time ")
     ratios = re.findall(r"\(([\d.]+) times\)", said)
     assert ratios == [number(errors[1] / errors[0]), number(coarser.median / own.median)]
@@ -68,7 +68,7 @@ def test_the_command_and_its_files_begin_with_it(tmp_path: Path, capsys: pytest.
 )
 def test_what_cannot_be_compared_is_said_instead(tmp_path: Path, fields: dict[str, Any], said: str) -> None:
     found = swept(write_net(tmp_path, **fields), "--solvers", "rk4")
-    sentence = own_sentence(found)
+    sentence = found.own_sentence
     assert any(each in sentence for each in said.split("|")), sentence
     if "above the stability" in said:
         assert found.own.coarser == "" and of(found, found.own.setting).done
@@ -81,7 +81,7 @@ def test_an_adaptive_solver_is_swept_at_its_own_tolerance(tmp_path: Path) -> Non
     own, coarser = (of(found, label) for label in (found.own.setting, found.own.coarser))
     assert (own.finer, coarser.finer) == pytest.approx((3e-7, 3e-6))
     assert coarser.errors[POSITIONS].l2 > own.errors[POSITIONS].l2
-    assert "with 10 times the tolerance (tolerance 3e-06)" in own_sentence(found)
+    assert "with 10 times the tolerance (tolerance 3e-06)" in found.own_sentence
 
 
 def test_an_implicit_solver_keeps_its_own_residual(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_dye_has_its_own_step_too(tmp_path: Path) -> None:
     assert (own.finer, coarser.finer) == pytest.approx((0.5, 1.0))
     ratio = coarser.errors[AMOUNTS].l2 / own.errors[AMOUNTS].l2
     assert ratio == pytest.approx(2.0, rel=0.1)
-    assert f"error in amounts {coarser.errors[AMOUNTS].l2:.2e} ({number(ratio)} times)" in own_sentence(found)
+    assert f"error in amounts {coarser.errors[AMOUNTS].l2:.2e} ({number(ratio)} times)" in found.own_sentence
 
 
 def test_disturbed_times_are_called_so_beside_what_is_fastest(

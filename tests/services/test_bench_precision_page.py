@@ -15,11 +15,11 @@ from rrd import columns
 
 from nuno.cli import main as nuno_main
 from nuno.viewer.layout import entity
-from nuno_bench.precision import command as precision
-from nuno_bench.precision.errors import POSITIONS, Error, measure_errors
+from nuno_bench.precision.errors import Error, measure_errors
 from nuno_bench.precision.findings import choice_rows, judge
-from nuno_bench.precision.page import Findings, over_frames, over_wall_time, tabs
+from nuno_bench.precision.page import Findings, over_frames, over_wall_time, report, tabs
 from nuno_bench.precision.point import Point
+from nuno_bench.problem.observe import POSITIONS
 
 SOLVERS = "rk4,leapfrog,tr_bdf2"
 
@@ -33,7 +33,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Findings:
 def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, found: Findings) -> None:
     horizon = replace(found.horizon, frames=1, t=0.0, whole=False)
     floors = {name: floor for name, floor in found.floors.items() if name != POSITIONS}
-    page = precision.write(tmp_path / "line", replace(found, horizon=horizon, floors=floors))[0].read_text()
+    page = report(replace(found, horizon=horizon, floors=floors)).page()
     assert "Positions cannot be compared" in page and page.count("<svg") == 1
     problem = problem_of(write_net(tmp_path))
     run = reference_of(problem).run.series
@@ -41,13 +41,13 @@ def test_without_predictable_time_only_observables_are_compared(tmp_path: Path, 
 
 
 def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
-    html, table, data = precision.write(tmp_path / "line", found)
-    content = json.loads(data.read_text())
+    report(found).write_beside(tmp_path / "line")
+    content = json.loads((tmp_path / "line.json").read_text())
     assert [Point.from_json(point) for point in content["points"]] == found.points
-    with table.open() as stream:
+    with (tmp_path / "line.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == sum(max(1, len(point.errors)) for point in found.points)
-    text = html.read_text()
+    text = (tmp_path / "line.html").read_text()
     assert all(point.setting in text for point in found.points)
     assert text.count("<svg") == 2 and "http" not in text.replace("http://www.w3.org", "")
 
@@ -56,7 +56,8 @@ def test_a_rerun_file_holds_every_point_and_its_error_over_the_frames(tmp_path: 
     from nuno_bench.report import rerun
 
     found = swept(write_net(tmp_path), "--solvers", "rk4,leapfrog")
-    path = rerun.write(tmp_path / "line.rrd", "test", tabs([found]))
+    path = tmp_path / "line.rrd"
+    rerun.write(path, "test", tabs(found))
     assert not list(tmp_path.glob("*.part"))
     dots = {place: np.array(rows[0]) for place, rows in columns(path, "Points2D:positions").items()}
     done = [each for each in found.points if each.done]
@@ -103,9 +104,10 @@ def test_the_fastest_stable_solver_within_each_accuracy_is_named_once() -> None:
         (("--solvers", ","), "empty"),
         (("--budget", "0"), "more than 0"),
         (("--budget", "nan"), "more than 0"),
-        (("--repeats", "0"), "one repeat"),
-        (("--rrd", "series.txt"), "ends in .rrd"),
+        (("--repeats", "0"), "--repeats"),
+        (("--rrd", "series.txt"), "must end in .rrd"),
         (("--observable", "dropp"), "drop"),
+        (("--observable", ","), "empty"),
         (("--docs", "nowhere.md"), "no section"),
     ],
 )

@@ -44,7 +44,7 @@ def mapped() -> Mapped:
 
 
 def test_maps_hold_every_point_in_its_class_and_the_limit(tmp_path: Path) -> None:
-    (panel,) = tabs([mapped()])["small, stiffness"]
+    (panel,) = tabs(mapped())["small, stiffness"]
     found = drawn(tmp_path / "maps.rrd", "small, stiffness", panel)
     for i, name in enumerate(("diverged", "drifting", "exact", "left out")):
         assert found[name] == pytest.approx(np.array([[1.0, 10.0**-i], [10.0, 10.0**-i]]), rel=1e-4)

@@ -18,7 +18,7 @@ from nuno_bench.problem.observe import Series
 from nuno_bench.stability import page as stability_page
 from nuno_bench.stability.case import Point, Setting, classify, make_reference, pose, stiffen
 from nuno_bench.stability.sweep import measure_all, measure_row, mesh_overrides, settings_of, step_counts
-from nuno_bench.sweep.executor import Here
+from nuno_bench.sweep.executor import Executor
 from nuno_bench.sweep.kept import Kept
 from nuno_bench.sweep.packed import pack
 from nuno_schemas.errors import BadInput
@@ -136,7 +136,7 @@ def test_meshes_follow_the_models_own_numbers(scene: Path, tmp_path: Path) -> No
     assert {setting.axis for setting in settings} == {"stiffness"}
     assert omissions == ["the map over mesh sizes: the model net has no resolution"]
     kept = Kept(tmp_path / "rows.jsonl", {}, False)
-    points, _ = measure_all(settings[:1], ["rk4"], kept, 9.0, Here(), lambda text: None)
+    points, _ = measure_all(settings[:1], ["rk4"], kept, 9.0, Executor(), lambda text: None)
     assert {point.axis for point in points} == {"stiffness"}
 
 
@@ -147,7 +147,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
     def sweep(resume: bool, identity: str = "a") -> list[Point]:
         told.clear()
         kept = Kept(tmp_path / "rows.jsonl", {"of": identity}, resume)
-        return measure_all(settings, ["leapfrog"], kept, 60.0, Here(), told.append)[0]
+        return measure_all(settings, ["leapfrog"], kept, 60.0, Executor(), told.append)[0]
 
     whole = sweep(False)
     assert len(told) == 3, "compiling, and two rows"
@@ -164,7 +164,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(scene: Path, tmp_path: Path) 
 def test_what_the_budget_leaves_out_is_named(scene: Path, tmp_path: Path) -> None:
     settings = settings_of(scene, [])[0][:1]
     kept = Kept(tmp_path / "rows.jsonl", {}, False)
-    points, omissions = measure_all(settings, ["leapfrog"], kept, 1e-9, Here(), lambda text: None)
+    points, omissions = measure_all(settings, ["leapfrog"], kept, 1e-9, Executor(), lambda text: None)
     assert points == []
     assert omissions == ["stiffness x 1, leapfrog: the budget of time"]
 
@@ -192,7 +192,9 @@ def test_every_class_has_a_colour_of_its_own_lightness() -> None:
 def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, capsys: Any) -> None:
     pytest.importorskip("matplotlib")
     flags = ["--solvers", "leapfrog,tr_bdf2", "--budget", "4", "--jobs", "1", "--out", str(tmp_path / "out")]
+    flags += ["--rrd", str(tmp_path / "maps.rrd")]
     assert main(["bench", "stability", str(scene), *flags]) == 0
+    assert (tmp_path / "maps.rrd").stat().st_size > 0
     said = capsys.readouterr().out
     assert "stiffness  leapfrog" in said
     data = json.loads((tmp_path / "out" / "stability-small.json").read_text())
@@ -209,7 +211,7 @@ def test_bad_arguments_are_refused_before_anything_runs(scene: Path, tmp_path: P
     for flags, word in (
         (["--solvers", "leapfog"], "leapfrog"),
         (["--budget", "0"], "budget"),
-        (["--jobs", "0"], "at least one process"),
+        (["--jobs", "0"], "at least one"),
         (["--jobs", "2", "--dask", "tcp://127.0.0.1:1"], "either --jobs or --dask"),
         (["--resume"], "no sweep to go on with"),
         (["nowhere"], "nowhere"),

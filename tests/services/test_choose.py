@@ -18,6 +18,7 @@ from nuno.scene import scene_file
 from nuno.scene.override import apply_override, as_override
 from nuno.scene.scene_file import Loaded
 from nuno_bench.precision.accuracy import promised_frames
+from nuno_bench.problem.horizon import find_horizon
 from nuno_bench.problem.observe import make_problem, simulate
 from nuno_bench.problem.reference import make_reference
 from nuno_schemas.errors import BadInput
@@ -56,7 +57,7 @@ def delivered(loaded: Loaded) -> float:
     """Error of the chosen run against a converged one, over the frames that the promise is for [sizes]."""
     problem = make_problem(loaded)
     reference = make_reference(problem, 60.0, lambda text: None)
-    frames = promised_frames(problem, reference)
+    frames = promised_frames(find_horizon(problem, reference))
     chosen = choose.decide(loaded)
     assert chosen.scene.solver.dt != "auto"
     run = simulate(problem, chosen.integrator.plugin, chosen.integrator.config, steps(chosen))

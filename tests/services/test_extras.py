@@ -26,7 +26,6 @@ def bare(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("command", "packages", "extra"),
     [
-        ("bench speed numpy --html page.html", "matplotlib", "bench"),
         ("bench peers", "matplotlib", "bench"),
         ("bench precision net", "matplotlib", "bench"),
         ("bench stability net", "matplotlib", "bench"),
@@ -63,11 +62,11 @@ def test_all_cases_go_on_without_a_peer_that_is_missing(
     bare: None, monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path
 ) -> None:
     """Said before the first, and in what is kept; nothing has failed."""
-    monkeypatch.setattr(speed, "CASES", {name: speed.CASES[name] for name in ("numpy", "closest")})
+    monkeypatch.setattr(speed, "CASES", {name: speed.CASES[name] for name in ("wrinkle", "closest")})
     monkeypatch.setattr(speed, "run_case", lambda name, repeats: [Result(name, "what", "unit", (1.0,))])
     kept = tmp_path / "speed.json"
     assert main(["bench", "speed", "--json", str(kept)]) == 0
     out, err = capsys.readouterr()
     rtree = "closest has fewer peers: rtree is not installed (pip install 'nuno[peers]'), igl is"
-    assert err.splitlines()[0].startswith(rtree) and err.splitlines()[1] == "numpy ..."
+    assert err.splitlines()[0].startswith(rtree) and err.splitlines()[1] == "wrinkle ..."
     assert rtree in out and "closest has fewer peers" in kept.read_text()

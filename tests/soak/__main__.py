@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from nuno_bench import machine, options
-from nuno_bench.report import markdown
-from nuno_bench.report.result import Result, number, text_table
+from nuno_bench.report import page
+from nuno_bench.report.result import Result, number
 from nuno_schemas.errors import BadInput
 
 PARTS = {
@@ -53,7 +53,7 @@ def _chosen(named: Sequence[str], docs: Path | None) -> list[str]:
         parts.remove("fuzz")
     if docs is not None:
         for part in parts:
-            markdown.check_section(docs, f"soak {part}")
+            page.check_section(docs, f"soak {part}")
     return parts
 
 
@@ -67,16 +67,15 @@ def _run(part: str, quick: bool, seed: int, docs: Path | None) -> bool:
     except Exception as error:  # what the part is about did not hold, and the other parts still count
         traceback.print_exc()
         results = [Result(part, "could not be run", "", failure=f"{type(error).__name__}: {error}")]
-    table = [_row(result) for result in results]
-    judged = [verdict for *_, verdict in table if verdict]
+    table = page.Table(HEADINGS, [_row(result) for result in results])
+    judged = [verdict for *_, verdict in table.rows if verdict]
     summary = f"{judged.count('holds')} of {len(judged)} hold."
     notes = [f"{r.case}, {r.what}: {r.failure or r.note}" for r in results if r.failure or r.note]
-    print(text_table(HEADINGS, table), *notes, f"{part}: {summary}", sep="\n")
+    print(table.text(), *notes, f"{part}: {summary}", sep="\n")
     if docs is not None:
         command = f"make soak ARGS='{part} --seed {seed}{' --quick' if quick else ''}'"
-        about = {"command": command, **machine.describe(), "load": others.describe()}
-        parts = [summary, markdown.table(HEADINGS, table), *notes, markdown.facts(about)]
-        markdown.replace_section(docs, f"soak {part}", parts)
+        about = machine.about(others) | {"command": command}
+        page.replace_section(docs, f"soak {part}", [summary, table, *notes, page.Facts(about)])
     return judged.count("holds") == len(judged)
 
 

@@ -51,11 +51,7 @@ def main(args: argparse.Namespace) -> int:
     found = compare(kind.differences, {one.name: one for one in shown if not one.failed})
     for row in found:
         print("  ".join(row))
-    about = {"command": machine.command(), **machine.describe(), "load": others.describe()}
-    args.out.mkdir(parents=True, exist_ok=True)
-    target = args.out / f"{args.kind}.html"
-    target.write_text(_render(kind, shown, found, about), encoding="utf-8")
-    print(f"written {target}")
+    report(kind, shown, found, machine.about(others)).write(args.out / f"{args.kind}.html", None, None, "")
     return int(any(one.failed for one in shown) or any(row[-1] == "missed" for row in found))
 
 
@@ -69,19 +65,21 @@ def choose(kind: Kind, wanted: str | None) -> list[Path]:
     return [path for name, path in known.items() if name in names]
 
 
-def _render(kind: Kind, shown: Sequence[Shown], found: list[list[str]], about: dict[str, str]) -> str:
-    sections: list[tuple[str, list[page.Part]]] = []
-    for heading in dict.fromkeys(kind.section(one.name) for one in shown):
-        own = [one for one in shown if kind.section(one.name) == heading]
-        sections.append((heading, [page.Pictures(_pictures(kind, own))]))
-    if lost := [[one.name, f"failed, {one.failed}"] for one in shown if one.failed]:
-        where = "What these show is where they got to; what must show is not asked of them."
-        sections.append(("Failed", [page.Table(("scene", "why"), lost, where)]))
-    if found:
-        sections.append(("What must show", [page.Table(DIFFERENCE_HEADINGS, found, ASKED)]))
-    if rows := [[one.name, what, number(value)] for one in shown for what, value in one.measured.items()]:
-        sections.append(("Measured", [page.Table(("scene", "measure", "value"), rows, kind.measures)]))
-    return page.render(kind.title, kind.lead, [*sections, ("Made by", [page.Facts(about)])])
+def report(kind: Kind, shown: Sequence[Shown], found: list[list[str]], about: dict[str, str]) -> page.Report:
+    """The page: pictures by section, what failed, what must show and what was measured."""
+    own: dict[str, list[Shown]] = {}
+    for one in shown:
+        own.setdefault(kind.section(one.name), []).append(one)
+    lost = [[one.name, f"failed, {one.failed}"] for one in shown if one.failed]
+    measured = [[one.name, what, number(value)] for one in shown for what, value in one.measured.items()]
+    where = "What these show is where they got to; what must show is not asked of them."
+    sections: page.Sections = [
+        *((heading, [page.Pictures(_pictures(kind, ones))]) for heading, ones in own.items()),
+        ("Failed", [page.Table(("scene", "why"), lost, where)]),
+        ("What must show", [page.Table(DIFFERENCE_HEADINGS, found, ASKED)]),
+        ("Measured", [page.Table(("scene", "measure", "value"), measured, kind.measures)]),
+    ]
+    return page.Report(kind.title, kind.lead, sections, about, {})
 
 
 def _pictures(kind: Kind, shown: Sequence[Shown]) -> list[page.Image]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import statistics
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,8 @@ from nuno.scene import scene_file
 from nuno_bench import machine, options
 from nuno_bench.integrators import findings
 from nuno_bench.integrators.experiment import INTEGRATORS, RUNAWAY, SERIES, Trace, run_experiment
-from nuno_bench.integrators.findings import Finding
-from nuno_bench.report import markdown, page, plots
-from nuno_bench.report.page import Facts, Figure, Table
+from nuno_bench.report import page, plots
+from nuno_bench.report.page import Figure, Report, Table
 from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.report.result import number
 from nuno_schemas.errors import BadInput
@@ -47,26 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run, print the table and the findings, write page, CSV and JSON. A run that diverges is a result."""
-    path, names = _check(args)
-    others = machine.Others()
-    traces = run_experiment(path, args.overrides, names, args.repeats, lambda text: print(text, file=sys.stderr))
-    found, about = findings.compare(traces), machine.about(others)
-    print(runs(traces).text())
-    for finding in found:
-        print(f"\n{finding.claim}: {finding.verdict}\n  {finding.seen}")
-    for file in write(args.out / f"integrators-{path.stem}", path.stem, traces, found, about):
-        print(f"written {file}")
-    if args.docs is not None:
-        markdown.replace_section(args.docs, "integrators", [claims(found), runs(traces), CAPTION, Facts(about)])
-        print(f"written {args.docs}")
-    return 0
-
-
-def _check(args: argparse.Namespace) -> tuple[Path, list[str]]:
-    """The scene's file and the methods to compare. Raises BadInput before anything runs."""
     plots.require_matplotlib()
-    markdown.check_section(args.docs, "integrators")
-    options.require_repeats(args.repeats)
+    page.check_section(args.docs, "integrators")
     names = options.names_of(args.integrators)
     options.require_known(names, INTEGRATORS, "method in this comparison", "--integrators")
     path: Path = scene_file.find(args.scene)
@@ -74,21 +55,26 @@ def _check(args: argparse.Namespace) -> tuple[Path, list[str]]:
     if not loaded.colliders or loaded.colliders[0].name != "skeleton":
         problem = "the comparison needs a skeleton as its first body"
         raise BadInput(problem, str(path), field="bodies.0", remedy="use skirt-paper")
-    return path, names
+    others = machine.Others()
+    traces = run_experiment(path, args.overrides, names, args.repeats, lambda text: print(text, file=sys.stderr))
+    print(runs(traces).text())
+    for claim, seen, verdict in findings.compare(traces):
+        print(f"\n{claim}: {verdict}\n  {seen}")
+    found = report(path.stem, traces, machine.about(others))
+    found.write_beside(args.out / f"integrators-{path.stem}", args.docs, "integrators")
+    return 0
 
 
 def runs(traces: Sequence[Trace]) -> Table:
     """A line per run."""
     rows = []
     for trace in traces:
-        energy = trace.finite("energy")
-        energies = [float(energy[0]), float(energy.max()), float(energy[-1])]
         stretch = trace.peak("stretch")
         rows.append([
             trace.integrator,
             "split" if trace.split else "unsplit",
             trace.outcome,
-            *map(number, energies),
+            *map(number, trace.energies),
             number(trace.peak("penetration") * 1e3),
             f"{stretch:.1%}" if stretch < 100 else number(stretch),
             number(trace.dt / trace.limit) if trace.limit > 0 else "> any",
@@ -98,35 +84,17 @@ def runs(traces: Sequence[Trace]) -> Table:
     return Table(HEADINGS, rows, CAPTION)
 
 
-def claims(found: Sequence[Finding]) -> Table:
-    """What the paper says beside what was seen."""
-    rows = [[one.claim, one.seen, one.verdict] for one in found]
-    return Table(("the paper", "here", ""), rows, "Verdicts follow from the figures below.", prose=True)
-
-
-def write(
-    base: Path, scene: str, traces: Sequence[Trace], found: Sequence[Finding], about: dict[str, str]
-) -> list[Path]:
-    """Write the page, the series as CSV and all figures as JSON, beside each other."""
-    sections: list[tuple[str, Sequence[page.Part]]] = [
-        ("What was seen, and what the skirt paper says", [claims(found)]),
-        ("Runs", [runs(traces)]),
-        *((name, [figure([trace for trace in traces if trace.split == split])])
-          for split, name in ((True, "Bones in pieces"), (False, "Whole bones"))),
-        ("Made by", [Facts(about)]),
-    ]  # fmt: skip
-    lines = [
-        [trace.integrator, str(trace.split), *(f"{value:.9g}" for value in values)]
-        for trace in traces
-        for values in zip(*(trace.series[name] for name in SERIES), strict=True)
-    ]
-    content = {
-        "about": about,
-        "runs": [trace.json() for trace in traces],
-        "findings": [vars(one) | {"verdict": one.verdict} for one in found],
-    }
-    table = Table(("integrator", "split", *SERIES), lines)
-    return page.write(base, f"Integrators on {scene}", LEAD, sections, content, table)
+def report(scene: str, traces: Sequence[Trace], about: Mapping[str, str]) -> Report:
+    """The page, all figures with their series, and the documentation's section."""
+    found, table = findings.compare(traces), runs(traces)
+    claims = Table(("the paper", "here", ""), found, "Verdicts follow from the figures below.", prose=True)
+    drawn = [(name, [figure([trace for trace in traces if trace.split == split])])
+             for split, name in ((True, "Bones in pieces"), (False, "Whole bones"))]  # fmt: skip
+    sections: page.Sections = [("What was seen, and what the skirt paper says", [claims]), ("Runs", [table]), *drawn]
+    data = {"runs": [vars(trace) | trace.derived for trace in traces], "findings": [one._asdict() for one in found]}
+    rows = [{"integrator": trace.integrator, "split": trace.split} | dict(zip(SERIES, values, strict=True))
+            for trace in traces for values in zip(*(trace.series[name] for name in SERIES), strict=True)]  # fmt: skip
+    return Report(f"Integrators on {scene}", LEAD, sections, about, data, [claims, table, CAPTION], rows)
 
 
 def figure(traces: Sequence[Trace]) -> Figure:

@@ -6,9 +6,7 @@ equal) and would blur the times.
 
 from __future__ import annotations
 
-import itertools
 import statistics
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,11 +19,8 @@ from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.run import Simulation
-from nuno_bench.machine import cores
-from nuno_schemas.bodies import Poses
+from nuno_bench.problem.observe import make_problem
 from nuno_schemas.fabric import Float
-from nuno_schemas.system import StepReport
 
 INTEGRATORS = ("euler", "symplectic_euler", "rk4", "rk4_printed")
 SPLIT = "bodies.0.collider.split"
@@ -53,17 +48,12 @@ class Trace:
     ended: float | None
     message: str
     seconds: tuple[float, ...]
-    compile_seconds: float
     steps: int
     dt: float
     limit: float
     rest_depth: float | None
     primitives: int
     lift: float
-
-    @property
-    def name(self) -> str:
-        return f"{self.integrator}, {'split' if self.split else 'unsplit'}"
 
     @property
     def outcome(self) -> str:
@@ -80,9 +70,9 @@ class Trace:
         return self.first(energy - energy[0] > most)
 
     def first(self, happened: NDArray[np.bool_]) -> float | None:
-        """Time of the first frame in which something happened, or the energy was not finite [s]."""
+        """Time of the first frame in which something happened, or the state was not finite [s]."""
         frames = np.flatnonzero(happened | ~np.isfinite(self.series["energy"]))
-        return float(self.series["t"][frames[0]]) if frames.size else None
+        return float(self.series["t"][frames[0]]) if frames.size else self.ended
 
     @property
     def rounds(self) -> tuple[float, ...]:
@@ -103,17 +93,18 @@ class Trace:
         """Largest finite value of a series."""
         return float(self.finite(name).max())
 
-    def json(self) -> dict[str, Any]:
-        """All figures but the series."""
+    @property
+    def energies(self) -> tuple[float, float, float]:
+        """At the start, at most, and at the end [J], of the frames in which it was finite."""
         energy = self.finite("energy")
-        return {name: value for name, value in vars(self).items() if name != "series"} | {
-            "name": self.name,
-            "outcome": self.outcome,
-            "runaway": self.runaway,
-            "microseconds_per_step": self.microseconds,
-            "energy": {"start": energy[0], "max": energy.max(), "end": energy[-1]},
-            "peaks": {name: self.peak(name) for name in ("penetration", "distance", "stretch")},
-        }
+        return float(energy[0]), float(energy.max()), float(energy[-1])
+
+    @property
+    def derived(self) -> dict[str, Any]:
+        """What follows from the fields."""
+        peaks = {name: self.peak(name) for name in ("penetration", "distance", "stretch")}
+        found = {name: getattr(self, name) for name in ("outcome", "runaway", "microseconds", "energies")}
+        return found | {"peaks": peaks}
 
 
 def run_experiment(
@@ -144,47 +135,30 @@ def run_experiment(
 
 def run_variant(loaded: Loaded, name: str, split: bool, measured: bool = True) -> Trace:
     """One run to its end, or to the frame in which it diverges; unmeasured runs are only timed."""
-    bodies = build_bodies(loaded)
-    poses = [bodies.poses(frame / loaded.scene.frame_rate) for frame in range(loaded.scene.frames + 1)]
-    simulation = Simulation(loaded, bodies.geometry, poses[0], cores())
-    fabric, began = simulation.fabric, time.perf_counter()
-    report = simulation.measure(poses[0])
-    compiled, rows = time.perf_counter() - began, list[tuple[float, ...]]()
-
-    def record(report: StepReport, poses: Poses) -> None:
-        if measured:
-            distance = signed_distance(simulation.state.x[~fabric.pinned], bodies.geometry, poses)
+    problem, chosen, bodies = make_problem(loaded), loaded.integrator, build_bodies(loaded)
+    limit = problem.limit(chosen.plugin, chosen.config)
+    steps = problem.own_steps(limit)
+    run, rows = problem.run(chosen.plugin, chosen.config, steps), list[tuple[float, ...]]()
+    for t, x, report, poses in zip(run.series.t, run.series.x, run.reports, problem.poses, strict=False):
+        if measured and poses is not None:
+            distance = signed_distance(x, bodies.geometry, poses)
             finite = distance[np.isfinite(distance)]
-            inside = max(0.0, -float(finite.min())) if finite.size else np.nan
-            mean = float(finite.mean()) if finite.size else np.nan
+            inside, mean = (max(0.0, -finite.min()), finite.mean()) if finite.size else (np.nan, np.nan)
             energy = [float(report.energy.get(kind, 0.0)) for kind in SERIES[1:5]]
-            rows.append((simulation.t, *energy, sum(energy), inside, mean, report.stretch))
-
-    record(report, poses[0])
-    seconds, ended, message = 0.0, None, ""
-    # What a diverging run overflows is its result, not a mistake to warn of.
-    with np.errstate(over="ignore", invalid="ignore"):
-        for start, end in itertools.pairwise(poses):
-            frame = simulation.advance(start, end)
-            seconds += frame.seconds
-            record(frame.report, end)
-            if frame.report.status != "ok":
-                ended, message = simulation.t, frame.report.message
-                break
-    depths = [term.facts["rest_depth"] for term in simulation.system.terms if "rest_depth" in term.facts]
-    size = float(np.linalg.norm(np.ptp(fabric.position, axis=0)))
+            rows.append((t, *energy, sum(energy), float(inside), float(mean), report.stretch))
+    depths = [term.facts["rest_depth"] for term in problem.system.terms if "rest_depth" in term.facts]
+    weight = float(problem.fabric.mass.sum()) * float(np.linalg.norm(problem.system.gravity))
     return Trace(
-        name,
-        split,
-        dict(zip(SERIES, np.array(rows).T, strict=True)) if measured else {},
-        ended,
-        message,
-        (seconds,),
-        compiled,
-        simulation.frame * simulation.steps,
-        simulation.dt,
-        simulation.limit.dt,
-        depths[0] if depths else None,
-        len(bodies.geometry.kind),
-        float(fabric.mass.sum()) * float(np.linalg.norm(simulation.system.gravity)) * size,
+        integrator=name,
+        split=split,
+        series=dict(zip(SERIES, np.array(rows).T, strict=True)) if measured else {},
+        ended=None if run.status == "ok" else problem.frame * len(run.series.t),
+        message=run.message,
+        seconds=(run.seconds,),
+        steps=run.totals["steps"],
+        dt=problem.frame / steps,
+        limit=limit.dt,
+        rest_depth=depths[0] if depths else None,
+        primitives=len(bodies.geometry.kind),
+        lift=weight * problem.size,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,89 +17,55 @@ DEEPER = 1.5
 """Penetration counts as another from this multiple of symplectic Euler's on."""
 SLOWER = 1.1
 """Times within a tenth of each other count as the same."""
-VERDICTS = {True: "agrees", False: "contradicts", None: "undecided"}
 
 
-@dataclass(frozen=True)
-class Finding:
-    """A claim of the paper, what was seen here, and whether the two agree; None where repeats differ
-    by more than what is to be told apart.
-    """
+class Finding(NamedTuple):
+    """A claim of the paper, what was seen here, and whether the two agree."""
 
     claim: str
     seen: str
-    agrees: bool | None
-
-    @property
-    def verdict(self) -> str:
-        return VERDICTS[self.agrees]
+    verdict: str
 
 
 def compare(traces: Sequence[Trace]) -> list[Finding]:
     """Findings on the runs there are; a claim about a run that was left out is left out too."""
     split = {trace.integrator: trace for trace in traces if trace.split}
-    reference = split.get("symplectic_euler")
-    if reference is None:
+    base = split.get("symplectic_euler")
+    if base is None:
         return []
-    found = [_stable(reference)]
+    energies = "energy {} J at the start, at most {} J, {} J at the end".format(*map(number, base.energies))
+    ratio = f"; its step is {base.dt / base.limit:.0%} of its limit" if 0.0 < base.limit < np.inf else ""
+    claim = f"symplectic Euler is stable at a step of {number(base.dt * 1e3)} ms"
+    found = [Finding(claim, f"{_ending(base)}, {energies}{ratio}", _verdict(base.ended is None))]
     if euler := split.get("euler"):
-        found.append(_thrown(euler, reference))
+        farthest = FARTHER * base.peak("distance")
+        off = euler.first(euler.series["distance"] > farthest)
+        grown, far = ("stays below" if t is None else f"passes, at {t:.2f} s," for t in (euler.runaway, off))
+        seen = (
+            f"{_ending(euler)}; the energy's growth {grown} {RUNAWAY:g} times what lifts the garment by its own size; "
+            f"mean distance from the body {far} {_length(farthest)}, {FARTHER:g} times symplectic Euler's largest"
+        )
+        claim = "explicit Euler moves violently and throws the cloth off the body"
+        found.append(Finding(claim, seen, _verdict(off is not None)))
     if rk4 := split.get("rk4"):
-        times = f"{number(rk4.microseconds)} us a step against {number(reference.microseconds)} us"
-        ratios = [a / b for a, b in zip(rk4.rounds, reference.rounds, strict=True)]
+        times = f"{number(rk4.microseconds)} us a step against {number(base.microseconds)} us"
+        ratios = [a / b for a, b in zip(rk4.rounds, base.rounds, strict=True)]
         seen = f"{times}: {_spread(ratios)} symplectic Euler's"
-        found.append(Finding("Runge-Kutta is slower", seen, _decide(ratios)))
-        found.append(_deeper(rk4, reference, "Runge-Kutta lets a leg through the skirt"))
-    if printed := split.get("rk4_printed"):
-        found.append(_deeper(printed, reference, "the same, by Runge-Kutta as its formulas are printed"))
+        found.append(Finding("Runge-Kutta is slower", seen, _slower(ratios)))
+    for name, claim in (
+        ("rk4", "Runge-Kutta lets a leg through the skirt"),
+        ("rk4_printed", "the same, by Runge-Kutta as its formulas are printed"),
+    ):
+        if trace := split.get(name):
+            depth, other = trace.peak("penetration"), base.peak("penetration")
+            deeper = depth / other if other > 0 else (np.inf if depth > 0 else 1.0)
+            depths = f"{_length(depth)} deep against symplectic Euler's {_length(other)}"
+            seen = f"{_ending(trace)}, at most {depths} ({deeper:.2f} times)"
+            if trace.rest_depth is not None:
+                seen += f"; a vertex at rest sinks m g / k = {_length(trace.rest_depth)} under any method"
+            found.append(Finding(claim, seen, _verdict(deeper > DEEPER)))
     pairs = [(a, b) for a in traces for b in traces if a.split and not b.split and a.integrator == b.integrator]
     return [*found, _bones(pairs)] if pairs else found
-
-
-def _stable(trace: Trace) -> Finding:
-    energy = trace.finite("energy")
-    low, high, end = (number(float(value)) for value in (energy[0], energy.max(), energy[-1]))
-    known = 0.0 < trace.limit < np.inf
-    ratio = f"; its step is {trace.dt / trace.limit:.0%} of its limit" if known else ""
-    seen = f"{_ending(trace)}, energy {low} J at the start, at most {high} J, {end} J at the end{ratio}"
-    return Finding(f"symplectic Euler is stable at a step of {number(trace.dt * 1e3)} ms", seen, trace.ended is None)
-
-
-def _thrown(trace: Trace, reference: Trace) -> Finding:
-    farthest = FARTHER * reference.peak("distance")
-    off = trace.first(trace.series["distance"] > farthest)
-    grown, far = ("stays below" if t is None else f"passes, at {t:.2f} s," for t in (trace.runaway, off))
-    seen = (
-        f"{_ending(trace)}; the energy's growth {grown} {RUNAWAY:g} times what lifts the garment by its own size; mean "
-        f"distance from the body {far} {_length(farthest)}, {FARTHER:g} times symplectic Euler's largest"
-    )
-    return Finding("explicit Euler moves violently and throws the cloth off the body", seen, off is not None)
-
-
-def _decide(ratios: Sequence[float]) -> bool | None:
-    """Whether one is slower than the other, by the ratios of their times in each round of repeats.
-
-    Rounds go over all variants in turn, so a machine that slows down does not part the two of a
-    round. None where rounds disagree, and where there is only one: its spread is not known.
-    """
-    slower = {ratio > SLOWER for ratio in ratios}
-    return slower.pop() if len(ratios) > 1 and len(slower) == 1 else None
-
-
-def _spread(ratios: Sequence[float]) -> str:
-    """Median and range of ratios."""
-    rounds = f"{min(ratios):.2f} to {max(ratios):.2f} in {len(ratios)} rounds" if len(ratios) > 1 else "in one round"
-    return f"{statistics.median(ratios):.2f} times ({rounds})"
-
-
-def _deeper(trace: Trace, reference: Trace, claim: str) -> Finding:
-    depth, other = trace.peak("penetration"), reference.peak("penetration")
-    ratio = depth / other if other > 0 else (np.inf if depth > 0 else 1.0)
-    depths = f"{_length(depth)} deep against symplectic Euler's {_length(other)}"
-    seen = f"{_ending(trace)}, at most {depths} ({ratio:.2f} times)"
-    if trace.rest_depth is not None:
-        seen += f"; a vertex at rest sinks m g / k = {_length(trace.rest_depth)} under any method"
-    return Finding(claim, seen, ratio > DEEPER)
 
 
 def _bones(pairs: Sequence[tuple[Trace, Trace]]) -> Finding:
@@ -114,7 +80,27 @@ def _bones(pairs: Sequence[tuple[Trace, Trace]]) -> Finding:
         f"a step takes {_spread(ratios)} as long (median over the methods; {pairs[0][0].primitives} primitives against "
         f"{pairs[0][1].primitives}). Penetration, each into its own body: {', '.join(depths) or 'every run ran away'}"
     )
-    return Finding("bones cut in pieces are slower than whole ones", seen, _decide(ratios))
+    return Finding("bones cut in pieces are slower than whole ones", seen, _slower(ratios))
+
+
+def _verdict(agrees: bool) -> str:
+    return "agrees" if agrees else "contradicts"
+
+
+def _slower(ratios: Sequence[float]) -> str:
+    """Whether one is slower than the other, by the ratios of their times in each round of repeats.
+
+    Rounds go over all variants in turn, so a machine that slows down does not part the two of a
+    round. Undecided where rounds disagree, and where there is only one: its spread is not known.
+    """
+    slower = {ratio > SLOWER for ratio in ratios}
+    return _verdict(slower.pop()) if len(ratios) > 1 and len(slower) == 1 else "undecided"
+
+
+def _spread(ratios: Sequence[float]) -> str:
+    """Median and range of ratios."""
+    rounds = f"{min(ratios):.2f} to {max(ratios):.2f} in {len(ratios)} rounds" if len(ratios) > 1 else "in one round"
+    return f"{statistics.median(ratios):.2f} times ({rounds})"
 
 
 def _ending(trace: Trace) -> str:

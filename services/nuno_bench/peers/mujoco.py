@@ -28,11 +28,11 @@ class _MuJoCo:
         parts = [f'<option {option}><flag contact="disable"/></option><size memory="2G"/>', self._bodies()]
         self.model = mujoco.MjModel.from_xml_string(f"<mujoco>{''.join(parts)}{self._elastic()}</mujoco>")
         self.data = mujoco.MjData(self.model)
-        self.drag = -float(sheet.drag) * np.repeat(sheet.mass[sheet.free], 3)
+        self.drag = -sheet.drag * np.repeat(sheet.mass[sheet.free], 3)
 
     def _bodies(self) -> str:
         sheet, lines = self.sheet, []
-        drag = float(sheet.drag) * self.damped_joints
+        drag = sheet.drag * self.damped_joints
         for i, (place, mass, pinned) in enumerate(zip(sheet.x, sheet.mass.tolist(), sheet.pinned, strict=True)):
             inner = f'<site name="s{i}"/>'
             if not pinned:

@@ -31,7 +31,7 @@ class _Newton:
         builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=warp.vec3(*sheet.gravity))
         self._build(builder)
         self.model = builder.finalize()
-        self.drag = (-float(sheet.drag) * sheet.mass * sheet.free)[:, None].astype(np.float32)
+        self.drag = (-sheet.drag * sheet.mass * sheet.free)[:, None].astype(np.float32)
         self.reset()
 
     def _build(self, builder: Any) -> None:

@@ -1,21 +1,22 @@
-"""The stiff sheet as plain arrays, which any engine can be given, and how an end is judged.
-
-Only NumPy is imported, so that no engine's start is charged with what ours needs.
-"""
+"""The stiff sheet as plain arrays, which any engine can be given, and how an end is judged."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float
 
+SCENE = "stiff-sheet"
 SECONDS = 1.0
 """What is simulated [s]."""
+REFERENCE = "plugin: dop853, tolerance: 1e-8, dt: auto"
+"""The solver of the converged run."""
+CENTRE, STRAIN = 6e-3, 0.2
+"""What an accurate end may be off by: its centre of mass [m], and its mean strain as a share."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Sheet:
     x       (n, 3) positions [m], in which every spring has its rest length
     mass    (n,) [kg]; pinned (n,) bool
     pairs   (s, 2) int64; k, rest, c (s,) [N/m, m, N s/m]
-    gravity (3,) [m/s^2]; drag () a deceleration in proportion to velocity [1/s]
+    gravity (3,) [m/s^2]; drag is a deceleration in proportion to velocity [1/s]
     """
 
     x: Float
@@ -36,20 +37,11 @@ class Sheet:
     rest: Float
     c: Float
     gravity: Float
-    drag: Float
+    drag: float
 
     @property
     def free(self) -> NDArray[np.bool_]:
         return np.asarray(~self.pinned)
-
-    def save(self, path: Path) -> None:
-        arrays: dict[str, Any] = vars(self)
-        np.savez(path, allow_pickle=False, **arrays)
-
-    @classmethod
-    def load(cls, path: Path) -> Sheet:
-        with np.load(path, allow_pickle=False) as data:
-            return cls(**{field.name: data[field.name] for field in fields(cls)})
 
 
 class Peer(Protocol):
@@ -76,6 +68,15 @@ class Score:
     centre: float
     strain: float
     peak: float
+
+    @property
+    def stretched(self) -> bool:
+        """Whether the strain is off by more than an accurate one may be."""
+        return abs(self.strain - 1.0) > STRAIN
+
+    @property
+    def accurate(self) -> bool:
+        return self.centre <= CENTRE and not self.stretched
 
 
 def judge(sheet: Sheet, x: Float, exact: Float) -> Score:

@@ -1,22 +1,14 @@
-"""Each engine in a process of its own: what crashes, hangs or warns there is a mark, not the end.
-
-`python -m nuno_bench.peers.process REQUEST.json` is such a process. It writes a line before the first
-second, with the time that start and compiling took, and one after each second that it simulated.
-"""
+"""Each engine in a process of its own: what crashes, hangs or warns there is a mark, not the end."""
 
 from __future__ import annotations
 
 import importlib
-import json
+import multiprocessing
 import os
 import signal
-import subprocess
-import sys
-import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -25,8 +17,6 @@ from nuno_bench.peers.problem import SECONDS, Peer, Score, Sheet, judge
 from nuno_bench.peers.table import Kind, Setting
 from nuno_schemas.fabric import Float
 
-MARK = "peer: "
-"""Before each line of ours, since engines write lines of their own."""
 ENOUGH = 1 / 3
 """Of a setting's limit, after which its seconds are not repeated."""
 
@@ -35,7 +25,7 @@ ENOUGH = 1 / 3
 class Point:
     """One engine at one setting.
 
-    start     from an empty process to the first step: imports, the model, compiling [s]
+    start     from a fresh process to the first step: imports, the model, compiling [s]
     seconds   wall times of the simulated second, one per repeat [s]
     failure   why there is no score
     remark    what the engine says of the run
@@ -51,84 +41,63 @@ class Point:
 
     @property
     def median(self) -> float:
-        return float(np.median(self.seconds))
+        return float(np.median(self.seconds)) if self.seconds else float("nan")
 
 
-def measure(kind: Kind, setting: Setting, name: str, sheet: Sheet, exact: Float, repeats: int, limit: float) -> Point:
-    """Run it in a process of its own, ended after `limit` [s]."""
-    with tempfile.TemporaryDirectory() as folder:
-        request, problem, end = (Path(folder) / file for file in ("request.json", "sheet.npz", "end.npy"))
-        sheet.save(problem)
-        asked = {"module": kind.module, "made": kind.made, "setting": setting, "repeats": repeats, "limit": limit}
-        asked |= {"sheet": str(problem), "end": str(end), "began": time.time()}
-        request.write_text(json.dumps(asked))
-        lines, failure = _watch([sys.executable, "-m", "nuno_bench.peers.process", str(request)], folder, limit)
-        start = next((line["start"] for line in lines if "start" in line), None)
-        seconds = tuple(line["seconds"] for line in lines if "seconds" in line)
-        failure = next((line["failure"] for line in lines if "failure" in line), failure)
-        if not seconds:
-            return Point(kind.name, name, start, failure=failure or "its process ended without a result")
-        x, remark = np.load(end, allow_pickle=False), next((line["remark"] for line in lines if line.get("remark")), "")
-    if failure:  # what broke while it repeated itself has been measured all the same
-        remark = f"a repeat: {failure}"
-    if not np.isfinite(x).all():
-        return Point(kind.name, name, start, seconds, failure="positions are no longer finite", remark=remark)
-    return Point(kind.name, name, start, seconds, judge(sheet, x, exact), remark=remark)
-
-
-def _watch(command: Sequence[str], folder: str, limit: float) -> tuple[list[dict[str, Any]], str]:
-    """What a process wrote, and why it did not end well; it and all that it started end with the limit."""
-    out, told = Path(folder) / "out", Path(folder) / "told"
-    with out.open("wb") as stdout, told.open("wb") as stderr:
-        child = subprocess.Popen(command, stdout=stdout, stderr=stderr, cwd=folder, start_new_session=True)
-        try:
-            code, failure = child.wait(limit), ""
-        except subprocess.TimeoutExpired:
-            os.killpg(child.pid, signal.SIGKILL)
-            code, failure = child.wait(), f"not done after {limit:g} s"
-        except BaseException:
-            os.killpg(child.pid, signal.SIGKILL)
-            child.wait()
-            raise
-    lines = []
-    for text in out.read_text(errors="replace").splitlines():
-        if text.startswith(MARK):
-            lines.append(json.loads(text.removeprefix(MARK)))
-    if code and not failure:
-        last = told.read_text(errors="replace").strip().splitlines()[-1:]
-        what = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-        failure = f"its process ended with {what}{': ' + last[0][:200] if last and code > 0 else ''}"
-    return lines, failure
-
-
-def main(path: Path) -> None:
-    """The process: make the engine, one short run that compiles, then the repeats."""
-    asked = json.loads(path.read_text())
-    signal.alarm(int(asked["limit"]) + 1)  # it ends by itself where whoever should end it was killed
+def measure(kind: Kind, name: str, sheet: Sheet, exact: Float, repeats: int, limit: float) -> Point:
+    """Run its setting of this name in a process of its own, ended after `limit` [s]."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    asked = (kind.module, kind.made, kind.settings[name], sheet, repeats, limit)
+    child = context.Process(target=work, args=(theirs, *asked), daemon=True)
+    child.start()
+    theirs.close()
+    told, failure, deadline = list[dict[str, Any]](), f"not done after {limit:g} s", time.monotonic() + limit
     try:
-        peer: Peer = getattr(importlib.import_module(asked["module"]), asked["made"])(
-            Sheet.load(Path(asked["sheet"])), **asked["setting"]
-        )
+        while ours.poll(max(0.0, deadline - time.monotonic())):
+            told.append(ours.recv())
+    except EOFError:
+        child.join()
+        code = child.exitcode or 0
+        what = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        failure = f"its process ended with {what}" if code else ""
+    finally:
+        child.kill()
+        child.join()
+    failure = next((line["failure"] for line in told if "failure" in line), failure)
+    start = next((line["start"] for line in told if "start" in line), None)
+    done = [line for line in told if "seconds" in line]
+    if not done:
+        return Point(kind.name, name, start, failure=failure)
+    # What broke while it repeated itself has been measured all the same.
+    remark = f"a repeat: {failure}" if failure else done[0]["remark"]
+    point = Point(kind.name, name, start, tuple(line["seconds"] for line in done), remark=remark)
+    if not np.isfinite(x := done[0]["x"]).all():
+        return Point(**vars(point) | {"failure": "positions are no longer finite"})
+    return Point(**vars(point) | {"score": judge(sheet, x, exact)})
+
+
+def work(tell: Connection, module: str, made: str, setting: Setting, sheet: Sheet, repeats: int, limit: float) -> None:
+    """The process: make the engine, one short run that compiles, then the repeats; what is found is sent as it comes.
+
+    Engines write lines of their own, which go nowhere.
+    """
+    began, nowhere = time.perf_counter(), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    signal.alarm(int(limit) + 1)  # it ends by itself where whoever should end it was killed
+    try:
+        peer: Peer = getattr(importlib.import_module(module), made)(sheet, **setting)
         peer.advance(1 / 60)
-        _tell({"start": time.time() - asked["began"]})
+        tell.send({"start": time.perf_counter() - began})
         spent = 0.0
-        for repeat in range(asked["repeats"]):
+        for _ in range(repeats):
             peer.reset()
             at = time.perf_counter()
             x = peer.advance(SECONDS)
-            spent += time.perf_counter() - at
-            if repeat == 0:
-                np.save(asked["end"], x)
-            _tell({"seconds": time.perf_counter() - at, "remark": peer.remark})
-            if spent > ENOUGH * asked["limit"]:
+            spent += (seconds := time.perf_counter() - at)
+            tell.send({"seconds": seconds, "remark": peer.remark, "x": x})
+            if spent > ENOUGH * limit:
                 break
     except Exception as error:  # whatever an engine raises is a finding about it
-        _tell({"failure": f"{type(error).__name__}: {error}"[:300]})
-
-
-def _tell(line: dict[str, Any]) -> None:
-    print(f"{MARK}{json.dumps(line)}", flush=True)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+        tell.send({"failure": f"{type(error).__name__}: {error}"[:300]})

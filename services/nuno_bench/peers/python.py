@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,21 +11,30 @@ from nuno.choose.cloth import decide
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
-from nuno_bench.peers.problem import Sheet
-from nuno_bench.speed.steps.sliced import SlicedCloth
-from nuno_bench.speed.steps.stiff import SCENE
-from nuno_schemas.fabric import Fabric, Float, Springs
+from nuno_bench.peers.problem import SCENE, Sheet
+from nuno_schemas.fabric import Float
+
+
+def stiff_sheet(*overrides: str) -> Sheet:
+    """The shipped scene's sheet as plain arrays."""
+    simulation = Simulation(scene_file.read(scene_file.find(SCENE), overrides), None, None, 1)
+    fabric, system = simulation.fabric, simulation.system
+    springs = fabric.springs
+    assert springs is not None
+    k, rest, c = (springs.per_spring(values) for values in (springs.k, springs.rest, springs.c))
+    pairs, gravity = springs.pairs().astype(np.int64), np.asarray(system.gravity, np.float64)
+    return Sheet(fabric.position.copy(), fabric.mass, fabric.pinned, pairs, k, rest, c, gravity, float(system.damping))
 
 
 class Nuno:
     """Our kernels and solvers, without services: `solver` as a scene has it, and `accuracy` where it is auto.
 
-    What `auto` tries before it decides is part of the start.
+    What `auto` tries before it decides is part of the start. The sheet is the scene's own, with `overrides`.
     """
 
-    def __init__(self, sheet: Sheet, solver: str, accuracy: str = "") -> None:
-        overrides = [f"solver={{{solver}}}"] + [f"accuracy={accuracy}"] * bool(accuracy)
-        self.loaded = decide(scene_file.read(scene_file.find(SCENE), overrides))
+    def __init__(self, sheet: Sheet | None, solver: str, accuracy: str = "", overrides: Sequence[str] = ()) -> None:
+        chosen = [f"solver={{{solver}}}", *[f"accuracy={accuracy}"] * bool(accuracy), *overrides]
+        self.loaded = decide(scene_file.read(scene_file.find(SCENE), chosen))
         self.remark = "" if not accuracy else f"took {self.loaded.integrator.plugin.name}"
         self.reset()
 
@@ -42,14 +52,47 @@ class Nuno:
 
 
 class _Sliced:
+    """A grid's springs written with NumPy slices: what a careful user would write without kernels.
+
+    Springs are taken by the six distances that their ends' numbers have, from every vertex i to i + step, of no
+    stiffness where the sheet has none. `np.add.at` over pairs of indices takes twice as long on 32 x 32 vertices;
+    slices of the grid in two dimensions, which need no springs of no stiffness where its rows end, a third longer on
+    64 x 64 and more; and buffers that are kept save nothing but a sixth of undamped steps of 32 x 32.
+    """
+
     def __init__(self, sheet: Sheet) -> None:
         self.remark, self.sheet = "", sheet
-        self.cloth = SlicedCloth(_fabric(sheet), sheet.gravity, float(sheet.drag))
+        pairs = np.sort(sheet.pairs, axis=1)
+        apart, named = pairs[:, 1] - pairs[:, 0], np.stack([sheet.k, sheet.k * sheet.rest, sheet.c])
+        self.springs: list[tuple[int, Float]] = []
+        """The distance; (3, n - step) stiffness [N/m], that times rest length [N], and damping [N s/m]."""
+        for step in np.unique(apart).tolist():
+            own, full = np.flatnonzero(apart == step), np.zeros((3, len(sheet.mass) - step))
+            full[:, pairs[own, 0]] = named[:, own]
+            self.springs.append((step, full))
+        self.inverse_mass, self.gravity = sheet.free / sheet.mass, sheet.gravity[:, None] * sheet.free
         self.reset()
 
     def reset(self) -> None:
         self.x = np.ascontiguousarray(self.sheet.x.T)
         self.v = np.zeros_like(self.x)
+
+    def accelerate(self, x: Float, v: Float, out: Float) -> None:
+        """Accelerations [m/s^2] at positions x [m] and velocities v [m/s] into out; all (3, n).
+
+        A spring's force is (k (|d| - L) / |d| + c (u.d) / d^2) d, with d and u what its ends differ by in x and v.
+        """
+        out[...] = 0.0
+        for step, (k, tension, c) in self.springs:
+            d = x[:, step:] - x[:, :-step]
+            square = np.einsum("ai,ai->i", d, d)
+            pull = k - tension / np.sqrt(square) + c * np.einsum("ai,ai->i", v[:, step:] - v[:, :-step], d) / square
+            d *= pull
+            out[:, :-step] += d
+            out[:, step:] -= d
+        out *= self.inverse_mass
+        out += self.gravity
+        out -= (self.sheet.drag * self.sheet.free) * v
 
 
 class NumPy(_Sliced):
@@ -60,7 +103,11 @@ class NumPy(_Sliced):
         self.dt = dt
 
     def advance(self, seconds: float) -> Float:
-        self.cloth.advance(self.x, self.v, max(1, round(seconds / self.dt)), self.dt)
+        a = np.empty_like(self.x)
+        for _ in range(max(1, round(seconds / self.dt))):
+            self.accelerate(self.x, self.v, a)
+            self.v += a * self.dt
+            self.x += self.v * self.dt
         return self.x.T
 
 
@@ -79,7 +126,7 @@ class SciPy(_Sliced):
         def slopes(t: float, y: Float) -> Float:
             now, out = y.reshape(2, 3, n), np.empty((2, 3, n))
             out[0] = now[1]
-            self.cloth.accelerate(now[0], now[1], out[1])
+            self.accelerate(now[0], now[1], out[1])
             return out.reshape(-1)
 
         start, how = np.concatenate([self.x.ravel(), self.v.ravel()]), {"rtol": self.rtol, "atol": self.rtol}
@@ -87,11 +134,3 @@ class SciPy(_Sliced):
         if not done.success:
             raise RuntimeError(done.message)
         return np.asarray(done.y[: 3 * n, -1].reshape(3, n).T)
-
-
-def _fabric(sheet: Sheet) -> Fabric:
-    """The sheet as our own data, a run of one spring each."""
-    one, kind = np.ones(len(sheet.pairs), np.int32), np.zeros(len(sheet.pairs), np.int8)
-    springs = Springs(sheet.pairs.astype(np.int32), one, one, sheet.k, sheet.rest, sheet.c, kind)
-    none = np.zeros((0, 3), np.int32)
-    return Fabric("sheet", sheet.x, np.zeros_like(sheet.x), sheet.mass, sheet.pinned, none, springs)

@@ -12,7 +12,7 @@ import math
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,15 +23,13 @@ from nuno.choose.trials import GROWTH
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno_bench import machine, options
-from nuno_bench.problem.dye import DyeProblem
-from nuno_bench.problem.dye_reference import make_dye_reference
-from nuno_bench.problem.horizon import DISTURBANCE, disturb
-from nuno_bench.problem.observe import Problem, Run
-from nuno_bench.problem.posing import AnyProblem, pose
+from nuno_bench.problem.dye import AnyProblem, DyeProblem, pose
+from nuno_bench.problem.horizon import DISTURBANCE, Horizon, refer
+from nuno_bench.problem.observe import Run
 from nuno_bench.problem.random_scenes import random_scene
-from nuno_bench.problem.reference import Compared, Reference, make_reference
-from nuno_bench.report import markdown, page
-from nuno_bench.report.page import Facts, Table
+from nuno_bench.problem.reference import Compared
+from nuno_bench.report import page
+from nuno_bench.report.page import Report, Table
 from nuno_schemas.errors import BadInput
 from nuno_schemas.solver import Accuracy
 
@@ -85,7 +83,6 @@ class Delivered:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help="default: ten shipped scenes, and random ones")
     parser.add_argument("--random", type=int, default=3, metavar="N", help="scenes made at random (default: 3)")
-    parser.add_argument("--first", type=int, default=1, metavar="SEED", help="seed of the first of them (default: 1)")
     parser.add_argument("--duration", default="0.3 s", help="of each scene (default: %(default)s)")
     parser.add_argument("--levels", default=",".join(PROMISE), metavar="A,B", help="default: %(default)s")
     options.add_seconds(parser, "--budget", 60.0, "for a run of the reference")
@@ -96,31 +93,26 @@ def main(args: argparse.Namespace) -> int:
     """The table of all scenes and levels; 1 where an error is more than may be delivered."""
     levels = options.names_of(args.levels)
     options.require_known(levels, PROMISE, "level", "--levels")
-    if not levels or (not args.scenes and args.random < 0) or not args.budget > 0.0:
-        raise BadInput("nothing to measure", remedy="name a level and a scene, and a budget of more than 0 s")
-    markdown.check_section(args.docs, "accuracy")
+    if not levels or (not args.scenes and args.random < 0):
+        raise BadInput("nothing to measure", remedy="name a level and a scene")
+    page.check_section(args.docs, "accuracy")
     others, found = machine.Others(), list[Delivered]()
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         for path in _paths(args, Path(folder)):
             found += measure_scene(path, args.duration, levels, args.budget)
     kept = sum(one.verdict == "agrees" for one in found)
     summary = f"{kept} of {len(found)} within what was promised, of cloth within {WITHIN:g} times of it"
-    table, about = Table(HEADINGS, [one.row() for one in found], CAPTION), machine.about(others)
+    table = Table(HEADINGS, [one.row() for one in found], CAPTION)
     print(table.text())
     print(summary)
     reasons = Table(("scene", "accuracy", "reason"), [[one.scene, one.accuracy, one.why] for one in found],
                     "What was tried.", prose=True)  # fmt: skip
-    sections: page.Sections = [
-        ("", [summary + ".", table]),
-        ("Why", [reasons]),
-        ("Made by", [Facts(about)]),
-    ]
-    data = {"about": about, "results": [asdict(one) | {"verdict": one.verdict} for one in found]}
+    data = {"results": [vars(one) | {"verdict": one.verdict} for one in found]}
     lead = "What the solver and the step that are chosen for a scene deliver, against what the level promises."
-    for file in page.write(args.out / "accuracy", "Accuracy promised and delivered", lead, sections, data, table):
-        print(f"written {file}")
-    if args.docs is not None:
-        markdown.replace_section(args.docs, "accuracy", [f"{summary}.", table, Facts(about)])
+    sections: page.Sections = [("", [summary + ".", table]), ("Why", [reasons])]
+    about, rows = machine.about(others), [dict(zip(HEADINGS, row, strict=True)) for row in table.rows]
+    report = Report("Accuracy promised and delivered", lead, sections, about, data, sections[0][1], rows)
+    report.write_beside(args.out / "accuracy", args.docs, "accuracy")
     return int(kept < len(found))
 
 
@@ -129,7 +121,7 @@ def _paths(args: argparse.Namespace, folder: Path) -> list[Path]:
     paths = [scene_file.find(name) for name in args.scenes]
     if not args.scenes:
         paths = [shipped / f"{name}.yaml" for name in SCENES]
-        for seed in range(args.first, args.first + args.random):
+        for seed in range(1, args.random + 1):
             paths.append(folder / f"random-{seed}.yaml")
             paths[-1].write_text(json.dumps(random_scene(seed)))
     return paths
@@ -144,21 +136,15 @@ def measure_scene(path: Path, duration: str, levels: Sequence[str], budget: floa
     def told(text: str) -> None:
         print(f"{problem.loaded.scene.name}: {text}", file=sys.stderr)
 
-    if isinstance(problem, DyeProblem):
-        compared = make_dye_reference(problem, budget, told)
-        frames = len(compared.run.series.t)
-    else:
-        compared = reference = make_reference(problem, budget, told)
-        frames = promised_frames(problem, reference)
+    compared, horizon = refer(problem, budget, told)
+    frames = promised_frames(horizon)
     return [_level(problem, compared, frames, path, [*chosen, f"accuracy={level}"]) for level in levels]
 
 
-def promised_frames(problem: Problem, reference: Reference) -> int:
+def promised_frames(horizon: Horizon) -> int:
     """Frames, the start among them, until a disturbance has grown more than the promise allows for; two at least."""
-    twin, exact = reference.twin(disturb(problem)).series.x, reference.run.series.x
-    apart = np.sqrt(((twin - exact[: len(twin)]) ** 2).sum(axis=2).mean(axis=1)) / problem.size
-    lost = np.flatnonzero(~(apart <= GROWTH * DISTURBANCE))
-    return max(2, int(lost[0])) if lost.size else len(apart)
+    lost = np.flatnonzero(~(horizon.distance <= GROWTH * DISTURBANCE))
+    return max(2, int(lost[0])) if lost.size else len(horizon.distance)
 
 
 def _level(problem: AnyProblem, reference: Compared, frames: int, path: Path, overrides: Sequence[str]) -> Delivered:

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nuno_bench import machine
+from nuno_bench import machine, options
 from nuno_bench.precision.findings import ABOVE
 from nuno_bench.precision.point import Point
-from nuno_bench.report import page
-from nuno_bench.report.page import Facts, Table
+from nuno_bench.report.page import Report, Table
 from nuno_bench.report.result import number
 from nuno_schemas.errors import BadInput
 
@@ -55,14 +54,14 @@ class Change:
         """Its line under HEADINGS."""
         errors = [f"{error:.2e}" for error in self.errors or ()] or ["", ""]
         times = [number(seconds) for seconds in self.times or ()] or ["", ""]
-        changed = ", ".join(self.changed)
-        return [*self.key, changed, self.quantity, *errors, _ratio(self.errors), *times, _ratio(self.times)]
+        ratios = [number(pair[1] / pair[0]) if pair and pair[0] else "" for pair in (self.errors, self.times)]
+        return [*self.key, ", ".join(self.changed), self.quantity, *errors, ratios[0], *times, ratios[1]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("first", type=Path, metavar="A.json", help="written by nuno bench precision")
     parser.add_argument("second", type=Path, metavar="B.json", help="another of the same scene")
-    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with all points")
+    options.add_shared(parser, "--html")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -73,18 +72,15 @@ def main(args: argparse.Namespace) -> int:
     changes = compare(first, second)
     if not changes:
         raise BadInput("the results have no point in common", value=f"{args.first}, {args.second}")
-    differing = [change.row() for change in changes if change.changed]
-    if differing:
+    if differing := [change.row() for change in changes if change.changed]:
         print(Table(HEADINGS, differing).text())
     said = summary(first, second, changes)
     print("\n".join(said))
-    if args.html is not None:
-        table = Table(HEADINGS, [change.row() for change in changes], "All points that both have.")
-        both = {f"{name}, {k}": v for name, one in (("A", first), ("B", second)) for k, v in one.about.items()}
-        parts: page.Sections = [("Points", [table]), ("Made by", [Facts({"command": machine.command(), **both})])]
-        args.html.parent.mkdir(parents=True, exist_ok=True)
-        args.html.write_text(page.render(f"Two sweeps of {first.scene}", " ".join(said), parts), encoding="utf-8")
-        print(f"written {args.html}")
+    table = Table(HEADINGS, [change.row() for change in changes], "All points that both have.")
+    both = {f"{name}, {k}": v for name, one in (("A", first), ("B", second)) for k, v in one.about.items()}
+    about = {"command": machine.command()} | both
+    report = Report(f"Two sweeps of {first.scene}", " ".join(said), [("Points", [table])], about, {})
+    report.write(args.html, None, None, "")
     return 0
 
 
@@ -105,8 +101,7 @@ def read(path: Path) -> Result:
 def compare(first: Result, second: Result) -> list[Change]:
     """All points that both have, in the first one's order."""
     floors = {name: max(floor, second.floors.get(name, 0.0)) for name, floor in first.floors.items()}
-    both = [key for key in first.points if key in second.points]
-    return [_change(first.points[key], second.points[key], floors) for key in both]
+    return [_change(a, second.points[key], floors) for key, a in first.points.items() if key in second.points]
 
 
 def _change(a: Point, b: Point, floors: Mapping[str, float]) -> Change:
@@ -140,19 +135,13 @@ def _apart(a: Sequence[float], b: Sequence[float]) -> bool:
     return not overlap and _factor(statistics.median(a), statistics.median(b)) > SAME_TIME
 
 
-def _ratio(pair: tuple[float, float] | None) -> str:
-    return number(pair[1] / pair[0]) if pair and pair[0] else ""
-
-
 def summary(first: Result, second: Result, changes: Sequence[Change]) -> list[str]:
     """Sentences: how many points changed in what, the typical time ratio, and what only one has."""
     counts = ", ".join(f"{sum(what in c.changed for c in changes)} in {what}" for what in ("outcome", "error", "time"))
     said = [f"{len(changes)} points in both; changed beyond floor and spread: {counts}."]
-    ratios = [change.times[1] / change.times[0] for change in changes if change.times and change.times[0]]
-    if ratios:
+    if ratios := [change.times[1] / change.times[0] for change in changes if change.times and change.times[0]]:
         said.append(f"Times of B are {statistics.median(ratios):.2f} times those of A (median over the points).")
     for name, one, other in (("A", first, second), ("B", second, first)):
-        alone = [f"{solver} {setting}" for solver, setting in one.points if (solver, setting) not in other.points]
-        if alone:
+        if alone := [" ".join(key) for key in one.points if key not in other.points]:
             said.append(f"Only in {name}: {'; '.join(alone)}.")
     return said

@@ -10,7 +10,6 @@ import numpy as np
 from nuno_bench.problem.observe import Series
 from nuno_schemas.fabric import Float
 
-POSITIONS = "positions"
 RAN_AWAY = 2.0
 """A run that comes this many times its scale away from the reference has left it, whatever chaos does."""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,29 +19,20 @@ ASYMPTOTIC = 0.1
 FITTED = 4
 """Of the finest resolved points an order is fitted over, at most."""
 FLOOR_HEADINGS = ("in", "floor", "errors above it", "verdict")
-ORDER_HEADINGS = ("solver", "kind", "nominal order", "seen", "first call [s]", "points", "not done")
 CHOICE_HEADINGS = ("error at most", "fastest", "setting", "time [s]", "next ones [s]")
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """Whether the reference can tell the errors of a quantity: points above ABOVE times the floor, and all."""
+class Judgement(NamedTuple):
+    """Whether the reference can tell the errors of a quantity, in words under FLOOR_HEADINGS.
+
+    resolved counts points above ABOVE times the floor, of all. The verdict is judged, where all errors are known; in
+    part, where some are too near the floor; failed, where all are.
+    """
 
     quantity: str
-    floor: float
-    resolved: int
-    total: int
-
-    @property
-    def verdict(self) -> str:
-        """judged, where all errors are known; in part, where some are too near the floor; failed, where all are."""
-        if self.total == 0:
-            return "no point"
-        return "judged" if self.resolved == self.total else "in part" if self.resolved else "failed"
-
-    def row(self) -> list[str]:
-        """Its line under FLOOR_HEADINGS."""
-        return [self.quantity, f"{self.floor:.1e}", f"{self.resolved} of {self.total}", self.verdict]
+    floor: str
+    resolved: str
+    verdict: str
 
 
 def judge(points: Sequence[Point], floors: Mapping[str, Error]) -> list[Judgement]:
@@ -49,7 +40,9 @@ def judge(points: Sequence[Point], floors: Mapping[str, Error]) -> list[Judgemen
     judged = []
     for name, floor in floors.items():
         errors = [error for point in points if (error := point.error(name)) is not None]
-        judged.append(Judgement(name, floor.l2, sum(error > ABOVE * floor.l2 for error in errors), len(errors)))
+        known, total = sum(error > ABOVE * floor.l2 for error in errors), len(errors)
+        verdict = "no point" if not total else "judged" if known == total else "in part" if known else "failed"
+        judged.append(Judgement(name, f"{floor.l2:.1e}", f"{known} of {total}", verdict))
     return judged
 
 
@@ -75,25 +68,6 @@ def by_solver(points: Sequence[Point]) -> dict[str, list[Point]]:
     for point in points:
         found.setdefault(point.solver, []).append(point)
     return {name: sorted(own, key=lambda point: -point.finer) for name, own in found.items()}
-
-
-def order_rows(
-    points: Sequence[Point],
-    quantity: str,
-    floor: float,
-    first_calls: Mapping[str, float],
-    unfitted: Collection[tuple[str, str]] = (),
-) -> list[list[str]]:
-    """A line per solver, under ORDER_HEADINGS; no order is fitted to points with keys in `unfitted`."""
-    rows = []
-    for name, own in by_solver(points).items():
-        slope = fit_order([point for point in own if point.key not in unfitted], quantity, floor)
-        seen = "" if slope is None else f"{slope:.2f}" + " of the tolerance" * (own[0].kind == "adaptive")
-        failed = sum(not point.done for point in own)
-        first = number(first_calls[name]) if name in first_calls else ""
-        rows.append([name, own[0].kind, str(own[0].order or "not stated"), seen, first, str(len(own)),
-                     str(failed or "")])  # fmt: skip
-    return rows
 
 
 def choice_rows(points: Sequence[Point], quantity: str, floor: float) -> list[list[str]]:

@@ -10,7 +10,7 @@ from nuno_bench.precision.findings import ABOVE
 from nuno_bench.precision.point import Point
 from nuno_bench.precision.settings import RESIDUAL, Setting, Solver, at_steps, at_tolerance, has_residual
 from nuno_bench.precision.sweep import Sweep
-from nuno_bench.problem.posing import AnyProblem
+from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.report.result import number
 from nuno_schemas.errors import BadInput
 
@@ -24,7 +24,7 @@ class Own:
 
     setting  label of the scene's own point; empty where `why` says that there is none
     larger   how the other differs, in words: "a step twice as large"
-    coarser  label of that point; empty where `limit` says why it is not run
+    coarser  label of that point; empty where `larger` says why it is not run
     """
 
     solver: str
@@ -32,7 +32,6 @@ class Own:
     why: str = ""
     larger: str = ""
     coarser: str = ""
-    limit: str = ""
 
     @property
     def loose(self) -> frozenset[tuple[str, str]]:
@@ -50,43 +49,37 @@ def add_own(problem: AnyProblem, solvers: Sequence[Solver]) -> tuple[list[Solver
         steps = problem.own_steps(found.limit)
     except BadInput as error:
         return list(solvers), Own(name, why=error.problem)
-    if found.kind == "adaptive":
-        own, coarser, said = _tolerances(found, steps)
-    else:
-        own, coarser, said = _steps(problem.frame, found, steps)
+    own, coarser, larger = _tolerances(found, steps) if found.kind == "adaptive" else _steps(problem, found, steps)
     chosen = [replace(one, first=True) for one in (own, coarser) if one is not None]
     labels = {one.label for one in chosen}
-    settings = sorted(
-        [*chosen, *(one for one in found.settings if one.label not in labels)], key=lambda one: -one.finer
-    )
-    swept = [replace(one, settings=tuple(settings)) if one is found else one for one in solvers]
-    return swept, replace(said, setting=own.label, coarser=coarser.label if coarser else "")
+    others = [one for one in found.settings if one.label not in labels]
+    settings = tuple(sorted([*chosen, *others], key=lambda one: -one.finer))
+    swept = [replace(one, settings=settings) if one is found else one for one in solvers]
+    return swept, Own(name, own.label, "", larger, coarser.label if coarser else "")
 
 
-def _tolerances(solver: Solver, steps: int) -> tuple[Setting, Setting | None, Own]:
+def _tolerances(solver: Solver, steps: int) -> tuple[Setting, Setting | None, str]:
     """Its tolerance and a looser one, with the longest step that the scene allows."""
     tolerance = float(solver.config(Setting("", 1)).model_dump()["tolerance"])
-    own = at_tolerance(solver.plugin, tolerance, steps)
-    loose = LOOSER * tolerance
-    said = Own(solver.name, larger=f"{LOOSER:g} times the tolerance")
-    if loose > 1.0:
-        return own, None, replace(said, limit="is above 1, which no tolerance may be")
-    return own, at_tolerance(solver.plugin, loose, steps), said
+    own, said = at_tolerance(solver.plugin, tolerance, steps), f"{LOOSER:g} times the tolerance"
+    if LOOSER * tolerance > 1.0:
+        return own, None, f"{said} is above 1, which no tolerance may be"
+    return own, at_tolerance(solver.plugin, LOOSER * tolerance, steps), said
 
 
-def _steps(frame: float, solver: Solver, steps: int) -> tuple[Setting, Setting | None, Own]:
+def _steps(problem: AnyProblem, solver: Solver, steps: int) -> tuple[Setting, Setting | None, str]:
     """Its steps a frame and half as many, rounded up, with the scene's own residual."""
     residual = float(solver.config(Setting("", steps)).model_dump()["residual"]) if has_residual(solver) else None
-    own, said = at_steps(frame, solver, steps, residual), Own(solver.name, larger="a step twice as large")
+    own, said = at_steps(problem.frame, solver, steps, residual), "a step twice as large"
     if steps == 1:
-        return own, None, replace(said, limit="is longer than a frame, which it must divide")
+        return own, None, f"{said} is longer than a frame, which it must divide"
     fewer = math.ceil(steps / 2)
     if steps % 2:
-        said = replace(said, larger=f"a step {number(steps / fewer)} times as large (whole steps make a frame)")
-    coarser = at_steps(frame, solver, fewer, residual)
+        said = f"a step {number(steps / fewer)} times as large (whole steps make a frame)"
+    coarser = at_steps(problem.frame, solver, fewer, residual)
     if coarser.beyond:
         limits = f"{1e3 * coarser.finer:.4g} ms; at most {1e3 * solver.limit.dt:.4g} ms are stable"
-        return own, None, replace(said, limit=f"is above the stability limit ({limits})")
+        return own, None, f"{said} is above the stability limit ({limits})"
     return own, coarser, said
 
 
@@ -95,13 +88,11 @@ def describe(own: Own, sweep: Sweep, quantity: str, floor: float) -> str:
     if not own.setting:
         return f"This scene as it is ({own.solver}) has no point: {own.why}."
     found = {point.key: point for point in sweep.points}
-    first = found.get((own.solver, own.setting))
+    first, second = (found.get((own.solver, label)) for label in (own.setting, own.coarser))
     said = f"This scene as it is ({own.solver}, {own.setting}): {_result(first, own.setting, own, sweep, quantity)}"
     if not own.coarser:
-        return f"{said}; {own.larger} {own.limit}."
-    second = found.get((own.solver, own.coarser))
-    result = _result(second, own.coarser, own, sweep, quantity, first)
-    said += f"; with {own.larger} ({own.coarser}): {result}."
+        return f"{said}; {own.larger}."
+    said += f"; with {own.larger} ({own.coarser}): {_result(second, own.coarser, own, sweep, quantity, first)}."
     errors = [error for point in (first, second) if point and (error := point.error(quantity)) is not None]
     if any(error <= ABOVE * floor for error in errors):
         said += f" Errors below {ABOVE * floor:.1e} are not known: the references themselves are {floor:.1e} apart."
@@ -115,14 +106,12 @@ def _result(point: Point | None, setting: str, own: Own, sweep: Sweep, quantity:
         return f"not run, {next(reasons, 'no reason is known')}"
     if not point.done:
         return f"{point.outcome} ({point.message})" if point.message else point.outcome
-    error = point.error(quantity)
-    before = base.error(quantity) if base else None
+    error, before = point.error(quantity), base.error(quantity) if base else None
     parts = [f"error in {quantity} {error:.2e}{_times(error, before)}"] if error is not None else []
     if point.seconds:
-        before = base.median if base and base.seconds else None
-        parts.append(f"run time {number(point.median)} s{_times(point.median, before)}")
+        parts.append(f"run time {number(point.median)} s{_times(point.median, base.median if base else None)}")
     return ", ".join(parts)
 
 
 def _times(value: float, base: float | None) -> str:
-    return f" ({number(value / base)} times)" if base else ""
+    return f" ({number(value / base)} times)" if base and math.isfinite(base) else ""

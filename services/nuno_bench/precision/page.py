@@ -3,65 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from nuno_bench.precision.errors import POSITIONS, Error
+from nuno_bench.precision.errors import Error
 from nuno_bench.precision.findings import (
     ABOVE,
     CHOICE_HEADINGS,
     FLOOR_HEADINGS,
-    ORDER_HEADINGS,
     by_solver,
     choice_rows,
+    fit_order,
     judge,
-    order_rows,
 )
 from nuno_bench.precision.own import Own, describe
 from nuno_bench.precision.point import Point
 from nuno_bench.precision.sweep import Sweep
-from nuno_bench.problem.dye import AMOUNTS, DYE_OBSERVABLES
+from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.problem.horizon import LOST, Horizon
-from nuno_bench.problem.observe import OBSERVABLES
-from nuno_bench.report.page import Facts, Figure, Part, Table
+from nuno_bench.report.page import Figure, Part, Report, Sections, Table
 from nuno_bench.report.plots import INK, MARKERS, Curve, Panel, draw
-from nuno_bench.report.result import number
+from nuno_bench.report.result import number, spread_of
 
-
-@dataclass(frozen=True)
-class Kind:
-    """What is compared of a scene.
-
-    leading   the quantity of every vertex or cell
-    farthest  what its largest error is called
-    titles    of the figures, by quantity
-    scales    what errors are shares of, in a sentence
-    """
-
-    leading: str
-    farthest: str
-    titles: Mapping[str, str]
-    scales: str
-
-
-CLOTH = Kind(
-    POSITIONS,
-    "farthest",
-    {POSITIONS: "positions: error / size"} | {name: f"{name}: {text}" for name, text in OBSERVABLES.items()},
-    "Errors are shares of the cloth's size (positions, centre of mass, drop), of the largest change of any kind of "
-    "energy (energy), or strains; each is the root mean square over the frames.",
-)
-DYE = Kind(
-    AMOUNTS,
-    "largest",
-    {AMOUNTS: "amounts: error / their root mean square"} | {n: f"{n}: {text}" for n, text in DYE_OBSERVABLES.items()},
-    "Errors are shares of the largest root mean square of the cells' amounts (amounts, mobile and fixed dye of every "
-    "cell), of all dye (mobile, fixed), or of the largest spread (spread); each is the root mean square over the "
-    "frames.",
-)
 LEAD = "Every solver at a sweep of steps or tolerances: its error against a reference, over the wall time it took. "
 FLOOR = (
     "Dashed, the floor: how far the reference and the independent run that checks it are apart; an error near it may "
@@ -88,21 +54,22 @@ class Findings:
     """One scene's sweep with all that it was judged by.
 
     floors   disagreement of the references by quantity
-    shown    observables that are plotted
-    frame    length of a frame [s]
     own      which points are the scene as it is
+    shown    observables that are plotted; all where none is named
     """
 
-    scene: str
+    problem: AnyProblem
     sweep: Sweep
     floors: Mapping[str, Error]
     horizon: Horizon
     how: str
-    shown: Sequence[str]
     about: Mapping[str, str]
-    frame: float
     own: Own
-    kind: Kind = CLOTH
+    shown: Sequence[str] = ()
+
+    @property
+    def scene(self) -> str:
+        return str(self.problem.loaded.scene.name)
 
     @property
     def points(self) -> list[Point]:
@@ -114,13 +81,15 @@ class Findings:
 
         Orders are fitted in the first.
         """
-        return [name for name in (self.kind.leading, *self.shown) if name in self.floors]
+        return [
+            name for name in (self.problem.leading, *(self.shown or self.problem.observables)) if name in self.floors
+        ]
 
-
-def own_sentence(found: Findings) -> str:
-    """What the scene as it is costs and delivers, and what it would with a step twice as large."""
-    leading = found.quantities[0]
-    return describe(found.own, found.sweep, leading, found.floors[leading].l2)
+    @property
+    def own_sentence(self) -> str:
+        """What the scene as it is costs and delivers, and what it would with a step twice as large."""
+        name = self.quantities[0]
+        return describe(self.own, self.sweep, name, self.floors[name].l2)
 
 
 def choices(found: Findings) -> Table:
@@ -133,14 +102,21 @@ def choices(found: Findings) -> Table:
 def verdicts(found: Findings) -> Table:
     """Whether the reference can judge each quantity."""
     said = f"Reference: {found.how}. Floor: how far the two are apart; errors above {ABOVE:g} times that are known. "
-    return Table(FLOOR_HEADINGS, [one.row() for one in judge(found.points, found.floors)], said + VERDICTS)
+    return Table(FLOOR_HEADINGS, judge(found.points, found.floors), said + VERDICTS)
 
 
 def orders(found: Findings) -> Table:
-    """The order that each solver shows."""
-    name, sweep = found.quantities[0], found.sweep
-    rows = order_rows(found.points, name, found.floors[name].l2, sweep.first_calls, found.own.loose)
-    return Table(ORDER_HEADINGS, rows, f"Order seen: slope of the error in {name}.")
+    """The order that each solver shows; none is fitted to points whose error is not that of their step alone."""
+    name, rows = found.quantities[0], []
+    for solver, own in by_solver(found.points).items():
+        fitted = [point for point in own if point.key not in found.own.loose]
+        slope = fit_order(fitted, name, found.floors[name].l2)
+        seen = "" if slope is None else f"{slope:.2f}" + " of the tolerance" * (own[0].kind == "adaptive")
+        failed, first = sum(not point.done for point in own), found.sweep.first_calls.get(solver)
+        rows.append([solver, own[0].kind, str(own[0].order or "not stated"), seen,
+                     "" if first is None else number(first), str(len(own)), str(failed or "")])  # fmt: skip
+    headings = ("solver", "kind", "nominal order", "seen", "first call [s]", "points", "not done")
+    return Table(headings, rows, f"Order seen: slope of the error in {name}.")
 
 
 def failures(found: Findings) -> Table:
@@ -165,7 +141,7 @@ def left_out(found: Findings) -> Table:
 
 def every_point(found: Findings) -> Table:
     """A line per point with its errors, its times and what it counted, solver by solver from coarse to fine."""
-    leading = found.kind.leading if found.kind.leading in found.floors else ""
+    leading = found.problem.leading if found.problem.leading in found.floors else ""
     observed = [name for name in found.floors if name != leading]
     counted = [name for name in COUNTED if any(name in point.totals for point in found.points)]
     rows = []
@@ -174,11 +150,11 @@ def every_point(found: Findings) -> Table:
         if leading:
             error = point.errors.get(leading)
             errors[:0] = [error.final, error.l2, error.linf] if error else [None] * 3
-        spread = f"{number(min(point.seconds))} - {number(max(point.seconds))}" if len(point.seconds) > 1 else ""
         counts = [f"{point.totals[name]:,}" if name in point.totals else "" for name in counted]
         shown = [f"{error:.2e}" if error is not None else "" for error in errors]
+        spread = spread_of(point.seconds) if point.seconds else ""
         rows.append([point.solver, point.setting, point.outcome, _time(point), spread, *shown, *counts])
-    names = ["final", "l2", found.kind.farthest] if leading else []
+    names = ["final", "l2", "farthest"] if leading else []
     names += [*observed, *(name.replace("_", " ") for name in counted)]
     return Table(["solver", "setting", "outcome", "time [s]", "min - max", *names], rows, ERRORS)
 
@@ -189,9 +165,8 @@ def _time(point: Point) -> str:
 
 def figure(found: Findings, names: Sequence[str], caption: str) -> Figure:
     """Errors in some quantities over wall time."""
-    return Figure(
-        draw([over_wall_time(found, name) for name in names], height=3.9 if len(names) == 1 else 3.0), caption
-    )
+    panels = [over_wall_time(found, name) for name in names]
+    return Figure(draw(panels, height=3.9 if len(names) == 1 else 3.0), caption)
 
 
 def over_wall_time(found: Findings, name: str) -> Panel:
@@ -213,7 +188,9 @@ def over_wall_time(found: Findings, name: str) -> Panel:
     if timed:
         ends = np.array([min(point.median for point in timed), max(point.median for point in timed)])
         curves.append(Curve("floor", ends, np.full(2, found.floors[name].l2), INK, dashed=True))
-    return Panel(found.kind.titles[name], curves, "wall time [s]", log="xy")
+    what = found.problem.observables.get(name)
+    title = f"{name}: {what}" if what else f"{name}: error / scale"
+    return Panel(title, curves, "wall time [s]", log="xy")
 
 
 def _or_nan(error: float | None) -> float:
@@ -225,75 +202,61 @@ def over_frames(found: Findings, name: str) -> Panel:
     curves = []
     for i, own in enumerate(by_solver(found.points).values()):
         for point in (point for point in own if point.history.get(name)):
-            t = found.frame * np.arange(1.0, len(point.history[name]) + 1.0)
+            t = found.problem.frame * np.arange(1.0, len(point.history[name]) + 1.0)
             curves.append(Curve(f"{point.solver}, {point.setting}", t, np.array(point.history[name]), i))
     return Panel(f"{name} over simulated time", curves, "simulated time [s]", "error", log="y")
 
 
-def tabs(found: Sequence[Findings]) -> dict[str, list[Panel]]:
+def tabs(found: Findings) -> dict[str, list[Panel]]:
     """All panels by scene and quantity."""
-    return {
-        f"{one.scene}, {name}": [over_wall_time(one, name), over_frames(one, name)]
-        for one in found
-        for name in one.quantities
-    }
+    panels = {name: [over_wall_time(found, name), over_frames(found, name)] for name in found.quantities}
+    return {f"{found.scene}, {name}": both for name, both in panels.items()}
 
 
-def sections(found: Findings) -> Iterator[tuple[str, list[Part]]]:
-    """The page's."""
-    name = found.kind.leading
-    yield "", [own_sentence(found)]
-    yield "Which solver for which accuracy", [choices(found), verdicts(found)]
-    caption = f"{name.capitalize()} are compared over {found.horizon.describe()}. {MARKED} {FLOOR}"
-    shown: Part = f"Positions cannot be compared: a disturbance passes {LOST:g} of the size in the first frame."
+def _rows(point: Point) -> list[dict[str, Any]]:
+    """A line per quantity; one where there is none."""
+    start = {name: getattr(point, name) for name in ("solver", "setting", "outcome")}
+    start["seconds"] = point.median if point.seconds else ""
+    return [start | {"quantity": name} | vars(error) for name, error in point.errors.items()] or [start]
+
+
+def report(found: Findings) -> Report:
+    """The page; all that was found, which nuno_bench.precision.compare reads; and the documentation's section, which
+    has the leading quantity, and what is named once a solver.
+    """
+    name, problem, horizon = found.problem.leading, found.problem, found.horizon
+    observed = [one for one in found.quantities if one != name]
+    shown: list[Part] = [f"Positions cannot be compared: a disturbance passes {LOST:g} of the size in the first frame."]
     if name in found.floors:
-        shown = figure(found, [name], caption)
-    yield f"{name.capitalize()}, inside the predictable time", [shown, orders(found)]
-    if observed := [name for name in found.quantities if name != found.kind.leading]:
-        observables = figure(found, observed, "Beyond the predictable time too. Marks as above.")
-        yield "What is observed, over the whole run", [observables]
-    for heading, table in (("Failures and divergences", failures(found)), ("Left out", left_out(found))):
-        if table.rows:
-            yield heading, [table]
-    yield "All points", [every_point(found)]
-    yield "Made by", [Facts(found.about)]
-
-
-def document(found: Findings) -> list[Part]:
-    """What goes into a documentation page's section: the leading quantity, and what is named once a solver."""
-    name = found.quantities[0]
-    chosen, failed = choices(found), failures(found)
-    chosen = replace(chosen, rows=[row for row in chosen.rows if row[0] == name])
-    failed = replace(failed, rows=list({row[0]: row for row in reversed(failed.rows)}.values())[::-1])
-    return [
-        f"Reference: {found.how}, {found.floors[name].l2:.1e} apart in {name}. "
-        f"Predictable: {found.horizon.describe()}.",
-        figure(found, [name], f"Error in {name} over wall time"),
-        *(table for table in (chosen, orders(found), failed, left_out(found)) if table.rows),
-        Facts(found.about),
+        caption = f"{name.capitalize()} are compared over {horizon.describe()}. {MARKED} {FLOOR}"
+        shown = [figure(found, [name], caption)]
+    beyond = "Beyond the predictable time too. Marks as above."
+    sections: Sections = [
+        ("", [found.own_sentence]),
+        ("Which solver for which accuracy", [choices(found), verdicts(found)]),
+        (f"{name.capitalize()}, inside the predictable time", [*shown, orders(found)]),
+        ("What is observed, over the whole run", [figure(found, observed, beyond)] if observed else []),
+        ("Failures and divergences", [failures(found)]),
+        ("Left out", [left_out(found)]),
+        ("All points", [every_point(found)]),
     ]
-
-
-def lines(found: Findings) -> Table:
-    """The CSV's: a line per point and quantity."""
-    rows = []
-    for p in found.points:
-        start = [p.solver, p.setting, p.outcome, f"{p.median:.6g}" if p.seconds else ""]
-        errors = [[name, *(f"{v:.9g}" for v in (e.final, e.l2, e.linf))] for name, e in p.errors.items()]
-        rows += [[*start, *rest] for rest in errors or [[""] * 4]]
-    return Table(("solver", "setting", "outcome", "seconds", "quantity", "final", "l2", "linf"), rows)
-
-
-def data(found: Findings) -> dict[str, Any]:
-    """All that was found, for JSON; nuno_bench.precision.compare reads it."""
-    horizon = {name: value for name, value in vars(found.horizon).items() if name != "fades"}
-    return {
-        "about": dict(found.about),
+    first, chosen, failed = found.quantities[0], choices(found), failures(found)
+    brief: list[Part] = [
+        f"Reference: {found.how}, {found.floors[first].l2:.1e} apart in {first}. Predictable: {horizon.describe()}.",
+        figure(found, [first], f"Error in {first} over wall time"),
+        replace(chosen, rows=[row for row in chosen.rows if row[0] == first]),
+        orders(found),
+        replace(failed, rows=list({row[0]: row for row in reversed(failed.rows)}.values())[::-1]),
+        left_out(found),
+    ]
+    data = {
         "scene": found.scene,
-        "reference": {"how": found.how, "floors": {name: asdict(floor) for name, floor in found.floors.items()}},
-        "horizon": horizon,
-        "points": [asdict(point) for point in found.points],
-        "own": asdict(found.own) | {"said": own_sentence(found)},
-        "omitted": [asdict(one) for one in found.sweep.omitted],
+        "reference": {"how": found.how, "floors": found.floors},
+        "horizon": {key: value for key, value in vars(horizon).items() if key != "fades"},
+        "points": found.points,
+        "own": vars(found.own) | {"said": found.own_sentence},
+        "omitted": found.sweep.omitted,
         "first_calls": found.sweep.first_calls,
     }
+    lead, rows = LEAD + problem.scaled, [row for point in found.points for row in _rows(point)]
+    return Report(f"Error over wall time: {found.scene}", lead, sections, found.about, data, brief, rows)

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from nuno import registry
 from nuno_bench.options import require_known
-from nuno_bench.problem.posing import AnyProblem
+from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.report.result import number
 from nuno_schemas.errors import BadInput
 from nuno_schemas.system import StepLimit

@@ -10,8 +10,8 @@ from nuno.words import duration, roughly
 from nuno_bench.precision.errors import RAN_AWAY, errors_over_frames, measure_errors, ran_away
 from nuno_bench.precision.point import DONE, Point
 from nuno_bench.precision.settings import Omission, Setting, Solver
+from nuno_bench.problem.dye import AnyProblem
 from nuno_bench.problem.observe import Run
-from nuno_bench.problem.posing import AnyProblem
 from nuno_bench.problem.reference import Compared
 from nuno_bench.sweep.kept import Kept
 from nuno_schemas.errors import BadInput

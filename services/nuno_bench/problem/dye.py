@@ -16,7 +16,7 @@ from nuno import registry
 from nuno.dye.run import DyeRun
 from nuno.scene.scene_file import Chosen, Loaded
 from nuno_bench.machine import cores
-from nuno_bench.problem.observe import Run, Series, advance_all, check_memory
+from nuno_bench.problem.observe import Problem, Run, Series, advance_all, check_memory, make_problem
 from nuno_schemas.dye import DyeReport, DyeState
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -25,11 +25,6 @@ from nuno_schemas.system import StepLimit
 AMOUNTS = "amounts"
 SCHEME = "explicit"
 """The plainest solver: what errors are measured against is made of it."""
-DYE_OBSERVABLES = {
-    "mobile": "all mobile dye",
-    "fixed": "all dye that fibre has taken",
-    "spread": "root of the second moment of all dye about its middle",
-}
 
 
 @dataclass(frozen=True)
@@ -43,6 +38,17 @@ class DyeProblem:
     loaded: Loaded
     threads: int
     group: ClassVar[str] = "nuno.dye_solvers"
+    leading: ClassVar[str] = AMOUNTS
+    observables: ClassVar[Mapping[str, str]] = {
+        "mobile": "all mobile dye",
+        "fixed": "all dye that fibre has taken",
+        "spread": "root of the second moment of all dye about its middle",
+    }
+    scaled: ClassVar[str] = (
+        "Errors are shares of the largest root mean square of the cells' amounts (amounts, mobile and fixed dye of "
+        "every cell), of all dye (mobile, fixed), or of the largest spread (spread); each is the root mean square over "
+        "the frames."
+    )
 
     @property
     def frame(self) -> float:
@@ -156,3 +162,14 @@ def _spread(amounts: Float) -> float:
         middle = float(along @ place) / total
         square += float(along @ (place - middle) ** 2) / total
     return math.sqrt(max(0.0, square))
+
+
+AnyProblem = Problem | DyeProblem
+
+
+def pose(loaded: Loaded, threads: int = 0) -> AnyProblem:
+    """A scene as a problem for solvers: dye where nothing moves, else cloth. Raises BadInput.
+
+    `threads` (0: all cores) step it, to the same bits.
+    """
+    return make_dye_problem(loaded, threads) if loaded.solver is None else make_problem(loaded, threads)

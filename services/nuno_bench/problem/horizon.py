@@ -8,12 +8,15 @@ accuracy that a comparison of positions is of use for; what is left to compare b
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from nuno_bench.problem.dye import AnyProblem, DyeProblem
+from nuno_bench.problem.dye_reference import make_dye_reference
 from nuno_bench.problem.observe import Problem, Run
-from nuno_bench.problem.reference import Compared, Reference
+from nuno_bench.problem.reference import Compared, Reference, make_reference
 from nuno_schemas.fabric import Float
 
 DISTURBANCE = 1e-10
@@ -59,10 +62,15 @@ def disturb(problem: Problem) -> Float:
     return result
 
 
-def whole_run(reference: Compared) -> Horizon:
-    """All of a scene in which every disturbance fades."""
-    t = reference.run.series.t
-    return Horizon(len(t), float(t[-1]), True, 0.0, np.zeros(len(t)), fades=True)
+def refer(problem: AnyProblem, budget: float, told: Callable[[str], None]) -> tuple[Compared, Horizon]:
+    """The reference, each run of which may take `budget` [s], and how long it can be predicted. Raises BadInput."""
+    if isinstance(problem, DyeProblem):
+        of_dye = make_dye_reference(problem, budget, told)
+        t = of_dye.run.series.t
+        return of_dye, Horizon(len(t), float(t[-1]), True, 0.0, np.zeros(len(t)), fades=True)
+    reference = make_reference(problem, budget, told)
+    told("predictable time: the disturbed twin")
+    return reference, find_horizon(problem, reference)
 
 
 def find_horizon(problem: Problem, reference: Reference) -> Horizon:

@@ -24,10 +24,11 @@ from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import StepLimit, StepReport, System
 
+POSITIONS = "positions"
 KEPT_TRAJECTORIES = 4
 """Reference, its check, its twin and the run being judged lie in memory together."""
 
@@ -40,6 +41,18 @@ class Problem:
     system: System
     poses: tuple[Poses | None, ...]
     group: ClassVar[str] = "nuno.integrators"
+    leading: ClassVar[str] = POSITIONS
+    observables: ClassVar[Mapping[str, str]] = {
+        "energy": "all energy",
+        "centre": "centre of mass",
+        "drop": "way of the centre of mass along gravity",
+        "strain": "mean strain of the springs",
+    }
+    """What is compared of the whole cloth, and what each is."""
+    scaled: ClassVar[str] = (
+        "Errors are shares of the cloth's size (positions, centre of mass, drop), of the largest change of any kind of "
+        "energy (energy), or strains; each is the root mean square over the frames."
+    )
 
     @property
     def fabric(self) -> Fabric:
@@ -170,15 +183,7 @@ class Series:
     x: Float
     values: Mapping[str, Float]
     parts: Float
-    leading: str = "positions"
-
-
-OBSERVABLES = {
-    "energy": "all energy",
-    "centre": "centre of mass",
-    "drop": "way of the centre of mass along gravity",
-    "strain": "mean strain of the springs",
-}
+    leading: str = POSITIONS
 
 
 @dataclass(frozen=True)
@@ -188,6 +193,7 @@ class Run:
     status   "ok", "diverged", "unconverged", or "cut" where it exceeded the time allowed
     seconds  in the solver's own calls [s]
     totals   steps, rejected steps, iterations, as far as the solver counts them
+    reports  of the frames that were reached, the start among them; of cloth
     """
 
     series: Series
@@ -195,6 +201,7 @@ class Run:
     message: str
     seconds: float
     totals: Mapping[str, int]
+    reports: Sequence[StepReport] = ()
 
 
 def observe(problem: Problem, places: Sequence[Float], reports: Sequence[StepReport]) -> Series:
@@ -245,7 +252,17 @@ def simulate(
         return report, time.perf_counter() - start
 
     ended = advance_all(problem, advance, add, most_seconds)
-    return Run(observe(problem, places, reports), *ended)
+    return Run(observe(problem, places, reports), *ended, reports)
+
+
+def run_own(loaded: Loaded) -> Run:
+    """A scene by its own solver, at its own step. Raises RunFailed where it does not end well."""
+    problem, chosen = make_problem(loaded), loaded.integrator
+    steps = problem.own_steps(problem.limit(chosen.plugin, chosen.config))
+    run = problem.run(chosen.plugin, chosen.config, steps)
+    if run.status != "ok":
+        raise RunFailed(f"{run.status}: {run.message}")
+    return run
 
 
 def advance_all(

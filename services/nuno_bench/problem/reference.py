@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from nuno import registry
-from nuno.cloth import build
 from nuno_bench.problem.observe import Problem, Run, simulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
-GROUP = "nuno.integrators"
 PRIMARY, CHECK = "dop853", "dopri5"
 TOLERANCES = (1e-11, 1e-10, 1e-9, 1e-8, 1e-7)
 """Of a step, tried in turn: the first that the scene allows (far from the origin positions are rounded
@@ -56,17 +54,21 @@ def no_reference(problem: Any, value: str, limit: str | None = None) -> BadInput
 
 def make_reference(problem: Problem, most_seconds: float, told: Callable[[str], None]) -> Reference:
     """The scene's reference; each run of it may take `most_seconds`. Raises BadInput where none ends in that time."""
-    told(f"reference: {PRIMARY}")
-    try:
-        run, tolerance = _tightest(problem, PRIMARY, 0, most_seconds)
-    except BadInput as refused:
-        told(f"{PRIMARY} does not end in time ({refused.value})")
-        return stepped_reference(problem, most_seconds, told)
-    told(f"reference: {CHECK}")
-    check, checked = _tightest(problem, CHECK, TOLERANCES.index(tolerance), most_seconds)
+    found, first = list[tuple[Run, float]](), 0
+    for name in (PRIMARY, CHECK):
+        told(f"reference: {name}")
+        try:
+            found.append(_tightest(problem, name, first, most_seconds))
+        except BadInput as refused:
+            if found:
+                raise
+            told(f"{name} does not end in time ({refused.value})")
+            return stepped_reference(problem, most_seconds, told)
+        first = TOLERANCES.index(found[0][1])
+    (run, tolerance), (check, checked) = found
 
     def twin(disturbance: Float) -> Run:
-        return _tight(problem, PRIMARY, tolerance, math.inf, disturbance)
+        return tight(problem, PRIMARY, tolerance, math.inf, disturbance)
 
     how = f"{PRIMARY} at tolerance {tolerance:g}, checked by {CHECK} at {checked:g}"
     return Reference(run, check, how, run.seconds + check.seconds, twin)
@@ -77,7 +79,7 @@ def _tightest(problem: Problem, name: str, first: int, most_seconds: float) -> t
     at, why = first, ""
     while at < len(TOLERANCES):
         try:
-            run = _tight(problem, name, TOLERANCES[at], most_seconds)
+            run = tight(problem, name, TOLERANCES[at], most_seconds)
         except BadInput as refused:
             at, why = at + 1, refused.problem
             continue
@@ -90,8 +92,9 @@ def _tightest(problem: Problem, name: str, first: int, most_seconds: float) -> t
     raise no_reference(problem, f"{name}: {why}", f"tolerances from {TOLERANCES[first]:g} to {TOLERANCES[-1]:g}")
 
 
-def _tight(problem: Problem, name: str, tolerance: float, most_seconds: float, disturbance: Float | None = None) -> Run:
-    plugin = registry.load(GROUP, name)
+def tight(problem: Problem, name: str, tolerance: float, most_seconds: float, disturbance: Float | None = None) -> Run:
+    """A run by an adaptive solver, with a frame as its longest step. Raises BadInput where that is refused."""
+    plugin = registry.load(problem.group, name)
     return simulate(problem, plugin, plugin.Config(tolerance=tolerance), 1, disturbance, most_seconds)
 
 
@@ -102,36 +105,31 @@ def stepped_reference(problem: Problem, most_seconds: float, told: Callable[[str
     different order, at a small share of their stable step, are then known better in the time there is. Raises BadInput
     where not even the coarsest would end.
     """
-    runs, finer = list[tuple[Run, int, int]](), FINER[0]
+    runs, made, finer = list[tuple[Run, int]](), list[str](), FINER[0]
+
+    def run(name: str, steps: int, disturbance: Float | None = None) -> Run:
+        plugin = registry.load(problem.group, name)
+        found = simulate(problem, plugin, plugin.Config(), steps, disturbance)
+        if found.status != "ok":
+            raise no_reference(problem, f"{name}: {found.status}: {found.message}")
+        return found
+
     for name in STEPPED:
-        stable, a_step = _fewest(problem, name)
+        plugin = registry.load(problem.group, name)
+        limit = problem.limit(plugin, plugin.Config()).dt
+        stable = max(1, math.ceil(problem.frame / limit)) if limit > 0.0 else 1
+        a_step = problem.first_call(plugin, plugin.Config(), FINER[-1] * stable, TRIED)[1] / TRIED
         finer = next((n for n in FINER if n <= finer and n * stable * problem.frames * a_step <= most_seconds), 0)
         if not finer:
             taken = FINER[-1] * stable * problem.frames * a_step
             why = f"{FINER[-1]} times the steps of {name} take {taken:.3g} s"
             raise no_reference(problem, why, f"{most_seconds:g} s")
         told(f"reference: {name}, {finer} steps for one that is stable")
-        runs.append((_stepped(problem, name, finer * stable), finer * stable, finer))
-    (run, steps, finer), (check, _, checked) = runs
+        runs.append((run(name, finer * stable), finer * stable))
+        made.append(f"{name} at 1/{finer} of its stable step")
+    (first, steps), (check, _) = runs
 
     def twin(disturbance: Float) -> Run:
-        return _stepped(problem, STEPPED[0], steps, disturbance)
+        return run(STEPPED[0], steps, disturbance)
 
-    how = f"{STEPPED[0]} at 1/{finer} of its stable step, checked by {STEPPED[1]} at 1/{checked}"
-    return Reference(run, check, how, run.seconds + check.seconds, twin)
-
-
-def _fewest(problem: Problem, name: str) -> tuple[int, float]:
-    """Steps a frame that are stable, and the seconds of one."""
-    plugin = registry.load(GROUP, name)
-    limit = plugin.limit(plugin.Config(), problem.system, build.start_state(problem.fabric)).dt
-    steps = max(1, math.ceil(problem.frame / limit)) if limit > 0.0 else 1
-    return steps, problem.first_call(plugin, plugin.Config(), FINER[-1] * steps, TRIED)[1] / TRIED
-
-
-def _stepped(problem: Problem, name: str, steps: int, disturbance: Float | None = None) -> Run:
-    plugin = registry.load(GROUP, name)
-    run = simulate(problem, plugin, plugin.Config(), steps, disturbance)
-    if run.status != "ok":
-        raise no_reference(problem, f"{name}: {run.status}: {run.message}")
-    return run
+    return Reference(first, check, ", checked by ".join(made), first.seconds + check.seconds, twin)

@@ -1,1 +1,1 @@
-"""How what was measured is told: results and tables, sections of the documentation, pages, plots, rerun files."""
+"""How what was measured is told: results, tables, pages with their data, sections of the documentation, plots."""

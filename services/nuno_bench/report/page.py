@@ -1,7 +1,7 @@
 """A report as values: tables, figures, pictures and facts, from which come its HTML page, its JSON and its CSV.
 
-`page.html` beside this file is the one template. nuno_bench.report.markdown makes sections of the documentation from
-the same values.
+`page.html` beside this file is the one template. Sections of the documentation are made from the same values, put there
+by the command that measured them and by nobody else.
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
 import jinja2
 from markupsafe import Markup, escape
+
+from nuno_schemas.errors import BadInput
 
 BAD = ("failed", "missed", "diverged", "contradicts")
 GOOD = ("bar met", "aim met", "agrees")
@@ -64,6 +66,11 @@ class Table:
         signs = [">" if right else "<" for right in self.numeric]
         padded = [[f"{cell:{s}{w}}" for cell, s, w in zip(line, signs, widths, strict=True)] for line in lines]
         return "\n".join("  ".join(line).rstrip() for line in padded)
+
+    def markdown(self) -> str:
+        """A pipe table."""
+        lines = [self.headings, ["---"] * len(self.headings), *self.rows]
+        return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
 @dataclass(frozen=True)
@@ -114,19 +121,66 @@ def render(title: str, lead: str, sections: Sections) -> str:
     return _template().render(title=title, lead=lead, sections=sections)
 
 
-def write(base: Path, title: str, lead: str, sections: Sections, data: Mapping[str, Any], lines: Table) -> list[Path]:
-    """Write the page, `data` as JSON and `lines` as CSV beside each other: `base` and an ending each."""
-    base.parent.mkdir(parents=True, exist_ok=True)
-    html, table, raw = (base.with_name(base.name + ending) for ending in (".html", ".csv", ".json"))
-    html.write_text(render(title, lead, sections), encoding="utf-8")
-    raw.write_text(json.dumps(_plain(data), indent=1) + "\n", encoding="utf-8")
-    with table.open("w", newline="", encoding="utf-8") as stream:
-        csv.writer(stream).writerows([lines.headings, *lines.rows])
-    return [html, table, raw]
+@dataclass(frozen=True)
+class Report:
+    """All that a measurement gives to read.
+
+    sections  of the page; tables without rows and sections without anything are left out, `about` comes last
+    about     how it was made, by name
+    data      all that was found, for JSON, to which `about` is added
+    brief     what of it goes into a section of the documentation, before `about`
+    rows      lines of the CSV by column; where one has no such column, its place is empty
+    """
+
+    title: str
+    lead: str
+    sections: Sections
+    about: Mapping[str, str]
+    data: Mapping[str, Any]
+    brief: Sequence[Part] = ()
+    rows: Sequence[Mapping[str, Any]] = ()
+
+    def page(self) -> str:
+        """As HTML."""
+        kept = [(heading, nonempty(parts)) for heading, parts in self.sections]
+        sections = [(heading, parts) for heading, parts in kept if parts]
+        return render(self.title, self.lead, [*sections, ("Made by", [Facts(self.about)])])
+
+    def write(self, html: Path | None, data: Path | None, docs: Path | None, name: str) -> None:
+        """Write the page, the data as JSON, and the section of this name of the page `docs`; say what is written."""
+        if html is not None:
+            html.parent.mkdir(parents=True, exist_ok=True)
+            html.write_text(self.page(), encoding="utf-8")
+        if data is not None:
+            data.parent.mkdir(parents=True, exist_ok=True)
+            data.write_text(json.dumps(_plain({"about": self.about, **self.data}), indent=1) + "\n", encoding="utf-8")
+        if docs is not None:
+            replace_section(docs, name, [*nonempty(self.brief), Facts(self.about)])
+        for path in (html, data, docs):
+            if path is not None:
+                print(f"written {path}")
+
+    def write_beside(self, base: Path, docs: Path | None = None, name: str = "") -> None:
+        """Page, data and rows beside each other, `base` and an ending each; and the documentation's section."""
+        html, data, table = (base.with_name(base.name + ending) for ending in (".html", ".json", ".csv"))
+        self.write(html, data, docs, name)
+        if self.rows:
+            with table.open("w", newline="", encoding="utf-8") as stream:
+                writer = csv.DictWriter(stream, list(dict.fromkeys(name for row in self.rows for name in row)))
+                writer.writeheader()
+                writer.writerows(self.rows)
+            print(f"written {table}")
+
+
+def nonempty(parts: Sequence[Part]) -> list[Part]:
+    """Those that say something: neither empty text nor tables without rows."""
+    return [part for part in parts if (part.rows if isinstance(part, Table) else part)]
 
 
 def _plain(value: Any) -> Any:
-    """Arrays as lists; JSON has no infinity and no NaN, which are written as text."""
+    """Arrays and dataclasses as lists and objects; JSON has no infinity and no NaN, which are written as text."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = vars(value)
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -134,6 +188,47 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def marks(name: str) -> tuple[str, str]:
+    """The comments between which a measured section of a documentation's page stands."""
+    return f"<!-- measured: {name} -->", f"<!-- end: {name} -->"
+
+
+def check_section(path: Path | None, name: str) -> None:
+    """Raises BadInput where a page does not exist or has no such section; None is no page, and fine."""
+    if path is None:
+        return
+    begin, end = marks(name)
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    if text.count(begin) != 1 or text.count(end) != 1 or text.index(begin) > text.index(end):
+        raise BadInput("the page has no section for this", str(path), remedy=f"add the lines {begin} and {end}")
+
+
+def replace_section(path: Path, name: str, parts: Sequence[Part]) -> None:
+    """Put the parts, a blank line between them, in the place of what a page's measured section holds.
+
+    Figures become files in the folder `pictures` beside the page, named after the section and themselves, on white
+    because pages may be dark.
+    """
+    check_section(path, name)
+    begin, end = marks(name)
+    text = path.read_text(encoding="utf-8")
+    before, after = text[: text.index(begin)], text[text.index(end) :]
+    written = [begin]
+    for part in parts:
+        if isinstance(part, Figure):
+            picture = path.parent / "pictures" / ("-".join([*name.split(), *part.name.split()]) + ".svg")
+            picture.parent.mkdir(exist_ok=True)
+            picture.write_text(part.svg.replace("<svg ", '<svg style="background: #fff" ', 1), encoding="utf-8")
+            written.append(f"![{part.caption}](pictures/{picture.name})")
+        elif isinstance(part, Table):
+            written.append(part.markdown())
+        elif isinstance(part, Facts):
+            written.append("\n".join(f"- {name}: {value}" for name, value in part.values.items()))
+        else:
+            written.append(str(part))
+    path.write_text(before + "\n\n".join([*written, after]), encoding="utf-8")
 
 
 @cache

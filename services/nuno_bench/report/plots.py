@@ -79,23 +79,18 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over one pair of axes.
-
-    log   which axes are logarithmic: "", "x", "y" or "xy"
-    rows  names of rows instead of numbers on the y axis: row i is at y = i
-    """
+    """Curves over one pair of axes, of which `log` says which are logarithmic: "", "x", "y" or "xy"."""
 
     title: str
     curves: Sequence[Curve]
     xlabel: str
     ylabel: str = ""
     log: str = ""
-    rows: Sequence[str] = ()
 
 
 def require_matplotlib() -> None:
     """Raises BadInput where figures cannot be drawn."""
-    extras.require("pages with figures need", ["matplotlib"])
+    extras.require("pages with figures need", "matplotlib")
 
 
 def draw(panels: Sequence[Panel], columns: int = 2, height: float = 3.0, shared: bool = False) -> str:
@@ -135,8 +130,6 @@ def _draw_panel(axis: Any, panel: Panel, first: bool) -> None:
     axis.set_title(panel.title, pad=20 if above else None)
     axis.set_xlabel(panel.xlabel)
     axis.set_ylabel(panel.ylabel)
-    if panel.rows:
-        axis.set_yticks(range(len(panel.rows)), panel.rows)
     axis.grid(True, which="major")
 
 
@@ -155,27 +148,6 @@ def _draw_curve(axis: Any, curve: Curve) -> None:
     if (above := np.isinf(y)).any():
         place = {"transform": axis.get_xaxis_transform(), "clip_on": False, "linestyle": "", "zorder": 4}
         axis.plot(x[above], np.full(above.sum(), 1.06), marker="x", markersize=5.5, color=colour, **place)
-
-
-def bars(
-    names: Sequence[str],
-    samples: Sequence[Sequence[float]],
-    wanted: Sequence[tuple[float | None, float | None]],
-    xlabel: str,
-) -> str:
-    """A row for each name: the median of its samples, from the smallest to the largest, its bar and its aim.
-
-    No samples: the row says that it failed.
-    """
-    rows = np.arange(len(names), dtype=float)[::-1]
-    medians = np.array([np.median(one) if one else math.nan for one in samples])
-    spread = [(min(one), max(one)) if one else (math.nan, math.nan) for one in samples]
-    found = [Curve("median, smallest to largest", medians, rows, 0, marker="o", loose=True, spread=spread)]
-    for i, (what, mark) in enumerate((("bar", "|"), ("aim", "^"))):
-        values = np.array([math.nan if pair[i] is None else pair[i] for pair in wanted], float)
-        found.append(Curve(what, values, rows, INK, marker=mark, size=9.0, loose=True))
-    labels = [name if one else f"{name}: failed" for name, one in zip(names, samples, strict=True)]
-    return draw([Panel("", found, xlabel, rows=labels[::-1])], height=0.3 * len(names))
 
 
 def pyplot() -> Any:

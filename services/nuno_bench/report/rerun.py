@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
 from nuno.recording.writer import part_of
 from nuno.viewer.layout import entity
@@ -27,11 +29,8 @@ DOT, RULE, LETTER = -4.0, -1.0, -0.1
 """Radii; below 0 they are in points of the screen instead of the plane's units."""
 
 
-def write(path: Path, application: str, tabs: Mapping[str, Sequence[Panel]]) -> Path:
+def write(path: Path, application: str, tabs: Mapping[str, Sequence[Panel]]) -> None:
     """Log the panels of each tab, and the views that show them; the file gets its name when it is whole."""
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     views = [rrb.Grid(*(_view((name, panel.title), panel) for panel in panels), name=name)
              for name, panels in tabs.items()]  # fmt: skip
     recording = rr.RecordingStream(application, send_properties=False)
@@ -44,12 +43,10 @@ def write(path: Path, application: str, tabs: Mapping[str, Sequence[Panel]]) -> 
     recording.flush(timeout_sec=60.0)
     recording.disconnect()
     part_of(path).replace(path)
-    return path
+    print(f"written {path}")
 
 
 def _view(place: Sequence[str], panel: Panel) -> Any:
-    import rerun.blueprint as rrb
-
     bounds = rrb.VisualBounds2D(x_range=[-MARGIN, WIDTH + 2.0 * MARGIN], y_range=[-HEIGHT - MARGIN, MARGIN])
     name = f"{panel.title}: {panel.ylabel} over {panel.xlabel}" if panel.ylabel else f"{panel.title}, {panel.xlabel}"
     return rrb.Spatial2DView(name=name, origin=entity(*place), visual_bounds=bounds, background=[255, 255, 255])
@@ -58,30 +55,26 @@ def _view(place: Sequence[str], panel: Panel) -> Any:
 class Axis:
     """Places the values of all curves of a panel between 0 and `length`, and names a few of them at `ticks`."""
 
-    def __init__(self, values: Sequence[float], log: bool, length: float, rows: Sequence[str] = ()) -> None:
-        """Whole decades around the values of a logarithmic axis; with `rows`, row i is at i."""
+    def __init__(self, values: Float, log: bool, length: float) -> None:
+        """Whole decades around the values of a logarithmic axis."""
         self.log, self.length = log, length
         scaled = self._scaled(values)
         scaled = scaled[np.isfinite(scaled)]
         low, high = (float(scaled.min()), float(scaled.max())) if scaled.size else (0.0, 0.0)
-        if rows:
-            low, high = -0.5, len(rows) - 0.5
-        elif log:
+        if log:
             low, high = math.floor(low), math.ceil(high)
         self.low, self.high = (low, high) if high > low else (low - 0.5, low + 0.5)
-        step = max(1, round((high - low) / 8.0))
-        ticks = np.arange(float(len(rows))) if rows else np.linspace(low, high, 5)
-        ticks = np.arange(low, high + 0.5, step) if log and not rows else ticks
-        self.names = list(rows) or [f"1e{tick:g}" if log else number(float(tick)) for tick in ticks]
+        decades = np.arange(low, high + 0.5, max(1, round((high - low) / 8.0)))
+        ticks = decades if log else np.linspace(low, high, 5)
+        self.names = [f"1e{tick:g}" if log else number(float(tick)) for tick in ticks]
         self.ticks = self._placed(ticks)
 
-    def at(self, values: Sequence[float] | Float) -> Float:
+    def at(self, values: Float) -> Float:
         """Places (m,) of values (m,); what is infinite stands a little above the end."""
         return self._placed(self._scaled(values))
 
-    def _scaled(self, values: Sequence[float] | Float) -> Float:
-        found = np.asarray(values, float)
-        return np.log10(np.maximum(found, LEAST)) if self.log else found
+    def _scaled(self, values: Float) -> Float:
+        return np.log10(np.maximum(values, LEAST)) if self.log else values
 
     def _placed(self, scaled: Float) -> Float:
         share: Float = (scaled - self.low) / (self.high - self.low)
@@ -91,12 +84,11 @@ class Axis:
 def axes_of(panel: Panel) -> tuple[Axis, Axis]:
     """Of x and of y."""
     x, y = np.concatenate([np.zeros((2, 0)), *(np.stack([curve.x, curve.y]) for curve in panel.curves)], axis=1)
-    return Axis(x, "x" in panel.log, WIDTH), Axis(y, "y" in panel.log, HEIGHT, panel.rows)
+    return Axis(x, "x" in panel.log, WIDTH), Axis(y, "y" in panel.log, HEIGHT)
 
 
 def _log_panel(recording: Any, place: Sequence[str], panel: Panel) -> None:
     """A frame with lines at its ticks; dots and line of each curve; right of them its name, in its colour."""
-    import rerun as rr
 
     def log(shown: Any, *what: str) -> None:
         recording.log(entity(*place, *what), shown, static=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from nuno_bench.report.page import Table
 
@@ -51,22 +50,13 @@ class Result:
     def _reaches(self, wanted: float) -> bool:
         return self.median <= wanted if self.at_most else self.median >= wanted
 
-    def json(self) -> dict[str, Any]:
-        """All fields, and what follows from them."""
-        derived: dict[str, Any] = {"verdict": self.verdict}
-        if self.samples:
-            derived |= {"median": self.median, "min": min(self.samples), "max": max(self.samples)}
-        if self.samples and self.limit:
-            derived["share_of_limit"] = self.median / self.limit
-        return vars(self) | {"samples": list(self.samples)} | derived
-
 
 HEADINGS = ("case", "what", "median", "min - max", "unit", "bar", "aim", "of limit", "first call", "verdict")
 
 
-def rows(results: Sequence[Result]) -> list[list[str]]:
+def table(results: Sequence[Result], caption: str = "") -> Table:
     """One row of text per result, under HEADINGS."""
-    return [_row(result) for result in results]
+    return Table(HEADINGS, [_row(result) for result in results], caption)
 
 
 def _row(result: Result) -> list[str]:
@@ -74,10 +64,15 @@ def _row(result: Result) -> list[str]:
     wanted = [f"{sign}{number(value)}" if value is not None else "" for value in (result.bar, result.aim)]
     if not result.samples:
         return [result.case, result.what, "-", "", result.unit, *wanted, "", "", "failed"]
-    spread = f"{number(min(result.samples))} - {number(max(result.samples))}" if len(result.samples) > 1 else "once"
     share = f"{result.median / result.limit:.0%}" if result.limit else ""
     first = f"{result.compile_seconds:.2g} s" if result.compile_seconds is not None else ""
-    return [result.case, result.what, number(result.median), spread, result.unit, *wanted, share, first, result.verdict]
+    median, spread = number(result.median), spread_of(result.samples)
+    return [result.case, result.what, median, spread, result.unit, *wanted, share, first, result.verdict]
+
+
+def spread_of(samples: Sequence[float]) -> str:
+    """Smallest and largest."""
+    return f"{number(min(samples))} - {number(max(samples))}" if len(samples) > 1 else "once"
 
 
 def number(value: float) -> str:
@@ -86,8 +81,3 @@ def number(value: float) -> str:
         digits = f"{value:.3g}"
         return digits if "e" not in digits else f"{value:,.0f}"
     return f"{value:.0e}" if abs(value) >= 1e9 else f"{value:.3g}"
-
-
-def text_table(headings: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    """Columns aligned for a screen, numbers to the right."""
-    return Table(headings, body).text()

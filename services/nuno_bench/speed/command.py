@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import sys
 import traceback
 from collections.abc import Iterable, Sequence
 
 from nuno_bench import extras, machine, options
-from nuno_bench.report import markdown, page, plots
-from nuno_bench.report.result import HEADINGS, Result, number, rows, text_table
+from nuno_bench.report import page
+from nuno_bench.report.page import Table
+from nuno_bench.report.result import Result, number, table
 
 CASES = {
     "grid-256": "steps.explicit:grid_256",
     "net-256": "steps.explicit:net_256",
     "sheet-32": "steps.explicit:sheet_32",
-    "numpy": "steps.explicit:numpy_slices",
     "stiff": "steps.stiff:stiff_sheet",
     "stiffness": "steps.stiff:stiffness",
     "closest": "leg.closest:closest",
@@ -51,30 +50,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the cases; 1 if any could not be measured. A missed bar is a finding, not a failure."""
     options.require_known(args.cases, CASES, "case", "CASE")
-    options.require_repeats(args.repeats)
     section = " ".join(["speed", *args.cases])
-    if args.docs is not None:
-        markdown.check_section(args.docs, section)
-    if args.html is not None:
-        plots.require_matplotlib()
+    page.check_section(args.docs, section)
     lacking = _tell_lacking(args.cases or CASES)
     others = machine.Others()
     results: list[Result] = []
     for name in args.cases or CASES:
         print(f"{name} ...", file=sys.stderr)
         results += run_case(name, args.repeats)
-    about = machine.describe() | {"load": others.describe()} | lacking | _limits(results)
-    print(text_table(HEADINGS, rows(results)), end="\n\n")
-    for text in (*map(": ".join, notes(results)), *map(": ".join, about.items()), summary(results)):
+    about = machine.about(others) | lacking | _limits(results)
+    figures, said = table(results, OF_LIMIT), f"{summary(results)}."
+    print(figures.text(), end="\n\n")
+    for text in (*map(": ".join, notes(results)), *map(": ".join, about.items()), said):
         print(text)
-    _write(args, section, results, {"command": machine.command()} | about)
-    return 1 if any(result.failure for result in results) else 0
+    told = Table(("what", "note"), notes(results), "Sizes, and what failed.", prose=True)
+    sections: page.Sections = [("", [said]), ("All figures", [figures]), ("Notes", [told])]
+    data = {"results": [vars(one) | {"verdict": one.verdict} for one in results]}
+    report = page.Report("Speed", LEAD, sections, about, data, [said, figures])
+    report.write(args.html, args.json, args.docs, section)
+    return int(any(result.failure for result in results))
 
 
 def _tell_lacking(cases: Iterable[str]) -> dict[str, str]:
     """Cases whose peers are not installed, and how they are; said before anything runs."""
-    lacking = {f"{name} has fewer peers": extras.missing(PEERS.get(name, ())) for name in cases}
-    said = {what: extras.told(packages) for what, packages in lacking.items() if packages}
+    lacking = {name: ", ".join(filter(None, map(extras.missing, PEERS.get(name, ())))) for name in cases}
+    said = {f"{name} has fewer peers": text for name, text in lacking.items() if text}
     for what, text in said.items():
         print(f"{what}: {text}", file=sys.stderr)
     return said
@@ -115,35 +115,3 @@ def summary(results: Sequence[Result]) -> str:
     text = f"{len(judged) - len(missed) - len(failed)} of {len(judged)} bars met"
     text += f"; missed: {', '.join(missed)}" if missed else ""
     return text + (f"; could not be measured: {', '.join(failed)}" if failed else "")
-
-
-def _write(args: argparse.Namespace, section: str, results: list[Result], about: dict[str, str]) -> None:
-    if args.json is not None:
-        own = {name: text for name, text in about.items() if name != "command"}
-        data = {"command": about["command"], "machine": own, "results": [result.json() for result in results]}
-        args.json.parent.mkdir(parents=True, exist_ok=True)
-        args.json.write_text(json.dumps(data, indent=1) + "\n")
-    if args.html is not None:
-        args.html.parent.mkdir(parents=True, exist_ok=True)
-        args.html.write_text(_page(results, about), encoding="utf-8")
-    if args.docs is not None:
-        table = markdown.table(HEADINGS, rows(results))
-        markdown.replace_section(args.docs, section, [f"{summary(results)}.", table, markdown.facts(about)])
-    for path in (args.json, args.html, args.docs):
-        if path is not None:
-            print(f"written {path}")
-
-
-def _page(results: list[Result], about: dict[str, str]) -> str:
-    """The table of all results, and a figure of the rates of steps."""
-    sections: list[tuple[str, Sequence[page.Part]]] = [("", [f"{summary(results)}."])]
-    rates = [result for result in results if result.unit == "M vertex-steps/s"]
-    if rates:
-        names, samples = [f"{r.case}: {r.what}" for r in rates], [r.samples for r in rates]
-        svg = plots.bars(names, samples, [(r.bar, r.aim) for r in rates], "million vertex-steps/s")
-        caption = "The explicit step by itself. Upright line: the bar; dotted: the aim; thin line across: all samples."
-        sections.append(("Kernels", [page.Figure(svg, caption)]))
-    sections.append(("All figures", [page.Table(HEADINGS, rows(results), OF_LIMIT)]))
-    if said := [list(each) for each in notes(results)]:
-        sections.append(("Notes", [page.Table(("what", "note"), said, "Sizes, and what failed.", prose=True)]))
-    return page.render("Speed", LEAD, [*sections, ("Made by", [page.Facts(about)])])

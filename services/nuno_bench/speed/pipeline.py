@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.service import Options
-from nuno.simulation.run import Simulation
 from nuno.supervision.supervisor import supervise
 from nuno_bench.machine import cores
+from nuno_bench.problem.observe import run_own
 from nuno_bench.report.result import Result
 from nuno_schemas.errors import RunFailed
 
@@ -29,7 +27,7 @@ MOST = 5
 def pipeline(repeats: int) -> list[Result]:
     """A skirt on the dancer, run as services and by the kernels alone, in turns, so that a slow machine slows both."""
     loaded = scene_file.read(scene_file.find("skirt-hula"), SKIRT)
-    bare_seconds(loaded, frames=1)
+    bare_seconds(scene_file.read(scene_file.find("skirt-hula"), (*SKIRT, "duration=0.05")))
     pairs = [(bare_seconds(loaded), *run_seconds(loaded)) for _ in range(min(repeats, MOST))]
     bare, run, whole = zip(*pairs, strict=True)
     what = f"128x96 skirt, {DURATION:g} s at 60 frames/s: "
@@ -41,28 +39,14 @@ def pipeline(repeats: int) -> list[Result]:
     return results
 
 
-def bare_seconds(loaded: Loaded, frames: int | None = None) -> float:
+def bare_seconds(loaded: Loaded) -> float:
     """Wall time of a scene's integrator calls, bodies posed beforehand, everything compiled and prepared.
 
     In a thread that ends with it, as a run's own does: OpenMP keeps helpers for every thread that has run a kernel;
     with those of two there are more threads than cores, and it no longer lets any of them wait awake.
     """
     with ThreadPoolExecutor(1) as thread:
-        return thread.submit(_advance_all, loaded, loaded.scene.frames if frames is None else frames).result()
-
-
-def _advance_all(loaded: Loaded, frames: int) -> float:
-    bodies = build_bodies(loaded)
-    poses = [bodies.poses(i / loaded.scene.frame_rate) for i in range(frames + 1)]
-    made = Simulation(loaded, bodies.geometry, poses[0], cores())
-    made.measure(poses[0])
-    advance = loaded.integrator.plugin.advance
-    start = time.perf_counter()
-    for pair in itertools.pairwise(poses):
-        report = advance(made.system, made.state, made.memory, pair, made.steps, made.dt)
-        if report.status != "ok":
-            raise RunFailed(f"{report.status}: {report.message}")
-    return time.perf_counter() - start
+        return thread.submit(run_own, loaded).result().seconds
 
 
 def run_seconds(loaded: Loaded) -> tuple[float, float]:

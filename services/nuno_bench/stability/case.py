@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from nuno import registry
 from nuno_bench.problem.observe import Problem, Run, Series, make_problem, simulate
+from nuno_bench.problem.reference import PRIMARY, tight
 from nuno_bench.sweep.packed import Packed, unpacked
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric
+from nuno_schemas.fabric import Fabric, Float
 
 CLASSES = ("exact", "accurate", "damped away", "drifting", "diverged", "refused", "left out")
 EXACT, ACCURATE = 1e-3, 5e-2
@@ -99,27 +99,22 @@ def shortest(fabric: Fabric) -> float:
 
 def run(problem: Problem, plugin: Any, config: Any, steps: int, most: float = math.inf) -> Run:
     """The path with so many steps a frame, of at most so many seconds, from a start that is a little rough."""
+    return simulate(problem, plugin, config, steps, roughness(problem), most)
+
+
+def roughness(problem: Problem) -> Float:
+    """(n, 3) how far the start is from the scene's own [m]."""
     rough = np.zeros((problem.fabric.number, 3))
     random = np.random.default_rng(1).uniform(-1.0, 1.0, (int(problem.free.sum()), 3))
     rough[problem.free] = ROUGHNESS * shortest(problem.fabric) * random
-    return simulate(problem, plugin, config, steps, rough, most)
-
-
-def reference_plugin() -> Any:
-    """The adaptive solver of highest order that is installed. Raises BadInput where there is none."""
-    plugins = [registry.load(Problem.group, name) for name in registry.installed(Problem.group)]
-    adaptive = [p for p in plugins if p.adaptive and "tolerance" in p.Config.model_fields]
-    if not adaptive:
-        raise BadInput("no adaptive solver is installed to compare with", remedy="install one with a tolerance")
-    return max(adaptive, key=lambda p: p.order)
+    return rough
 
 
 def make_reference(problem: Problem) -> Series:
     """The same, by an adaptive solver at a tight tolerance. Raises BadInput where it cannot be made."""
-    plugin = reference_plugin()
-    found = run(problem, plugin, plugin.Config(tolerance=TIGHT), 1)
+    found = tight(problem, PRIMARY, TIGHT, math.inf, roughness(problem))
     if found.status != "ok":
-        why = f"the reference run by {plugin.name} {found.status}: {found.message}"
+        why = f"the reference run by {PRIMARY} {found.status}: {found.message}"
         raise BadInput(why, remedy="look at the scene with nuno plan")
     return found.series
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import fields
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from nuno_bench.report.page import Facts, Figure, Part, Table
+from nuno_bench.report.page import Figure, Part, Report, Sections, Table
 from nuno_bench.report.plots import INK, Curve, Panel, draw
 from nuno_bench.report.result import number
 from nuno_bench.stability.case import ACCURATE, CLASSES, EXACT, LOST, ROUGHNESS, RUNAWAY, Point
@@ -94,53 +92,25 @@ def _place(point: Point) -> float:
     return 1e3 * point.edge if point.axis == "mesh" else point.value
 
 
-def tabs(found: Sequence[Mapped]) -> dict[str, list[Panel]]:
-    """All panels by scene and kind of map."""
-    made = {f"{one.scene}, {axis}": maps(one.points, axis) for one in found for axis in AXES}
+def tabs(found: Mapped) -> dict[str, list[Panel]]:
+    """The panels by scene and kind of map, of those kinds that were mapped."""
+    made = {f"{found.scene}, {axis}": maps(found.points, axis) for axis in AXES}
     return {name: panels for name, panels in made.items() if panels}
 
 
-def figures(found: Mapped) -> list[Figure]:
-    """The maps, one for each kind."""
+def report(found: Mapped, about: Mapping[str, str]) -> Report:
+    """The page, all points, and the documentation's section."""
     made = {axis: maps(found.points, axis) for axis in AXES}
     said = "Classes over {} and the step. The black line is the limit that each solver states."
-    return [Figure(draw(panels, 3, 2.0, shared=True), said.format(AXES[axis]), axis)
-            for axis, panels in made.items() if panels]  # fmt: skip
-
-
-def sections(found: Mapped, about: dict[str, str]) -> Iterator[tuple[str, list[Part]]]:
-    """The page's."""
-    if found.points:
-        yield "", [HOW]
-        for one in figures(found):
-            yield f"{one.name.capitalize()} and step", [one]
-        yield "Limits", [beyond(found.points)]
-        yield "Points", [counts(found.points)]
-    yield "Left out", [*(found.omissions or ["Nothing."])]
-    yield "Made by", [Facts(about)]
-
-
-def document(found: Mapped, about: dict[str, str]) -> list[Part]:
-    """What goes into a documentation page's section."""
-    tables = (counts(found.points), beyond(found.points))
-    return [
-        f"{summary(found)}.",
-        *figures(found),
-        *(table for table in tables if table.rows),
-        *(f"Left out: {text}." for text in found.omissions),
-        Facts(about),
+    figures = [Figure(draw(panels, 3, 2.0, shared=True), said.format(AXES[axis]), axis)
+               for axis, panels in made.items() if panels]  # fmt: skip
+    tables, omitted = [beyond(found.points), counts(found.points)], [f"Left out: {text}." for text in found.omissions]
+    sections: Sections = [
+        ("", [HOW]),
+        *((f"{one.name.capitalize()} and step", [one]) for one in figures),
+        ("Limits", tables[:1]),
+        ("Points", tables[1:]),
+        ("Left out", omitted or ["Nothing."]),
     ]
-
-
-def lines(found: Mapped) -> Table:
-    """The CSV's: a line per point."""
-    rows = [
-        [f"{value:.6g}" if isinstance(value, float) else str(value) for value in vars(point).values()]
-        for point in found.points
-    ]
-    return Table([field.name for field in fields(Point)], rows)
-
-
-def data(found: Mapped, about: dict[str, str]) -> dict[str, Any]:
-    """All that was found, for JSON."""
-    return {"about": about, "omissions": found.omissions, "points": [vars(point) for point in found.points]}
+    brief: list[Part] = [f"{summary(found)}.", *figures, *tables[::-1], *omitted]
+    return Report(f"Stability of {found.scene}", LEAD, sections, about, vars(found), brief, [*map(vars, found.points)])

@@ -12,13 +12,13 @@ from pathlib import Path
 from nuno import registry
 from nuno.scene import scene_file
 from nuno_bench.problem.observe import Problem, Series
+from nuno_bench.problem.reference import PRIMARY
 from nuno_bench.stability.case import (
     Point,
     Setting,
     classify,
     make_reference,
     pose,
-    reference_plugin,
     run,
     shortest,
 )
@@ -140,7 +140,7 @@ def measure_all(
 def compile_all(setting: Setting, solvers: Sequence[str]) -> None:
     """One call of every solver: processes of this machine then load what this one compiled."""
     problem = pose(setting)
-    for plugin in (reference_plugin(), *(registry.load(Problem.group, name) for name in solvers)):
+    for plugin in (registry.load(Problem.group, name) for name in (PRIMARY, *solvers)):
         with contextlib.suppress(BadInput):
             problem.first_call(plugin, plugin.Config(), 1, 0)
 
@@ -150,7 +150,7 @@ def measure_setting(task: Task) -> list[list[Point]]:
     if task.left <= 0.0:
         raise BadInput("the budget of time")
     deadline, setting = time.monotonic() + task.left, task.setting
-    problem, plugin = pose(setting), reference_plugin()
+    problem, plugin = pose(setting), registry.load(Problem.group, PRIMARY)
     # The same steps for every stiffness: those of the scene's own.
     omega = pose(replace(setting, axis="mesh")).limit(plugin, plugin.Config()).omega
     counts, reference = step_counts(problem.frame, float(omega)), make_reference(problem)

@@ -17,7 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import islice
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from nuno import registry
 from nuno_schemas.errors import BadInput
@@ -36,18 +36,22 @@ class Lost:
 
     reason: str
 
+    def __str__(self) -> str:
+        return self.reason
+
 
 Done = tuple[Task, Found | BadInput | Lost]
 """A task and what came of it."""
 
 
-class Executor(Protocol):
-    """Computes tasks. `where` says in words where; `width` is how many tasks go on at once, now."""
+class Executor:
+    """Computes tasks one after another, in this process; others derive from it.
 
-    where: str
+    `where` says in words where; `width` is how many tasks go on at once, now.
+    """
 
-    @property
-    def width(self) -> int: ...
+    where = "one after another"
+    width = 1
 
     def run(self, call: Callable[[Task], Found], tasks: Iterable[Task]) -> Iterator[Done[Task, Found]]:
         """Each task with what `call` makes of it, as they are done; a BadInput that it raises is a result.
@@ -55,20 +59,14 @@ class Executor(Protocol):
         Tasks are taken from the iterable only when they can be started. A task whose process is lost is run
         again. Raises RunFailed where no task can be computed any more; what else `call` raises ends the run.
         """
-
-
-class Here:
-    """One task after another, in this process."""
-
-    where = "one after another"
-    width = 1
-
-    def run(self, call: Callable[[Task], Found], tasks: Iterable[Task]) -> Iterator[Done[Task, Found]]:
         for task in tasks:
             yield task, attempt(call, task)
 
+    def close(self) -> None:
+        """End what goes on."""
 
-class Processes:
+
+class Processes(Executor):
     """So many processes of this machine, started when there is work for them; they end with this one."""
 
     def __init__(self, width: int) -> None:

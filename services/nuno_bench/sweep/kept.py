@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
-import sys
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.errors import BadInput
+
+
+def require(paths: Sequence[Path]) -> None:
+    """Raises BadInput where there is no sweep at all to go on with."""
+    if not any(path.is_file() for path in paths):
+        raise BadInput("there is no sweep to go on with", field="--resume", value=", ".join(map(str, paths)),
+                       remedy="leave --resume out, or name the --out that it was started with")  # fmt: skip
 
 
 class Kept:
@@ -34,45 +39,13 @@ class Kept:
             if other := [name for name, value in head.items() if before.get(name) != value]:
                 raise BadInput("what was kept belongs to another sweep", str(path), None, "--resume", ", ".join(other),
                                remedy="leave --resume out, or give another --out")  # fmt: skip
-        require_place(path)
-        path.write_text("".join(json.dumps(line) + "\n" for line in (head, *self.lines)), encoding="utf-8")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text("".join(json.dumps(line) + "\n" for line in (head, *self.lines)), encoding="utf-8")
+        except OSError as error:
+            problem, remedy = f"cannot write there: {error.strerror}", "choose a folder that can be written"
+            raise BadInput(problem, field="--out", value=str(path.parent), remedy=remedy) from None
 
     def add(self, data: Mapping[str, Any]) -> None:
         with self.path.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(dict(data)) + "\n")
-
-
-def require_place(path: Path) -> None:
-    """Make the folder of a sweep's file. Raises BadInput where it, or a file in it, cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=path.parent).close()
-    except OSError as error:
-        problem, remedy = f"cannot write there: {error.strerror}", "choose a folder that can be written"
-        raise BadInput(problem, field="--out", value=str(path.parent), remedy=remedy) from None
-
-
-def require(paths: Iterable[Path]) -> None:
-    """Raises BadInput where there is no sweep at all to go on with."""
-    known = list(paths)
-    if not any(path.is_file() for path in known):
-        raise BadInput("there is no sweep to go on with", field="--resume", value=", ".join(map(str, known)),
-                       remedy="leave --resume out, or name the --out that it was started with")  # fmt: skip
-
-
-def check(paths: Sequence[Path], resume: bool) -> None:
-    """Raises BadInput, before anything runs, where files cannot be written, or none of them is there to go on with."""
-    if resume:
-        require(paths)
-    for path in paths:
-        require_place(path)
-
-
-@contextmanager
-def hint(path: Path) -> Iterator[None]:
-    """Say where finished points are, when what goes on in here is interrupted or fails."""
-    try:
-        yield
-    except (KeyboardInterrupt, RunFailed):
-        print(f"what is finished is kept in {path}; --resume goes on from there", file=sys.stderr)
-        raise

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
 from nuno_bench import machine, options
-from nuno_bench.report import markdown, plots
-from nuno_bench.sweep import executor, places
-from nuno_bench.sweep.kept import Kept, hint, require
+from nuno_bench.report import page, plots
+from nuno_bench.sweep import places
 from nuno_bench.validation import page as shown
 from nuno_bench.validation import suite
 from nuno_schemas.errors import BadInput
@@ -18,7 +16,7 @@ from nuno_schemas.errors import BadInput
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="cases by name or its beginning (default: all)")
-    options.add_shared(parser, "--solvers", "--resume", "--out", "--json", "--html", "--docs")
+    options.add_shared(parser, "--solvers", "--json", "--html", "--docs")
     places.add_arguments(parser)
     parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
 
@@ -32,31 +30,13 @@ def main(args: argparse.Namespace) -> int:
         print("\n".join(f"{case.name:{width}}  {case.law} ({case.source})" for case in cases))
         return 0
     _check_files(args)
-    places.check(args)
-    path = args.out / "validate.rows.jsonl"
-    if args.resume:
-        require([path])
-    asked = [[[case.name for case in part.cases], list(part.solvers)] for part in parts]
+    others = machine.Others()
     with places.opened(args) as where:
-        kept = Kept(path, {"parts": asked, "versions": executor.versions()}, args.resume)
-        with hint(kept.path):
-            outcomes = suite.check_all(parts, where, kept, lambda text: print(text, file=sys.stderr))
-    kept.path.unlink()
-    said, counts = suite.summary(parts, outcomes), suite.count(outcomes)
+        outcomes = suite.check_all(parts, where, lambda text: print(text, file=sys.stderr))
     print("\n\n".join(shown.screen(part, outcomes) for part in parts))
-    print("\n".join(["", *shown.details(outcomes), said]))
-    about = {"command": machine.command(), **machine.describe()}
-    if args.json is not None:
-        content = {"about": about, "counts": counts, "outcomes": [outcome.json() for outcome in outcomes]}
-        args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    if args.html is not None:
-        args.html.write_text(shown.render(parts, outcomes, said, about), encoding="utf-8")
-    if args.docs is not None:
-        markdown.replace_section(args.docs, "validate", shown.document(parts, outcomes, said, about))
-    for path in (args.json, args.html, args.docs):
-        if path is not None:
-            print(f"written {path}")
-    return 1 if counts["failed"] else 0
+    print("\n".join(["", *map(shown.line, shown.bad(outcomes).rows), suite.summary(parts, outcomes)]))
+    shown.report(parts, outcomes, machine.about(others)).write(args.html, args.json, args.docs, "validate")
+    return int(any(outcome.verdict == "failed" for outcome in outcomes))
 
 
 def _check_files(args: argparse.Namespace) -> None:
@@ -67,5 +47,4 @@ def _check_files(args: argparse.Namespace) -> None:
         path: Path | None = getattr(args, flag)
         if path is not None and not path.resolve().parent.is_dir():
             raise BadInput("no such folder", field=f"--{flag}", value=str(path.parent), remedy="make it first")
-    if args.docs is not None:
-        markdown.check_section(args.docs, "validate")
+    page.check_section(args.docs, "validate")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from nuno_bench.report import markdown, page, plots
-from nuno_bench.report.plots import Curve
-from nuno_bench.report.result import number, text_table
+from nuno_bench.report.page import Figure, Part, Report, Sections, Table
+from nuno_bench.report.plots import Curve, Panel, draw
+from nuno_bench.report.result import number
+from nuno_bench.validation import suite
 from nuno_bench.validation.laws.base import Outcome
-from nuno_bench.validation.suite import Part
 
 ABREAST = 5
 """Solvers beside each other on a screen."""
@@ -21,13 +21,13 @@ LEAD = (
 )
 
 
-def screen(part: Part, outcomes: Sequence[Outcome]) -> str:
+def screen(part: suite.Part, outcomes: Sequence[Outcome]) -> str:
     """Cases as rows, solvers as columns, in as many tables as there are groups of solvers."""
     groups = [part.solvers[i : i + ABREAST] for i in range(0, len(part.solvers), ABREAST)]
-    return "\n\n".join(text_table(("case", *group), _cells(part, group, outcomes)) for group in groups)
+    return "\n\n".join(Table(("case", *group), _cells(part, group, outcomes)).text() for group in groups)
 
 
-def _cells(part: Part, solvers: Sequence[str], outcomes: Sequence[Outcome]) -> list[list[str]]:
+def _cells(part: suite.Part, solvers: Sequence[str], outcomes: Sequence[Outcome]) -> list[list[str]]:
     """A row a case: its name, then a cell a solver."""
     table = {(o.case, o.solver): o for o in outcomes}
     return [[case.name, *(_cell(table[case.name, name]) for name in solvers)] for case in part.cases]
@@ -46,20 +46,31 @@ def short(error: float) -> str:
     return "0" if error == 0.0 else f"{error:.0e}".replace("e-0", "e-").replace("e+0", "e+")
 
 
-def bad(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """Rows of verdict, cases, solver and reason: one for each failure, and one for all slips of a solver."""
+def matrix(part: suite.Part, outcomes: Sequence[Outcome]) -> Table:
+    """Case, what it allows, a cell a solver."""
+    rows = []
+    for case, *cells in _cells(part, part.solvers, outcomes):
+        allowed = [o.found.allowed for o in outcomes if o.case == case and o.found]
+        low, high = (short(min(allowed)), short(max(allowed))) if allowed else ("", "")
+        rows.append([case, low if low == high else f"{low} to {high}", *cells])
+    return Table(["case", "allowed", *part.solvers], rows, f"Errors of solvers of {part.of}; a dash is unsupported.")
+
+
+def bad(outcomes: Sequence[Outcome]) -> Table:
+    """A row for each failure, and one for all slips of a solver."""
     rows = []
     for outcome in (o for o in outcomes if o.verdict == "failed"):
         found = outcome.found
         figures = f"measured {number(found.measured)}, expected {number(found.expected)}; " if found else ""
         rows.append(["failed", outcome.case, outcome.solver, figures + outcome.reason])
-    return rows + [["slip", cases, solver, reason] for solver, reason, cases in _by_reason(outcomes, "slip")]
+    rows += [["slip", cases, solver, reason] for solver, reason, cases in _by_reason(outcomes, "slip")]
+    return Table(("", "case", "solver", "why"), rows, "A slip is announced by the solver itself.", prose=True)
 
 
-def details(outcomes: Sequence[Outcome]) -> list[str]:
-    """A line on each failure, and one on all slips of a solver."""
-    failed = [f"failed: {case}, {solver}: {why}" for kind, case, solver, why in bad(outcomes) if kind == "failed"]
-    return failed + [f"slip: {solver}, {reason}: {cases}" for solver, reason, cases in _by_reason(outcomes, "slip")]
+def line(row: Sequence[str]) -> str:
+    """What is bad, on a screen."""
+    verdict, cases, solver, why = row
+    return f"failed: {cases}, {solver}: {why}" if verdict == "failed" else f"slip: {solver}, {why}: {cases}"
 
 
 def _by_reason(outcomes: Sequence[Outcome], verdict: str) -> list[list[str]]:
@@ -71,19 +82,18 @@ def _by_reason(outcomes: Sequence[Outcome], verdict: str) -> list[list[str]]:
     return [[solver, reason, ", ".join(cases)] for (solver, reason), cases in found.items()]
 
 
-def _matrix(part: Part, outcomes: Sequence[Outcome]) -> page.Table:
-    """Case, what it allows, a cell a solver."""
-    rows = []
-    for case, *cells in _cells(part, part.solvers, outcomes):
-        allowed = [o.found.allowed for o in part.own(outcomes) if o.case == case and o.found]
-        low, high = (short(min(allowed)), short(max(allowed))) if allowed else ("", "")
-        rows.append([case, low if low == high else f"{low} to {high}", *cells])
-    return page.Table(
-        ["case", "allowed", *part.solvers], rows, f"Errors of solvers of {part.of}; a dash is unsupported."
-    )
+def convergence(case: str, outcomes: Sequence[Outcome]) -> list[Part]:
+    """Error over step of every solver, for a case that is of an order; nothing for any other."""
+    own = [(o.solver, o.found) for o in outcomes if o.case == case and case.startswith("order") and o.found]
+    lines = [
+        Curve(f"{solver}: {f.measured:.2f}", np.array(f.series["dt"]), np.array(f.series["error"]), i, i % 2 == 1)
+        for i, (solver, f) in enumerate(own)
+    ]
+    drawn = [draw([Panel("error [m, m/s]", lines, "step [s]", log="xy")])] if lines else []
+    return [Figure(one, "Error over step, with the fitted order of each solver.") for one in drawn]
 
 
-def render(parts: Sequence[Part], outcomes: Sequence[Outcome], said: str, about: dict[str, str]) -> str:
+def report(parts: Sequence[suite.Part], outcomes: Sequence[Outcome], about: Mapping[str, str]) -> Report:
     """The page: counts, the table, what failed or was not posed, the laws, every figure."""
     cases = [case for part in parts for case in part.cases]
     laws = [[case.name, case.law, case.source] for case in cases]
@@ -93,43 +103,17 @@ def render(parts: Sequence[Part], outcomes: Sequence[Outcome], said: str, about:
         for o in outcomes if o.found
     ]  # fmt: skip
     heads = ("case", "solver", "measured", "expected", "error", "allowed", "time [s]")
-    failed = page.Table(
-        ("", "case", "solver", "why"), bad(outcomes), "A slip is announced by the solver itself.", prose=True
-    )
-    sections: list[tuple[str, list[page.Part]]] = [
-        ("What came out", [f"{said[0].upper()}{said[1:]}.", *(_matrix(part, outcomes) for part in parts)]),
-        ("What failed", [failed] if failed.rows else []),
-        ("Unsupported", [page.Table(REASONS, _by_reason(outcomes, "unsupported"), "Cases not posed.", prose=True)]),
+    lacking = ("solver", "unsupported because", "cases")
+    unposed = Table(lacking, _by_reason(outcomes, "unsupported"), "Cases not posed.", prose=True)
+    said = suite.summary(parts, outcomes)
+    brief: list[Part] = [f"{said[0].upper()}{said[1:]}.", *(matrix(part, outcomes) for part in parts)]
+    sections: Sections = [
+        ("What came out", brief),
+        ("What failed", [bad(outcomes)]),
+        ("Unsupported", [unposed]),
         *((case.name.capitalize(), convergence(case.name, outcomes)) for case in cases),
-        ("Laws", [page.Table(("case", "law", "from"), laws, "What is measured.", prose=True)]),
-        ("Figures", [page.Table(heads, figures, "Every case that was posed.")]),
-        ("Made by", [page.Facts(about)]),
+        ("Laws", [Table(("case", "law", "from"), laws, "What is measured.", prose=True)]),
+        ("Figures", [Table(heads, figures, "Every case that was posed.")]),
     ]
-    return page.render("Laws", LEAD, [(name, content) for name, content in sections if content])
-
-
-REASONS = ("solver", "unsupported because", "cases")
-
-
-def convergence(case: str, outcomes: Sequence[Outcome]) -> list[page.Part]:
-    """Error over step of every solver, for a case that is of an order; nothing for any other."""
-    own = [(o.solver, o.found) for o in outcomes if o.case == case and case.startswith("order") and o.found]
-    lines = [
-        Curve(f"{solver}: {f.measured:.2f}", np.array(f.series["dt"]), np.array(f.series["error"]), i, i % 2 == 1)
-        for i, (solver, f) in enumerate(own)
-    ]
-    if not lines:
-        return []
-    drawn = plots.draw([plots.Panel("error [m, m/s]", lines, "step [s]", log="xy")])
-    return [page.Figure(drawn, "Error over step, with the fitted order of each solver.")]
-
-
-def document(parts: Sequence[Part], outcomes: Sequence[Outcome], said: str, about: dict[str, str]) -> list[str]:
-    """Parts of the documentation's section."""
-    tables = [_matrix(part, outcomes) for part in parts]
-    return [
-        f"{said[0].upper()}{said[1:]}.",
-        *(markdown.table(table.headings, table.rows) for table in tables),
-        markdown.table(REASONS, _by_reason(outcomes, "unsupported")),
-        markdown.facts(about),
-    ]
+    data = {"counts": suite.count(outcomes), "outcomes": outcomes}
+    return Report("Laws", LEAD, sections, about, data, [*brief, unposed])

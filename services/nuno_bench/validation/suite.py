@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +13,6 @@ from nuno import registry
 from nuno.words import roughly
 from nuno_bench.options import require_known
 from nuno_bench.sweep.executor import Executor, Lost
-from nuno_bench.sweep.kept import Kept
 from nuno_bench.validation.laws import contacts, dye_amounts, dye_fast, dye_spread, nets, oscillator, statics
 from nuno_bench.validation.laws.base import Broken, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
@@ -26,8 +26,6 @@ SLIPS = {"rk4_printed": "kept with the paper's slips: gravity counted twice, dam
 """Solvers that are there to show what a mistake does: what they fail is told, but is no failure of the suite."""
 SAY_EVERY = 5.0
 """How often it is said how much is left [s]."""
-FEWEST = 3
-"""Each case is supported by at least so many solvers, or the suite says that it is not."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +35,6 @@ class Part:
     of: str
     cases: tuple[Case, ...]
     solvers: tuple[str, ...]
-
-    def own(self, outcomes: Sequence[Outcome]) -> list[Outcome]:
-        """What came out of this part's cases."""
-        names = {case.name for case in self.cases}
-        return [outcome for outcome in outcomes if outcome.case in names]
 
 
 def choose_parts(cases: Sequence[str], solvers: Sequence[str]) -> list[Part]:
@@ -103,28 +96,24 @@ def check_named(task: tuple[str, str]) -> Outcome:
     return check(found, registry.load(found.group, solver))
 
 
-def check_all(parts: Sequence[Part], executor: Executor, kept: Kept, told: Callable[[str], None]) -> list[Outcome]:
-    """Every case with every solver of its part, in this order; what comes is kept.
+def check_all(parts: Sequence[Part], executor: Executor, told: Callable[[str], None]) -> list[Outcome]:
+    """Every case with every solver of its part, in this order.
 
     They are taken in an order drawn at random: the mean of those that are done is then that of those that are left,
     whatever each takes, which is how long they will take on this machine.
     """
-    found = {(outcome.case, outcome.solver): outcome for outcome in map(Outcome.from_json, kept.lines)}
     every = [(case.name, name) for part in parts for case in part.cases for name in part.solvers]
-    wanted = [key for key in every if key not in found]
-    random.Random(len(wanted)).shuffle(wanted)
-    told(f"{len(wanted)} checks; the first of them tell how long all take")
-    begin, said, done = time.monotonic(), 0.0, 0
-    for key, outcome in executor.run(check_named, wanted):
+    drawn, found = random.Random(len(every)).sample(every, len(every)), dict[tuple[str, str], Outcome]()
+    told(f"{len(every)} checks; the first of them tell how long all take")
+    begin, said = time.monotonic(), 0.0
+    for key, outcome in executor.run(check_named, drawn):
         if isinstance(outcome, BadInput | Lost):
-            why = str(outcome) if isinstance(outcome, BadInput) else outcome.reason
-            outcome = Outcome(*key, "failed", why)
+            outcome = Outcome(*key, "failed", str(outcome))
         found[key] = outcome
-        kept.add(outcome.json())
-        done, spent = done + 1, time.monotonic() - begin
-        if spent >= said + SAY_EVERY and done >= 2 * executor.width and done < len(wanted):
+        spent, done, left = time.monotonic() - begin, len(found), len(every) - len(found)
+        if spent >= said + SAY_EVERY and done >= 2 * executor.width and left:
             said = spent
-            told(f"{done} of {len(wanted)}, {roughly(spent / done * (len(wanted) - done))} left")
+            told(f"{done} of {len(every)}, {roughly(spent / done * left)} left")
     return [found[key] for key in every]
 
 
@@ -135,26 +124,18 @@ def count(outcomes: Sequence[Outcome]) -> dict[str, int]:
 
 
 def summary(parts: Sequence[Part], outcomes: Sequence[Outcome]) -> str:
-    """The counts in a sentence, and the cases that too few solvers can pose."""
+    """The counts in a sentence, and how many solvers can pose each case."""
     found = count(outcomes)
     text = f"{found['passed']} passed, {found['failed']} failed, {found['unsupported']} unsupported"
     if found["slip"]:
         text += f", {found['slip']} slips of {', '.join(sorted({o.solver for o in outcomes if o.verdict == 'slip'}))}"
     for part in parts:
-        numbers = count_posed(part, outcomes).values()
-        text += f"; each case of {part.of} posed by {min(numbers)} to {max(numbers)} solvers"
-    if rare := rarely_posed(parts, outcomes):
-        text += f"; posed by fewer than {FEWEST} solvers: {', '.join(rare)}"
+        posed = count_posed(part, outcomes).values()
+        text += f"; each case of {part.of} posed by {min(posed)} to {max(posed)} solvers"
     return text
-
-
-def rarely_posed(parts: Sequence[Part], outcomes: Sequence[Outcome]) -> list[str]:
-    """Cases that fewer than FEWEST solvers support, where that many were asked."""
-    asked = [part for part in parts if len(part.solvers) >= FEWEST]
-    return [name for part in asked for name, number in count_posed(part, outcomes).items() if number < FEWEST]
 
 
 def count_posed(part: Part, outcomes: Sequence[Outcome]) -> dict[str, int]:
     """How many solvers support each case."""
-    own = part.own(outcomes)
-    return {case.name: sum(o.case == case.name and o.verdict != "unsupported" for o in own) for case in part.cases}
+    posed = Counter(outcome.case for outcome in outcomes if outcome.verdict != "unsupported")
+    return {case.name: posed[case.name] for case in part.cases}

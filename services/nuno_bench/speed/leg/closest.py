@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nuno import registry
+from nuno.scene.files import SceneFiles
 from nuno_bench import extras
 from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import measure
@@ -27,17 +29,10 @@ FEWER = 10
 """Peers are asked for so many times fewer points."""
 
 
-class NoFiles:
-    """The leg needs none."""
-
-    def resolve(self, name: str) -> Any:
-        raise FileNotFoundError(name)
-
-
 def leg(around: int) -> tuple[Float, Int]:
     """Vertices and triangles of the leg that comes with nuno."""
     plugin = registry.load("nuno.colliders", "mesh")
-    shape = plugin.build(plugin.Config(shape="leg", resolution=around), None, NoFiles())
+    shape = plugin.build(plugin.Config(shape="leg", resolution=around), None, SceneFiles(Path(), ()))
     return shape.vertices, shape.faces
 
 
@@ -67,8 +62,8 @@ def closest(repeats: int) -> list[Result]:
         results.append(timed(f"{name} triangles, without start", call=cold, work=work))
         results += [
             timed(f"{name} triangles, {peer}", call=make(x, faces, fewer), work=1e-6 * len(fewer), note=what)
-            for peer, (packages, make, what) in PEERS.items()
-            if not extras.missing(packages)
+            for peer, (package, make, what) in PEERS.items()
+            if not extras.missing(package)
         ]
     return results
 
@@ -107,9 +102,9 @@ def open3d_peer(x: Float, faces: Int, points: Float) -> Callable[[], object]:
     return partial(scene.compute_signed_distance, open3d.core.Tensor(points.astype(np.float32)))
 
 
-PEERS: dict[str, tuple[tuple[str, ...], Callable[[Float, Int, Float], Callable[[], object]], str]] = {
-    "trimesh": (("rtree",), trimesh_peer, "boxes in an R-tree; without the sign, which takes a ray a point more"),
-    "igl": (("igl",), igl_peer, "a tree of boxes and pseudonormals, made in every call"),
-    "open3d": (("open3d",), open3d_peer, "in single precision"),
+PEERS: dict[str, tuple[str, Callable[[Float, Int, Float], Callable[[], object]], str]] = {
+    "trimesh": ("rtree", trimesh_peer, "boxes in an R-tree; without the sign, which takes a ray a point more"),
+    "igl": ("igl", igl_peer, "a tree of boxes and pseudonormals, made in every call"),
+    "open3d": ("open3d", open3d_peer, "in single precision"),
 }
 """What each needs beside nuno, how its question is asked, signed distance and triangle, and what is to say of it."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nuno import registry
+from nuno.scene.files import SceneFiles
 from nuno_bench.report.result import Result
-from nuno_bench.speed.leg.closest import NoFiles, leg
+from nuno_bench.speed.leg.closest import leg
 from nuno_bench.speed.timing import measure
 from nuno_schemas.camera import frame
 from nuno_schemas.drawing import Mesh
@@ -49,7 +51,7 @@ def stocking(points: int = POINTS) -> tuple[Worn, int]:
     """A stocking of plain knit on the leg, z up, as curves; and how many links it has."""
     knit = registry.load("nuno.models", "knit")
     config = knit.Config.model_validate({"form": "tube", "wales": points // 2, "courses": points - 1})
-    fabric: Fabric = knit.build(config, NoFiles(), 0)
+    fabric: Fabric = knit.build(config, SceneFiles(Path(), ()), 0)
     x, faces = leg(AROUND)
     x = np.ascontiguousarray(x[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
     on = over_leg(x, points, points)

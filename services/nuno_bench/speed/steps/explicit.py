@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from nuno import registry
 from nuno_bench.report.result import Result
 from nuno_bench.speed.steps import meshes
 from nuno_bench.speed.steps.meshes import DAMPING, net, net_arrays, sheet
-from nuno_bench.speed.steps.sliced import SlicedCloth
 from nuno_bench.speed.timing import inverse_roots, measure, watch_compiler
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
@@ -81,18 +78,3 @@ def sheet_32(repeats: int) -> list[Result]:
     """A small sheet, where starting threads would cost more than they bring."""
     timed = partial(time_steps, "sheet-32", repeats=repeats, bar=30.0, aim=45.0)
     return [timed(name, sheet(32, 32), integrator=name) for name in ("symplectic_euler", "leapfrog")]
-
-
-def numpy_slices(repeats: int) -> list[Result]:
-    """The peer: the same undamped step by NumPy slices, on the same two meshes."""
-    results = []
-    for side in (256, 32):
-        fabric = sheet(side, side)
-        system, state = meshes.system_of(fabric)
-        x, v = np.ascontiguousarray(state.x.T), np.ascontiguousarray(state.v.T)
-        steps = max(1, WORK // 10 // fabric.number)
-        advance = partial(SlicedCloth(fabric, np.asarray(system.gravity)).advance, x, v, steps, DT)
-        work = 1e-6 * fabric.number * steps
-        note = "the peer: one thread, undamped"
-        results.append(measure("numpy", f"NumPy slices, {side}x{side}", UNIT, advance, repeats, work, note=note))
-    return results

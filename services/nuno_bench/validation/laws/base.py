@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from inspect import getdoc
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter
-from pydantic.dataclasses import dataclass
 
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Springs, State
@@ -87,7 +84,7 @@ class Laws(list[Case]):
         return add
 
 
-@dataclass(frozen=True, config=ConfigDict(ser_json_inf_nan="strings"))
+@dataclass(frozen=True)
 class Outcome:
     """What a case says of a solver. `slip`: failed as the solver's own description announces."""
 
@@ -97,19 +94,6 @@ class Outcome:
     reason: str = ""
     found: Found | None = None
     seconds: float = 0.0
-
-    def json(self) -> dict[str, Any]:
-        """All fields, those of `found` among them; numbers that are not finite as text."""
-        data: dict[str, Any] = json.loads(TypeAdapter(Outcome).dump_json(self))
-        return data | (data.pop("found") or {})
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Outcome:
-        """The same again."""
-        inner = {each.name for each in fields(Found)}
-        found = {name: value for name, value in data.items() if name in inner}
-        own = {name: value for name, value in data.items() if name not in inner}
-        return TypeAdapter(Outcome).validate_python(own | {"found": found or None})
 
 
 class Run:
