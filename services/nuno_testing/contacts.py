@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+from trimesh.creation import box
 
 from nuno import registry
 from nuno_schemas.bodies import BOX, MESH, Geometry, Poses, no_rows
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
-from nuno_schemas.surface import box_mesh
 from nuno_schemas.system import System, Term
 from nuno_testing.subject import Subject, made_twice
 
 GRAVITY, STEP = np.array([0.0, -9.81, 0.0]), 2e-4
-CORNERS, SIDES = box_mesh(np.array([0.0, -0.5, 0.0]), np.array([3.0, 0.5, 3.0]))
+BOX_MESH = box((6.0, 1.0, 6.0))
+CORNERS, SIDES = np.asarray(BOX_MESH.vertices) - [0.0, 0.5, 0.0], np.asarray(BOX_MESH.faces, np.int32)
 
 
 def block(kind: int, friction: float) -> Geometry:

@@ -11,7 +11,6 @@ import trimesh
 from nuno.collision.distance import penetration, signed_distance
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, rotation_matrices
-from nuno_schemas.surface import box_mesh
 
 TURN = np.array([0.8, 0.2, -0.5, 0.26])
 TURN /= np.linalg.norm(TURN)
@@ -106,7 +105,8 @@ def test_bodies_cross_the_bus_unchanged() -> None:
 def test_depth_in_a_mesh_is_that_in_the_box_it_has_the_shape_of() -> None:
     """Moved and turned, with points whose rays hit edges and corners."""
     half = np.array([0.5, 0.3, 0.2])
-    x, faces = box_mesh(np.zeros(3), half)
+    box = trimesh.creation.box(2.0 * half)
+    x, faces = np.array(box.vertices), np.array(box.faces, np.int32)
     one, rest = np.zeros(1, np.int32), (np.full(1, np.nan), np.zeros(1), np.zeros(1))
     bounds = (-half[None], half[None], np.zeros(1))
     names = (("body",), ("body/world",))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
+from nuno.collision.surfaces import surface, vertex_normals
 from nuno.export.cloth import ShownPiece
 from nuno.export.paint import INSET, paint_yarns
 from nuno.recording.writer import part_of
@@ -25,7 +26,6 @@ from nuno.wire.arrays import BadMessage, decode_arrays, decode_points, encode_ar
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import BODIES, FABRIC, STATE
-from nuno_schemas.surface import surface, vertex_normals
 from nuno_schemas.view import View
 
 CLOTH = "/world/cloth/sheet"
@@ -124,7 +124,8 @@ def test_curves_carry_the_messages_values_in_the_units_of_their_titles(saved: Pa
 
 def test_normals_of_a_capsule_point_from_its_axis() -> None:
     geometry = bodies()
-    x, faces, frames = surface(geometry)
+    shown = surface(geometry)
+    x, faces, frames = shown.vertices, shown.faces, shown.frame
     normals = vertex_normals(x, faces)
     capsule = x[frames == 1]
     along = np.clip(capsule[:, :1], -0.3, 0.3) * np.array([[1.0, 0, 0]])

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from nuno.collision.surfaces import vertex_normals
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.surface import vertex_normals
 
 WAVES, SHORTEST = 64, 8.0
 """Waves that are added up, between the cloth's size (the diagonal of its bounding box) and so small a part of it."""

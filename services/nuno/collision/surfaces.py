@@ -1,4 +1,6 @@
-"""Surfaces of a scene's bodies, wherever its frames are: for all that draws them."""
+"""Surfaces of a scene's bodies, from their geometry alone and wherever its frames are, and normals of any: for all that
+draws them.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_schemas.bodies import Poses, rotation_matrices
+from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float, Int
+
+ROUND = (12, 24)
+"""Parts of a capsule from pole to pole, but for its straight part, and round it."""
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Triangles of all bodies in their frames, as `nuno_schemas.surface` gives them: vertices (n, 3) [m], faces (f, 3),
+    """Triangles of all bodies in their frames: vertices (n, 3) [m], faces (f, 3) counter-clockwise seen from outside,
     and the frame (n,) that each vertex is in.
     """
 
@@ -27,3 +32,53 @@ class Surfaces:
 
 
 NO_SURFACES = Surfaces(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, np.int32))
+
+
+def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> Surfaces:
+    """The surfaces of all primitives, one after the other.
+
+    `inset` [m] draws bodies thinner by so much: between its vertices cloth cuts through round bodies that its vertices
+    rest on. Meshes are as they are. Planes, which have no end, are patches of `plane_size` [m].
+    """
+    parts = [_primitive(geometry, i, inset, plane_size) for i in range(len(geometry.kind))]
+    if not parts:
+        return NO_SURFACES
+    sizes = [len(x) for x, _ in parts]
+    faces = [own + at for (_, own), at in zip(parts, np.cumsum([0, *sizes]), strict=False)]
+    frame = np.repeat(geometry.frame, sizes).astype(np.int32)
+    return Surfaces(np.concatenate([x for x, _ in parts]), np.concatenate(faces).astype(np.int32), frame)
+
+
+def _primitive(geometry: Geometry, i: int, inset: float, plane_size: float) -> tuple[Float, Int]:
+    """Vertices (n, 3) [m] and faces (f, 3) of one primitive in its frame."""
+    from trimesh import creation  # only what draws bodies waits for it
+    from trimesh import geometry as directions
+
+    kind, a, b, radius = geometry.kind[i], geometry.a[i], geometry.b[i], float(geometry.radius[i])
+    if kind in OF_TRIANGLES:
+        return geometry.mesh(i)
+    up = np.array([0.0, 0.0, 1.0])
+    if kind == BOX:
+        turn, mesh, middle = np.eye(4), creation.box(2.0 * np.maximum(b - inset, 0.1 * b)), a
+    elif kind == PLANE:
+        turn, middle = directions.align_vectors(up, b), a - inset * b
+        corner = 0.5 * plane_size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+        return corner @ turn[:3, :3].T + middle, np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    elif kind == CAPSULE:
+        length, middle = float(np.linalg.norm(b - a)), 0.5 * (a + b)
+        turn = directions.align_vectors(up, b - a) if length > 0.0 else np.eye(4)
+        mesh = creation.capsule(length, max(radius - inset, 0.1 * radius), ROUND)
+    else:
+        raise ValueError(f"unknown primitive kind {int(kind)}")
+    return np.asarray(mesh.vertices) @ turn[:3, :3].T + middle, np.asarray(mesh.faces, np.int32)
+
+
+def vertex_normals(x: Float, faces: Int) -> Float:
+    """(n, 3) unit normals of vertices at (n, 3): means of their triangles' by area, 0 where there is none."""
+    a, b, c = np.take(x, faces.T, axis=0)
+    u, v, corners = (b - a).T, (c - a).T, faces.reshape(-1)
+    twice = (u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3))  # the cross product, by axes
+    normal = np.stack([np.bincount(corners, np.repeat(area, 3), len(x)) for area in twice], axis=1)
+    size = np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2)
+    unit: Float = normal / np.where(size > 0.0, size, 1.0)[:, None]
+    return unit

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
-from nuno.collision.surfaces import NO_SURFACES, Surfaces
+from nuno.collision.surfaces import NO_SURFACES, Surfaces, surface
 from nuno.draw.sight import NO_POINTS, Sight
 from nuno.scene.scene_file import Loaded
 from nuno.wire.arrays import BadMessage
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.surface import surface
 
 STRUCTURAL = 0
 """Kind of springs that are the cloth's threads (nuno_schemas.fabric.Springs)."""
@@ -27,7 +26,7 @@ GROUND = 4.0
 
 def draw_bodies(geometry: Geometry | None, size: float) -> Surfaces:
     """A scene's bodies beside cloth of a size [m]; none for a scene without."""
-    return NO_SURFACES if geometry is None else Surfaces(*surface(geometry, plane_size=GROUND * size))
+    return NO_SURFACES if geometry is None else surface(geometry, plane_size=GROUND * size)
 
 
 def size_of(x: Float) -> float:

@@ -16,7 +16,7 @@ from nuno.cloth import build
 from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.tension import Tensions
 from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.collision.surfaces import Surfaces
+from nuno.collision.surfaces import Surfaces, surface
 from nuno.export.paint import INSET, read_rgb
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
@@ -26,7 +26,6 @@ from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
-from nuno_schemas.surface import surface
 
 Pressures = Callable[[Float], Float]
 """Pressure (n,) [Pa] of a knit at positions (n, 3) [m]."""
@@ -189,8 +188,8 @@ def shape_bodies(geometry: Geometry, first: Poses | None) -> ShownBodies:
     level = _level(geometry, first.rotation) if first else np.zeros(len(geometry.kind), bool)
     moved = first.translation[geometry.frame] if first else np.zeros_like(geometry.a)
     heights = (geometry.a + moved)[level, 1]
-    ended = geometry.of_primitives(np.flatnonzero(~level).tolist())
-    return ShownBodies(*surface(ended, INSET), float(heights.max()) if len(heights) else None)
+    shown = surface(geometry.of_primitives(np.flatnonzero(~level).tolist()), INSET)
+    return ShownBodies(**vars(shown), floor=float(heights.max()) if len(heights) else None)
 
 
 def _level(geometry: Geometry, rotation: Float) -> NDArray[np.bool_]:

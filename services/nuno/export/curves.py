@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from nuno import registry
 from nuno.cloth import build
 from nuno.collision.bodies import build_bodies
-from nuno.collision.surfaces import Surfaces
+from nuno.collision.surfaces import surface
 from nuno.export.cloth import read_frame
 from nuno.export.target import check_target, opened, writing
 from nuno.recording.reader import Recording
@@ -23,7 +23,6 @@ from nuno_schemas.curves import YarnCurves
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.operation import Operation, Outcome, Surface
-from nuno_schemas.surface import surface
 
 Form = Literal["straight", "smooth"]
 """straight: the knit's links, repaired where they would cut through a body; smooth: loops as curves."""
@@ -69,7 +68,7 @@ def _body_surface(loaded: Loaded, t: float) -> Surface | None:
         return None
     bodies = build_bodies(loaded)
     meshes = np.flatnonzero(np.isin(bodies.geometry.kind, OF_TRIANGLES)).tolist()
-    skin = Surfaces(*surface(bodies.geometry.of_primitives(meshes)))
+    skin = surface(bodies.geometry.of_primitives(meshes))
     return Surface(skin.at(bodies.poses(t)), skin.faces) if meshes else None
 
 

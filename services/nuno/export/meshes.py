@@ -7,6 +7,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from nuno.collision.surfaces import vertex_normals
 from nuno.export.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.export.dyed_pictures import DyedPictures, read_dyed_object
 from nuno.export.paint import BODY, PLAIN, paint_stretch
@@ -17,7 +18,6 @@ from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.surface import vertex_normals
 
 MATT = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
 """Of glTF's materials."""

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from nuno.collision.surfaces import NO_SURFACES, Surfaces
+from nuno.collision.surfaces import NO_SURFACES, Surfaces, surface, vertex_normals
 from nuno.export.paint import BODY, INSET
 from nuno.viewer import layout
 from nuno.viewer.cloth import pack
@@ -16,7 +16,6 @@ from nuno.wire.arrays import BadMessage
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float
-from nuno_schemas.surface import surface, vertex_normals
 
 GROUND = "#d3d6d9"
 
@@ -38,7 +37,8 @@ class BodiesView:
             raise BadMessage(f"a primitive of a frame that is not among the {number}")
         self.recording, self.batch = recording, batch
         self.paths = [layout.entity("world", "bodies", *name.split("/", 1)) for name in geometry.frames]
-        vertices, faces, frames = surface(geometry, INSET)
+        shown = surface(geometry, INSET)
+        vertices, faces, frames = shown.vertices, shown.faces, shown.frame
         for frame, path in enumerate(self.paths):
             mine = frames == frame
             if mine.any():

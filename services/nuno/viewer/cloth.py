@@ -12,12 +12,12 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nuno.cloth.tension import SPAN
+from nuno.collision.surfaces import vertex_normals
 from nuno.export.cloth import ShownPiece
 from nuno.export.paint import PLAIN, STRETCH, paint_yarns, read_rgb
 from nuno.wire.arrays import origin_of
 from nuno_schemas.colour import MISSING, colours, parse_hex, to_srgb
 from nuno_schemas.fabric import Float
-from nuno_schemas.surface import vertex_normals
 
 SPRING_WIDTH, MASS_SIZE = -2.0, -4.5
 """Radii; negative ones are in pixels on the screen."""
