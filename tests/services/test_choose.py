@@ -12,6 +12,7 @@ import yaml
 
 from nuno import api, registry
 from nuno.choose import cloth as choose
+from nuno.choose.found import PROMISE
 from nuno.choose.trials import Method, Trials
 from nuno.cloth import build
 from nuno.scene import scene_file
@@ -71,12 +72,12 @@ def steps(loaded: Loaded) -> int:
 
 
 @pytest.mark.quick(accuracy=["normal"], contact=[False])
-@pytest.mark.parametrize("accuracy", list(choose.PROMISE))
+@pytest.mark.parametrize("accuracy", list(PROMISE))
 @pytest.mark.parametrize("contact", [False, True], ids=["free", "contact"])
 def test_delivers_what_it_promises(tmp_path: Path, accuracy: Accuracy, contact: bool) -> None:
     fields = {"bodies": [BALL]} if contact else {}
     overrides = [f"accuracy={accuracy}", *([f"objects.0.model.rotate={TILTED}"] if contact else [])]
-    assert delivered(read(tmp_path, *overrides, **fields)) <= 3.0 * choose.PROMISE[accuracy]
+    assert delivered(read(tmp_path, *overrides, **fields)) <= 3.0 * PROMISE[accuracy]
 
 
 def test_pays_no_more_than_it_promises(tmp_path: Path) -> None:
@@ -91,7 +92,7 @@ def test_pays_no_more_than_it_promises(tmp_path: Path) -> None:
     for n in (steps(chosen), steps(chosen) // 2):
         apart = simulate(problem, plugin, config, n).series.x - exact
         error[n] = float(np.sqrt((apart**2).sum(axis=2).mean())) / problem.size
-    promise = choose.PROMISE["reference"]
+    promise = PROMISE["reference"]
     assert error[steps(chosen)] <= 3.0 * promise and error[steps(chosen) // 2] > promise
 
 

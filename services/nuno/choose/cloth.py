@@ -8,24 +8,20 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from nuno import registry
+from nuno.choose.found import PROMISE, Found, written
 from nuno.choose.trials import Method, Trials
 from nuno.cloth import build
 from nuno.collision.bodies import Bodies, build_bodies
-from nuno.scene import scene_file
-from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST, Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.solver import AUTO, Accuracy
 from nuno_schemas.system import System
 
-PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
-"""Distance to the exact motion, root mean square over vertices and frames, as a share of the cloth's size (the
-diagonal of its bounding box), as long as the motion can be predicted: until a disturbance has grown a thousandfold."""
 SAFE: dict[Accuracy, float] = {"preview": 0.9, "normal": 0.7, "reference": 0.7}
 """Most of the stable step: cloth that stretches or folds is stiffer than at its start, where that is measured."""
 PILOT_WORK, FEWEST_FRAMES = 5e6, 12
@@ -35,22 +31,6 @@ EVALUATIONS = {FIRST: 1, "rk4": 4}
 """A step's cost in evaluations of the forces."""
 STALLED = 0.8
 """Errors that do not even fall by this much with a shorter step are not those of the step."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """A method with the steps a frame that it needs, and its error [sizes] there; `tried` is False where
-    the error follows from fewer steps by the method's order.
-    """
-
-    method: Method
-    steps: int
-    error: float
-    tried: bool
-
-    @property
-    def cost(self) -> int:
-        return self.steps * self.method.evaluations
 
 
 def decide(loaded: Loaded) -> Loaded:
@@ -72,7 +52,7 @@ def decide(loaded: Loaded) -> Loaded:
         raise loaded.at("accuracy", BadInput(f"{first} chooses its own steps", value=accuracy, remedy=remedy))
     system, bodies = _build(loaded)
     if system.fabric.number == 0 or bool(system.fabric.pinned.all()):
-        return _written(loaded, first, None, "nothing can move, so any will do")
+        return written(loaded, _given(loaded, first), "nothing can move, so any will do")
     start = _method(loaded, system, first, SAFE[accuracy])
     if start is None and scene.solver.plugin != AUTO:
         remedy = "give a dt and allow_unstable: true, or use another solver"
@@ -81,7 +61,12 @@ def decide(loaded: Loaded) -> Loaded:
     found = _try_all(loaded, trials, start, accuracy)
     best = min(found, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
     dt = 1.0 / float(scene.frame_rate) / best.steps
-    return _written(loaded, best.method.name, dt, _reason(trials, best, found, accuracy))
+    return written(loaded, _given(loaded, best.name) | {"dt": dt}, _reason(trials, best, found, accuracy))
+
+
+def _given(loaded: Loaded, name: str) -> dict[str, Any]:
+    """A solver with the scene's own fields."""
+    return {**loaded.scene.solver.config, "plugin": name}
 
 
 def _build(loaded: Loaded) -> tuple[System, Bodies | None]:
@@ -153,39 +138,32 @@ def _others(system: System, start: Method | None) -> list[str]:
 
 def _settle(trials: Trials, method: Method, promise: float, cheapest: float) -> Found:
     """The fewest steps a frame that keep the promise, or how far the method gets for less than `cheapest`."""
+
+    def found(steps: int, error: float, tried: bool = True) -> Found:
+        return Found(method.name, steps, error, steps * method.evaluations, tried)
+
     steps, order = method.fewest, method.plugin.order
     error = trials.error(method, steps)
     while error > promise:
         ratio = (error / promise) ** (1.0 / order) if math.isfinite(error) else 2.0
         wanted = math.ceil(steps * max(1.2, 1.05 * ratio))
         if wanted * method.evaluations >= cheapest or not trials.affords(method, wanted):
-            return Found(method, wanted, promise if math.isfinite(error) else error, tried=False)
+            return found(wanted, promise if math.isfinite(error) else error, tried=False)
         shorter = trials.error(method, wanted)
         if shorter > STALLED * error and math.isfinite(error):
-            return Found(method, steps, error, tried=True)
+            return found(steps, error)
         steps, error = wanted, shorter
-    return Found(method, steps, error, tried=True)
-
-
-def _written(loaded: Loaded, name: str, dt: float | None, why: str) -> Loaded:
-    """The scene as if its author had named the solver and the step."""
-    chosen = {**loaded.scene.solver.config, "plugin": name} | ({} if dt is None else {"dt": dt})
-    data = {key: value for key, value in loaded.data.items() if key != "accuracy"} | {"solver": chosen}
-    decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
-    overrides = (*loaded.overrides, as_override("solver", chosen), "accuracy=null")
-    both = f"{why}; dye: {loaded.why}" if loaded.why else why
-    return replace(decided, overrides=overrides, path=loaded.path, why=both)
+    return found(steps, error)
 
 
 def _reason(trials: Trials, best: Found, found: list[Found], accuracy: Accuracy) -> str:
-    promise, steps = PROMISE[accuracy], f"{best.steps} step{'s' if best.steps > 1 else ''} a frame"
-    error = f"{best.error:.2g}" if best.tried else f"about {best.error:.2g}"
+    promise, (steps, error) = PROMISE[accuracy], best.said
     text = f"{accuracy}: with {steps} positions are off by {error} of the cloth's size, {promise:g} was asked for"
     text += ", and no method keeps that" if best.error > promise else ""
     if trials.predictable is not None and trials.predictable < trials.frames:
         text += f" (tried on {trials.predictable} of {trials.total} frames: by then a disturbance grows a thousandfold)"
     elif trials.frames < trials.total:
         text += f" (tried on {trials.frames} of {trials.total} frames)"
-    others = [f"{one.method.name} {one.cost}" for one in found if one is not best]
+    others = [f"{one.name} {one.cost}" for one in found if one is not best]
     cost = f"; {best.cost} evaluations of the forces a frame, against " + ", ".join(others)
     return text + (cost if others else "")

@@ -11,25 +11,21 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from nuno.choose.found import PROMISE, Found, written
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import ROUNDING, first_step
-from nuno.scene import scene_file
-from nuno.scene.override import as_override
 from nuno.scene.scene_file import FIRST_DYE, Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.solver import AUTO, Accuracy
+from nuno_schemas.solver import AUTO
 
-PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
-"""Distance of any cell's amount to the exact evolution of the cells, at the end of any frame, as a share of the largest
-amount at the end of any frame."""
 LONG = "rkl2"
 FINER = {FIRST_DYE: (2, 4), LONG: (2,)}
 """Steps for one of a run whose error is measured. Two cells by themselves spread by (1 - z)^n in n explicit steps,
@@ -50,19 +46,6 @@ FEW_CELLS = 30_000
 """Cells of which a stage takes as long as what is done around it: fewer count as so many."""
 FEW_STEPS = 64
 """Steps a frame that are taken for a supply to be on time, even if fewer explicit ones do."""
-
-
-@dataclass(frozen=True)
-class FoundDye:
-    """A solver with the steps a frame that it needs, its error there [largest amounts], and its cost [explicit steps a
-    frame]; `tried` is False where the error follows from fewer steps by the order that was seen.
-    """
-
-    name: str
-    steps: int
-    error: float
-    cost: float
-    tried: bool = True
 
 
 @dataclass
@@ -88,7 +71,7 @@ class DyeTrials:
         """
         key = name, finer * steps, finer * self.start(name, steps)
         if key not in self.kept:
-            begun = _written(self.loaded, name, None, "", key[2])
+            begun = _written(self.loaded, name, start=key[2])
             dyeing, out, costs = DyeRun(begun, os.cpu_count() or 1, key[1]), [], []
             for _ in range(self.frames):
                 report = dyeing.advance().report
@@ -130,23 +113,23 @@ def decide_dye(loaded: Loaded) -> Loaded:
     if dye is None or dye.solver.plugin != AUTO:
         return loaded
     accuracy = scene.accuracy or "normal"
-    explicit = DyeRun(_written(loaded, FIRST_DYE, None, ""), 1)
+    explicit = DyeRun(_written(loaded, FIRST_DYE), 1)
     first = _first_on_time(explicit)
     stable = first * -(-explicit.steps // first)
     trials = _begin_trials(loaded, explicit, first, stable)
     long = _settle(trials, LONG, first, PROMISE[accuracy])
     plain = _settle_explicit(trials, explicit, stable, PROMISE[accuracy], long)
-    best, other = (plain, long) if isinstance(plain, FoundDye) else (long, plain)
+    best, other = (plain, long) if isinstance(plain, Found) else (long, plain)
     if isinstance(best, str):
         why = f"{accuracy}: {stable} explicit steps a frame, and how far they are off is not known: {best}; {other}"
         return _written(loaded, FIRST_DYE, trials.frame / stable, why)
     tried = f" (tried on {trials.frames} of {scene.frames} frames)" if trials.frames < scene.frames else ""
-    if isinstance(other, FoundDye):
+    if isinstance(other, Found):
         other = f"{other.name} would take {other.cost:.3g}"
+    steps, error = best.said
     why = (
-        f"{accuracy}: with {best.steps} step{'s' if best.steps > 1 else ''} a frame amounts are off by "
-        f"{'' if best.tried else 'about '}{best.error:.2g} of the largest, {PROMISE[accuracy]:g} was asked for{tried}; "
-        f"{best.cost:.3g} explicit steps' work; {other}"
+        f"{accuracy}: with {steps} amounts are off by {error} of the largest, {PROMISE[accuracy]:g} was asked for"
+        f"{tried}; {best.cost:.3g} explicit steps' work; {other}"
     )
     return _written(loaded, best.name, trials.frame / best.steps, why, trials.start(best.name, best.steps))
 
@@ -198,7 +181,7 @@ def _begin_trials(loaded: Loaded, explicit: DyeRun, first: int, stable: int) -> 
     return DyeTrials(loaded, frame, max(1, int(min(wanted, 0.2 * MOST_WORK / pilot.work))), first)
 
 
-def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: float = math.inf) -> FoundDye | str:
+def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: float = math.inf) -> Found | str:
     """The fewest steps a frame, doubled from `first` on, that keep the promise; or why none do for less than
     `cheapest` explicit steps a frame.
     """
@@ -209,7 +192,7 @@ def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: 
             if cost >= cheapest:
                 return f"{name} would take {cost:.3g} or more"
             if error <= promise:
-                return FoundDye(name, steps, error, cost)
+                return Found(name, steps, error, cost)
             if trials.work > MOST_WORK:
                 break
             steps, before = 2 * steps, error
@@ -224,14 +207,14 @@ def _settle(trials: DyeTrials, name: str, first: int, promise: float, cheapest: 
     cost *= times ** (1.0 / ORDER[name])
     if cost >= cheapest:
         return f"{name} would take {cost:.3g} or more"
-    return FoundDye(name, times * steps, promise, cost, tried=False)
+    return Found(name, times * steps, promise, cost, tried=False)
 
 
 def _settle_explicit(
-    trials: DyeTrials, explicit: DyeRun, stable: int, promise: float, long: FoundDye | str
-) -> FoundDye | str:
+    trials: DyeTrials, explicit: DyeRun, stable: int, promise: float, long: Found | str
+) -> Found | str:
     """The same of explicit steps, where they may cost less than what else there is, and can be tried."""
-    cheapest = long.cost if isinstance(long, FoundDye) else math.inf
+    cheapest = long.cost if isinstance(long, Found) else math.inf
     if stable >= cheapest:
         return f"{FIRST_DYE} would take {stable} or more"
     work = _stages(explicit, float(EXPLICIT_TRIAL * stable * trials.frames))
@@ -240,15 +223,7 @@ def _settle_explicit(
     return _settle(trials, FIRST_DYE, stable, promise, cheapest)
 
 
-def _written(loaded: Loaded, name: str, dt: float | None, why: str, start: int = 0) -> Loaded:
+def _written(loaded: Loaded, name: str, dt: float | None = None, why: str = "", start: int = 0) -> Loaded:
     """The scene as if its author had named the dye's solver, its step and how finely it begins."""
     chosen: dict[str, Any] = {"plugin": name} | ({} if dt is None else {"dt": dt})
-    if start not in (0, START):
-        chosen["start"] = start
-    data = {**loaded.data, "dye": {**loaded.data["dye"], "solver": chosen}}
-    overrides = [as_override("dye.solver", chosen)]
-    if not loaded.scene.moves:
-        data.pop("accuracy", None)
-        overrides.append("accuracy=null")
-    decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
-    return replace(decided, overrides=(*loaded.overrides, *overrides), path=loaded.path, why=why)
+    return written(loaded, chosen | ({"start": start} if start not in (0, START) else {}), why, dyed=True)

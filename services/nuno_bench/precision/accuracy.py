@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno.choose.cloth import PROMISE, decide
-from nuno.choose.dye import PROMISE as DYE_PROMISE
+from nuno.choose.cloth import decide
+from nuno.choose.found import PROMISE
 from nuno.choose.trials import GROWTH
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
@@ -151,7 +151,7 @@ def _level(problem: AnyProblem, reference: Compared, frames: int, path: Path, ov
     decided = decide(scene_file.read(path, overrides))
     accuracy: Accuracy = next(level for level in PROMISE if f"accuracy={level}" in overrides)
     if decided.dye is not None and isinstance(problem, DyeProblem):
-        promise, within, solver, steps = DYE_PROMISE[accuracy], 1.0, decided.dye.solver, DyeRun(decided, 1).steps
+        promise, within, solver, steps = PROMISE[accuracy], 1.0, decided.dye.solver, DyeRun(decided, 1).steps
         name, plugin, config = solver.name, solver.plugin, solver.config
     else:
         promise, within, chosen, dt = PROMISE[accuracy], WITHIN, decided.integrator, decided.scene.solver.dt
