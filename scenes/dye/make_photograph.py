@@ -18,7 +18,7 @@ from nuno_dye.pictures.picture import shade_window
 from nuno_dye.pictures.texture import TextureConfig
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.dye import Tortuosity
-from nuno_schemas.dye_picture import Layers, Window
+from nuno_schemas.dye_picture import Window
 
 PATH = Path(__file__).with_name("photograph.jpg")
 WIDTH, HEIGHT = 640, 480
@@ -41,8 +41,7 @@ def weave() -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     lays = lay(HEIGHT, stream), lay(WIDTH, stream)
     one = Tortuosity(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     cells = build_cells(draw_plain(), WovenConfig(cells=(WIDTH, HEIGHT)), one, 0, lays)
-    layers = Layers(cells.fibre, cells.up, yarns=cells.yarns)
-    return shade_window(layers, Window(0, HEIGHT, 0, WIDTH), 1, TEXTURE)
+    return shade_window(cells, Window(0, HEIGHT, 0, WIDTH), 1, TEXTURE)
 
 
 def make_photograph() -> Image.Image:

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, Protocol
 
-from nuno_schemas.dye_picture import Photograph
+from nuno_schemas.dye_picture import Layers
 from nuno_schemas.dyeing import WeiszZollinger
-from nuno_schemas.fabric import Bool, Float, Int, Memory
+from nuno_schemas.fabric import Bool, Float, Memory
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Files, Plugin
 
@@ -38,33 +38,20 @@ class Tortuosity:
 
 
 @dataclass(frozen=True)
-class Cells:
-    """A woven cloth as diffusion cells.
+class Cells(Layers):
+    """A woven cloth as diffusion cells: its layers, and how dye spreads in them.
 
-    fibre     (2, ny, nx) bool   fibre or gap
-    up        (2, ny, nx) bool   whether the yarn is above the other layer's there
     porosity  (2, ny, nx)        P, share of a cell that is not fibre, in [0, 1]
     twist     (2, ny, nx)        tau 1 of the yarn, in [0, 1]
     resist    (2, ny, nx)        B, share of the room for mobile dye that paste or binding takes, in [0, 1]
     size      [m]                side of a cell
-    v_max                        most that a cell holds
-    yarns     (ny,) and (nx,)    the yarn in whose pitch a row of weft, or a column of warp, lies, for pictures
-    photograph                   of the cloth, for pictures, where there is one
-    ground    (ny, 3), (nx, 3)   colour of the undyed yarns by row of weft and by column of warp, sRGB in [0, 1], for
-                                 pictures; None where nothing says
     """
 
-    fibre: Annotated[Bool, 2, "ny", "nx"]
-    up: Annotated[Bool, 2, "ny", "nx"]
     porosity: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
     twist: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
     resist: Annotated[Float, 2, "ny", "nx", Bounds(0.0, 1.0)]
     size: Annotated[float, Bounds(above=0.0)]
     tortuosity: Tortuosity
-    v_max: Annotated[float, Bounds(above=0.0)] = 1.0
-    yarns: tuple[Annotated[Int, "ny", Bounds(0)], Annotated[Int, "nx", Bounds(0)]] | None = None
-    photograph: Photograph | None = None
-    ground: tuple[Float, Float] | None = None
 
     @property
     def mobile_room(self) -> Float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass, field
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.layout import Bounds
 from nuno_schemas.look import DyeColour, DyeView
 from nuno_schemas.plugin import Files, Plugin
 
@@ -35,7 +36,7 @@ class Layers:
 
     fibre  (2, ny, nx) bool    fibre or gap
     up     (2, ny, nx) bool    whether the yarn is above the other layer's there
-    v_max                      most that a cell holds
+    v_max                      most that a cell holds; what follows is for pictures
     yarns  (ny,) and (nx,)     the yarn in whose pitch a row of weft, or a column of warp, lies; None where only
                                gaps tell yarns apart
     photograph                 of the cloth, where there is one
@@ -43,12 +44,14 @@ class Layers:
                                where nothing says
     """
 
-    fibre: Bool
-    up: Bool
-    v_max: float = 1.0
-    yarns: tuple[Int, Int] | None = None
-    photograph: Photograph | None = None
-    ground: tuple[Float, Float] | None = None
+    fibre: Annotated[Bool, 2, "ny", "nx"]
+    up: Annotated[Bool, 2, "ny", "nx"]
+    v_max: Annotated[float, Bounds(above=0.0)] = field(default=1.0, kw_only=True)
+    yarns: tuple[Annotated[Int, "ny", Bounds(0)], Annotated[Int, "nx", Bounds(0)]] | None = field(
+        default=None, kw_only=True
+    )
+    photograph: Photograph | None = field(default=None, kw_only=True)
+    ground: tuple[Float, Float] | None = field(default=None, kw_only=True)
 
 
 class Window(NamedTuple):

@@ -84,17 +84,9 @@ class Springs:
         """(s,) values of a constant that may be stored per run."""
         return values if values.shape[0] == self.number else np.repeat(values, self.count)
 
-    def of_kind(self, kind: int) -> Springs:
-        """The springs of one kind."""
-        runs = self.kind == kind
-        each = np.repeat(runs, self.count)
-
-        def values(array: Float | None) -> Any:
-            return None if array is None else array[runs if array.shape == runs.shape else each]
-
-        first, count, stride = self.first[runs], self.count[runs], self.stride[runs]
-        k, rest, c, lock, k_lock = (values(array) for array in (self.k, self.rest, self.c, self.lock, self.k_lock))
-        return Springs(first, count, stride, k, rest, c, self.kind[runs], lock, k_lock)
+    def of_kind(self, kind: int) -> Bool:
+        """(s,) whether each spring is of a kind."""
+        return np.repeat(self.kind == kind, self.count)
 
     @staticmethod
     def from_pairs(

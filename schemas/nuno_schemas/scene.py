@@ -55,22 +55,6 @@ class Applied(Choice):
     object: Name | None = Field(default=None, description="the object that is changed; the only one where left out")
 
 
-def require_objects(operations: list[Applied], names: list[str], duration: float) -> None:
-    """Refuse operations on objects that are not there, or after the end [s]."""
-    for i, applied in enumerate(operations):
-        context: dict[str, Any] = {"inside": ("operations", i, "object")}
-        if applied.object is None and len(names) != 1:
-            context["known"] = nearest("", names)
-            raise PydanticCustomError("which_object", "say which object it changes; {known}", context)
-        if applied.object is not None and applied.object not in names:
-            context["known"] = nearest(applied.object, names)
-            raise PydanticCustomError("no_object", "no object has this name; {known}", context)
-        if applied.at > duration:
-            context = {"end": f"{duration:g}", "inside": ("operations", i, "at")}
-            problem = "the scene ends before, at {end} s; lengthen it, or apply this earlier"
-            raise PydanticCustomError("too_late", problem, context)
-
-
 class Record(Part):
     """What goes into the recording."""
 
@@ -138,18 +122,22 @@ class Scene(Part):
         return require_distinct(parts)
 
     @model_validator(mode="after")
-    def _dyed_object_is_there(self) -> Scene:
+    def _objects_are_there(self) -> Scene:
+        names = [part.name for part in self.objects]
+        named: list[tuple[str | None, tuple[str | int, ...]]] = [
+            (applied.object, ("operations", i, "object")) for i, applied in enumerate(self.operations)
+        ]
         if self.dye is not None and self.dye.object is not None:
-            names = [part.name for part in self.objects]
-            if self.dye.object not in names:
-                known = nearest(self.dye.object, names)
-                problem = "no object has this name, so there is nothing to dye; {known}"
-                raise PydanticCustomError("no_object", problem, {"known": known, "inside": ("dye", "object")})
-        return self
-
-    @model_validator(mode="after")
-    def _changed_objects_are_there(self) -> Scene:
-        require_objects(self.operations, [part.name for part in self.objects], float(self.duration))
+            named.append((self.dye.object, ("dye", "object")))
+        for name, place in named:
+            if name not in names and (name is not None or len(names) != 1):
+                problem = "say which object it changes; {known}" if name is None else "no object has this name; {known}"
+                raise PydanticCustomError("no_object", problem, {"known": nearest(name or "", names), "inside": place})
+        for i, applied in enumerate(self.operations):
+            if applied.at > self.duration:
+                context = {"end": f"{self.duration:g}", "inside": ("operations", i, "at")}
+                problem = "the scene ends before, at {end} s; lengthen it, or apply this earlier"
+                raise PydanticCustomError("too_late", problem, context)
         return self
 
     @model_validator(mode="after")

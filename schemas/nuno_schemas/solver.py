@@ -1,4 +1,4 @@
-"""The solver of a scene, and the step that it takes."""
+"""The solver of a scene's cloth or dye, and the step that it takes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Accuracy = Literal["preview", "normal", "reference"]
 
 
 class Solver(Choice):
-    """The integrator and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
+    """What steps the cloth, or spreads the dye, and its step; `solver: NAME` is short for `solver: {plugin: NAME}`."""
 
     dt: Interval | Literal["auto"] = Field(
         default="auto", description="step [s]; whole steps make a frame; auto: the largest that is safely stable"

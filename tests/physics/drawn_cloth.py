@@ -11,7 +11,7 @@ from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells
 from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
 from nuno_dye.pictures.texture import TextureConfig
 from nuno_schemas.dye import Cells, Tortuosity
-from nuno_schemas.dye_picture import Layers, Picture, Window
+from nuno_schemas.dye_picture import Picture, Window
 from nuno_schemas.fabric import Float
 from nuno_schemas.look import DyeColour
 
@@ -27,10 +27,6 @@ def cloth(drawdown: np.ndarray, width: int = 8, gap: int = 2, nx: int = 60, ny: 
     return build_cells(drawdown, WovenConfig(cells=(nx, ny), weft=yarn, warp=yarn), TAU, 0)
 
 
-def layers_of(cells: Cells) -> Layers:
-    return Layers(cells.fibre, cells.up, cells.v_max, cells.yarns)
-
-
 def whole(cells: Cells) -> Window:
     return Window(0, cells.fibre.shape[1], 0, cells.fibre.shape[2])
 
@@ -40,9 +36,7 @@ def draw_cloth(
 ) -> Picture:
     """A picture of one dye, black on white."""
     config, plugin = YarnsConfig(texture=texture or TextureConfig()), YarnsPicture()
-    return plugin.draw(
-        plugin.prepare(config, SceneFiles(Path()), layers_of(cells), [INK], window or whole(cells), scale), amounts
-    )
+    return plugin.draw(plugin.prepare(config, SceneFiles(Path()), cells, [INK], window or whole(cells), scale), amounts)
 
 
 def by_layer(cells: Cells) -> Float:

@@ -68,10 +68,6 @@ def build(folder: Path, **fields: Any) -> Any:
     return PhotographCloth().build(config(folder, **fields), SceneFiles(folder), 0, 1)[0]
 
 
-def layers_of(cells: Any) -> Layers:
-    return Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph)
-
-
 def test_masks_say_which_layer_is_up_and_both_are_fibre_all_over(tmp_path: Path) -> None:
     cells = build(tmp_path, weft={"porosity": 0.3}, warp={"porosity": 0.6, "twist": 0.5})
     assert cells.fibre.shape == (2, HEIGHT, WIDTH) and cells.fibre.all()
@@ -210,7 +206,7 @@ def draw(cells: Any, amounts: np.ndarray, scale: int, window: Window | None = No
     plugin, (ny, nx) = PhotographPicture(), cells.fibre.shape[1:]
     how = PhotographPictureConfig(ground=ground)
     shown = window or Window(0, ny, 0, nx)
-    return plugin.draw(plugin.prepare(how, SceneFiles(Path()), layers_of(cells), [INDIGO], shown, scale), amounts)
+    return plugin.draw(plugin.prepare(how, SceneFiles(Path()), cells, [INDIGO], shown, scale), amounts)
 
 
 @pytest.mark.parametrize("size", [1, 3])

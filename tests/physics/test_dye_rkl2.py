@@ -35,7 +35,9 @@ def test_a_point_spreads_as_the_closed_form_says() -> None:
     n, errors = 121, []
     open_cloth = Tortuosity(layers=0.0, beside=0.25, rim=1.0, gap=1.0, yarn=1.0, weave=1.0)
     ones = np.ones((2, n, n))
-    system = DyeSystem(Cells(ones > 0, ones > 0, ones, ones, 0 * ones, 1.0, open_cloth, 10.0), (Dye("blue", 1.0),))
+    system = DyeSystem(
+        Cells(ones > 0, ones > 0, ones, ones, 0 * ones, 1.0, open_cloth, v_max=10.0), (Dye("blue", 1.0),)
+    )
     phi, place = np.zeros((2, n, n)), np.arange(n) - n // 2
     phi[:, n // 2, n // 2] = 1.0
     for t in (20.0, 80.0):

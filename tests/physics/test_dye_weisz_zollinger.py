@@ -33,7 +33,7 @@ def falling(system: DyeSystem, law: WeiszZollinger = LAW) -> DyeSystem:
 def chain(n: int, law: WeiszZollinger) -> DyeSystem:
     """Two yarns of n cells, apart."""
     ones, apart = np.ones((2, 1, n)), Tortuosity(0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-    cells = Cells(ones > 0, ones > 0, ones, ones, 0 * ones, 1.0, apart, 10.0)
+    cells = Cells(ones > 0, ones > 0, ones, ones, 0 * ones, 1.0, apart, v_max=10.0)
     return DyeSystem(cells, (Dye("blue", 1.0, weisz_zollinger=law),))
 
 

@@ -17,7 +17,7 @@ from nuno_dye.laws.isotherms import Langmuir
 from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem
-from nuno_schemas.dye_picture import Layers, Window
+from nuno_schemas.dye_picture import Window
 from nuno_schemas.errors import BadInput
 from nuno_schemas.look import DyeColour
 
@@ -122,12 +122,11 @@ def test_undyed_yarns_have_the_colours_of_the_draft(tmp_path: Path) -> None:
     table = "[COLOR TABLE]\n1=255,0,0\n2=0,51,102\n[WARP COLORS]\n1=1\n2=2\n"
     (tmp_path / "a.wif").write_text(WIF + table)
     cells, state = build(tmp_path, cells=None, weave={"plugin": "wif", "file": "a.wif"})
-    layers = Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, None, cells.ground)
     dye = DyeColour(light="#808080", mid="#404040", dark="#000000")
 
     def draw(amounts: np.ndarray, **config: Any) -> np.ndarray:
         look, plugin = YarnsConfig(texture=None, **config), YarnsPicture()
-        prepared = plugin.prepare(look, Folder(tmp_path), layers, [dye], Window(0, 20, 0, 20), 1)
+        prepared = plugin.prepare(look, Folder(tmp_path), cells, [dye], Window(0, 20, 0, 20), 1)
         return plugin.draw(prepared, amounts)
 
     undyed = draw(state.phi)

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nuno.dye.painter import painter_of
+from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno.wire.arrays import encode_arrays
-from nuno_schemas.dye_picture import Layers
 
 SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name in ("drops", "halo", "photograph")]
 
@@ -19,9 +18,9 @@ SCENES = [Path(__file__).parents[2] / "scenes" / "dye" / f"{name}.yaml" for name
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_a_scene_of_dye_runs_and_shows_its_dye(path: Path) -> None:
     loaded = scene_file.read(path)
-    dyeing, painter = DyeRun(loaded, 0), painter_of(loaded)
+    dyeing, painter = DyeRun(loaded, 0), DyePainter(loaded)
     cells = dyeing.cells
-    painter.prepare(Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph), cells.size)
+    painter.prepare(cells, cells.size)
     frame = dyeing.advance()
     assert frame.report.status == "ok" and dyeing.balance(frame.report) < 1e-12
     state = dyeing.state

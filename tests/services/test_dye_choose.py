@@ -125,7 +125,7 @@ def test_supplies_wait_no_longer_than_for_an_explicit_step(hours: float, tmp_pat
     ("override", "said"),
     [
         ("dye.solver={plugin: auto, dt: 1 s}", "auto chooses this as well"),
-        ("dye.solver={plugin: auto, start: 8}", "auto chooses this as well"),
+        ("dye.solver={plugin: auto, substeps: allowed}", "auto chooses this as well"),
     ],
 )
 def test_what_auto_chooses_cannot_be_given(override: str, said: str, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from PIL import Image
 
 import nuno
 from nuno.cli import main
-from nuno.dye.painter import painter_of
+from nuno.dye.painter import DyePainter
 from nuno.export.cloth import read_pieces
 from nuno.export.dyed_pictures import Changes, read_dyed_object
 from nuno.export.pictures import Painter
@@ -49,7 +49,7 @@ def _dyes() -> list[dict[str, Any]]:
 
 def drawn(run: Path, scale: int, view: str = "all") -> list[NDArray[np.uint8]]:
     """Every frame's amounts, drawn by themselves."""
-    painter = painter_of(
+    painter = DyePainter(
         scene_file.read(run / "scene.yaml", (f"dye.picture.view={view}", f"dye.picture.scale={scale}"))
     )
     with nuno.open(run / "run.mcap") as recording:

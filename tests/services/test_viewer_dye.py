@@ -18,7 +18,7 @@ from test_viewer_file import read
 
 import nuno
 from nuno.cli import main
-from nuno.dye.painter import painter_of
+from nuno.dye.painter import DyePainter
 from nuno.scene import scene_file
 from nuno.viewer import dyed
 from nuno.viewer.bridge import Bridge
@@ -52,7 +52,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def feed(folder: Path, target: Path, speed: float = 1.0, **picture: Any) -> Path:
     """A recording's messages, shown as a scene that differs in its picture would be."""
     scene = scene_file.read(write_scene(folder, picture=picture, speed=speed))
-    file = RerunFile(target, "run", painter=painter_of(scene, most=dyed.MOST_PIXELS))
+    file = RerunFile(target, "run", painter=DyePainter(scene, most=dyed.MOST_PIXELS))
     with nuno.open(folder / "run.mcap") as recording:
         marks = recording.marks()
         for message in recording.messages():
@@ -68,7 +68,7 @@ def test_a_run_s_file_has_every_frame_s_picture(run: Path) -> None:
     subprocess.run([binary, "rrd", "verify", str(run / "run.rrd")], check=True, timeout=60)
     found = pictures(run / "run.rrd")
     assert sorted(found) == list(range(11))
-    painter = painter_of(scene_file.read(run / "scene.yaml"))
+    painter = DyePainter(scene_file.read(run / "scene.yaml"))
     with nuno.open(run / "run.mcap") as recording:
         cloth = recording.last("dye/cloth")
         assert cloth is not None
@@ -173,7 +173,7 @@ def test_the_ring_gives_up_frames_of_dye_too() -> None:
 def test_damaged_amounts_are_refused_and_leave_the_picture(run: Path, tmp_path: Path) -> None:
     from nuno.wire.arrays import BadMessage, encode_arrays
 
-    file = RerunFile(tmp_path / "a.rrd", "run", painter=painter_of(scene_file.read(run / "scene.yaml")))
+    file = RerunFile(tmp_path / "a.rrd", "run", painter=DyePainter(scene_file.read(run / "scene.yaml")))
     with nuno.open(run / "run.mcap") as recording:
         cloth, amounts = recording.last("dye/cloth"), recording.last(CONCENTRATION.name)
     assert cloth is not None and amounts is not None

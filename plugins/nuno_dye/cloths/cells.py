@@ -63,7 +63,7 @@ class CellsCloth(Cloth):
             require_values(path, name, data[name], (data[name] >= 0.0) & (data[name] <= 1.0), "out of range", "0 to 1")
         cells = Cells(
             data["fibre"], data["up"], data["porosity"], data["tau1"], data["resist"], config.cell_size,
-            config.tau3.with_weave(config.tau2), config.v_max,
+            config.tau3.with_weave(config.tau2), v_max=config.v_max,
         )  # fmt: skip
         put_on(self.resists(config, cells, files), cells)
         rooms = {"phi": (cells.mobile_room, "v_max P (1 - B)"), "fixed": (cells.fixed_room, "(1 - P) v_max in fibre")}

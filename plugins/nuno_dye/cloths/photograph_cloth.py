@@ -75,7 +75,8 @@ class PhotographCloth(Cloth):
             for name in ("porosity", "twist", "resist")
         )
         cells = Cells(
-            np.ones((2, ny, nx), np.bool_), up, porosity, twist, resist, config.cell_size, tortuosity, config.v_max,
+            np.ones((2, ny, nx), np.bool_), up, porosity, twist, resist, config.cell_size, tortuosity,
+            v_max=config.v_max,
             photograph=Photograph(np.ascontiguousarray(light[inside]), np.ascontiguousarray(warp[inside])),
         )  # fmt: skip
         return self.undyed(config, cells, files, dyes)

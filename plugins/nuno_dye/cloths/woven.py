@@ -113,7 +113,7 @@ def build_cells(
         shape = (ny, 1) if layer == 0 else (1, nx)
         porosity[layer], twist[layer], resist[layer] = (value.reshape(shape) for value in values)
     up, yarns = np.stack([~over, over]), (down.yarn, across.yarn)
-    return Cells(fibre, up, porosity, twist, resist, config.cell_size, tortuosity, v_max, yarns)
+    return Cells(fibre, up, porosity, twist, resist, config.cell_size, tortuosity, v_max=v_max, yarns=yarns)
 
 
 def _per_cell(yarn: YarnConfig, lay: Lay, config: WovenConfig, seed: int, layer: int) -> tuple[Float, Float, Float]:

@@ -8,13 +8,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import psutil
 
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.roughness import roughen
 from nuno.cloth.worn import check_worn
 from nuno.collision.bodies import build_bodies
 from nuno.scene.scene_file import Chosen, Loaded
+from nuno.stepping.stepped import require_memory
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
@@ -61,15 +61,8 @@ def estimate_memory(loaded: Loaded) -> tuple[int, int]:
 def check_memory(loaded: Loaded) -> None:
     """Raises BadInput, before anything is allocated, if the scene cannot fit in memory."""
     vertices, size = estimate_memory(loaded)
-    available = psutil.virtual_memory().available
-    if size > available:
-        too_much = BadInput(
-            "the scene does not fit in memory",
-            value=f"{vertices:,} vertices, about {size / 2**30:.1f} GiB with their springs",
-            limit=f"{available / 2**30:.1f} GiB are free",
-            remedy="lower the resolution, or take springs away",
-        )
-        raise loaded.at("objects", too_much)
+    what = f"{vertices:,} vertices with their springs"
+    require_memory(loaded, "objects", what, size, "lower the resolution, or take springs away")
 
 
 def build_fabric(

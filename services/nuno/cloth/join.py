@@ -21,7 +21,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
     before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
     cells = [f.cells + at for f, at in moved if f.cells is not None]
     yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]
-    empty = np.zeros((0, 3))
+    empty, no_uv = np.zeros((0, 3)), np.zeros((0, 2), np.float32)
     return Fabric(
         name,
         np.concatenate([empty, *(f.position for f in fabrics)]),
@@ -31,12 +31,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
         np.concatenate([np.zeros((0, 3), np.int32), *((f.faces + at).astype(np.int32) for f, at in moved)]),
         Springs.join(springs) if springs else None,
         _join_hinges(hinges) if hinges else None,
-        np.concatenate(
-            [
-                np.zeros((0, 2), np.float32),
-                *(f.uv if f.uv is not None else np.zeros((f.number, 2), np.float32) for f in fabrics),
-            ]
-        ),
+        np.concatenate([no_uv, *(np.zeros((f.number, 2), np.float32) if f.uv is None else f.uv for f in fabrics)]),
         tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
         yarns=Yarns.join(yarns) if yarns else None,
         cells=np.concatenate(cells).astype(np.int32) if cells else None,

@@ -55,7 +55,7 @@ def edge_yarns(fabric: Fabric) -> NDArray[np.int8] | None:
         return None
     kind = np.full(springs.number, -1, np.int8)
     kind[yarns.links] = np.repeat(yarns.kind, np.diff(yarns.ptr))
-    structural = np.repeat(springs.kind == 0, springs.count)
+    structural = springs.of_kind(0)
     return kind[structural] if structural.any() else kind
 
 
@@ -64,7 +64,7 @@ def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
     springs = fabric.springs
     if springs is None:
         return np.zeros((0, 2), np.int32), np.zeros(0)
-    if (springs.kind == 0).any() and not (springs.kind == 0).all():
-        springs = springs.of_kind(0)
-    single = springs.first.shape[0] == springs.number
-    return springs.first if single else springs.pairs(), springs.per_spring(springs.rest)
+    shown = springs.of_kind(0)
+    if not shown.any():
+        shown[:] = True
+    return springs.pairs()[shown], springs.per_spring(springs.rest)[shown]

@@ -62,7 +62,9 @@ def require_springs(loaded: Loaded, fabric: Fabric) -> None:
     """Raises BadInput for cloth of no edge of whose triangles lines could be raised: those need springs there."""
     springs = fabric.springs
     count = fabric.number
-    structural = np.zeros((0, 2), np.int64) if springs is None else springs.of_kind(STRUCTURAL).pairs().astype(np.int64)
+    structural = np.zeros((0, 2), np.int64)
+    if springs is not None:
+        structural = springs.pairs()[springs.of_kind(STRUCTURAL)].astype(np.int64)
     known = np.sort(structural, axis=1) @ np.array([count, 1])
     edges = np.sort(np.stack([fabric.faces, np.roll(fabric.faces, -1, axis=1)], axis=2).astype(np.int64), axis=2)
     if not np.isin(edges @ np.array([count, 1]), known).all(axis=1).any():

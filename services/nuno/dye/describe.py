@@ -17,11 +17,11 @@ def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
     return [
         (
             "dye cloth" if loaded.scene.moves else "cloth",
-            f"{_object(loaded)}{_size(dyeing)}",
+            f"{f'on {on}, ' if (on := loaded.dyed.said.object) else ''}{_size(dyeing)}",
         ),
         ("dyes", ", ".join(map(_dye, dyeing.system.dyes))),
         *([("supply", "; ".join(map(_supply, dyeing.supplies.entries)))] if dyeing.supplies.entries else []),
-        ("solver", _solver(dyeing, loaded)),
+        ("solver", f"{dyeing.describe_step(loaded.dyed.solver.name, dyeing.limit)}; {dyeing.about()}"),
         *_cost(dyeing, loaded),
     ]
 
@@ -39,11 +39,6 @@ def _size(dyeing: DyeRun) -> str:
     return f"{nx * size:.4g} mm x {ny * size:.4g} mm: {2 * ny * nx:,} cells of {size:.4g} mm, in two layers"
 
 
-def _object(loaded: Loaded) -> str:
-    dye = loaded.scene.dye
-    return f"on {dye.object}, " if dye is not None and dye.object is not None else ""
-
-
 def _supply(entry: Entry) -> str:
     one = entry.supply
     times = f"at {duration(one.start)}"
@@ -52,15 +47,9 @@ def _supply(entry: Entry) -> str:
     return f"{one.kind} {times}{', exhausted' if entry.finite else ''}"
 
 
-def _solver(dyeing: DyeRun, loaded: Loaded) -> str:
-    name = loaded.dye.solver.name if loaded.dye is not None else ""
-    return f"{dyeing.describe_step(name, dyeing.limit)}; {dyeing.about()}"
-
-
 def _cost(dyeing: DyeRun, loaded: Loaded) -> list[tuple[str, str]]:
-    scene, dye, chosen, rare = loaded.scene, loaded.scene.dye, loaded.dye, loaded.scene.record.dye_every
+    scene, memory, rare = loaded.scene, estimate_memory(loaded)[1], loaded.scene.record.dye_every
     shown = scene.frames if rare is None else min(scene.frames, int(scene.duration / rare) + dyeing.checkpoints)
     size = (8 * (shown + 1) + 16 * dyeing.checkpoints) * dyeing.state.phi.size
-    memory = estimate_memory(loaded, dye, chosen)[1] if dye is not None and chosen is not None else 0
     speed = f", {duration(scene.frames / scene.frame_rate * dyeing.speed)} of dyeing" if dyeing.speed != 1.0 else ""
     return dyeing.describe_cost(dyeing.time_frame(), size, memory, speed)

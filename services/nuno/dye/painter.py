@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nuno.scene.scene_file import Chosen, Loaded
+from nuno.scene.scene_file import Loaded
 from nuno.wire.arrays import BadMessage, decode_arrays
+from nuno.wrong import Wrong, check_array
 from nuno_schemas.dye import Cells
 from nuno_schemas.dye_picture import Layers, Photograph, Picture, Window, amount_seen
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
-from nuno_schemas.look import Crop, DyeColour
-from nuno_schemas.look import DyePicture as Look
-from nuno_schemas.plugin import Files
+from nuno_schemas.look import Crop
 
 PICTURE_SIDE, MOST_AUTO = 1000, 16
 """What `scale: auto` aims at: pixels of the longer side; and pixels a cell at most."""
@@ -27,7 +23,7 @@ ROUNDING = 1e-9
 
 
 class DyePainter:
-    """Draws a cloth and its amounts as they come.
+    """Draws a scene's cloth and its amounts as they come.
 
     look, colours  the scene's picture and its dyes' colours
     side           pixels of the longer side that `scale: auto` aims at
@@ -37,20 +33,12 @@ class DyePainter:
     object         the object whose texture is drawn; None: a cloth by itself
     """
 
-    def __init__(
-        self,
-        chosen: Chosen,
-        look: Look,
-        colours: Sequence[DyeColour],
-        files: Files,
-        side: int = PICTURE_SIDE,
-        most: int | None = None,
-        duration: float = 0.0,
-        object: str | None = None,
-        speed: float = 1.0,
-    ) -> None:
-        self.duration, self.object, self.speed = duration, object, speed
-        self.chosen, self.look, self.colours, self.files = chosen, look, tuple(colours), files
+    def __init__(self, loaded: Loaded, side: int = PICTURE_SIDE, most: int | None = None) -> None:
+        """Raises BadInput for a scene without dye."""
+        dye, self.chosen = loaded.dyed.said, loaded.dyed.picture
+        self.duration, self.object, self.speed = loaded.scene.duration, dye.object, dye.speed
+        self.look, self.files = dye.picture, loaded.files
+        self.colours = tuple(one.colour for one in dye.dyes)
         self.side, self.most = side, most
         self.size = self.pixel = 0.0
         """Of a cell, and of a pixel [m]."""
@@ -68,22 +56,17 @@ class DyePainter:
 
     def take_cloth(self, payload: bytes) -> None:
         """The cloth, from a message. Raises BadMessage, and BadInput for what cannot be drawn."""
-        layers, size = read_layers(payload)
-        self.prepare(layers, size)
+        self.prepare(*read_layers(payload))
 
     def prepare(self, layers: Layers, size: float) -> None:
         """The cloth, of cells of `size` [m]. Raises BadInput for a crop beyond it, or too many pixels."""
         _, ny, nx = layers.fibre.shape
-        window, scale = self.frame((ny, nx), size)
+        window = find_window(self.look.crop, (ny, nx), size)
+        scale = self._scale(window)
         self.size, self.pixel, self._shape = size, size / scale, layers.fibre.shape
         self.shape = scale * (window.bottom - window.top), scale * (window.right - window.left)
         plugin, config = self.chosen.plugin, self.chosen.config
         self.prepared = plugin.prepare(config, self.files, layers, self.colours, window, scale)
-
-    def frame(self, shape: tuple[int, int], size: float) -> tuple[Window, int]:
-        """The cells that are shown of (ny, nx) of `size` [m], and pixels a cell. Raises BadInput."""
-        window = find_window(self.look.crop, shape, size)
-        return window, self._scale(window)
 
     def draw(self, payload: bytes) -> Picture:
         """A frame's amounts, from a message. Raises BadMessage for such as are not the cloth's."""
@@ -115,27 +98,18 @@ class DyePainter:
         return scale
 
 
-def painter_of(loaded: Loaded, side: int = PICTURE_SIDE, most: int | None = None) -> DyePainter:
-    """The painter of a scene's dye. Raises BadInput where it has none."""
-    dye, chosen = loaded.scene.dye, loaded.dye
-    if dye is None or chosen is None:
-        raise BadInput("the scene has no dye", loaded.file)
-    colours, duration = [one.colour for one in dye.dyes], loaded.scene.duration
-    return DyePainter(chosen.picture, dye.picture, colours, loaded.files, side, most, duration, dye.object, dye.speed)
-
-
 def check_picture(loaded: Loaded, cells: Cells) -> None:
     """Raises BadInput, before a run, for a picture that could not be drawn after it."""
-    painter, (ny, nx) = painter_of(loaded), cells.fibre.shape[1:]
-    layers = Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph, cells.ground)
+    painter = DyePainter(loaded)
+    look = painter.look
     try:
-        if painter.object is not None and painter.look.crop is not None:
+        if painter.object is not None and look.crop is not None:
             problem, remedy = "an object shows all of the cloth that dyes it", "leave crop out"
-            raise BadInput(problem, field="crop", value=painter.look.crop.model_dump(), remedy=remedy)
-        painter.frame((ny, nx), cells.size)
+            raise BadInput(problem, field="crop", value=look.crop.model_dump(), remedy=remedy)
+        painter._scale(find_window(look.crop, cells.fibre.shape[1:], cells.size))
         # The files that a plugin may need are read for one cell as for all.
         plugin, config = painter.chosen.plugin, painter.chosen.config
-        plugin.prepare(config, loaded.files, layers, painter.colours, Window(0, 1, 0, 1), 1)
+        plugin.prepare(config, loaded.files, cells, painter.colours, Window(0, 1, 0, 1), 1)
     except BadInput as error:
         raise loaded.at("dye.picture", error) from None
 
@@ -145,42 +119,34 @@ def read_layers(payload: bytes) -> tuple[Layers, float]:
     arrays, text = decode_arrays(payload)
     try:
         fibre, up = arrays["fibre"].astype(bool), arrays["up"].astype(bool)
+        check_array("fibre", fibre, np.bool_, (2, None, None))
+        check_array("up", up, np.bool_, fibre.shape)
         size, v_max = float(text["cell_size"]), float(text["v_max"])
-        if fibre.ndim != 3 or len(fibre) != 2 or up.shape != fibre.shape or not fibre.size:
-            raise BadMessage(f"cells of shapes {fibre.shape} and {up.shape}")
-        if not (0.0 < size < math.inf and 0.0 < v_max < math.inf):
-            raise BadMessage(f"cells of {size} m that hold {v_max}")
-        yarns = (arrays["weft_yarn"], arrays["warp_yarn"]) if "weft_yarn" in arrays else None
-        for yarn, cells in zip(yarns or (), fibre.shape[1:], strict=False):
-            if yarn.shape != (cells,) or yarn.dtype.kind != "i" or not (yarn.min() >= 0 and yarn.max() <= cells):
-                raise BadMessage(f"yarns of shape {yarn.shape} for {cells} cells side by side")
-        return Layers(fibre, up, v_max, yarns, _photograph(arrays, fibre.shape), _ground(arrays, fibre.shape)), size
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        if not (fibre.size and 0.0 < size < math.inf and 0.0 < v_max < math.inf):
+            raise Wrong(f"{fibre.size} cells of {size} m that hold {v_max}")
+        yarns, ground = (
+            (arrays[f"weft_{name}"], arrays[f"warp_{name}"]) if f"weft_{name}" in arrays else None
+            for name in ("yarn", "colour")
+        )
+        _, ny, nx = fibre.shape
+        for which, side in enumerate((ny, nx)):
+            if yarns is not None:
+                check_array("yarns", (own := yarns[which]), np.int32, (side,))
+                if own.min() < 0 or own.max() > side:
+                    raise Wrong(f"yarns go from {own.min()} to {own.max()}, of {side} cells side by side")
+            if ground is not None:
+                check_array("colours", ground[which], ground[which].dtype.type, (side, 3))
+                if not ((ground[which] >= 0.0) & (ground[which] <= 1.0)).all():
+                    raise Wrong("colours leave 0 to 1")
+        photograph = None
+        if "photograph" in arrays:
+            photograph = Photograph(arrays["photograph"], arrays["photograph_warp"].astype(bool))
+            pixels = max(1, len(photograph.light) // ny)  # a whole number of them to a cell
+            check_array("photograph", photograph.light, np.uint8, (pixels * ny, pixels * nx, 3))
+            check_array("its warp", photograph.warp, np.bool_, (pixels * ny, pixels * nx))
+        return Layers(fibre, up, v_max=v_max, yarns=yarns, photograph=photograph, ground=ground), size
+    except (KeyError, TypeError, ValueError, ArithmeticError, Wrong) as error:
         raise BadMessage(f"not a cloth: {error}") from None
-
-
-def _ground(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> tuple[Float, Float] | None:
-    """Colours of a cloth's yarns in a message. Raises BadMessage for what are none."""
-    if "weft_colour" not in arrays:
-        return None
-    weft, warp = arrays["weft_colour"], arrays["warp_colour"]
-    for colours, cells in zip((weft, warp), shape[1:], strict=True):
-        if colours.shape != (cells, 3) or not ((colours >= 0.0) & (colours <= 1.0)).all():
-            raise BadMessage(f"colours of shape {colours.shape} for {cells} cells side by side")
-    return weft, warp
-
-
-def _photograph(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> Photograph | None:
-    """The cloth's photograph in a message. Raises BadMessage for one that is not a whole number of pixels a cell."""
-    if "photograph" not in arrays:
-        return None
-    light, warp = arrays["photograph"], arrays["photograph_warp"].astype(bool)
-    _, ny, nx = shape
-    pixels = light.shape[0] // ny
-    whole = (pixels * ny, pixels * nx)
-    if light.dtype != np.uint8 or not pixels or light.shape != (*whole, 3) or warp.shape != whole:
-        raise BadMessage(f"a photograph of shape {light.shape}, warp of {warp.shape}, for cells of {shape}")
-    return Photograph(light, warp)
 
 
 def find_window(crop: Crop | None, shape: tuple[int, int], size: float) -> Window:

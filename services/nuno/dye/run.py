@@ -12,19 +12,17 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import psutil
 from numpy.typing import NDArray
 
 from nuno.dye.add import NAME, as_run, extend, resist_around
 from nuno.dye.painter import check_picture
-from nuno.dye.step import choose_dye_step
 from nuno.dye.supply import AT_THE_START, Supplies
 from nuno.recording.recorded import Arrays, Checkpoint
-from nuno.scene.scene_file import ChosenDye, Loaded
-from nuno.stepping.stepped import Stepped, Stepper, copy_into
+from nuno.scene.scene_file import Loaded
+from nuno.scene.step import choose_step
+from nuno.stepping.stepped import Stepped, Stepper, copy_into, require_memory
 from nuno.wire.arrays import decode_arrays, encode_arrays
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
-from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.messages import CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, Event
@@ -34,14 +32,15 @@ BYTES_PER_CELL, BYTES_PER_AMOUNT = 150, 150
 byte for each supply."""
 
 
-def estimate_memory(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[int, int]:
+def estimate_memory(loaded: Loaded) -> tuple[int, int]:
     """Cells that the cloth will have, and what a run of them takes at most [bytes]. Raises BadInput."""
+    cloth, dyes = loaded.dyed.cloth, loaded.dyed.said.dyes
     try:
-        cells = int(chosen.cloth.plugin.count(chosen.cloth.config, loaded.files))
+        cells = int(cloth.plugin.count(cloth.config, loaded.files))
     except BadInput as error:
         raise loaded.at("dye.cloth", error) from None
-    supplies = len(getattr(chosen.cloth.config, "supply", ()))
-    return cells, cells * (BYTES_PER_CELL + supplies + len(dye.dyes) * BYTES_PER_AMOUNT)
+    supplies = len(getattr(cloth.config, "supply", ()))
+    return cells, cells * (BYTES_PER_CELL + supplies + len(dyes) * BYTES_PER_AMOUNT)
 
 
 class DyeRun(Stepper):
@@ -53,14 +52,12 @@ class DyeRun(Stepper):
 
     def __init__(self, loaded: Loaded, threads: int, steps: int = 0) -> None:
         """`steps` a frame, stable or not; 0: as the scene says. Raises BadInput."""
-        dye, chosen = loaded.scene.dye, loaded.dye
-        if dye is None or chosen is None:
-            raise BadInput("the scene has no dye", loaded.file, remedy="add dye: {cloth: ..., dyes: [...]}")
+        chosen, dye = loaded.dyed, loaded.dyed.said
         self.loaded, self.frame, self.names = loaded, 0, tuple(one.name for one in dye.dyes)
         self.speed = dye.speed
         self._solver = chosen.solver
         self.threads = threads or os.cpu_count() or 1
-        self.cells, self.state, given = _build_cloth(loaded, dye, chosen)
+        self.cells, self.state, given = _build_cloth(loaded)
         check_picture(loaded, self.cells)
         self._resist = self.cells.resist
         """B as the scene has it; of what was added over dye, the cells have less."""
@@ -78,7 +75,7 @@ class DyeRun(Stepper):
             self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
             whole = dye.speed / loaded.scene.frame_rate
             self.steps, self.dt = (
-                (steps, whole / steps) if steps else choose_dye_step(loaded, dye, self.limit, self._resolved(given))
+                (steps, whole / steps) if steps else choose_step(loaded, self.limit, self._resolved(given), dyed=True)
             )
             supplies = Supplies(given, self.cells.mobile_room, self.dt, len(dye.dyes))
             self.memory = self._prepare(supplies)
@@ -242,13 +239,10 @@ class DyeRun(Stepper):
         """
         before = self.loaded
         changed, field = extend(before, item)
-        dye, chosen = changed.scene.dye, changed.dye
-        if dye is None or chosen is None:
-            raise ValueError("a scene of dye stays one")
-        plugin, config = chosen.cloth.plugin, chosen.cloth.config
+        cloth = changed.dyed.cloth
         try:
-            given = plugin.supplies(config, self.cells, self.names)
-            parts = plugin.resists(config, self.cells, changed.files)
+            given = cloth.plugin.supplies(cloth.config, self.cells, self.names)
+            parts = cloth.plugin.resists(cloth.config, self.cells, changed.files)
         except BadInput as error:
             raise changed.at("dye.cloth", error) from None
         loaded = as_run(changed, before)
@@ -280,20 +274,13 @@ class DyeRun(Stepper):
         raise BadInput("this field cannot change while a run goes on", field=field, value=item, remedy=remedy)
 
 
-def _build_cloth(loaded: Loaded, dye: Dyeing, chosen: ChosenDye) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
+def _build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
     """Cells, the amounts at the start and what gives dye to them. Raises BadInput."""
-    number, size = estimate_memory(loaded, dye, chosen)
-    available = psutil.virtual_memory().available
-    if size > available:
-        too_much = BadInput(
-            "the cloth does not fit in memory",
-            value=f"{number:,} cells, about {size / 2**30:.1f} GiB",
-            limit=f"{available / 2**30:.1f} GiB are free",
-            remedy="larger cells, or fewer dyes",
-        )
-        raise loaded.at("dye.cloth", too_much)
+    number, size = estimate_memory(loaded)
+    require_memory(loaded, "dye.cloth", f"{number:,} cells", size, "larger cells, or fewer dyes")
+    cloth, dyes = loaded.dyed.cloth, [one.name for one in loaded.dyed.said.dyes]
     try:
-        plugin, config, dyes = chosen.cloth.plugin, chosen.cloth.config, [one.name for one in dye.dyes]
+        plugin, config = cloth.plugin, cloth.config
         cells, state = plugin.build(config, loaded.files, loaded.scene.seed, len(dyes))
         return cells, state, plugin.supplies(config, cells, dyes)
     except BadInput as error:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nuno.dye.painter import PICTURE_SIDE, DyePainter, painter_of
+from nuno.dye.painter import PICTURE_SIDE, DyePainter
 from nuno.export.cloth import ShownPiece, find_message
 from nuno.export.target import Progress
 from nuno.recording.reader import Recording
@@ -109,7 +109,7 @@ def changed_painter(recording: Recording, changes: Changes, side: int = PICTURE_
             remedy = "for example --set dye.dyes.0.colour.full=0.1"
             raise BadInput(problem, "--set", value=item, limit=limit, remedy=remedy)
     with restored_scene(recording, changes.overrides) as loaded:
-        painter = painter_of(loaded, side)
+        painter = DyePainter(loaded, side)
         painter.look = painter.look.model_copy(update={name: v for name, v in given.items() if v is not None})
         yield painter
 

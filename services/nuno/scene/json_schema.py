@@ -59,8 +59,6 @@ def scene_schema() -> dict[str, Any]:
 
 def _short(group: str) -> list[dict[str, Any]]:
     """A solver by its name alone, and the one that is chosen for the scene."""
-    if group == "nuno.dye_solvers":
-        return [{"title": "by name", "type": "string", "enum": sorted(registry.installed(group))}]
     auto = {"type": "object", "properties": {"plugin": {"const": AUTO}}, "additionalProperties": False}
     names = [AUTO, *sorted(registry.installed(group))]
     return [{"title": "by name", "type": "string", "enum": names}, {"title": AUTO, "required": ["plugin"], **auto}]

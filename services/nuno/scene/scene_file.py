@@ -17,11 +17,11 @@ from nuno.scene.explain import UNNUMBERED, explain, located
 from nuno.scene.files import SceneFiles
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
 from nuno.scene.yaml_lines import dotted
-from nuno_schemas.dyeing import Dyeing, DyeSolver
+from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.parts import Choice
 from nuno_schemas.scene import Applied, Scene
-from nuno_schemas.solver import AUTO
+from nuno_schemas.solver import AUTO, Solver
 
 FIRST, FIRST_DYE = "symplectic_euler", "explicit"
 """The solvers that a choice starts from: the cheapest step."""
@@ -45,8 +45,9 @@ class Chosen:
 
 @dataclass
 class ChosenDye:
-    """The plugins of a scene's dye; isotherms by dye, None where fibre fixes nothing."""
+    """What a scene says of its dye, and its plugins; isotherms by dye, None where fibre fixes nothing."""
 
+    said: Dyeing
     cloth: Chosen
     solver: Chosen
     isotherms: list[Chosen | None]
@@ -93,6 +94,13 @@ class Loaded:
         if self.solver is None:
             raise ValueError("a scene of dye alone has no integrator")
         return self.solver
+
+    @property
+    def dyed(self) -> ChosenDye:
+        """What is dyed, and how. Raises BadInput for a scene without dye."""
+        if self.dye is None:
+            raise BadInput("the scene has no dye", self.file, remedy="add dye: {cloth: ..., dyes: [...]}")
+        return self.dye
 
     @property
     def own_path(self) -> Path | None:
@@ -173,19 +181,16 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), 
     return replace(loaded, overrides=tuple(overrides), path=path)
 
 
-def _solver(scene: Scene) -> Choice:
+def _or_first(solver: Solver, first: str) -> Solver:
     """The solver; until `auto` is decided, the one that it is decided from."""
-    return scene.solver if scene.solver.plugin != AUTO else Choice(plugin=FIRST)
-
-
-def _dye_solver(dye: Dyeing) -> Choice:
-    return dye.solver if dye.solver.plugin != AUTO else DyeSolver(plugin=FIRST_DYE)
+    return solver if solver.plugin != AUTO else Solver(plugin=first)
 
 
 def _chosen_dye(dye: Dyeing, chosen: Callable[[str, Choice, yaml_lines.Path], Chosen]) -> ChosenDye:
     return ChosenDye(
+        dye,
         chosen("nuno.dye_cloths", dye.cloth, ("dye", "cloth")),
-        chosen("nuno.dye_solvers", _dye_solver(dye), ("dye", "solver")),
+        chosen("nuno.dye_solvers", _or_first(dye.solver, FIRST_DYE), ("dye", "solver")),
         [
             chosen("nuno.isotherms", one.isotherm, ("dye", "dyes", i, "isotherm")) if one.isotherm else None
             for i, one in enumerate(dye.dyes)
@@ -253,7 +258,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         lines,
         files,
         models=[chosen("nuno.models", o.model, ("objects", i, "model")) for i, o in enumerate(scene.objects)],
-        solver=chosen("nuno.integrators", _solver(scene), ("solver",)) if scene.moves else None,
+        solver=chosen("nuno.integrators", _or_first(scene.solver, FIRST), ("solver",)) if scene.moves else None,
         colliders=[chosen("nuno.colliders", b.collider, ("bodies", i, "collider")) for i, b in enumerate(scene.bodies)],
         motions=[
             chosen("nuno.motions", b.motion, ("bodies", i, "motion")) if b.motion else None

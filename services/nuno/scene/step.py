@@ -1,79 +1,79 @@
-"""A scene's step: whole steps make a frame, and none is longer than what is stable."""
+"""A scene's steps, of its cloth and of its dye: whole steps make a frame, and none is longer than what is stable."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
-SECONDS_TOLERANCE = 1e-9
+ROUNDING = 1e-9
+"""Relative: a step that is a limit itself may come out longer by this."""
 MOST_STEPS = 10_000_000
 """Steps a frame: more would keep the simulation from answering for minutes."""
+SAFE, SAFE_DYE = 0.7, 0.9
+"""Share of the limit that `dt: auto` takes. Cloth that stretches or folds is somewhat stiffer than at its start, where
+the limit is measured. Of dye it is exact, but at it the finest checkerboard of amounts swaps for ever and does not
+fade."""
 
 
-def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf) -> tuple[int, float]:
-    """Steps a frame and the step [s]: the scene's, or the largest safe one for `dt: auto`.
+def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf, dyed: bool = False) -> tuple[int, float]:
+    """Steps a frame and the step [s], of the cloth or of dyeing: the scene's, or the largest safe one for `dt: auto`.
 
-    Auto stays at 0.7 of the limit: cloth that stretches or folds is somewhat stiffer than at its
-    start, where the limit is measured. Nor does it exceed `resolved` (StepLimit). Raises BadInput for
-    a step that does not divide a frame or exceeds the limit without allow_unstable.
+    `limit` [s] is the longest stable step; auto does not exceed `resolved` [s] either (StepLimit). Raises BadInput for
+    a step that does not divide a frame, and for one above the limit unless the scene allows it: of its cloth it is then
+    taken as it is, of dye in several shorter ones.
     """
-    frame = 1.0 / loaded.scene.frame_rate
-    dt = loaded.scene.solver.dt
+    scene, dye = loaded.scene, loaded.scene.dye if dyed else None
+    solver, field = (scene.solver, "solver") if dye is None else (dye.solver, "dye.solver")
+    speed, softer = (1.0, "softer or heavier cloth") if dye is None else (dye.speed, "larger cells")
+    dt, frame = solver.dt, speed / scene.frame_rate
     if dt == "auto":
         if limit <= 0.0:
-            raise loaded.at(
-                "solver.plugin",
-                BadInput(
-                    "no step is stable for this integrator on an undamped scene",
-                    remedy="use symplectic_euler, leapfrog or rk4, or give a dt and allow_unstable: true",
-                ),
-            )
-        longest = min(0.7 * limit, resolved)
-        require_few(loaded, "solver.dt", frame, longest, "softer or heavier cloth, or a higher frame_rate")
-        steps = max(1, int(np.ceil(frame / longest)))
+            problem = "no step is stable for this integrator on an undamped scene"
+            remedy = "use symplectic_euler, leapfrog or rk4, or give a dt and allow_unstable: true"
+            raise loaded.at(f"{field}.plugin", BadInput(problem, remedy=remedy))
+        longest = min((SAFE_DYE if dyed else SAFE) * limit, resolved)
+        _require_few(loaded, f"{field}.dt", frame, longest, f"{softer}, or a higher frame_rate")
+        steps = max(1, math.ceil(frame / longest))
         return steps, frame / steps
+    if dyed and dt > frame * (1.0 + ROUNDING):
+        remedy = f"a frame_rate of at most {speed / dt:.9g} Hz, a dye.speed of at least {dt * scene.frame_rate:.9g}"
+        error = BadInput("a frame is shorter than a step", value=_said(dt, frame), remedy=f"{remedy}, or a smaller dt")
+        raise loaded.at(f"{field}.dt", error)
     # Before what divides a frame: the nearest step that does may be above the limit as well.
-    if dt > limit * (1.0 + SECONDS_TOLERANCE) and not loaded.scene.allow_unstable:
-        raise loaded.at(
-            "solver.dt",
-            BadInput(
-                "the step is above the stability limit",
-                value=f"{dt:g} s",
-                limit=f"{limit:.4g} s for {loaded.integrator.name}",
-                remedy="use dt: auto, a smaller dt, softer cloth, or allow_unstable: true",
-            ),
+    above = dt > limit * (1.0 + ROUNDING)
+    allowed = "allow_unstable: true" if dye is None else "substeps: allowed"
+    if above and not (scene.allow_unstable if dye is None else dye.solver.substeps == "allowed"):
+        error = BadInput(
+            "the step is above the stability limit",
+            value=f"{dt:g} s",
+            limit=f"{limit:.4g} s for {solver.plugin}",
+            remedy=f"use dt: auto, a smaller dt, {softer}, or {allowed}",
         )
-    return whole_steps(loaded, "solver.dt", frame, dt)
-
-
-def whole_steps(loaded: Loaded, field: str, frame: float, dt: float) -> tuple[int, float]:
-    """Steps in a frame [s] for the scene's `field`, a step of dt [s], and the step that divides a frame exactly.
-
-    Raises BadInput where no whole number of steps comes close.
-    """
-    require_few(loaded, field, frame, dt, "a larger dt, or a higher frame_rate")
+        raise loaded.at(f"{field}.dt", error)
+    _require_few(loaded, f"{field}.dt", frame, dt, "a larger dt, or a higher frame_rate")
     steps = max(1, round(frame / dt))
-    if abs(frame / steps - dt) > SECONDS_TOLERANCE * dt + 1e-15:
+    if abs(frame / steps - dt) > ROUNDING * dt:
         near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
         choices = " or ".join(f"{frame / n:.9g} s ({n} steps)" for n in near)
-        raise loaded.at(
-            field,
-            BadInput(
-                "a frame is not a whole number of steps",
-                value=f"{dt:g} s in frames of {frame:g} s",
-                remedy=f"nearest that divide it: {choices}; or dt: auto",
-            ),
-        )
-    return steps, frame / steps
+        remedy = f"nearest that divide it: {choices}; or dt: auto"
+        error = BadInput("a frame is not a whole number of steps", value=_said(dt, frame), remedy=remedy)
+        raise loaded.at(f"{field}.dt", error)
+    if not (dyed and above):
+        return steps, frame / steps
+    _require_few(loaded, f"{field}.dt", frame, limit, f"{softer}, or a higher frame_rate")
+    parts = math.ceil(dt / limit * (1.0 - ROUNDING))
+    return steps * parts, frame / steps / parts
 
 
-def require_few(loaded: Loaded, field: str, frame: float, dt: float, remedy: str) -> None:
+def _said(dt: float, frame: float) -> str:
+    return f"steps of {dt:.3g} s in frames of {frame:.3g} s"
+
+
+def _require_few(loaded: Loaded, field: str, frame: float, dt: float, remedy: str) -> None:
     """Raises BadInput, at the scene's `field`, for more steps of dt [s] in a frame [s] than MOST_STEPS."""
     if frame > MOST_STEPS * dt:
-        value, limit = f"steps of {dt:.3g} s in frames of {frame:.3g} s", f"{MOST_STEPS:,} steps a frame"
-        error = BadInput("too many steps in a frame", value=value, limit=limit, remedy=remedy)
+        limit = f"{MOST_STEPS:,} steps a frame"
+        error = BadInput("too many steps in a frame", value=_said(dt, frame), limit=limit, remedy=remedy)
         raise loaded.at(field, error)

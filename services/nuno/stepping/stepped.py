@@ -8,33 +8,23 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
 from nuno.scene.scene_file import Loaded
 from nuno.words import factor
+from nuno_schemas.dye import DyeReport
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
+from nuno_schemas.system import StepReport
 
-
-class Report(Protocol):
-    """What a solver says of a frame."""
-
-    @property
-    def status(self) -> Literal["ok", "diverged", "unconverged"]: ...
-
-    @property
-    def message(self) -> str: ...
-
-    @property
-    def steps(self) -> int: ...
-
-    @property
-    def totals(self) -> Mapping[str, int]: ...
+Report = StepReport | DyeReport
+"""What a solver says of a frame."""
 
 
 @dataclass
@@ -171,6 +161,15 @@ class Stepper(ABC):
         start = time.perf_counter()
         self.step()
         return max(time.perf_counter() - start, 1e-9)
+
+
+def require_memory(loaded: Loaded, field: str, what: str, size: int, remedy: str) -> None:
+    """Raises BadInput, at the scene's `field`, for what takes more bytes than are free."""
+    available = psutil.virtual_memory().available
+    if size > available:
+        value, limit = f"{what}, about {size / 2**30:.1f} GiB", f"{available / 2**30:.1f} GiB are free"
+        error = BadInput("the scene does not fit in memory", value=value, limit=limit, remedy=remedy)
+        raise loaded.at(field, error)
 
 
 def hash_of(arrays: Iterable[NDArray[Any] | np.generic]) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from nuno.dye.painter import DyePainter, painter_of
+from nuno.dye.painter import DyePainter
 from nuno.scene.scene_file import Loaded
 from nuno.viewer import layout
 from nuno.wire.arrays import decode_arrays
@@ -139,7 +139,7 @@ class DyedCloth:
 def viewer_painter(loaded: Loaded) -> DyePainter:
     """The painter of a scene's dye for the viewer. Raises BadInput where it has none."""
     dressed = loaded.scene.dye is not None and loaded.scene.dye.object is not None
-    return painter_of(loaded, most=TEXTURE_PIXELS if dressed else MOST_PIXELS)
+    return DyePainter(loaded, most=TEXTURE_PIXELS if dressed else MOST_PIXELS)
 
 
 def about(scene: str, painter: DyePainter, shape: tuple[int, ...]) -> str:

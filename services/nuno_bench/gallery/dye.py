@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nuno.dye.painter import DyePainter, painter_of
+from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
@@ -12,7 +12,7 @@ from nuno_bench.gallery.dye_measures import Dyed, fixed_radius, follows, mottle,
 from nuno_bench.gallery.kind import Difference, Kind, Shown
 from nuno_bench.machine import cores
 from nuno_schemas.dye import Cells
-from nuno_schemas.dye_picture import Layers, Picture, amount_seen
+from nuno_schemas.dye_picture import Picture, amount_seen
 from nuno_schemas.look import DyeView
 
 SIDE = 480
@@ -59,9 +59,9 @@ def run_scene(path: Path) -> Shown:
     """Run one to its end, or to where it fails. Raises BadInput."""
     loaded = scene_file.read(path)
     name, frames = loaded.scene.name, loaded.scene.frames
-    run, painter = DyeRun(loaded, cores()), painter_of(loaded, SIDE)
+    run, painter = DyeRun(loaded, cores()), DyePainter(loaded, SIDE)
     cells = run.cells
-    painter.prepare(Layers(cells.fibre, cells.up, cells.v_max, cells.yarns, cells.photograph), cells.size)
+    painter.prepare(cells, cells.size)
     moments = MOMENTS.get(name, (frames,))
     pictures = [("at the start", _draw(painter, run))] if 0 in moments else []
     balance, failed = 0.0, ""

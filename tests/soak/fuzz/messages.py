@@ -15,7 +15,7 @@ from nuno.collision.service import Collision
 from nuno.draw.desk import Desk
 from nuno.draw.shown import see_scene
 from nuno.draw.sight import Board
-from nuno.dye.painter import painter_of
+from nuno.dye.painter import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
 from nuno.scene import scene_file, yaml_lines
@@ -130,7 +130,7 @@ def _message(name: str, folder: Path) -> Read:
 
     from nuno.viewer.bridge import Bridge
 
-    painter = painter_of(_loaded(DYED)) if name.startswith("dye/") else None
+    painter = DyePainter(_loaded(DYED)) if name.startswith("dye/") else None
     first = ("sim/fabric", "collision/geometry", "dye/cloth")
     before = [(other, payload) for other in first if other != name for payload in _payloads(other, folder)[:1]]
     recorder = topic_of(f"{name}/simulation" if name == EVENT.name else name)
