@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_cloth import BYTE, FLAT, INK, by_layer, cloth, draw_cloth, layers_of, spots, whole
+from drawn_cloth import BYTE, FLAT, INK, by_layer, cloth, draw_cloth, spots, whole
 from pydantic import ValidationError
 
 from nuno.scene.files import SceneFiles
@@ -156,7 +156,7 @@ def test_a_scale_of_one_shows_every_cell_as_it_is() -> None:
     cells = cloth(draw_plain())
     seen = spots(cells)
     light = mix(seen, [INK])
-    layer, _ = Shades(layers_of(cells), 1, FLAT).find(whole(cells))
+    layer, _ = Shades(cells, 1, FLAT).find(whole(cells))
     exact = np.where(layer[..., None] == 1, light[1], light[0])
     found = draw_cloth(cells, seen, texture=FLAT).astype(float)
     assert np.abs(found - 255.0 * to_srgb(exact)).max() <= BYTE
@@ -182,13 +182,13 @@ def test_colours_that_are_none_are_refused() -> None:
     for wrong in ({"light": "white"}, {"dark": "#12345"}, {"full": 0.0}, {"hue": 3}):
         with pytest.raises(ValidationError):
             DyeColour.model_validate(wrong)
-    assert isinstance(find_lays(layers_of(cloth(draw_plain())))[0], Lay)
+    assert isinstance(find_lays(cloth(draw_plain()))[0], Lay)
 
 
 def test_no_texture_is_colours_alone() -> None:
     cells = cloth(draw_twill(2, 1))
     plugin, seen = YarnsPicture(), spots(cells)
     how = YarnsConfig(texture=None)
-    prepared = plugin.prepare(how, SceneFiles(Path()), layers_of(cells), [INK], whole(cells), 2)
+    prepared = plugin.prepare(how, SceneFiles(Path()), cells, [INK], whole(cells), 2)
     assert np.array_equal(plugin.draw(prepared, seen), draw_cloth(cells, seen, 2, FLAT))
     assert (plugin.draw(prepared, 0.0 * seen) == 255).all()

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_cloth import cloth, layers_of, whole
+from drawn_cloth import cloth, whole
 
 from nuno_dye.cloths.woven import lay_evenly
 from nuno_dye.drafts.weaves import draw_plain
@@ -24,7 +24,7 @@ from nuno_dye.pictures.texture import (
 def test_shadow_and_holes_are_where_they_should_be() -> None:
     cells = cloth(draw_plain())
     texture = TextureConfig(depth=0, fibres=0, relief=0, bend=0, shadow=0.5, hole=0.25)
-    _, shade = Shades(layers_of(cells), 2, texture).find(whole(cells))
+    _, shade = Shades(cells, 2, texture).find(whole(cells))
     up = np.where(cells.up[1], cells.fibre[1], cells.fibre[0])
     expected = np.where(up, 1.0, np.where(cells.fibre.any(axis=0), 0.5, 0.25))
     assert np.array_equal(shade, np.repeat(np.repeat(expected, 2, 0), 2, 1))
@@ -98,10 +98,10 @@ def test_yarns_without_gaps_are_told_apart_by_their_lays() -> None:
         and np.array_equal(one[0], -one[0][::-1])
         and np.abs(one[0]).max() == pytest.approx(23 / 24)
     )
-    assert (look_across(find_lays(replace(layers_of(cells), yarns=None))[1], 4).width == 60.0).all()
+    assert (look_across(find_lays(replace(cells, yarns=None))[1], 4).width == 60.0).all()
     gapped = cloth(draw_plain(), 8, 2)
     for found, exact in zip(
-        find_lays(replace(layers_of(gapped), yarns=None)), (lay_evenly(8, 2, 40), lay_evenly(8, 2, 60)), strict=True
+        find_lays(replace(gapped, yarns=None)), (lay_evenly(8, 2, 40), lay_evenly(8, 2, 60)), strict=True
     ):
         assert np.array_equal(found.fibre, exact.fibre)
         assert np.array_equal(found.yarn[found.fibre], exact.yarn[exact.fibre])

@@ -21,7 +21,7 @@ from nuno.recording.restore import control_events
 from nuno.scene import scene_file
 from nuno.service import Context, Options
 from nuno.simulation.run import Simulation
-from nuno.stepping.publish import WINDOW
+from nuno.stepping.driver import WINDOW
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment
 from nuno.verify import verify

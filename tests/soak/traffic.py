@@ -20,7 +20,7 @@ import numpy as np
 from nuno.cli import main as nuno_main
 from nuno.recording import writer
 from nuno.service import ack_topic
-from nuno.stepping.publish import WINDOW
+from nuno.stepping.driver import WINDOW
 from nuno.wire.arrays import encode_points
 from nuno.wire.bus import Bus, Inbox, Message
 from nuno.wire.sessions import PATIENCE, identity, spoke

@@ -21,8 +21,7 @@ from nuno.service import Context
 from nuno.simulation.alter import name_of
 from nuno.simulation.run import Simulation
 from nuno.stepping.again import resume
-from nuno.stepping.driver import CONTROL, Driver
-from nuno.stepping.publish import WINDOW
+from nuno.stepping.driver import CONTROL, WINDOW, Driver
 from nuno.stepping.stepped import Report, Stepped
 from nuno.wire.arrays import encode_arrays
 from nuno_schemas.bodies import Poses

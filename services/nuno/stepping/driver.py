@@ -7,34 +7,44 @@ leader has finished, and acknowledges it as whatever must see every frame does, 
 from __future__ import annotations
 
 import time
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
 from pydantic import ValidationError
 
 from nuno.service import Context, ack_topic, asks_to_finish
-from nuno.stepping.publish import WINDOW, Publishing
-from nuno.stepping.stepped import Report, Stepper
+from nuno.stepping.stepped import Report, Stepped, Stepper
+from nuno.wire.arrays import encode_arrays
 from nuno.wire.bus import WAITING_AFTER, Inbox, Message
 from nuno.wire.question import Question
 from nuno.wire.sessions import PATIENCE
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import Ack, FrameStatus, Topic
+from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
 
+WINDOW = 4
+"""Frames that the steps may run ahead of a service that must see every one."""
 SAID_AGAIN_AFTER = 60.0
 """A run that waits again and again, as for a slow disk, says so this often [s]."""
 CONTROL = "control"
 OF_FOLLOWERS = ("status", "add")
+STATES = {"start": "running", "resume": "running", "pause": "paused", "stop": "stopped"}
+"""In which an action leaves a run."""
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
 
 
-class Driver(Publishing):
+class Driver(ABC):
     """Steps cloth or dye frame by frame, publishes it and answers control."""
+
+    every = 1
+    """Frames from one whose arrays are published to the next."""
 
     def __init__(self, context: Context, stepper: Stepper, follows: Topic | None = None) -> None:
         """`follows` is the topic of the leader's statuses, None for the leader."""
-        super().__init__(context, stepper)
+        self.context, self.stepper, self.scene = context, stepper, context.loaded.scene
+        self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
+        self.shown = self.kept = -1
+        """Frames of the last arrays that were published, and of the last checkpoint."""
         self.follows = follows
         self.due: list[int] = []
         """Frames that the leader has finished, which are still to be followed."""
@@ -56,6 +66,14 @@ class Driver(Publishing):
         """What else it can be asked, between frames."""
 
     @abstractmethod
+    def publish_constant(self) -> None:
+        """Tell what does not change from frame to frame."""
+
+    @abstractmethod
+    def status_of(self, frame: Stepped) -> dict[str, Any]:
+        """What the status says of a frame beside what every one says."""
+
+    @abstractmethod
     def facts(self, ended: str) -> dict[str, Any]:
         """What the report says of this service, beside `summary`."""
 
@@ -67,54 +85,81 @@ class Driver(Publishing):
         report: Report = frame.report
         return report
 
+    def publish(self, frame: Stepped, show: bool) -> None:
+        """A frame's status, and before it, where it is to be shown, its arrays."""
+        if show:
+            self.publish_arrays(frame.digest)
+        start, report, topic = time.perf_counter(), frame.report, self.stepper.status
+        status = STATUSES[topic.name](
+            frame=frame.number, t=self.stepper.t, digest=frame.digest, steps=report.steps, step_seconds=frame.seconds,
+            state="running" if report.status == "ok" else report.status, message=report.message,
+            **self.status_of(frame),
+        )  # fmt: skip
+        self.seconds["encoding"] += time.perf_counter() - start
+        self._put(topic, status.model_dump_json().encode(), frame.digest)
+
+    def publish_arrays(self, digest: str) -> None:
+        """The present state as float32."""
+        start = time.perf_counter()
+        payload = self.stepper.encode()
+        self.shown = self.stepper.frame
+        self.seconds["encoding"] += time.perf_counter() - start
+        self._put(self.stepper.published, payload, digest)
+
+    def _put(self, topic: Topic, payload: bytes, digest: str = "") -> None:
+        self.context.bus.publisher(topic).put(payload, self.stepper.frame, self.stepper.t, digest)
+
+    def keep(self) -> None:
+        """Publish a checkpoint: the whole float64 state, enough to go on from in the same bits.
+
+        The arrays of this frame are shown, too: a resumed run then shows what an unbroken one does.
+        """
+        point = self.stepper.keep()
+        if self.shown != point.frame:
+            self.publish_arrays(point.digest)
+        self._put(self.stepper.kept, encode_arrays(point.arrays, point.text), point.digest)
+        self.kept = point.frame
+
     def listen(self, timeout: float) -> None:
         """Handle one thing, if one comes in time: acknowledgements, control and the end come by one queue, in order."""
         item = self.inbox.get(timeout)
-        if isinstance(item, Message) and self.follows:
-            self.take_lead(item)
-        elif isinstance(item, Message):
+        if isinstance(item, Message):
             try:
-                ack = Ack.model_validate_json(item.payload)
+                if self.follows:
+                    self.due.append(FrameStatus.model_validate_json(item.payload).frame)
+                else:
+                    self._note(Ack.model_validate_json(item.payload), item)
             except ValidationError:
                 self.inbox.refuse(item)
-                return
-            if item.topic != ack_topic(ack.service).name or ack.frame > self.stepper.frame:
-                self.inbox.refuse(item)
-            elif ack.service in self.acked:
-                self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
         elif isinstance(item, Question) and item.name.startswith(CONTROL):
             item.answer_json(self.control(item.json()))
         elif isinstance(item, Question) and item.name in self.answers:
             item.answer(self.answers[item.name]())
-        elif isinstance(item, Question):
-            if asks_to_finish(self.inbox, item):
-                self.finish = item
+        elif isinstance(item, Question) and asks_to_finish(self.inbox, item):
+            self.finish = item
         elif timeout > 0 and self.context.orphaned():
             raise RunFailed("the supervisor has gone")
 
-    def control(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out one control request; the answer says what happened.
+    def _note(self, ack: Ack, message: Message) -> None:
+        if message.topic != ack_topic(ack.service).name or ack.frame > self.stepper.frame:
+            self.inbox.refuse(message)
+        elif ack.service in self.acked:
+            self.acked[ack.service] = max(self.acked[ack.service], ack.frame)
 
-        `left` are the frames after which a run that was told to step pauses again, 0 for none.
-        """
+    def control(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out one control request; the answer says what happened, and how many frames are `left`."""
         action, stepper = str(request.get("action")), self.stepper
         before, change = self.state, {}
         if self.follows and action not in OF_FOLLOWERS:
             return {"ok": False, "error": f"{self.context.bus.service} follows; known: {', '.join(OF_FOLLOWERS)}"}
-        if action in ("pause", "resume", "stop"):
-            self.until = None
-        if action in ("start", "resume"):
-            self.state = "running"
-        elif action == "pause":
-            self.state = "paused"
+        if action in STATES:
+            self.state, self.until = STATES[action], self.until if action == "start" else None
         elif action == "step":
             frames = request.get("frames", 1)
             if type(frames) is not int or not 1 <= frames <= self.scene.frames:
                 problem = f"step takes a number of frames, 1 to {self.scene.frames}: {frames!r:.60}"
                 return {"ok": False, "error": problem}
             self.state, self.until = "running", stepper.frame + frames
-        elif action == "stop":
-            self.state = "stopped"
         elif action in ("set", "add"):
             try:
                 change = (self.change if action == "set" else self.add)(str(request.get("item")))
@@ -127,15 +172,8 @@ class Driver(Publishing):
             args = {name: request[name] for name in ("item", "frames") if name in request}
             args |= {name: change.pop(name) for name in ("item",) if name in change}
             self.context.event("control", action, stepper.frame, stepper.t, **args)
-        return {
-            "ok": True,
-            "state": self.state,
-            "before": before,
-            "left": self.left,
-            "frame": stepper.frame,
-            "frames": self.scene.frames,
-            "t": stepper.t,
-        } | change
+        answer = {"ok": True, "state": self.state, "before": before, "left": self.left}
+        return answer | {"frame": stepper.frame, "frames": self.scene.frames, "t": stepper.t} | change
 
     @property
     def left(self) -> int:
@@ -160,8 +198,11 @@ class Driver(Publishing):
             while self.state == "paused" and self.finish is None and not self.due:
                 self.listen(0.5)
             begin = time.perf_counter()
-            run = self.follow if self.follows else self.run
-            ended = run() if self.finish is None else "failed"
+            ended = "failed"
+            if self.finish is None:
+                self.publish_constant()
+                self.publish(self.stepper.present(), show=True)
+                ended = self.follow() if self.follows else self.run()
             summary = self.summary(ended, time.perf_counter() - begin)
             if not self.follows:
                 self.context.event("end", ended, self.stepper.frame, self.stepper.t, summary=summary)
@@ -171,12 +212,14 @@ class Driver(Publishing):
 
     def run(self) -> str:
         """All frames; how it ended: done, stopped, diverged, unconverged or (asked to finish early) failed."""
-        self.publish_start()
         while not self.stepper.finished:
             self.listen(0)
             if self.context.orphaned():  # nobody would end what goes on, nor hear how it ended
                 raise RunFailed("the supervisor has gone")
-            self.stand_still()
+            start = time.perf_counter()
+            while self.state == "paused" and self.finish is None:
+                self.listen(0.5)
+            self.paused_seconds += time.perf_counter() - start
             if self.finish is not None or self.state == "stopped":
                 break
             status = self.one_frame().status
@@ -193,17 +236,9 @@ class Driver(Publishing):
         self.wait_for(self.stepper.frame)
         return "stopped" if self.state == "stopped" else "done"
 
-    def take_lead(self, message: Message) -> None:
-        """Note a frame that the leader has finished."""
-        try:
-            self.due.append(FrameStatus.model_validate_json(message.payload).frame)
-        except ValidationError:
-            self.inbox.refuse(message)
-
     def follow(self) -> str:
         """Every frame of the leader's until the end; how it ended. Raises RunFailed where a frame is amiss."""
         self.state = "running"
-        self.publish_start()
         while self.finish is None:
             while self.due and self.finish is None:
                 frame = self.due.pop(0)
@@ -221,13 +256,6 @@ class Driver(Publishing):
             self.keep()
         return "done"
 
-    def stand_still(self) -> None:
-        """Wait while the run is paused; that time is counted apart."""
-        start = time.perf_counter()
-        while self.state == "paused" and self.finish is None:
-            self.listen(0.5)
-        self.paused_seconds += time.perf_counter() - start
-
     def one_frame(self) -> Report:
         """Step, publish, and let nobody who must see it fall far behind."""
         report = self.step_frame()
@@ -235,14 +263,10 @@ class Driver(Publishing):
             self.totals[name] = self.totals.get(name, 0) + value
         self.message = report.message
         every, frame = self.scene.record.checkpoint_every, self.stepper.frame
-        if (
-            report.status == "ok"
-            and every is not None
-            and frame % self.scene.in_frames(every) == 0
-            and frame < self.scene.frames
-        ):
+        due = every is not None and frame % self.scene.in_frames(every) == 0
+        if due and report.status == "ok" and frame < self.scene.frames:
             self.keep()
-        self.wait_for(self.shown_until(frame - WINDOW))
+        self.wait_for((frame - WINDOW) // self.every * self.every)  # those between are not all acknowledged
         return report
 
     def wait_for(self, frame: int) -> None:
@@ -268,19 +292,9 @@ class Driver(Publishing):
 
     def summary(self, ended: str, wall: float) -> dict[str, Any]:
         """What the report says of this service."""
-        return {
-            "state": ended,
-            "message": self.message,
-            "frame": self.stepper.frame,
-            "t": self.stepper.t,
-            "began": self.begin,
-            "simulated_seconds": self.stepper.t - self.begin,
-            "digest": self.stepper.digest(),
-            "wall_seconds": wall - self.paused_seconds,
-            "paused_seconds": self.paused_seconds,
-            "seconds": self.seconds,
-            "totals": self.totals,
-            "steps_per_frame": self.stepper.steps,
-            "dt": self.stepper.dt,
-            "threads": self.stepper.about(),
-        } | self.facts(ended)
+        stepper, paused = self.stepper, self.paused_seconds
+        end = {"state": ended, "message": self.message, "frame": stepper.frame, "t": stepper.t}
+        times = {"began": self.begin, "simulated_seconds": stepper.t - self.begin, "wall_seconds": wall - paused}
+        steps = {"steps_per_frame": stepper.steps, "dt": stepper.dt, "threads": stepper.about(), "totals": self.totals}
+        both = {"digest": stepper.digest(), "paused_seconds": paused, "seconds": self.seconds}
+        return end | times | steps | both | self.facts(ended)
