@@ -15,7 +15,7 @@ import zenoh
 
 from nuno.scene.files import stamp_of
 from nuno.scene.override import item_at, number_or_name, parts_of
-from nuno.scene.provenance import assets, chosen_by, plugins, versions
+from nuno.scene.provenance import assets, plugins, versions
 from nuno.scene.scene_file import Loaded
 from nuno.wire.bus import Bus
 from nuno.wire.question import Question
@@ -41,7 +41,7 @@ whether it `resumes`; and whether solver and step are `decided`, which not every
 def premises_of(loaded: Loaded, resumes: bool) -> Premises:
     """Those of a service that has read this scene. Raises BadInput for a file that has changed since, or is gone."""
     scene = loaded.scene.model_dump(mode="json")
-    for chosen in (*chosen_by(loaded), *filter(None, [loaded.yarn_picture])):
+    for chosen in loaded.chosen:
         # What a plugin is given stands in the scene as it was written: 10 cm here, 0.1 there.
         place = tuple(map(number_or_name, parts_of(chosen.field)))
         item_at(scene, place).update(chosen.config.model_dump(mode="json"))

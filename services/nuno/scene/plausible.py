@@ -8,7 +8,6 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from nuno.scene.provenance import chosen_by
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import Path, dotted
 from nuno_schemas.units import Plausible, to_si
@@ -22,7 +21,7 @@ Found = tuple[Path, float, Plausible]
 def implausible_numbers(loaded: Loaded) -> list[str]:
     """Warnings of the scene's bare numbers beyond what its types of quantities declare (`nuno_schemas.units`)."""
     told = [_words("", *found) for found in _in_model(loaded.data, loaded.scene)]
-    for chosen in (*chosen_by(loaded), *filter(None, [loaded.yarn_picture])):
+    for chosen in loaded.chosen:
         told += [_words(f"{chosen.field}.", *found) for found in _in_model(chosen.given, chosen.config)]
     return told if len(told) <= MOST else [*told[:MOST], f"and {len(told) - MOST:,} more bare numbers are implausible"]
 

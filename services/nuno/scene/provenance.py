@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from nuno import registry
-from nuno.scene.scene_file import Chosen, Loaded
+from nuno.scene.scene_file import Loaded
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
 
@@ -52,7 +52,7 @@ def processor() -> str:
 
 def plugins(loaded: Loaded) -> dict[str, str]:
     """`group/name` of every plugin in the scene -> package and version that provides it."""
-    return {f"{c.group}/{c.name}": registry.package_version(c.group, c.name) for c in chosen_by(loaded)}
+    return {f"{c.group}/{c.name}": registry.package_version(c.group, c.name) for c in loaded.chosen}
 
 
 def assets(loaded: Loaded) -> dict[str, Path]:
@@ -62,7 +62,7 @@ def assets(loaded: Loaded) -> dict[str, Path]:
     models would tell exactly, but costs their memory a second time; a string that happens to
     name a file beside the scene only adds that file.
     """
-    for chosen in chosen_by(loaded):
+    for chosen in loaded.chosen:
         for text in _strings(chosen.config.model_dump()):
             with contextlib.suppress(BadInput, OSError, ValueError):
                 loaded.files.resolve(text)
@@ -78,20 +78,3 @@ def _strings(value: object) -> Iterator[str]:
     elif isinstance(value, list | tuple):
         for item in value:
             yield from _strings(item)
-
-
-def chosen_by(loaded: Loaded) -> list[Chosen]:
-    """The plugins of a scene that can change a result."""
-    motions = [motion for motion in loaded.motions if motion is not None]
-    dye = loaded.dye.plugins if loaded.dye is not None else []
-    own = [loaded.integrator] if loaded.scene.moves else []
-    return [
-        *loaded.models,
-        *own,
-        *dye,
-        *loaded.colliders,
-        *loaded.forces,
-        *loaded.operations,
-        *motions,
-        *loaded.contacts,
-    ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
@@ -53,11 +52,6 @@ class ChosenDye:
     isotherms: list[Chosen | None]
     picture: Chosen
 
-    @property
-    def plugins(self) -> list[Chosen]:
-        """All of them."""
-        return [self.cloth, self.solver, self.picture, *(law for law in self.isotherms if law is not None)]
-
 
 @dataclass
 class Loaded:
@@ -78,6 +72,8 @@ class Loaded:
     forces: list[Chosen]
     contacts: list[Chosen]
     """Of each body: its own, or the scene's."""
+    chosen: list[Chosen]
+    """All plugins of the scene, each once."""
     operations: list[Chosen] = field(default_factory=list)
     dye: ChosenDye | None = None
     yarn_picture: Chosen | None = None
@@ -250,7 +246,16 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
     except ValidationError as error:
         raise explain(error, data, (), file, lines, Scene) from None
 
-    chosen = partial(choose_plugin, file=file, lines=lines)
+    all_chosen: list[Chosen] = []
+
+    def chosen(group: str, choice: Choice, place: yaml_lines.Path) -> Chosen:
+        all_chosen.append(choose_plugin(group, choice, place, file, lines))
+        return all_chosen[-1]
+
+    operations = [
+        choose_operation(applied, ("operations", i), file, lines, files) for i, applied in enumerate(scene.operations)
+    ]
+    all_chosen += operations
     return Loaded(
         scene,
         data,
@@ -265,10 +270,8 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
             for i, b in enumerate(scene.bodies)
         ],
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
-        operations=[
-            choose_operation(applied, ("operations", i), file, lines, files)
-            for i, applied in enumerate(scene.operations)
-        ],
+        operations=operations,
+        chosen=all_chosen,
         contacts=_contacts(scene, chosen),
         dye=_chosen_dye(scene.dye, chosen) if scene.dye is not None else None,
         yarn_picture=chosen("nuno.yarn_pictures", scene.view.yarns, ("view", "yarns")) if scene.view.yarns else None,
