@@ -7,10 +7,9 @@ from typing import Annotated
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_schemas.parts import Part
+from nuno_schemas.parts import Metres, Part
 from nuno_schemas.units import quantity
 
-Metres = Annotated[float, quantity("m")]
 Number = Annotated[float, quantity("")]
 Weight = Annotated[float, quantity("", ge=0, le=1)]
 

@@ -7,12 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_schemas.parts import Choice, Colour, Part
+from nuno_schemas.parts import Choice, Colour, Interval, Metres, Part
 from nuno_schemas.units import quantity
 
 Amount = Annotated[float, quantity("", gt=0)]
-Interval = Annotated[float, quantity("s", gt=0)]
-Metres = Annotated[float, quantity("m")]
 
 YARNS = "yarns"
 """The plugin that draws where a scene names none."""

@@ -1,4 +1,4 @@
-"""What the parts of a scene are made of: names, colours, and choices of a plugin."""
+"""What the parts of a scene are made of: names, colours, quantities that several have, and choices of a plugin."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
+
+from nuno_schemas.units import quantity
+
+Interval = Annotated[float, quantity("s", gt=0)]
+Metres = Annotated[float, quantity("m")]
 
 
 def _written(pattern: str, problem: str) -> Any:

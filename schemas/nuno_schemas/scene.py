@@ -9,8 +9,8 @@ from pydantic_core import PydanticCustomError
 
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import nearest
-from nuno_schemas.parts import Choice, Colour, Name, Part, require_distinct
-from nuno_schemas.solver import AUTO, Accuracy, Interval, Solver
+from nuno_schemas.parts import Choice, Colour, Interval, Name, Part, require_distinct
+from nuno_schemas.solver import AUTO, Accuracy, Solver
 from nuno_schemas.units import Plausible, quantity
 from nuno_schemas.view import View
 

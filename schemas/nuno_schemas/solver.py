@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_schemas.parts import Choice
-from nuno_schemas.units import quantity
-
-Interval = Annotated[float, quantity("s", gt=0)]
+from nuno_schemas.parts import Choice, Interval
 
 AUTO = "auto"
 """The solver that is chosen for the scene, with its step."""

@@ -6,13 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from nuno_schemas.parts import Choice, Part
+from nuno_schemas.parts import Choice, Interval, Metres, Part
 from nuno_schemas.units import quantity
 
 Angle = Annotated[float, quantity("rad")]
 Distance = Annotated[float, quantity("m", gt=0)]
-Metres = Annotated[float, quantity("m")]
-Every = Annotated[float, quantity("s", gt=0)]
 
 Vector = tuple[Metres, Metres, Metres]
 Pixels = Annotated[int, Field(ge=16, le=8192)]
@@ -33,7 +31,7 @@ class View(Part):
     yarns: Choice | None = Field(
         default=None, description="how `nuno export --style` and `pictures` draw yarns: a plugin and its fields"
     )
-    pictures: Every | Literal["end"] | None = Field(
+    pictures: Interval | Literal["end"] | None = Field(
         default=None,
         description="yarns drawn by rays while the scene runs, shown and recorded: at this interval [s], beside those "
         "of the first and the last frame, or at the end alone; left out: none",
