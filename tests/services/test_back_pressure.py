@@ -15,7 +15,6 @@ from live_run import wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.collision import ask
 from nuno.collision.service import Collision
 from nuno.recording.service import Recorder
 from nuno.scene import scene_file
@@ -152,7 +151,7 @@ def test_a_slow_collision_service_is_waited_for(
 ) -> None:
     monkeypatch.setattr("nuno.wire.bus.WAITING_AFTER", 0.2)
     monkeypatch.setattr(driver, "WAITING_AFTER", 0.2)
-    monkeypatch.setattr(ask, "PATIENCE", 1.0)
+    monkeypatch.setattr("nuno.simulation.service.PATIENCE", 1.0)
     real = Collision.poses
 
     def slow(collision: Collision, frame: int) -> object:

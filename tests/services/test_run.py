@@ -16,11 +16,11 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.collision.ask import ask_poses
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file
 from nuno.service import Context, Options
 from nuno.simulation.run import Simulation
+from nuno.simulation.service import ask_poses
 from nuno.stepping.driver import WINDOW
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Deployment

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections import deque
@@ -16,7 +17,7 @@ from nuno.cloth.pressure import find_pressure, has_pressure
 from nuno.cloth.tension import tension_arrays
 from nuno.cloth.worn import start_warnings
 from nuno.cloth.yarns import edge_yarns, measure_courses, measure_yarns, structural_edges
-from nuno.collision.ask import ask_geometry, ask_poses
+from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, decode_geometry, decode_poses
 from nuno.service import Context
 from nuno.simulation.alter import name_of
 from nuno.simulation.run import Simulation
@@ -24,7 +25,8 @@ from nuno.stepping.again import resume
 from nuno.stepping.driver import CONTROL, WINDOW, Driver
 from nuno.stepping.stepped import Report, Stepped
 from nuno.wire.arrays import encode_arrays
-from nuno_schemas.bodies import Poses
+from nuno.wire.sessions import PATIENCE
+from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import FABRIC
 from nuno_schemas.system import StepReport
@@ -198,6 +200,32 @@ def _changes_cloth(item: object) -> bool:
         return name_of(str(item)) in registry.installed("nuno.operations")
     except BadInput:
         return False
+
+
+def ask_poses(context: Context, frame: int) -> Callable[[], Poses]:
+    """Ask for a frame's poses now; the function that is returned waits for them, and says so where it takes long.
+
+    The service answers between two measurements, which on a busy machine take their time; and what is asked ahead
+    waits while the cloth steps. A service that dies is noticed by whoever supervises it.
+    """
+
+    def slow() -> None:
+        limit = f"given up after {PATIENCE:g} s"
+        context.event("warning", f"waiting for the collision service: no bodies of frame {frame} yet ({limit})")
+
+    answer = context.bus.ask_ahead(POSES_QUESTION, json.dumps({"frame": frame}).encode(), PATIENCE, slow)
+    return lambda: decode_poses(answer())
+
+
+def ask_geometry(context: Context) -> Geometry:
+    """The bodies of a run, once their service is there. Raises RunFailed if it does not come.
+
+    How long that may take is for the supervisor to say, who then goes: a distance field may have to be built there.
+    """
+    while context.watch.wait_for({"collision"}, 0.1):
+        if context.orphaned():
+            raise RunFailed("the supervisor has gone")
+    return decode_geometry(context.bus.ask(GEOMETRY_QUESTION))
 
 
 def main(context: Context) -> None:
