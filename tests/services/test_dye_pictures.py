@@ -132,7 +132,7 @@ def test_an_mp4_has_even_sides(recording: Path, tmp_path: Path) -> None:
         (["--png", "out.png", "--set", "dye.picture.grund='#ffffff'"], ["dye.picture.grund", "did you mean 'ground'"]),
         (["--png", "out.jpg"], ["the name must end in .png"]),
         (["--gif", "out.gif", "--fps", "0"], ["--fps", "1 to 240"]),
-        (["--rrd", "out.mcap"], ["--rrd", "ends in .rrd"]),
+        (["--rrd", "out.mcap"], ["--rrd", "must end in .rrd"]),
     ],
 )
 def test_what_makes_no_sense_is_refused_before_any_file_is_written(
