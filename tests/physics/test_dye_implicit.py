@@ -20,6 +20,7 @@ ONES = np.ones((2, 3, 3))
 SCHEMES = {"sdirk2": 2, "backward_euler": 1}
 
 
+@pytest.mark.quick(name=["langmuir"], supplied=[True])
 @pytest.mark.parametrize("name", ISOTHERMS)
 @pytest.mark.parametrize("supplied", [False, True])
 def test_steps_come_to_the_explicit_solvers_amounts_as_they_shrink(name: str, supplied: bool) -> None:
@@ -39,6 +40,7 @@ def test_steps_come_to_the_explicit_solvers_amounts_as_they_shrink(name: str, su
     assert max(np.abs(second.phi - other.phi).max(), np.abs(second.fixed - other.fixed).max()) < 2e-3
 
 
+@pytest.mark.quick(name=["langmuir"])
 @pytest.mark.parametrize("name", LAWS)
 def test_long_steps_are_accurate_beside_a_kept_up_drop(name: str) -> None:
     """As in the dye paper's figure 9, smaller: 50 steps for 4,000 explicit ones."""

@@ -39,7 +39,6 @@ def test_diffusion_is_of_the_solvers_order(name: str) -> None:
     assert name != "rkl2" or errors[-1] < 2e-6
 
 
-@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 def test_a_sheet_takes_up_from_a_bath_as_the_closed_form_says(name: str) -> None:
     """M_t / M_inf = 1 - 8 / pi^2 sum exp(-D (2 n + 1)^2 pi^2 t / 4 l^2) / (2 n + 1)^2, both faces kept up."""
@@ -59,7 +58,6 @@ def test_a_sheet_takes_up_from_a_bath_as_the_closed_form_says(name: str) -> None
         assert report.supplied[0] == pytest.approx(end.phi.sum(), rel=1e-13)
 
 
-@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 @pytest.mark.parametrize("kept_up", [False, True])
 def test_fibre_takes_dye_with_second_order_up_to_its_limit(name: str, kept_up: bool) -> None:
@@ -80,6 +78,7 @@ def test_fibre_takes_dye_with_second_order_up_to_its_limit(name: str, kept_up: b
     assert end.fixed == pytest.approx(0.5 * end.phi / (1.0 + end.phi), rel=1e-9)
 
 
+@pytest.mark.quick(law=["langmuir"])
 @pytest.mark.parametrize("name", LONG)
 @pytest.mark.parametrize("law", ["partition", "freundlich", "langmuir"])
 def test_fibre_in_a_bath_comes_to_its_limit_and_not_beyond(name: str, law: str) -> None:
@@ -118,7 +117,6 @@ def test_dye_is_kept_and_no_cell_holds_less_than_none_or_more_than_it_can(
     assert system.supply is None or (end.phi >= system.supply).all()
 
 
-@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 def test_what_is_legal_but_extreme_is_done(name: str) -> None:
     base = random_cells(14, 13)
@@ -140,7 +138,6 @@ def test_what_is_legal_but_extreme_is_done(name: str) -> None:
             assert end.phi.min() >= 0.0 and (end.phi[0] <= cells.mobile_room).all(), case
 
 
-@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 def test_full_resist_lets_nothing_through(name: str) -> None:
     cells = resisted(16, 20)

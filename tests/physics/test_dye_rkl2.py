@@ -48,6 +48,7 @@ def test_a_point_spreads_as_the_closed_form_says() -> None:
     assert errors[1] < 0.01 and errors[0] / errors[1] > 3.0
 
 
+@pytest.mark.quick(name=["langmuir"], supplied=[True])
 @pytest.mark.parametrize("name", ISOTHERMS)
 @pytest.mark.parametrize("supplied", [False, True])
 def test_the_explicit_solver_comes_to_it_as_its_steps_shrink(name: str, supplied: bool) -> None:
@@ -67,6 +68,7 @@ def test_the_explicit_solver_comes_to_it_as_its_steps_shrink(name: str, supplied
     assert max(np.abs(longer.phi - ours.phi).max(), np.abs(longer.fixed - ours.fixed).max()) < 0.02
 
 
+@pytest.mark.quick(name=["langmuir"])
 @pytest.mark.parametrize("name", ["partition", "langmuir"])
 def test_what_fibre_fixes_while_a_drop_spreads_falls_with_finer_starts(name: str) -> None:
     """A drop put once, one step: fibre keeps what it takes at each place while dye passes."""

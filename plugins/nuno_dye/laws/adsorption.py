@@ -35,10 +35,11 @@ class Law(NamedTuple):
 
 
 class Uptake(NamedTuple):
-    """What fibre has taken and may take, in bands as in nuno_dye.solvers.diffusion.Bands.
+    """What fibre has taken and may take, (2 r, w) each, or that of bands (b, 2 r, w) as in
+    nuno_dye.solvers.diffusion.Bands.
 
-    fixed  (b, 2 r, w)  fixed amounts A
-    fibre  (b, 2 r, w)  capacity V_d for fixed dye, 0 in gaps
+    fixed  fixed amounts A
+    fibre  capacity V_d for fixed dye, 0 in gaps
     kind, first, second, rate  as in Law
     """
 

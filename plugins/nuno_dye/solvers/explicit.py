@@ -36,7 +36,7 @@ from nuno_dye.solvers.solving import (
     require_laws,
     use_threads,
 )
-from nuno_dye.solvers.upkeep import Upkeep, begin_upkeep, make_upkeep, sum_given
+from nuno_dye.solvers.upkeep import Upkeep, sum_compensated
 from nuno_schemas.dye import Cells, DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.plugin import Config
@@ -96,8 +96,13 @@ def _upkeep(work: ExplicitWork, k: int, cut: Cut) -> Upkeep | None:
     if work.known.floors is None or not work.known.floors[k].any():
         return None
     if (k, cut.ghost) not in work.fed:
-        work.fed[k, cut.ghost] = make_upkeep(cut.fill(work.known.floors[k])[0])
-    return begin_upkeep(work.fed[k, cut.ghost])
+        floor = cut.fill(work.known.floors[k])[0]
+        rows = floor.reshape(floor.shape[0], 2, -1, floor.shape[2]).max(axis=(1, 3)) > 0.0
+        work.fed[k, cut.ghost] = Upkeep(floor, np.zeros_like(floor), np.zeros_like(floor), rows)
+    upkeep = work.fed[k, cut.ghost]
+    upkeep.given.fill(0.0)
+    upkeep.lost.fill(0.0)
+    return upkeep
 
 
 def _uptake(work: ExplicitWork, k: int, cut: Cut, scale: float) -> Uptake | None:
@@ -135,7 +140,8 @@ def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: fl
             read_bands(bands, uptake.fixed, fixed)
     if upkeep is None:
         return 0.0
-    return sum_given(*(read_bands(bands, values, np.empty(phi.shape)) for values in (upkeep.given, upkeep.lost)))
+    given, lost = (read_bands(bands, part, np.empty(phi.shape)) for part in (upkeep.given, upkeep.lost))
+    return sum_compensated(np.concatenate([given.reshape(-1), -lost.reshape(-1)]))
 
 
 def _layout(work: ExplicitWork, k: int, limited: bool, dt: float, scale: float, number: int) -> Bands | DyeBands:

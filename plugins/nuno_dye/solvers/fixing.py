@@ -9,11 +9,11 @@ or, where phi is kept up, A_d(phi). It is never more than D_ab allows in the ste
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from numba import prange
 
-from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, Law, limit_of, may_bind
+from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, Law, Uptake, limit_of, may_bind
 from nuno_dye.solvers.diffusion import LEFT, Rows
 from nuno_kernels import kernel, parallel_kernel
 from nuno_kernels.lanes.choose import higher, lower
@@ -22,17 +22,6 @@ from nuno_schemas.fabric import Float
 
 ROUNDS = 60
 """Newton steps at most; five or six do."""
-
-
-class Taking(NamedTuple):
-    """What fibre takes in a long step: fixed dye at its start and room V_d, (2 r, w) each, and the fields of Law."""
-
-    start: Float
-    fibre: Float
-    kind: int
-    first: float
-    second: float
-    rate: float
 
 
 @kernel
@@ -93,11 +82,11 @@ def limit_within(law: Law, total: float, room: float) -> float:
 
 @kernel
 def settle_row(
-    phi: Float, before: Float, fixed: Float, taking: Taking, floor: Float, row: int, nx: int, pace: float
+    phi: Float, before: Float, fixed: Float, begun: Uptake, floor: Float, row: int, nx: int, pace: float
 ) -> None:
-    """Bring a row's fixed dye to its limit; `before` is mobile dye at the step's start."""
-    held, fibre = taking.start, taking.fibre
-    law = Law(taking.kind, taking.first, taking.second, taking.rate)
+    """Bring a row's fixed dye to its limit; `before` is mobile dye at the step's start, `begun` fixed dye there."""
+    held, fibre = begun.fixed, begun.fibre
+    law = Law(begun.kind, begun.first, begun.second, begun.rate)
     for c in range(LEFT, LEFT + nx):
         there, found, room = phi[row, c], fixed[row, c], fibre[row, c]
         if not (there > found and room > found):
@@ -115,42 +104,42 @@ def settle_row(
 
 @parallel_kernel
 def settle_bands(
-    cuts: Rows, phi: Float, before: Float, fixed: Float, taking: Taking, floor: Float, nx: int, pace: float
+    cuts: Rows, phi: Float, before: Float, fixed: Float, begun: Uptake, floor: Float, nx: int, pace: float
 ) -> None:
     """Settle all rows of both layers, (2 r, w)."""
     r = phi.shape[0] // 2
     for b in prange(cuts.shape[0] - 1):
         for row in range(cuts[b], cuts[b + 1]):
             for layer in range(2):
-                settle_row(phi, before, fixed, taking, floor, row + layer * r, nx, pace)
+                settle_row(phi, before, fixed, begun, floor, row + layer * r, nx, pace)
 
 
 @kernel
-def bound_row(phi: Float, before: Float, fixed: Float, taking: Taking, floor: Float, row: int, nx: int) -> None:
+def bound_row(phi: Float, before: Float, fixed: Float, begun: Uptake, floor: Float, row: int, nx: int) -> None:
     """Bring a row's fixed dye between that at the start and what was allowed; the rest is mobile again.
 
     What is allowed is A_d of the more mobile dye of the step's start and its end. Stages swing about a limit that
     they come to by 2 rho dt / s^2 (Legendre's polynomials), 5 % of it where the first half hour fills fibre.
     """
-    held, fibre = taking.start, taking.fibre
-    law = Law(taking.kind, taking.first, taking.second, taking.rate)
+    held, fibre = begun.fixed, begun.fibre
+    law = Law(begun.kind, begun.first, begun.second, begun.rate)
     for c in range(LEFT, LEFT + nx):
         least, there = held[row, c], phi[row, c] + fixed[row, c]
         found = min(max(fixed[row, c], least), max(fibre[row, c], least))
         if found > least:
-            room, begun = fibre[row, c], max(before[row, c], floor[row, c])
-            if found > limit_beside(law, max(begun, there - found), room):
-                limit = limit_beside(law, begun, room)
+            room, most = fibre[row, c], max(before[row, c], floor[row, c])
+            if found > limit_beside(law, max(most, there - found), room):
+                limit = limit_beside(law, most, room)
                 limit = max(limit, limit_within(law, max(there, 0.0), room))
                 found = min(found, max(limit, least))
         phi[row, c], fixed[row, c] = there - found, found
 
 
 @parallel_kernel
-def bound_bands(cuts: Rows, phi: Float, before: Float, fixed: Float, taking: Taking, floor: Float, nx: int) -> None:
+def bound_bands(cuts: Rows, phi: Float, before: Float, fixed: Float, begun: Uptake, floor: Float, nx: int) -> None:
     """Bound all rows of both layers, (2 r, w)."""
     r = phi.shape[0] // 2
     for b in prange(cuts.shape[0] - 1):
         for row in range(cuts[b], cuts[b + 1]):
             for layer in range(2):
-                bound_row(phi, before, fixed, taking, floor, row + layer * r, nx)
+                bound_row(phi, before, fixed, begun, floor, row + layer * r, nx)

@@ -6,19 +6,18 @@ with weights w, f the factor of the face's receiver, and A what fibre holds at p
 
     A(phi) = max(A_0, min(V_d, A_d(phi), max(A_b, (A_b + rho phi) / (1 + rho))))
 
-A_0 is fixed dye at the step's start, A_b where the stage begins, rho = D_ab dt / d^2: within its limit fibre takes
-rho (phi - A)^+, and it gives nothing back. A grows with phi, so that there is one root, and which of its pieces holds
-it is found by trying them.
+A_0 is fixed dye at the step's start (`least`), A_b where the stage begins (`fixed` of its Uptake), rho = D_ab dt / d^2:
+within its limit fibre takes rho (phi - A)^+, and it gives nothing back. A grows with phi, so that there is one root,
+and which of its pieces holds it is found by trying them.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, PARTITION, Law
+from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, PARTITION, Law, Uptake
 from nuno_dye.laws.potential import Curve, amount, potential
 from nuno_dye.solvers.fixing import limit_beside
 from nuno_dye.solvers.upkeep import sum_compensated
@@ -31,32 +30,14 @@ BENDS = 60
 """Newton steps at most where D falls with dye; one to eight do."""
 
 
-class Fibre(NamedTuple):
-    """What fibre holds in a stage, (2 r, w) each, and its law.
-
-    least  A_0, at the step's start
-    begun  A_b, where the stage begins
-    room   V_d
-    kind, first, second, rate  as in nuno_dye.laws.adsorption.Law, of the stage
-    """
-
-    least: Float
-    begun: Float
-    room: Float
-    kind: int
-    first: float
-    second: float
-    rate: float
-
-
 @kernel
-def held_at(x: float, fibre: Fibre, at: int, c: int) -> float:
+def held_at(x: float, least: float, uptake: Uptake, at: int, c: int) -> float:
     """A at mobile dye x."""
-    begun, room, rate = fibre.begun[at, c], fibre.room[at, c], fibre.rate
+    begun, room, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
     free = max(begun, (begun + rate * x) / (1.0 + rate))
-    law = Law(fibre.kind, fibre.first, fibre.second, rate)
+    law = Law(uptake.kind, uptake.first, uptake.second, rate)
     limit = min(limit_beside(law, max(x, 0.0), room), room)
-    held: float = max(fibre.least[at, c], min(limit, free))
+    held: float = max(least, min(limit, free))
     return held
 
 
@@ -83,12 +64,12 @@ def solve_limit(law: Law, total: float, ways: float, room: float) -> float:
 
 
 @kernel
-def solve_cell(total: float, ways: float, fibre: Fibre | None, at: int, c: int) -> float:
+def solve_cell(total: float, ways: float, least: float, uptake: Uptake | None, at: int, c: int) -> float:
     """The x with ways x + A(x) - A_b = total."""
-    if fibre is None or fibre.room[at, c] <= fibre.least[at, c]:
+    if uptake is None or uptake.fibre[at, c] <= least:
         return total / ways
-    begun, least, room, rate = fibre.begun[at, c], fibre.least[at, c], fibre.room[at, c], fibre.rate
-    law = Law(fibre.kind, fibre.first, fibre.second, rate)
+    begun, room, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
+    law = Law(uptake.kind, uptake.first, uptake.second, rate)
     x: float = total / ways
     if x > begun:
         x = (total + begun * rate / (1.0 + rate)) / (ways + rate / (1.0 + rate))
@@ -109,7 +90,7 @@ def solve_cell(total: float, ways: float, fibre: Fibre | None, at: int, c: int) 
 
 @kernel
 def solve_level(
-    total: float, ways: float, near: float, curve: Curve | None, fibre: Fibre | None, at: int, c: int
+    total: float, ways: float, near: float, curve: Curve | None, least: float, uptake: Uptake | None, at: int, c: int
 ) -> float:
     """The level G(x) with x + (ways - 1) G(x) + A(x) - A_b = total, `near` being a level close to it.
 
@@ -117,11 +98,12 @@ def solve_level(
     no greater than the one sought, and from below it each of Newton's steps comes nearer.
     """
     if curve is None:
-        return solve_cell(total, ways, fibre, at, c)
+        return solve_cell(total, ways, least, uptake, at, c)
     x, level, through = amount(near, curve), near, ways - 1.0
     for _ in range(BENDS):
         slope = curve.cap if not x > curve.knee else curve.phi0 / x
-        before, x = x, solve_cell(total - through * (level - slope * x), 1.0 + through * slope, fibre, at, c)
+        beyond = total - through * (level - slope * x)
+        before, x = x, solve_cell(beyond, 1.0 + through * slope, least, uptake, at, c)
         level = potential(x, curve)
         # What is left is of the order of the step's square.
         if not abs(x - before) > 1e-8 * abs(x) or max(before, x) <= curve.knee:

@@ -25,9 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import prange
 
+from nuno_dye.laws.adsorption import Uptake
 from nuno_dye.laws.potential import Curve, amount
 from nuno_dye.solvers.diffusion import LEFT, Rows
-from nuno_dye.solvers.implicit_cell import Fibre, held_at, solve_level
+from nuno_dye.solvers.implicit_cell import held_at, solve_level
 from nuno_kernels import kernel, parallel_kernel
 from nuno_schemas.fabric import Float
 
@@ -39,8 +40,9 @@ class Stage(NamedTuple):
     """One dye in a stage, (2 r, w) each, weft rows before warp rows.
 
     level    G of mobile dye (nuno_dye.laws.potential), from a first guess to the solution
-    passed   f, any where nothing can be limited
+    passed   f, 1 where nothing can be limited
     begun    b
+    least    fixed dye at the step's start
     floor    G of what is kept up, 0 where nothing is
     along, down, across  weights of the faces
     """
@@ -48,6 +50,7 @@ class Stage(NamedTuple):
     level: Float
     passed: Float
     begun: Float
+    least: Float
     floor: Float
     along: Float
     down: Float
@@ -56,9 +59,10 @@ class Stage(NamedTuple):
 
 @kernel
 def root_among(
-    stage: Stage, curve: Curve | None, fibre: Fibre | None, row: int, layer: int, c: int
+    stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, row: int, layer: int, c: int
 ) -> tuple[float, float]:
-    """Root of a cell's equation with f = 1 for itself, and the sum of its ways there.
+    """Root of a cell's equation with f = 1 for itself, and the sum of its ways there; `most` is None where nothing can
+    be limited.
 
     What flows out goes by the others' factors, so that the sum of ways falls where the cell rises above one: the
     equation is concave, Newton's steps from below its root stay below, and each passes another cell. One step alone
@@ -72,7 +76,7 @@ def root_among(
     p_0, p_1, p_2, p_3 = level[at, c + 1], level[at, c - 1], level[at + 1, c], level[at - 1, c]
     f_0, f_1, f_2, f_3 = passed[at, c + 1], passed[at, c - 1], passed[at + 1, c], passed[at - 1, c]
     p_4, f_4, begun, ways = level[other, c], passed[other, c], stage.begun[at, c], 1.0
-    limited = f_0 + f_1 + f_2 + f_3 + f_4 < 5.0
+    limited = False if most is None else f_0 + f_1 + f_2 + f_3 + f_4 < 5.0
     for _ in range(CROSSINGS):
         g_0 = east if p_0 > x or not limited else east * f_0
         g_1 = west if p_1 > x or not limited else west * f_1
@@ -81,31 +85,13 @@ def root_among(
         g_4 = through if p_4 > x or not limited else through * f_4
         ways = 1.0 + (((g_0 + g_1) + (g_2 + g_3)) + g_4)
         total = begun + (((g_0 * p_0 + g_1 * p_1) + (g_2 * p_2 + g_3 * p_3)) + g_4 * p_4)
-        before, x = x, solve_level(total, ways, x, curve, fibre, at, c)
+        before, x = x, solve_level(total, ways, x, curve, stage.least[at, c], uptake, at, c)
         low, high = min(before, x), max(before, x)
         if not limited or not (
             low < p_0 <= high or low < p_1 <= high or low < p_2 <= high or low < p_3 <= high or low < p_4 <= high
         ):
             break
     return x, ways
-
-
-@kernel
-def root_open(
-    stage: Stage, curve: Curve | None, fibre: Fibre | None, row: int, layer: int, c: int
-) -> tuple[float, float]:
-    """Root of a cell's equation where nothing can be limited, and the sum of its ways."""
-    level, along, down, across = stage.level, stage.along, stage.down, stage.across
-    r = across.shape[0]
-    at, other = row + layer * r, row + r - layer * r
-    east, west, south, north = along[at, c], along[at, c - 1], down[at, c], down[at - 1, c]
-    through = across[row, c]
-    ways = 1.0 + (((east + west) + (south + north)) + through)
-    total = stage.begun[at, c] + (
-        ((east * level[at, c + 1] + west * level[at, c - 1]) + (south * level[at + 1, c] + north * level[at - 1, c]))
-        + through * level[other, c]
-    )
-    return solve_level(total, ways, level[at, c], curve, fibre, at, c), ways
 
 
 @kernel
@@ -117,7 +103,7 @@ def flows_at(level: float, way: float, other: float, factor: float) -> tuple[flo
 
 @kernel
 def fill_cell(
-    limit: float, stage: Stage, curve: Curve | None, fibre: Fibre | None, kept: bool, row: int, layer: int, c: int
+    limit: float, stage: Stage, curve: Curve | None, uptake: Uptake | None, kept: bool, row: int, layer: int, c: int
 ) -> tuple[float, float, float]:
     """Level, factor and inflow of a cell whose root without a factor lies beyond its limit."""
     level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
@@ -132,12 +118,12 @@ def fill_cell(
         into, out, open_way = flows_at(limit, way, level[i, k], passed[i, k])
         came, went, ways = came + into, went + out, ways + open_way
     full = amount(limit, curve)
-    taken = held_at(full, fibre, at, c) - fibre.begun[at, c] if fibre is not None else 0.0
+    taken = held_at(full, stage.least[at, c], uptake, at, c) - uptake.fixed[at, c] if uptake is not None else 0.0
     room = full - begun + taken + (0.0 if kept else went)
     if room < 0.0 and not kept:
         # More begins here than can stay: nothing comes in, and it holds what does not flow out.
         total = begun + ways * limit - went
-        return max(limit, solve_level(total, 1.0 + ways, limit, curve, fibre, at, c)), 0.0, came
+        return max(limit, solve_level(total, 1.0 + ways, limit, curve, stage.least[at, c], uptake, at, c)), 0.0, came
     factor = min(max(room / came, 0.0), 1.0) if came > 0.0 else 1.0
     return limit, factor, came
 
@@ -152,21 +138,18 @@ def distance(root: float, here: float, ways: float, curve: Curve | None) -> floa
 
 @kernel
 def relax_cell(
-    stage: Stage, curve: Curve | None, fibre: Fibre | None, most: Float | None, omega: float, row: int, layer: int,
+    stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, omega: float, row: int, layer: int,
     c: int,
 ) -> Any:  # fmt: skip
     """Bring one cell nearer to its root; the residual of its equation before, in amounts."""
     level, passed, at = stage.level, stage.passed, row + layer * stage.across.shape[0]
     here = level[at, c]
-    if most is None:
-        root, ways = root_open(stage, curve, fibre, row, layer, c)
-    else:
-        root, ways = root_among(stage, curve, fibre, row, layer, c)
+    root, ways = root_among(stage, curve, uptake, most, row, layer, c)
     least = stage.floor[at, c]
     kept = least > 0.0 and root <= least
     if most is not None and (root >= most[at, c] or (kept and least >= most[at, c])):
         limit = most[at, c]
-        found, factor, came = fill_cell(limit, stage, curve, fibre, least >= limit > 0.0, row, layer, c)
+        found, factor, came = fill_cell(limit, stage, curve, uptake, least >= limit > 0.0, row, layer, c)
         off = distance(found, here, ways, curve) + abs(factor - passed[at, c]) * came
         level[at, c], passed[at, c] = found, factor
         return off
@@ -188,13 +171,13 @@ def relax_cell(
 
 @kernel
 def relax_row(
-    colour: int, omega: float, stage: Stage, curve: Curve | None, fibre: Fibre | None, most: Float | None, nx: int,
+    colour: int, omega: float, stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, nx: int,
     row: int, largest: float,
 ) -> float:  # fmt: skip
     """Relax the cells of one colour in a row of both layers; the larger of `largest` and their residuals."""
     for layer in range(2):
         for c in range(LEFT + (row + layer + colour) % 2, LEFT + nx, 2):
-            off = relax_cell(stage, curve, fibre, most, omega, row, layer, c)
+            off = relax_cell(stage, curve, uptake, most, omega, row, layer, c)
             # What is not a number must stay so.
             if not off <= largest and largest == largest:
                 largest = off
@@ -203,7 +186,7 @@ def relax_row(
 
 @parallel_kernel
 def relax_bands(
-    omega: float, second: float, cuts: Rows, stage: Stage, curve: Curve | None, fibre: Fibre | None,
+    omega: float, second: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
     most: Float | None, nx: int, worst: Float,
 ) -> None:  # fmt: skip
     """Relax one colour everywhere, and the other a row behind it while that is in the cache, but for the bands' outer
@@ -212,29 +195,29 @@ def relax_bands(
     for b in prange(cuts.shape[0] - 1):
         largest = 0.0
         for row in range(cuts[b], cuts[b + 1]):
-            largest = relax_row(0, omega, stage, curve, fibre, most, nx, row, largest)
+            largest = relax_row(1, omega, stage, curve, uptake, most, nx, row, largest)
             if row - 1 > cuts[b]:
-                largest = relax_row(1, second, stage, curve, fibre, most, nx, row - 1, largest)
+                largest = relax_row(0, second, stage, curve, uptake, most, nx, row - 1, largest)
         worst[b, 0] = largest
 
 
 @parallel_kernel
 def relax_edges(
-    omega: float, cuts: Rows, stage: Stage, curve: Curve | None, fibre: Fibre | None, most: Float | None, nx: int,
+    omega: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None, most: Float | None, nx: int,
     worst: Float,
 ) -> None:  # fmt: skip
     """Relax the other colour in the bands' outer rows."""
     for b in prange(cuts.shape[0] - 1):
         first, last = cuts[b], cuts[b + 1] - 1
-        largest = relax_row(1, omega, stage, curve, fibre, most, nx, first, 0.0)
+        largest = relax_row(0, omega, stage, curve, uptake, most, nx, first, 0.0)
         if last > first:
-            largest = relax_row(1, omega, stage, curve, fibre, most, nx, last, largest)
+            largest = relax_row(0, omega, stage, curve, uptake, most, nx, last, largest)
         worst[b, 1] = largest
 
 
 @kernel
 def relax(
-    sweeps: int, radius: float, bound: float, cuts: Rows, stage: Stage, curve: Curve | None, fibre: Fibre | None,
+    sweeps: int, radius: float, bound: float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None,
     most: Float | None, nx: int,
 ) -> tuple[int, float]:  # fmt: skip
     """Sweep until the residual is at most `bound` [amounts], at most `sweeps` times; sweeps and last residual."""
@@ -242,8 +225,8 @@ def relax(
     square, omega, residual = radius * radius, 1.0, np.inf
     for n in range(sweeps):
         second = 1.0 / (1.0 - 0.5 * square) if n == 0 else 1.0 / (1.0 - 0.25 * square * omega)
-        relax_bands(omega, second, cuts, stage, curve, fibre, most, nx, worst)
-        relax_edges(second, cuts, stage, curve, fibre, most, nx, worst)
+        relax_bands(omega, second, cuts, stage, curve, uptake, most, nx, worst)
+        relax_edges(second, cuts, stage, curve, uptake, most, nx, worst)
         omega = 1.0 / (1.0 - 0.25 * square * second)
         residual = worst.max()
         if residual <= bound or not np.isfinite(residual):
@@ -259,7 +242,7 @@ def flow(way: float, here: float, other: float, factor: float, other_factor: flo
 
 @kernel
 def settle_row(
-    out: Float, held: Float, stage: Stage, curve: Curve | None, fibre: Fibre | None, limited: bool, row: int,
+    out: Float, held: Float, stage: Stage, curve: Curve | None, uptake: Uptake | None, row: int,
     layer: int, nx: int,
 ) -> None:  # fmt: skip
     """What the fluxes of the solution make of one row of one layer, and what its fibre then holds."""
@@ -267,27 +250,27 @@ def settle_row(
     r = across.shape[0]
     at, other = row + layer * r, row + r - layer * r
     for c in range(LEFT, LEFT + nx):
-        here, f = level[at, c], passed[at, c] if limited else 1.0
+        here, f = level[at, c], passed[at, c]
         came = 0.0
         for way, i, k in (
             (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
             (down[at - 1, c], at - 1, c), (across[row, c], other, c),
         ):  # fmt: skip
-            came += flow(way, here, level[i, k], f, passed[i, k] if limited else 1.0)
+            came += flow(way, here, level[i, k], f, passed[i, k])
         taken = 0.0
-        if fibre is not None:
-            found = held_at(amount(here, curve), fibre, at, c)
-            taken = found - fibre.begun[at, c]
+        if uptake is not None:
+            found = held_at(amount(here, curve), stage.least[at, c], uptake, at, c)
+            taken = found - uptake.fixed[at, c]
             held[at, c] = found
         out[at, c] = stage.begun[at, c] + came - taken
 
 
 @parallel_kernel
 def settle(
-    out: Float, held: Float, cuts: Rows, stage: Stage, curve: Curve | None, fibre: Fibre | None, limited: bool, nx: int
+    out: Float, held: Float, cuts: Rows, stage: Stage, curve: Curve | None, uptake: Uptake | None, nx: int
 ) -> None:
     """Mobile and fixed dye after the stage, from the fluxes: a residual moves dye then, and makes none."""
     for b in prange(cuts.shape[0] - 1):
         for row in range(cuts[b], cuts[b + 1]):
             for layer in range(2):
-                settle_row(out, held, stage, curve, fibre, limited, row, layer, nx)
+                settle_row(out, held, stage, curve, uptake, row, layer, nx)

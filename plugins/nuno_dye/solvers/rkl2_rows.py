@@ -52,7 +52,6 @@ class Row(NamedTuple):
     slots    first row of its scratch
     row      its number
     here     first row of the plane that the stage starts from
-    into     first row of the plane that the stage fills
     passed   first row of the plane of factors that are known
     passing  first row of the plane of factors that the next stage takes
     """
@@ -60,7 +59,6 @@ class Row(NamedTuple):
     slots: int
     row: int
     here: int
-    into: int
     passed: int
     passing: int
 
@@ -111,23 +109,6 @@ def see_row(seen: Float, planes: Float, floor: Float, row: int, into: int) -> No
     """What neighbours see of a row."""
     for c in range(LEFT, planes.shape[1] - WIDTH, WIDTH):
         store(seen, into, c, higher(load(floor, row, c), load(planes, into, c)))
-
-
-@kernel
-def flux_row(
-    seen: Float, along: Float, down: Float, across: Float, curve: Curve | None, scratch: Float, place: Row
-) -> None:
-    """Fluxes of a row's faces into its slot."""
-    row, other = place.row, place.row + across.shape[0]
-    slot = place.slots + SLOT * (row % 4)
-    here_0, here_1 = place.here + row, place.here + other
-    for c in range(LEFT, seen.shape[1] - WIDTH, WIDTH):
-        phi_0, phi_1 = potentials(load(seen, here_0, c), curve), potentials(load(seen, here_1, c), curve)
-        store(scratch, slot, c, load(along, row, c) * (potentials(load(seen, here_0, c + 1), curve) - phi_0))
-        store(scratch, slot + 1, c, load(along, other, c) * (potentials(load(seen, here_1, c + 1), curve) - phi_1))
-        store(scratch, slot + 2, c, load(down, row, c) * (potentials(load(seen, here_0 + 1, c), curve) - phi_0))
-        store(scratch, slot + 3, c, load(down, other, c) * (potentials(load(seen, here_1 + 1, c), curve) - phi_1))
-        store(scratch, slot + 4, c, load(across, row, c) * (phi_1 - phi_0))
 
 
 @kernel

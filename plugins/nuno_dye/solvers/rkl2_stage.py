@@ -27,14 +27,15 @@ from numba import prange
 from nuno_dye.laws.adsorption import NOTHING, Law
 from nuno_dye.laws.potential import Curve
 from nuno_dye.solvers.diffusion import Rows, Weights
+from nuno_dye.solvers.dyeing import flux_row
 from nuno_dye.solvers.fixing import take_row
 from nuno_dye.solvers.rkl2_rows import (
     RATES,
     ROWS,
+    SLOT,
     Row,
     Rules,
     advance_row,
-    flux_row,
     keep_factors,
     limited_row,
     open_row,
@@ -111,14 +112,14 @@ def pass_rows(
             turn = stages.turn if j < 0 else j % 2
             passed, passing = 2 * r * (1 + turn), 2 * r * (2 - turn)
             if most is None:
-                spread_row(seen, along, down, across, curve, scratch, Row(slots, row, here, into, passed, passing))
+                spread_row(seen, along, down, across, curve, scratch, Row(slots, row, here, passed, passing))
             else:
                 for ahead in range(row - 2 if row == begin else row + 1, row + 2):
-                    place = Row(slots, ahead, here, into, passed, passing)
-                    flux_row(seen, along, down, across, curve, scratch, place)
+                    place = Row(slots, ahead, here, passed, passing)
+                    flux_row(seen, along, down, across, curve, scratch, slots + SLOT * (ahead % 4), ahead, here)
                     if ahead > row - 2:
                         open_row(seen, held, fibre, most, floor, factors, scratch, rules, place)
-                keep_factors(factors, scratch, Row(slots, row, here, into, passed, passing))
+                keep_factors(factors, scratch, Row(slots, row, here, passed, passing))
                 if j >= 0:
                     limited_row(scratch, slots, row)
             for layer in range(2 if j >= 0 else 0):

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from nuno_kernels import kernel
 from nuno_kernels.lanes.choose import higher
 from nuno_kernels.lanes.simd import WIDTH, load, store
@@ -29,24 +27,6 @@ class Upkeep(NamedTuple):
     given: Float
     lost: Float
     rows: Bool
-
-
-def make_upkeep(floor: Float) -> Upkeep:
-    """Upkeep for floors that are cut into bands."""
-    most = floor.reshape(floor.shape[0], 2, -1, floor.shape[2]).max(axis=(1, 3))
-    return Upkeep(floor, np.zeros_like(floor), np.zeros_like(floor), most > 0.0)
-
-
-def begin_upkeep(upkeep: Upkeep) -> Upkeep:
-    """Upkeep for the same floors, with nothing given yet."""
-    upkeep.given.fill(0.0)
-    upkeep.lost.fill(0.0)
-    return upkeep
-
-
-def sum_given(given: Float, lost: Float) -> float:
-    """All that was added, from amounts by cell."""
-    return sum_compensated(np.concatenate([given.reshape(-1), -lost.reshape(-1)]))
 
 
 @kernel
