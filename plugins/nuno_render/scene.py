@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,7 @@ FAR = 1e12
 """Vertices farther out [m] are treated like those that are not finite."""
 
 
-@dataclass(frozen=True)
-class DrawnScene:
+class DrawnScene(NamedTuple):
     """All meshes as one, around an origin.
 
     positions (n, 3) [m] from the origin; normals (n, 3) unit; albedo (n, 3) linear;

@@ -8,72 +8,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_kernels import kernel
+from nuno_render.light.ground import Ground, background, fade_at, lay_floor
 from nuno_render.light.light_maps import Lights, shadow
-from nuno_render.light.shade import Seen, shade_point, sky
-from nuno_render.texture import Textures
+from nuno_render.light.shade import shade_point
+from nuno_render.scene import DrawnScene
 from nuno_schemas.fabric import Float, Int
 
 
 class Floor(NamedTuple):
-    """The floor, an endless plane that fades into the background.
+    """The floor as a z-buffer has it.
 
-    active         whether it is seen
+    ground         where it is and what it looks like
     plane (3,)     1 / z of the floor at a pixel (x, y, 1)
     rays (3, 3)    columns: what a ray changes by over a pixel to the right and down, and the ray at pixel (0, 0)
-    eye, centre    (3,) [m] of the camera, and the point of the floor below or above the scene's middle
-    radius         of the scene [m]
-    albedo (3,)    linear
+    eye (3,)       [m] of the camera
     grid (g, g)    openness about the centre; grid_u, grid_v (3,) its directions, grid_scale its points a metre
-    top, bottom    (3,) the background's colours, linear
     """
 
-    active: bool
+    ground: Ground
     plane: Float
     rays: Float
     eye: Float
-    centre: Float
-    radius: float
-    albedo: Float
     grid: Float
     grid_u: Float
     grid_v: Float
     grid_scale: float
-    top: Float
-    bottom: Float
-
-
-@kernel
-def background(down: float, top: Float, bottom: Float, out: Float) -> None:
-    """Gradient from `top` to `bottom` at a share `down` of the picture's height, level at both ends."""
-    s = min(max(down, 0.0), 1.0)
-    s = s * s * (3.0 - 2.0 * s)
-    for k in range(3):
-        out[k] = top[k] + s * (bottom[k] - top[k])
 
 
 @kernel
 def ground_point(x: float, y: float, height: int, floor: Floor, lights: Lights, out: Float) -> None:
     """Ground seen at pixel (x, y), fading into the background with distance, into out (3,)."""
-    plane, rays, eye, normal, centre = floor.plane, floor.rays, floor.eye, lights.up, floor.centre
-    background(y / height, floor.top, floor.bottom, out)
+    plane, rays, eye, normal, centre = floor.plane, floor.rays, floor.eye, lights.up, floor.ground.centre
+    background(y / height, floor.ground, out)
     inverse = plane[0] * x + plane[1] * y + plane[2]
-    if not floor.active or inverse <= 0.0:
+    if not floor.ground.active or inverse <= 0.0:
         return
     px = eye[0] + (rays[0, 0] * x + rays[0, 1] * y + rays[0, 2]) / inverse
     py = eye[1] + (rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]) / inverse
     pz = eye[2] + (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]) / inverse
     dx, dy, dz = px - centre[0], py - centre[1], pz - centre[2]
-    distance = np.sqrt(dx * dx + dy * dy + dz * dz) / floor.radius
-    fade = min(max((distance - 1.0) / 4.0, 0.0), 1.0)
-    fade = fade * fade * (3.0 - 2.0 * fade)
+    fade = fade_at(dx, dy, dz, floor.ground)
     if fade >= 1.0:
         return
-    light, light_colour, sky_light, ground_light = lights.direction, lights.colour, lights.sky, lights.ground
-    nl = max(normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2], 0.0)
-    lit = 1.0
-    if lights.depths.shape[0] > 0 and nl > 0.0:
+    light = lights.direction
+    lit, free = 1.0, 1.0
+    if lights.depths.shape[0] > 0 and normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2] > 0.0:
         lit = shadow(lights, px, py, pz, normal[0], normal[1], normal[2])
-    free = 1.0
     grid, grid_u, grid_v, grid_scale = floor.grid, floor.grid_u, floor.grid_v, floor.grid_scale
     size = grid.shape[0]
     if size > 1:
@@ -84,18 +64,17 @@ def ground_point(x: float, y: float, height: int, floor: Floor, lights: Lights, 
             s, t = gu - j, gv - i
             free = (grid[i, j] * (1 - s) + grid[i, j + 1] * s) * (1 - t)
             free += (grid[i + 1, j] * (1 - s) + grid[i + 1, j + 1] * s) * t
-    for k in range(3):
-        radiance = floor.albedo[k] * (light_colour[k] * nl * lit + sky(1.0, sky_light, ground_light, k) * free)
-        out[k] += (1.0 - fade) * (radiance - out[k])
+    lay_floor(fade, lit, free, floor.ground, lights, out)
 
 
 @kernel
 def resolve(
-    owner: Int, offsets: NDArray[np.int64], seen: Seen, textures: Textures, lights: Lights, floor: Floor, picture: Float
+    owner: Int, offsets: NDArray[np.int64], scene: DrawnScene, clip: Float, lights: Lights, floor: Floor, picture: Float
 ) -> None:
     """Shade every pixel into picture (h, w, 3) float64, linear light.
 
-    owner (h, w, s) int32 face of each sample, -1 for none; offsets (s, 2) [1/256 pixel].
+    owner (h, w, s) int32 face of each sample, -1 for none; offsets (s, 2) [1/256 pixel]; clip (n, 3) the scene's
+    vertices on the screen.
     """
     height, width, samples = owner.shape
     work = np.empty((9, 3))
@@ -120,7 +99,7 @@ def resolve(
                 if face < 0:
                     ground_point(px, py, height, floor, lights, colour)
                 else:
-                    shade_point(face, px, py, seen, textures, lights, work, colour)
+                    shade_point(face, px, py, scene, clip, floor.eye, lights, work, colour)
                 for k in range(3):
                     picture[row, column, k] += colour[k] * count / samples
 

@@ -7,35 +7,20 @@ extrapolated at silhouettes (centroid sampling), and a smooth surface costs one 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from nuno_kernels import kernel
 from nuno_render.light.light_maps import Lights, openness, shadow
-from nuno_render.texture import Textures, look_up
-from nuno_schemas.fabric import Bool, Float, Int
+from nuno_render.scene import DrawnScene
+from nuno_render.texture import look_up
+from nuno_schemas.fabric import Float
 
 SHEEN_ROUGHNESS = 0.4
 BACK_SIDE = 0.82
 """Albedo of the back of cloth relative to its front: the wrong side of most weaves is duller."""
 BODY_GLOSS = 0.04
-
-
-class Seen(NamedTuple):
-    """What a picture shows: the arrays of nuno_render.scene.DrawnScene, its vertices on the screen, clip (n, 3), and
-    the eye (3,).
-    """
-
-    positions: Float
-    normals: Float
-    albedos: Float
-    uv: Float
-    faces: Int
-    mesh: Int
-    two_sided: Bool
-    clip: Float
-    eye: Float
 
 
 @kernel
@@ -121,11 +106,9 @@ def surface_light(
 
 
 @kernel
-def _texel(
-    planes: Float, corners: Any, seen: Seen, textures: Textures, mesh: int, x: float, y: float, out: Float
-) -> None:
+def _texel(planes: Float, corners: Any, scene: DrawnScene, mesh: int, x: float, y: float, out: Float) -> None:
     """Image of a mesh at pixel (x, y), averaged over the pixel, into out (3,)."""
-    (a, b, c), uv, weights = corners, seen.uv, corner_weights(planes, x, y)
+    (a, b, c), uv, weights = corners, scene.uv, corner_weights(planes, x, y)
     u = weights[0] * uv[a, 0] + weights[1] * uv[b, 0] + weights[2] * uv[c, 0]
     v = weights[0] * uv[a, 1] + weights[1] * uv[b, 1] + weights[2] * uv[c, 1]
     change = (0.0, 0.0, 0.0, 0.0)
@@ -134,15 +117,17 @@ def _texel(
         du = weights[0] * uv[a, 0] + weights[1] * uv[b, 0] + weights[2] * uv[c, 0] - u
         dv = weights[0] * uv[a, 1] + weights[1] * uv[b, 1] + weights[2] * uv[c, 1] - v
         change = (change[2], change[3], du, dv)
-    look_up(textures, mesh, (u, v), change, out)
+    look_up(scene.textures, mesh, (u, v), change, out)
 
 
 @kernel
-def _place(weights: Any, corners: Any, seen: Seen, p: Float, n: Float, g: Float, view: Float) -> bool:
+def _place(
+    weights: Any, corners: Any, scene: DrawnScene, eye: Float, p: Float, n: Float, g: Float, view: Float
+) -> bool:
     """Point p, smooth normal n, flat normal g and direction to the eye, each (3,), both normals
     turned toward the viewer. Returns whether the back of the face is seen.
     """
-    (a, b, c), positions, normals, eye = corners, seen.positions, seen.normals, seen.eye
+    (a, b, c), positions, normals = corners, scene.positions, scene.normals
     facing = 0.0
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
@@ -165,46 +150,50 @@ def _place(weights: Any, corners: Any, seen: Seen, p: Float, n: Float, g: Float,
 
 @kernel
 def shade_point(
-    f: int, x: float, y: float, seen: Seen, textures: Textures, lights: Lights, work: Float, out: Float
+    f: int, x: float, y: float, scene: DrawnScene, clip: Float, eye: Float, lights: Lights, work: Float, out: Float
 ) -> None:
-    """Radiance of face f at pixel (x, y), into out (3,); `work` (9, 3) is scratch."""
-    albedos, faces, light = seen.albedos, seen.faces, lights.direction
+    """Radiance of face f at pixel (x, y), into out (3,).
+
+    clip (n, 3): the scene's vertices on the screen; eye (3,) [m]; `work` (9, 3) is scratch.
+    """
+    albedos, faces, light = scene.albedo, scene.faces, lights.direction
     planes, p, n, g, view, albedo, texel = work[0:3], work[3], work[4], work[5], work[6], work[7], work[8]
-    a, b, c, m = faces[f, 0], faces[f, 1], faces[f, 2], seen.mesh[f]
-    corner_planes(seen.clip, a, b, c, planes)
+    a, b, c, m = faces[f, 0], faces[f, 1], faces[f, 2], scene.mesh[f]
+    corner_planes(clip, a, b, c, planes)
     weights = corner_weights(planes, x, y)
-    back = _place(weights, (a, b, c), seen, p, n, g, view)
-    dull = BACK_SIDE if back and seen.two_sided[m] else 1.0
+    back = _place(weights, (a, b, c), scene, eye, p, n, g, view)
+    dull = BACK_SIDE if back and scene.two_sided[m] else 1.0
     for k in range(3):
         albedo[k] = dull * (weights[0] * albedos[a, k] + weights[1] * albedos[b, k] + weights[2] * albedos[c, k])
-    if textures.number[m] > 0:
-        _texel(planes, (a, b, c), seen, textures, m, x, y, texel)
+    if scene.textures.number[m] > 0:
+        _texel(planes, (a, b, c), scene, m, x, y, texel)
         for k in range(3):
             albedo[k] *= texel[k]
     free = openness(p[0], p[1], p[2], n[0], n[1], n[2], lights)
     lit = 1.0 if n[0] * light[0] + n[1] * light[1] + n[2] * light[2] > 0.0 else 0.0
     if lit > 0.0 and lights.depths.shape[0] > 0:
-        lit = _lit(p, n, (a, b, c), weights, seen, -1.0 if back else 1.0, lights)
-    surface_light(albedo, n, view, lights, lit, free, seen.two_sided[m], out)
+        start = work[8]
+        for k in range(3):
+            start[k] = p[k] + 1.5 / lights.scale * n[k]
+        raise_point(p, (a, b, c), weights, -1.0 if back else 1.0, scene.positions, scene.normals, start)
+        lit = shadow(lights, start[0], start[1], start[2], n[0], n[1], n[2])
+    surface_light(albedo, n, view, lights, lit, free, scene.two_sided[m], out)
 
 
 @kernel
-def _lit(p: Float, n: Float, corners: Any, weights: Any, seen: Seen, turn: float, lights: Lights) -> float:
-    """Shadow at p, tested from a point on the smooth surface that the normals suggest.
+def raise_point(p: Float, corners: Any, weights: Any, turn: float, x: Float, normals: Float, out: Float) -> None:
+    """Raise out (3,), where rays from a point p (3,) of a triangle start, to the smooth surface that the normals of its
+    corners suggest, vertices x and normals (n, 3).
 
-    A coarse mesh's flat faces shadow each other where the interpolated normal still sees the
-    light, which shows as steps along the terminator. The point is raised to the mean of its
-    projections on the corners' tangent planes (Hanika 2021), then by 1.5 texels along n.
+    A coarse mesh's flat faces shadow each other where the interpolated normal still sees the light, which shows as
+    steps along the terminator. The point goes to the mean of its projections on the corners' tangent planes (Hanika,
+    Hacking the shadow terminator, 2021).
     """
-    positions, normals, lift = seen.positions, seen.normals, 1.5 / lights.scale
-    x, y, z = p[0] + lift * n[0], p[1] + lift * n[1], p[2] + lift * n[2]
-    for k in range(3):
-        i = corners[k]
+    for m in range(3):
+        corner, weight = corners[m], weights[m]
         below = 0.0
-        for d in range(3):
-            below += (p[d] - positions[i, d]) * normals[i, d] * turn
+        for k in range(3):
+            below += (p[k] - x[corner, k]) * normals[corner, k] * turn
         if below < 0.0:
-            x -= weights[k] * below * normals[i, 0] * turn
-            y -= weights[k] * below * normals[i, 1] * turn
-            z -= weights[k] * below * normals[i, 2] * turn
-    return shadow(lights, x, y, z, n[0], n[1], n[2])
+            for k in range(3):
+                out[k] -= weight * below * normals[corner, k] * turn

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -11,10 +12,10 @@ from pydantic import BaseModel
 
 from nuno_render.annotate import annotate
 from nuno_render.config import RasterConfig
+from nuno_render.light.ground import find_ground
 from nuno_render.light.lighting import prepare_lights, unit
 from nuno_render.light.resolve import encode, resolve
-from nuno_render.light.shade import Seen
-from nuno_render.raster.floor import floor_depth, floor_height, prepare_floor
+from nuno_render.raster.floor import floor_depth, prepare_floor
 from nuno_render.raster.visibility import rasterise, sample_offsets
 from nuno_render.scene import gather
 from nuno_render.sight import Sight, sight_of
@@ -59,18 +60,16 @@ def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
     scene = gather(meshes, origin, up)
     clip = _project(scene.positions - sight.eye, sight, camera.size)
     lights = prepare_lights(config, scene, camera, up)
-    floor = prepare_floor(config, scene, camera.size, sight, floor_height(config, scene, origin, up), lights)
+    lowest = scene.lowest if len(scene.faces) else math.inf
+    ground = find_ground(config, lowest, origin, sight.eye, up, scene.centre, scene.radius)
+    floor = prepare_floor(ground, camera.size, sight, lights)
     offsets = sample_offsets(config.samples)
     depth = floor_depth(floor, camera.size, offsets)
     owner = np.full(depth.shape, -1, np.int32)
     near = NEAR * float(np.linalg.norm(sight.eye))
     rasterise(clip, scene.faces, scene.mesh, scene.two_sided, near, offsets, 128, depth, owner)
     picture = np.empty((height, width, 3))
-    seen = Seen(
-        scene.positions, scene.normals, scene.albedo, scene.uv, scene.faces, scene.mesh, scene.two_sided, clip,
-        sight.eye,
-    )  # fmt: skip
-    resolve(owner, offsets, seen, scene.textures, lights, floor, picture)
+    resolve(owner, offsets, scene, clip, lights, floor, picture)
     return picture
 
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_render.light.resolve import background
+from nuno_render.light.ground import Ground, background
 from nuno_render.rays.crossings import cross_yarns
 from nuno_render.rays.fibre import Look
 from nuno_render.rays.hits import Buffers, make_buffers, meet_triangle
-from nuno_render.rays.surfaces import Ground, shade_floor, shade_skin, shade_yarn
+from nuno_render.rays.surfaces import shade_floor, shade_skin, shade_yarn
 from nuno_render.rays.worn import Skin, Threads
 from nuno_render.sampling import place_sample, scramble
 from nuno_render.sight import Sight, aim
@@ -63,7 +63,7 @@ def see(
     out[3] = 1.0 - weight
     if weight < FAINT:
         return
-    background(down, floor.top, floor.bottom, colour)
+    background(down, floor, colour)
     if face >= 0:
         shade_skin(face, d, most, look, skin, threads, sample, buffers, colour)
     elif on_floor:

@@ -39,19 +39,6 @@ def sort_points(points: Float, values: Float, reach: float) -> SortedPoints:
 
 
 @kernel
-def find_key(key: NDArray[np.int64], wanted: int) -> int:
-    """Place of the first key that is no less."""
-    first, last = 0, key.shape[0]
-    while first < last:
-        middle = (first + last) // 2
-        if key[middle] < wanted:
-            first = middle + 1
-        else:
-            last = middle
-    return first
-
-
-@kernel
 def sum_near(x: float, y: float, z: float, cells: Any) -> tuple[int, float]:
     """(count, sum of values) of the points no farther than the reach from a place."""
     reach, low, shape = cells.reach, cells.low, cells.shape
@@ -64,7 +51,7 @@ def sum_near(x: float, y: float, z: float, cells: Any) -> tuple[int, float]:
     for a in range(max(i - 1, 0), min(i + 1, shape[0] - 1) + 1):
         for b in range(max(j - 1, 0), min(j + 1, shape[1] - 1) + 1):
             row = (a * shape[1] + b) * shape[2]
-            for p in range(find_key(cells.key, row + first), find_key(cells.key, row + last + 1)):
+            for p in range(np.searchsorted(cells.key, row + first), np.searchsorted(cells.key, row + last + 1)):
                 dx, dy, dz = cells.points[p, 0] - x, cells.points[p, 1] - y, cells.points[p, 2] - z
                 if dx * dx + dy * dy + dz * dz <= reach * reach:
                     count += 1

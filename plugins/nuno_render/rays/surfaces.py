@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_render.light.shade import sky
+from nuno_render.light.ground import Ground, fade_at, lay_floor
+from nuno_render.light.shade import raise_point
 from nuno_render.rays.crossings import free_way
 from nuno_render.rays.fibre import Look, skin_light, yarn_light
 from nuno_render.rays.hits import Buffers
@@ -19,20 +20,6 @@ LOW = 0.1
 """Sine of the least height over skin at which its shadow is looked for. Light that comes lower, or from below, reaches
 it through the skin, whose own body must not hide it.
 """
-
-
-class Ground(NamedTuple):
-    """The floor of a picture by rays: whether it is seen, its height over the eye [m], the scene's middle (3,) and size
-    [m], albedo (3,), and the background's colours at the top and bottom (3,), linear.
-    """
-
-    active: bool
-    drop: float
-    centre: Float
-    radius: float
-    albedo: Float
-    top: Float
-    bottom: Float
 
 
 @kernel
@@ -97,27 +84,6 @@ def find_weights(p: Float, g: Float, x: Float, a: int, b: int, c: int) -> Any:
 
 
 @kernel
-def raise_point(
-    p: Float, g: Float, corners: Any, weights: Any, turn: float, skin: Skin, off: float, out: Float
-) -> None:
-    """Where rays from a point p (3,) of a triangle with unit normal g start, into out (3,).
-
-    Flat faces would shadow each other where the smooth normal still sees the light: rays start on the smooth surface
-    that the normals suggest (Hanika, Hacking the shadow terminator, 2021), and `off` above it.
-    """
-    for k in range(3):
-        out[k] = p[k] + off * g[k]
-    for m in range(3):
-        corner, weight = corners[m], weights[m]
-        below = 0.0
-        for k in range(3):
-            below += (p[k] - skin.x[corner, k]) * skin.normals[corner, k] * turn
-        if below < 0.0:
-            for k in range(3):
-                out[k] -= weight * below * skin.normals[corner, k] * turn
-
-
-@kernel
 def shade_skin(
     face: int, d: Float, t: float, look: Look, skin: Skin, threads: Threads, sample: Any, buffers: Buffers, out: Float
 ) -> None:
@@ -141,7 +107,9 @@ def shade_skin(
     for k in range(3):
         n[k] /= norm
         g[k] *= turn / area
-    raise_point(p, g, (a, b, c), (1.0 - s - r, s, r), turn, skin, look.off, work[8])
+    for k in range(3):
+        work[8][k] = p[k] + look.off * g[k]
+    raise_point(p, (a, b, c), (1.0 - s - r, s, r), turn, x, skin.normals, work[8])
     lit, free = receive(work[8], work[8], n, LOW, look, skin, threads, sample, buffers)
     skin_light(albedo, n, view, look, lit, free, out)
 
@@ -187,18 +155,10 @@ def shade_floor(
     out: Float,
 ) -> None:  # fmt: skip
     """Radiance of the floor, blended into out (3,), which holds the background."""
-    eye, p, up, light = look.eye, buffers.work[3], look.up, look.direction
-    away = 0.0
+    eye, p, up = look.eye, buffers.work[3], look.up
     for k in range(3):
         p[k] = eye[k] + t * d[k]
-        away += (p[k] - floor.centre[k]) ** 2
-    fade = min(max((np.sqrt(away) / floor.radius - 1.0) / 4.0, 0.0), 1.0)
-    fade = fade * fade * (3.0 - 2.0 * fade)
-    if fade >= 1.0:
-        return
-    lit, free = receive(p, p, up, -2.0, look, skin, threads, sample, buffers)
-    nl = max(up[0] * light[0] + up[1] * light[1] + up[2] * light[2], 0.0)
-    for k in range(3):
-        ambient = sky(1.0, look.sky, look.ground, k) * free
-        radiance = floor.albedo[k] * (look.colour[k] * nl * lit + ambient)
-        out[k] += (1.0 - fade) * (radiance - out[k])
+    fade = fade_at(p[0] - floor.centre[0], p[1] - floor.centre[1], p[2] - floor.centre[2], floor)
+    if fade < 1.0:
+        lit, free = receive(p, p, up, -2.0, look, skin, threads, sample, buffers)
+        lay_floor(fade, lit, free, floor, look, out)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -13,12 +12,12 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno_render.annotate import annotate
+from nuno_render.light.ground import find_ground
 from nuno_render.light.lighting import GROUND, KEY, SKY, key_direction, unit
 from nuno_render.raster.plugin import encode_picture
 from nuno_render.rays.cast import KEEP, cast_rows
 from nuno_render.rays.fibre import Look
-from nuno_render.rays.surfaces import Ground
-from nuno_render.rays.worn import Skin, Threads, check_eye, gather_skin, gather_threads
+from nuno_render.rays.worn import check_eye, gather_skin, gather_threads
 from nuno_render.rays.yarn_config import CastConfig, LinesConfig, YarnsConfig, grid_of
 from nuno_render.sight import sight_of
 from nuno_schemas.colour import parse_hex
@@ -104,7 +103,8 @@ def radiance(
         sight.eye, key_direction(config, camera, up), KEY, up, SKY, GROUND, config.light_size, config.translucency,
         keep, config.highlight, config.sharpness, config.shadows, config.occlusion, OFF * radius, flat,
     )  # fmt: skip
-    floor = _floor(config, skin, yarns, origin, look, centre, radius)
+    solid = skin.x[np.unique(skin.faces)] if len(skin.faces) else np.concatenate([yarns.start, yarns.end])
+    floor = find_ground(config, float((solid @ up).min(initial=np.inf)), origin, sight.eye, up, centre, radius)
     grid = (*grid_of(config.samples), config.seed)
     picture = np.empty((height, width, 4))
 
@@ -134,23 +134,3 @@ def yarn_colours(config: YarnsConfig, yarns: YarnCurves) -> Float:
         return np.tile(parse_hex(config.colour), (yarns.number, 1))
     table = np.stack([parse_hex(colour) for colour in config.colours])
     return np.asarray(table[yarns.kind % len(table)])
-
-
-def _floor(
-    config: CastConfig, skin: Skin, yarns: Threads, origin: Float, look: Look, centre: Float, radius: float
-) -> Ground:
-    """The floor and the background; the floor is drawn only for an eye above it."""
-    up = look.up
-    solid = skin.x[np.unique(skin.faces)] if len(skin.faces) else np.concatenate([yarns.start, yarns.end])
-    level = 0.0
-    if config.ground == "auto":
-        level = float((solid @ up).min(initial=np.inf))
-    elif config.ground != "none":
-        level = float(config.ground - origin @ up)
-    has = config.ground != "none" and math.isfinite(level)
-    level = level if has else 0.0
-    # A little lower, so that what stands on it is not cut by it.
-    drop = level - 1e-4 * radius - float(look.eye @ up)
-    middle = centre + (level - float(centre @ up)) * up
-    top, bottom = (parse_hex(colour) for colour in config.background)
-    return Ground(has and drop < 0.0, drop, middle, radius, parse_hex(config.ground_colour), top, bottom)

@@ -1,0 +1,81 @@
+"""The floor and what is behind it, as pictures by a z-buffer and by rays have them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno_kernels import kernel
+from nuno_render.config import PictureConfig
+from nuno_render.light.shade import sky
+from nuno_schemas.colour import parse_hex
+from nuno_schemas.fabric import Float
+
+SUNK = 1e-4
+"""How far the floor is drawn below its height, in radii of the scene, so that what stands on it stays in sight."""
+
+
+class Ground(NamedTuple):
+    """The floor, an endless plane that fades into the background.
+
+    active       whether it is seen: by an eye above it
+    drop         its height over the eye [m]
+    centre (3,)  the point of it below or above the scene's middle [m]; radius: of the scene [m]
+    albedo (3,)  linear; top, bottom (3,): the background's colours, linear
+    """
+
+    active: bool
+    drop: float
+    centre: Float
+    radius: float
+    albedo: Float
+    top: Float
+    bottom: Float
+
+
+def find_ground(
+    config: PictureConfig, lowest: float, origin: Float, eye: Float, up: Float, centre: Float, radius: float
+) -> Ground:
+    """The floor of a picture. `lowest`: least height of what stands on it, inf for nothing; `up` (3,) of length 1;
+    heights, `eye`, `centre` (3,) and `radius` of the scene [m] are from the origin (3,) on.
+    """
+    level = lowest if config.ground == "auto" else math.inf
+    if not isinstance(config.ground, str):
+        level = float(config.ground - origin @ up)
+    seen = math.isfinite(level)
+    level = level if seen else 0.0
+    drop = level - SUNK * radius - float(eye @ up)
+    middle = centre + (level - float(centre @ up)) * up
+    top, bottom = (parse_hex(colour) for colour in config.background)
+    return Ground(seen and drop < 0.0, drop, middle, radius, parse_hex(config.ground_colour), top, bottom)
+
+
+@kernel
+def background(down: float, ground: Ground, out: Float) -> None:
+    """Gradient from `top` to `bottom` at a share `down` of the picture's height, level at both ends."""
+    s = min(max(down, 0.0), 1.0)
+    s = s * s * (3.0 - 2.0 * s)
+    for k in range(3):
+        out[k] = ground.top[k] + s * (ground.bottom[k] - ground.top[k])
+
+
+@kernel
+def fade_at(dx: float, dy: float, dz: float, ground: Ground) -> float:
+    """How far the floor has faded into the background at a place (dx, dy, dz) [m] from its centre, 0 to 1."""
+    distance = np.sqrt(dx * dx + dy * dy + dz * dz) / ground.radius
+    fade: float = min(max((distance - 1.0) / 4.0, 0.0), 1.0)
+    return fade * fade * (3.0 - 2.0 * fade)
+
+
+@kernel
+def lay_floor(fade: float, lit: float, free: float, ground: Ground, lights: Any, out: Float) -> None:
+    """Blend the floor's radiance into out (3,), which holds the background; lit, free: parts of the key light and of
+    the sky that reach it. `lights` have the fields of nuno_render.light.light_maps.Lights that it needs.
+    """
+    up, light, colour = lights.up, lights.direction, lights.colour
+    nl = max(up[0] * light[0] + up[1] * light[1] + up[2] * light[2], 0.0)
+    for k in range(3):
+        radiance = ground.albedo[k] * (colour[k] * nl * lit + sky(1.0, lights.sky, lights.ground, k) * free)
+        out[k] += (1.0 - fade) * (radiance - out[k])
