@@ -21,6 +21,7 @@ from nuno_kernels.meshes.loops import Loop
 from nuno_kernels.meshes.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.vectors import dot, norm
 
 RINGS, AROUND = 24, 96
 """Rings that are laid about a trunk and about an arm, and points of each."""
@@ -105,9 +106,9 @@ def _lay(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, clearance: float) -> tu
     # Round the arms from the overarm, by the front and the underarm, from where that is straight; over their upper
     # side from the root on.
     away = np.stack([u, v], axis=1) - [cut.neck, 0.0]
-    along, across = away @ cut.along, away @ cut.across
+    along, across = dot(away, cut.along), dot(away, cut.across)
     inner, outer = (point - [cut.neck, 0.0] for point in (cut.curve()[1], cut.corners()["B"]))
-    ends, widths = [float(p @ cut.along) for p in (inner, outer)], [float(p @ cut.across) for p in (inner, outer)]
+    ends, widths = ([float(dot(p, way)) for p in (inner, outer)] for way in (cut.along, cut.across))
     part = across / np.interp(along, ends, widths)
     on_sleeve = np.where(along >= ends[0], part <= 1.0 + 1e-6, (along >= fit.shoulder) & (part <= UPPER))
     on_seam = (across < 1e-9) & ~on_sleeve
@@ -162,14 +163,14 @@ def _round_trunk(wearer: Wearer, level: float, girth: float, clearance: float) -
 
 def _round_arm(wearer: Wearer, arm: Arm, places: Float, girths: Float, clearance: float) -> Float:
     """(r, AROUND, 3) rings round an arm at places (r,) from its root; beyond its end as the last one on it."""
-    up, ahead = (axis - (axis @ arm.way) * arm.way for axis in (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])))
-    seam = up / np.linalg.norm(up)
-    side = ahead - (ahead @ seam) * seam
+    up, ahead = (axis - dot(axis, arm.way) * arm.way for axis in (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])))
+    seam = up / norm(up)
+    side = ahead - dot(ahead, seam) * seam
     rings: list[Float] = []
     for i, girth in enumerate(girths):
         loop = wearer.across(arm, float(places[i]))
         if loop is not None:
-            rings.append(_ring(loop, seam, side / np.linalg.norm(side), float(girth), clearance))
+            rings.append(_ring(loop, seam, side / norm(side), float(girth), clearance))
         elif rings:
             rings.append(rings[-1] + (places[i] - places[i - 1]) * arm.way)
         else:

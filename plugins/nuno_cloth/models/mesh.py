@@ -28,6 +28,7 @@ from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.vectors import turn
 
 KINDS = ("obj", "ply", "stl")
 STRUCTURAL, BENDING = 0, 2
@@ -102,8 +103,8 @@ class Mesh:
         points, faces, uv = read_mesh(path, config.merge)
         edges = find_edges(faces)
         check_mesh(path, points, faces, edges)
-        turn = np.eye(3) if config.rotate is None else config.rotate.matrix()
-        x = np.ascontiguousarray(points @ turn.T * config.scale + np.asarray(config.centre))
+        matrix = np.eye(3) if config.rotate is None else config.rotate.matrix()
+        x = np.ascontiguousarray(turn(matrix, points) * config.scale + np.asarray(config.centre))
         far = ~(np.abs(x) <= FARTHEST).all(axis=1)
         if far.any():
             where, at = int(np.argmax(far)), x[far][0].tolist()
@@ -113,7 +114,7 @@ class Mesh:
         material = resolve(config.fabric)
         share = np.repeat(area, 3) * material.density / 3
         mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
-        springs, hinges = build_elements(material, x, faces, edges, mass, turn @ np.asarray(config.warp))
+        springs, hinges = build_elements(material, x, faces, edges, mass, turn(matrix, np.asarray(config.warp)))
         return Fabric(
             name=self.name,
             position=x,

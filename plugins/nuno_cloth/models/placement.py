@@ -13,6 +13,7 @@ from nuno_cloth.quantities import Angle, Metres, Number, Speed
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.vectors import compose, norm
 
 Point = tuple[Metres, Metres, Metres]
 Velocity = tuple[Speed, Speed, Speed]
@@ -35,9 +36,9 @@ class Rotation(Config):
 
     def matrix(self) -> Float:
         """(3, 3), by Rodrigues' formula."""
-        x, y, z = np.asarray(self.axis) / np.linalg.norm(self.axis)
+        x, y, z = np.asarray(self.axis) / norm(np.asarray(self.axis))
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        turn: Float = np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * cross @ cross
+        turn: Float = np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * compose(cross, cross)
         return turn
 
 

@@ -29,6 +29,7 @@ from nuno_cloth.quantities import Length
 from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Preset
+from nuno_schemas.vectors import turn
 
 CellKind = Literal["quads", "triangles"]
 CELLS = (
@@ -159,8 +160,8 @@ def place(config: SheetConfig, rows: int, cols: int) -> Float:
     """(n, 3) positions [m]."""
     right, down = (np.asarray(axis) for axis in PLANES[config.plane])
     if config.rotate is not None:
-        turn = config.rotate.matrix()
-        right, down = turn @ right, turn @ down
+        matrix = config.rotate.matrix()
+        right, down = turn(matrix, right), turn(matrix, down)
     u = config.size[0] * np.linspace(-0.5, 0.5, cols)[None, :, None]
     v = config.size[1] * np.linspace(-0.5, 0.5, rows)[:, None, None]
     return np.ascontiguousarray((u * right + v * down + np.asarray(config.centre)).reshape(-1, 3))

@@ -28,6 +28,7 @@ from nuno_cloth.models.delaunay import fill_outline
 from nuno_kernels.meshes.harmonic import solve_harmonic
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.vectors import norm
 
 CURVE = 0.07
 """How much of the side and of the underarm is rounded off about A [m]; no more than CURVED of the underarm."""
@@ -80,7 +81,7 @@ class Cut:
         """Ends (2,) of the curve about A: on the side, and on the underarm."""
         c = self.corners()
         ways = [c[name] - c["A"] for name in ("H", "B")]
-        lengths = [float(np.linalg.norm(way)) for way in ways]
+        lengths = [float(norm(way)) for way in ways]
         side, under = min(CURVE, 0.5 * lengths[0]), min(CURVE, CURVED * lengths[1])
         return c["A"] + side / lengths[0] * ways[0], c["A"] + under / lengths[1] * ways[1]
 

@@ -23,6 +23,7 @@ from nuno_cloth.quantities import Flatness, Fullness, Length
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Fabric, Float
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.vectors import turn
 
 SAMPLES = 2048
 """Points by which a row's curve is measured."""
@@ -163,7 +164,7 @@ def drape(config: SkirtConfig, circle: Float) -> Float:
             steps[row] = np.interp(even, reached / reached[-1], steps[row])
             aim[row] *= circle[row] / reached[-1]
     points = position.reshape(-1, 3)
-    turned = points if config.rotate is None else points @ config.rotate.matrix().T
+    turned = points if config.rotate is None else turn(config.rotate.matrix(), points)
     return np.ascontiguousarray(turned + np.asarray(config.centre))
 
 

@@ -28,6 +28,7 @@ import numpy as np
 
 from nuno_cloth.fabrics.presets import Material
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import dot
 
 TENSION = 1000.0
 
@@ -135,6 +136,6 @@ def hinge_stiffness(material: Material, x: Float, edges: Edges, area: Float, war
             np.add.at(across[:, axis], edge, np.square((e[edge] * yarn).sum(1)))
     # An edge along the weft is folded across the warp: the warp yarns bend.
     across /= across.sum(axis=1)[:, None]
-    rigidity = across @ np.array([material.bend_warp, material.bend_weft])
+    rigidity = dot(across, np.array([material.bend_warp, material.bend_weft]))
     k: Float = (rigidity * np.square(e).sum(1) / total)[edges.inner]
     return k

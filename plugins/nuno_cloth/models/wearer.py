@@ -13,6 +13,7 @@ import numpy as np
 from nuno_kernels.meshes.loops import Loop, cut_mesh, section_about
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import dot, norm
 
 STEP = 0.005
 """Between sections that are looked at [m]."""
@@ -62,7 +63,7 @@ class Wearer:
         """The loop round an arm `along` [m] from the armpit, square on it; None beyond its end."""
         point = arm.root + along * arm.way
         loop = section_about(self.x, self.faces, point, arm.way)
-        return loop if loop is not None and float(np.linalg.norm(loop.centroid() - point)) < REACH / 4 else None
+        return loop if loop is not None and float(norm(loop.centroid() - point)) < REACH / 4 else None
 
     def top(self, aside: float) -> float:
         """Height of the shoulder `aside` [m] from the middle, towards +x and -x alike."""
@@ -109,10 +110,10 @@ def _find_arm(x: Float, faces: Int, pit: float, side: float, height: float) -> A
     if inner is None or outer is None:
         raise BadInput("no arms are found on this body", field="over.body", limit=STANDS, remedy=TURN)
     way = outer.centroid() - inner.centroid()
-    way /= np.linalg.norm(way)
+    way /= norm(way)
     middle = inner.centroid()
     # On to where the plane square on the arm passes through the armpit: before, it would cut the trunk.
-    on = (np.array([pit, height, middle[2]]) - middle) @ way
+    on = float(dot(np.array([pit, height, middle[2]]) - middle, way))
     return Arm(middle + on * way, way)
 
 

@@ -22,6 +22,7 @@ from nuno_schemas.bodies import MESH, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import BodyShape, Config, Files, Mover
+from nuno_schemas.vectors import turn
 
 ARMS = (math.radians(40.0), math.radians(80.0))
 """Between these angles the torso's arms part from its trunk, and end below its shoulders [rad]."""
@@ -122,7 +123,7 @@ def find_mesh(
     else:
         x, faces = leg_mesh(config.resolution) if config.shape == "leg" else make_torso(config)
         x = x * config.scale
-    return np.ascontiguousarray(x @ turn_of(config.rotate).T + np.asarray(config.centre)), faces
+    return np.ascontiguousarray(turn(turn_of(config.rotate), x) + np.asarray(config.centre)), faces
 
 
 def mesh_shape(config: OnJoint, mover: Mover | None, x: Float, faces: Int, kind: int) -> BodyShape:
@@ -160,5 +161,4 @@ def turn_of(rotation: Rotation | None) -> Float:
         return np.eye(3)
     if not any(rotation.axis):
         raise BadInput("a turn needs an axis", field="rotate.axis", value=rotation.axis, limit="not all zero")
-    turn: Float = rotation_matrices(from_axis_angle(np.asarray(rotation.axis), rotation.angle)[None])[0]
-    return turn
+    return np.asarray(rotation_matrices(from_axis_angle(np.asarray(rotation.axis), rotation.angle)[None])[0])

@@ -12,6 +12,7 @@ from nuno_schemas.bodies import BOX, CAPSULE, PLANE
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import BodyShape, Config, Files, Mover
+from nuno_schemas.vectors import norm
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -110,7 +111,7 @@ class Plane:
     def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
         c = cast(PlaneConfig, config)
         normal: Float = np.array(c.normal, np.float64)
-        length = float(np.linalg.norm(normal))
+        length = float(norm(normal))
         if length == 0.0:
             raise BadInput("a plane needs a normal", field="normal", value=c.normal, limit="not all zero")
         return one_primitive(c, mover, PLANE, c.point, normal / length, 0.0)

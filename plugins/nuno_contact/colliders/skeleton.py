@@ -16,6 +16,7 @@ from nuno_schemas.bodies import CAPSULE
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import BodyShape, Config, Files, Mover
+from nuno_schemas.vectors import norm
 
 
 class SkeletonConfig(Config):
@@ -61,7 +62,7 @@ class Bone:
 
     @property
     def length(self) -> float:
-        return float(np.linalg.norm(self.b - self.a))
+        return float(norm(self.b - self.a))
 
 
 def rest_positions(mover: Mover) -> Float:
@@ -109,7 +110,7 @@ def find_bones(mover: Mover, named: Collection[str], half_width: float) -> list[
     either side of its middle at most: the hip joints lie further apart than a pelvis's round end
     may begin. Joints of the pelvis are taken not to turn against each other.
     """
-    parts, size = name_parts(mover, named), np.linalg.norm(mover.offsets, axis=1)
+    parts, size = name_parts(mover, named), norm(mover.offsets)
     hips = [j for j, p in enumerate(mover.parents) if p >= 0 and (parts[p], parts[j]) == ("pelvis", "thigh")]
     crossing = len(hips) == 2
     led: list[str] = []
@@ -146,7 +147,7 @@ def cross_pelvis(mover: Mover, parts: list[str], hips: list[int], half_width: fl
     rest = rest_positions(mover)
     left, right = (rest[j] - rest[carrier] for j in hips)
     middle, across = 0.5 * (left + right), 0.5 * (left - right)
-    reach = float(np.linalg.norm(across))
+    reach = float(norm(across))
     across = across * (min(half_width, reach) / reach if reach > 0.0 else 0.0)
     return Bone(carrier, "pelvis", middle - across, middle + across)
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import norm
 
 
 class Ring(NamedTuple):
@@ -121,9 +122,9 @@ def _cap(rings: Float, deep: Float) -> Float:
     turn = 0.5 * np.pi * np.arange(1, CAP + 1) / (CAP + 1)
     top, toe = rings[0].mean(axis=0), rings[-1].mean(axis=0)
     wide, narrow = rings[0] - top, rings[-1] - toe
-    radius = float(np.linalg.norm(wide, axis=1).mean())
+    radius = float(norm(wide).mean())
     up = np.array([0.0, 1.0, 0.0])
-    onward = np.array([0.0, -deep[2], deep[1]]) / np.linalg.norm(deep)
+    onward = np.array([0.0, -deep[2], deep[1]]) / norm(deep)
     rim = [top + RIM * np.sin(t) * up + (1.0 - RIM / radius * (1.0 - np.cos(t))) * wide for t in turn[::-1]]
     lid = [rim[0].mean(axis=0) + share * (rim[0] - rim[0].mean(axis=0)) for share in (0.25, 0.5, 0.75)]
     toes = [toe + TOE * np.sin(t) * onward + np.cos(t) * narrow for t in turn]

@@ -157,7 +157,9 @@ def _smooth(column: Float) -> Float:
     """Values a millimetre apart, averaged over SMOOTH: light shows where the curvature of cubics jumps."""
     place = np.arange(-3 * SMOOTH, 3 * SMOOTH + 1)
     weight = np.exp(-0.5 * (place / SMOOTH) ** 2)
-    return np.convolve(np.pad(column, 3 * SMOOTH, mode="edge"), weight / weight.sum(), mode="valid")
+    padded = np.pad(column, 3 * SMOOTH, mode="edge")
+    # np.convolve calls BLAS: see nuno_schemas.vectors.
+    return np.asarray(sum(share * padded[k : k + len(column)] for k, share in enumerate(weight / weight.sum())))
 
 
 def _arm(x: Float, y: Float, z: Float, scale: float, arms: float) -> Float:

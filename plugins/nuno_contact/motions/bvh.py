@@ -17,6 +17,7 @@ from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files, Mover
+from nuno_schemas.vectors import turn
 
 LARGEST_FILE = 256 * 2**20
 STEPS = (1e-6, 1e4)
@@ -195,7 +196,7 @@ class BVH:
         local[:, :, 0] = 1.0
         local[:, rows >= 0] = quaternions[part][:, rows[rows >= 0]]
         local[:, 0] = multiply(upright, local[:, 0])
-        root = scale * found.root_pos[part] @ rotation_matrices(upright[None])[0].T
+        root = turn(rotation_matrices(upright[None])[0], scale * found.root_pos[part])
         if not (np.abs(scale * offsets).max() <= FARTHEST and np.abs(root).max() <= FARTHEST):
             remedy = "check the file's numbers, or give a scale"
             raise BadInput("a body of no size", file=str(path), limit=f"{FARTHEST:g} m", remedy=remedy)

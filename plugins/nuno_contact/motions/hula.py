@@ -28,6 +28,7 @@ from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files, Mover
+from nuno_schemas.vectors import dot, norm, turn
 
 _SPINE = [
     ("hips", "", (0.0, 0.55, 0.0)),
@@ -91,9 +92,9 @@ def grow(t: float, ramp: float) -> float:
 
 def aim(direction: Float, front: Float) -> Float:
     """(4,) rotation that turns -y to `direction` and keeps z as near to `front` as that allows."""
-    y = -direction / np.linalg.norm(direction)
-    z = front - (front @ y) * y
-    z /= np.linalg.norm(z)
+    y = -direction / norm(direction)
+    z = front - dot(front, y) * y
+    z /= norm(z)
     return from_matrices(np.stack([np.cross(y, z), y, z], axis=1))
 
 
@@ -103,12 +104,12 @@ def bend_leg(hip: Float, ankle: Float, thigh: float, shin: float, front: Float) 
     The leg is stretched towards the ankle if it cannot reach it.
     """
     line = ankle - hip
-    far = float(np.linalg.norm(line))
+    far = float(norm(line))
     unit = line / far
     far = min(far, (1.0 - 1e-9) * (thigh + shin))
     reach = (thigh**2 - shin**2 + far**2) / (2.0 * far)
-    out = front - (front @ unit) * unit
-    out /= np.linalg.norm(out)
+    out = front - dot(front, unit) * unit
+    out /= norm(out)
     knee: Float = hip + reach * unit + math.sqrt(thigh**2 - reach**2) * out
     return knee
 
@@ -155,12 +156,12 @@ class _Dancer:
 
         `hips` (3,) and `rotation` (4,) are the hips' place and rotation in the world.
         """
-        height, turn = self.config.height, rotation_matrices(rotation[None])[0]
+        height, tilt = self.config.height, rotation_matrices(rotation[None])[0]
         found = {}
         for side, sign in SIDES:
             front = np.array([0.35 * sign, 0.0, 1.0])
             joint = {part: self.offsets[self.index[f"{side}_{part}"]] for part in ("thigh", "shin", "foot")}
-            hip = hips + turn @ joint["thigh"]
+            hip = hips + turn(tilt, joint["thigh"])
             ankle = place + height * np.array([sign * STANCE, ANKLE, 0.0])
             knee = bend_leg(hip, ankle, -float(joint["shin"][1]), -float(joint["foot"][1]), front)
             thigh, shin = aim(knee - hip, front), aim(ankle - knee, front)
@@ -173,12 +174,12 @@ class _Dancer:
         """Largest distance from hip to ankle in a full dance, over the length of the leg."""
         height, most = self.config.height, 0.0
         for phase in np.linspace(0.0, 2.0 * math.pi, 73):
-            turn = rotation_matrices(self.turns(1.0, phase)["hips"][None])[0]
+            tilt = rotation_matrices(self.turns(1.0, phase)["hips"][None])[0]
             for side, sign in SIDES:
                 thigh, shin, foot = (self.offsets[self.index[f"{side}_{part}"]] for part in ("thigh", "shin", "foot"))
-                hip = height * np.array([0.0, 0.55 - BEND, 0.0]) + self.circle(1.0, phase) + turn @ thigh
+                hip = height * np.array([0.0, 0.55 - BEND, 0.0]) + self.circle(1.0, phase) + turn(tilt, thigh)
                 ankle = height * np.array([sign * STANCE, ANKLE, 0.0])
-                most = max(most, float(np.linalg.norm(ankle - hip) / -(shin[1] + foot[1])))
+                most = max(most, float(norm(ankle - hip) / -(shin[1] + foot[1])))
         return most
 
     def pose(self, t: float) -> tuple[Float, Float]:

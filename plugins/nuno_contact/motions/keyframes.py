@@ -16,6 +16,7 @@ from nuno_contact.quantities import Point, Spin, Time
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import Config, Files, Mover
+from nuno_schemas.vectors import norm
 
 WIDTH = {"euler": 3, "axis_angle": 4, "quaternion": 4}
 
@@ -69,7 +70,7 @@ def read_rotation(values: list[float], form: str, field: str) -> Float:
     if form == "euler":
         return from_euler(numbers)
     turned = numbers[:3] if form == "axis_angle" else numbers
-    length = float(np.linalg.norm(turned))
+    length = float(norm(turned))
     if length == 0.0:
         raise BadInput(f"a rotation as {form} needs a direction", field=field, value=values, limit="not all zero")
     return from_axis_angle(turned, float(numbers[3])) if form == "axis_angle" else numbers / length

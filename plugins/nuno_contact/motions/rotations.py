@@ -6,6 +6,7 @@ import numpy as np
 
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import compose, dot, norm, turn
 
 AXES = np.eye(3)
 
@@ -34,7 +35,7 @@ def invert(q: Float) -> Float:
 def from_axis_angle(axis: Float, angle: float) -> Float:
     """(4,) turn by `angle` [rad] about `axis` (3,), which may have any length but 0."""
     half = 0.5 * angle
-    return np.concatenate([[np.cos(half)], np.sin(half) * axis / np.linalg.norm(axis)])
+    return np.concatenate([[np.cos(half)], np.sin(half) * axis / norm(axis)])
 
 
 def from_euler(angles: Float) -> Float:
@@ -60,22 +61,22 @@ def from_matrices(m: Float) -> Float:
         outer[..., i + 1, j + 1] = outer[..., j + 1, i + 1] = m[..., i, j] + m[..., j, i]
     row = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     q = np.take_along_axis(outer, row[..., None, None], axis=-2)[..., 0, :]
-    unit: Float = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    unit: Float = q / norm(q)[..., None]
     return unit
 
 
 def slerp(p: Float, q: Float, s: float) -> Float:
     """Between unit quaternions p (s = 0) and q (s = 1), (..., 4), the shorter way."""
-    dot = np.sum(p * q, axis=-1, keepdims=True)
-    q = np.where(dot < 0.0, -q, q)
-    angle = np.arccos(np.minimum(np.abs(dot), 1.0))
+    cosine = dot(p, q)[..., None]
+    q = np.where(cosine < 0.0, -q, q)
+    angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
     sine = np.sin(angle)
     near = sine < 1e-6
     safe = np.where(near, 1.0, sine)
     left = np.where(near, 1.0 - s, np.sin((1.0 - s) * angle) / safe)
     right = np.where(near, s, np.sin(s * angle) / safe)
     mixed = left * p + right * q
-    unit: Float = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+    unit: Float = mixed / norm(mixed)[..., None]
     return unit
 
 
@@ -89,6 +90,6 @@ def pose_skeleton(parents: Int, offsets: Float, local: Float, root: Float) -> tu
         if parent < 0:
             translation[j] = root
             continue
-        translation[j] = translation[parent] + matrix[parent] @ offsets[j]
-        matrix[j] = matrix[parent] @ matrix[j]
+        translation[j] = translation[parent] + turn(matrix[parent], offsets[j])
+        matrix[j] = compose(matrix[parent], matrix[j])
     return from_matrices(matrix), translation

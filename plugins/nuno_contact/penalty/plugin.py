@@ -14,6 +14,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import Term
+from nuno_schemas.vectors import norm
 
 REST_DEPTH = 5e-4
 """A vertex at rest under its own weight sinks no deeper than this [m]."""
@@ -44,7 +45,7 @@ def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
         for end in (0, 1):
             np.add.at(reaction, pairs[:, end], k)
     reaction[reaction == 0.0] = np.inf
-    weight = fabric.mass * float(np.sqrt(gravity @ gravity)) / REST_DEPTH
+    weight = fabric.mass * float(norm(gravity)) / REST_DEPTH
     stop = fabric.mass * (STOP_SPEED / STOP_DEPTH) ** 2
     return np.maximum(weight, np.minimum(stop, SHARE * reaction))
 
@@ -103,7 +104,7 @@ class Penalty:
         stiffness = np.where(np.isnan(geometry.stiffness)[:, None], own, geometry.stiffness[:, None])
         damping = 2.0 * geometry.damping[:, None] * np.sqrt(stiffness * fabric.mass)
         free = ~fabric.pinned
-        weight = fabric.mass * float(np.linalg.norm(gravity))
+        weight = fabric.mass * float(norm(gravity))
         omega_squared = (stiffness.sum(axis=0) / fabric.mass)[free]
         rate = (damping.sum(axis=0) / fabric.mass)[free]
         shares = np.array([slip_speed(ratio) for ratio in geometry.damping.tolist()]) * geometry.friction

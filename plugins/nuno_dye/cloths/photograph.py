@@ -22,6 +22,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 from nuno_schemas.parts import Colour
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.vectors import turn
 
 MOST_PIXELS = 2**25
 FORMATS = ["PNG", "JPEG"]
@@ -175,7 +176,7 @@ LAB = np.array(
 
 def to_oklab(linear: Float) -> Float:
     """(..., 3) lightness, green to red and blue to yellow of linear light (Ottosson 2020)."""
-    lab: Float = np.cbrt(linear @ LMS.T) @ LAB.T
+    lab: Float = turn(LAB, np.cbrt(turn(LMS, linear)))
     return lab
 
 

@@ -26,6 +26,7 @@ from nuno_kernels.meshes.normals import edge_numbers
 from nuno_kernels.meshes.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.vectors import dot, norm
 
 ROUNDS = 4
 """Times that planes across the line are cut."""
@@ -162,7 +163,7 @@ def axis_by_levels(x: Float, faces: Int, ends: Float, count: int = 64) -> Float:
             assert section is not None  # the place is inside of the mesh
             beside = np.unique(section.edges)
             given[beside] = True
-            value[beside] = i * length + (x[beside] - ends[i]) @ way / np.linalg.norm(way)
+            value[beside] = i * length + dot(x[beside] - ends[i], way) / norm(way)
             ends = np.where(np.arange(2)[:, None] == i, section.centroid(), ends)
         loops = _level_loops(x, faces, solve_harmonic(x, faces, given, value), length, count)
         middles = np.array([loop.centroid() for loop in loops])

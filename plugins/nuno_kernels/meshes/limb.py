@@ -21,6 +21,7 @@ from nuno_kernels.meshes.normals import edge_numbers
 from nuno_kernels.meshes.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
+from nuno_schemas.vectors import dot, norm
 
 SAMPLES, AROUND = 160, 32
 """Rings, and points of each, from which heights are found."""
@@ -119,7 +120,7 @@ def _lay_rings(
         points[row], normal[row], length = spread_hull(around, centres[row], seam, np.cross(tangent, seam), columns)
         if levels[row] == tip:
             middle = points[row].mean(axis=0)
-            reach = float(((x[field < tip] - middle) @ tangent).min(initial=0.0))
+            reach = float(dot(x[field < tip] - middle, tangent).min(initial=0.0))
             points[row] = middle + DRAWN * (points[row] - middle) + 2.0 * reach * tangent
             length *= DRAWN
         girth.append(length)
@@ -141,9 +142,9 @@ def _find_field(x: Float, faces: Int, line: Float, to_tip: bool) -> tuple[Float,
     length = line_length(line)
     few = max(1, len(line) // 16)
     ways = [line[few] - line[0], line[-1] - line[-1 - few]]
-    across = [(point, way / np.linalg.norm(way)) for point, way in zip(line[[0, -1]], ways, strict=True)]
+    across = [(point, way / norm(way)) for point, way in zip(line[[0, -1]], ways, strict=True)]
     x, faces, loops, (start, end) = _part(x, faces, across)
-    planes = [(x - point) @ way for point, way in across]
+    planes = [dot(x - point, way) for point, way in across]
     given, value = start | end, np.where(end, 2.0 * length, np.where(start, -length, 0.0))
     _give(given, value, loops[1], length + planes[1])
     _give(given, value, loops[0], planes[0])
@@ -163,7 +164,7 @@ def _part(x: Float, faces: Int, across: list[tuple[Float, Float]]) -> tuple[Floa
         if len(loops) < 2:
             remedy = "give places inside of the mesh"
             raise BadInput("the axis does not lie in the limb", field="between", remedy=remedy)
-        parts = _split(x, faces, loops, [(x - point) @ way for point, way in across])
+        parts = _split(x, faces, loops, [dot(x - point, way) for point, way in across])
         if parts is not None:
             return x, faces, loops, parts
         if not _in_one_ring(loops[0], loops[1], across):
@@ -177,7 +178,7 @@ def _part(x: Float, faces: Int, across: list[tuple[Float, Float]]) -> tuple[Floa
 
 def _in_one_ring(first: Loop, last: Loop, across: list[tuple[Float, Float]]) -> bool:
     """Whether two sections that do not cross have no row of edges between them, for the mesh is too coarse there."""
-    sides = [(loop.points - point) @ way for loop, (point, way) in zip((last, first), across, strict=True)]
+    sides = [dot(loop.points - point, way) for loop, (point, way) in zip((last, first), across, strict=True)]
     apart = any((side > 0.0).all() or (side < 0.0).all() for side in sides)
     return apart and bool(np.isin(first.edges, last.edges).any())
 
@@ -238,8 +239,8 @@ def _carry_seam(centres: Float) -> list[tuple[Float, Float]]:
     seam = np.array([0.0, 0.0, -1.0]) if abs(tangent[-1, 2]) < 0.7 else np.array([0.0, -1.0, 0.0])
     found = []
     for t in tangent[::-1]:
-        seam = seam - (seam @ t) * t
-        seam = seam / np.linalg.norm(seam)
+        seam = seam - dot(seam, t) * t
+        seam = seam / norm(seam)
         found.append((seam, t))
     return found[::-1]
 
@@ -248,7 +249,7 @@ def spread_hull(around: Float, centre: Float, seam: Float, side: Float, columns:
     """(columns, 3) points in equal steps along the convex hull of places (k, 3), as seen across the unit directions
     `seam` and `side`, from the seam on towards the side; the hull's normals there, and its length.
     """
-    flat = np.stack([(around - centre) @ seam, (around - centre) @ side], axis=1)
+    flat = np.stack([dot(around - centre, way) for way in (seam, side)], axis=1)
     hull = convex_hull(flat)
     corners = np.concatenate([around[hull], flat[hull]], axis=1)
     edge = np.roll(corners[:, 3:], -1, axis=0) - corners[:, 3:]

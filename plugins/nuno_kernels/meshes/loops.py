@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import dot, norm
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,10 @@ class Loop:
         here, after = self.points - middle, np.roll(self.points, -1, axis=0) - middle
         areas = np.cross(here, after)
         normal = areas.sum(axis=0)
-        size = float(normal @ normal)
+        size = float(dot(normal, normal))
         if size == 0.0:
             return np.asarray(middle)
-        weight = areas @ normal / size
+        weight = dot(areas, normal) / size
         return np.asarray(middle + (weight[:, None] * (here + after)).sum(axis=0) / 3.0)
 
 
@@ -87,16 +88,16 @@ def section_about(x: Float, faces: Int, point: Float, normal: Float) -> Loop | N
     """The loop that the plane through `point` (3,) across `normal` (3,) cuts round it; the one whose middle is nearest
     where none goes round it, and None where the plane meets nothing.
     """
-    loops = cut_mesh(x, faces, (x - point) @ normal)
+    loops = cut_mesh(x, faces, dot(x - point, normal))
     if not loops:
         return None
     round_it = [loop for loop in loops if _goes_round(loop.points - point, normal)]
-    return min(round_it or loops, key=lambda loop: float(np.linalg.norm(loop.centroid() - point)))
+    return min(round_it or loops, key=lambda loop: float(norm(loop.centroid() - point)))
 
 
 def _goes_round(points: Float, normal: Float) -> bool:
     """Whether a polygon in the plane across `normal` winds round the origin."""
     after = np.roll(points, -1, axis=0)
-    unit = normal / np.linalg.norm(normal)
-    angle = np.arctan2(np.cross(points, after) @ unit, (points * after).sum(axis=1))
+    unit = normal / norm(normal)
+    angle = np.arctan2(dot(np.cross(points, after), unit), (points * after).sum(axis=1))
     return bool(abs(angle.sum()) > np.pi)

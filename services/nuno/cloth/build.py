@@ -20,6 +20,7 @@ from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.scene import Scene
 from nuno_schemas.system import Carried, System, Term
+from nuno_schemas.vectors import turn
 
 BYTES_PER_VERTEX = 400
 """What a run of cloth takes at most per vertex whose springs and hinges are runs along rows, as on
@@ -173,8 +174,8 @@ def bind(
             vertex = int(binding.vertices[0])
             piece = next(i for i, piece in enumerate(pieces) if vertex < piece.stop)
             raise loaded.at(f"objects[{piece}].model.attach", error) from None
-        turn = rotation_matrices(poses.rotation[index])
-        local = (fabric.position[binding.vertices] - poses.translation[index]) @ turn
+        inverse = rotation_matrices(poses.rotation[index]).T
+        local = turn(inverse, fabric.position[binding.vertices] - poses.translation[index])
         carried.append(Carried(binding.vertices, local, np.full(len(local), index, np.int32)))
     return carried
 
