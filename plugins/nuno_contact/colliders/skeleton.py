@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_contact.colliders.radii import PELVIS_HALF_WIDTH, PIECES, PROFILES, default_radius, find_part
+from nuno_contact.motions.rotations import rest_positions
 from nuno_contact.quantities import Size
 from nuno_schemas.bodies import CAPSULE
 from nuno_schemas.errors import BadInput, nearest
@@ -65,20 +66,11 @@ class Bone:
         return float(norm(self.b - self.a))
 
 
-def rest_positions(mover: Mover) -> Float:
-    """(j, 3) joints with all rotations zero [m], the first at its own offset."""
-    position = mover.offsets.copy()
-    for j, parent in enumerate(mover.parents):
-        if parent >= 0:
-            position[j] += position[parent]
-    return position
-
-
 def find_height(mover: Mover) -> float:
     """Extent of the skeleton at rest [m] along the axis in which its head lies from its root (the
     widest, where no joint is called head or neck); for a standing or T-posed one its height.
     """
-    rest = rest_positions(mover)
+    rest = rest_positions(mover.parents, mover.offsets)
     extent = np.ptp(rest, axis=0)
     tops = [j for j, joint in enumerate(mover.joints) if find_part(joint) in ("head", "neck")]
     return float(extent[np.argmax(np.abs(rest[tops[-1]] - rest[0]))] if tops else extent.max())
@@ -144,7 +136,7 @@ def cross_pelvis(mover: Mover, parts: list[str], hips: list[int], half_width: fl
     carrier = int(mover.parents[hips[0]])
     while mover.parents[carrier] >= 0 and parts[mover.parents[carrier]] == "pelvis":
         carrier = int(mover.parents[carrier])
-    rest = rest_positions(mover)
+    rest = rest_positions(mover.parents, mover.offsets)
     left, right = (rest[j] - rest[carrier] for j in hips)
     middle, across = 0.5 * (left + right), 0.5 * (left - right)
     reach = float(norm(across))

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.motions.rotations import AXES, from_axis_angle, multiply, pose_skeleton, slerp
+from nuno_contact.motions.rotations import AXES, from_axis_angle, multiply, pose_skeleton, rest_positions, slerp
 from nuno_contact.quantities import Later, Point, Rate, Size, Span
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
@@ -211,11 +211,7 @@ class BVH:
 
 def find_extent(parents: Int, offsets: Float, axis: int, path: Path) -> float:
     """Height of the skeleton at rest along `axis`, in the file's unit. Raises BadInput for 0."""
-    position = np.zeros_like(offsets)
-    for j, parent in enumerate(parents):
-        if parent >= 0:
-            position[j] = position[parent] + offsets[j]
-    extent = float(np.ptp(position[:, axis]))
+    extent = float(np.ptp(rest_positions(parents, offsets * (parents >= 0)[:, None])[:, axis]))
     if not extent > 0.0:
         raise BadInput("the skeleton at rest has no height", file=str(path), field="height", remedy="give a scale")
     return extent

@@ -16,6 +16,7 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.motions.rotations import (
     AXES,
+    ease,
     from_axis_angle,
     from_euler,
     from_matrices,
@@ -80,14 +81,6 @@ class HulaConfig(Config):
     twist: Turn = Field(default=0.2, description="largest turn of the hips about the vertical [rad]")
     ramp: Span = Field(default=2.0, description="time in which the dance grows from standing still [s]")
     position: Point = Field(default=(0.0, 0.0, 0.0), description="where the dancer stands [m]")
-
-
-def grow(t: float, ramp: float) -> float:
-    """0 before t = 0, 1 after `ramp`, with first and second derivative 0 at both ends."""
-    if t >= ramp:
-        return 1.0
-    s = max(t, 0.0) / ramp
-    return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
 def aim(direction: Float, front: Float) -> Float:
@@ -185,7 +178,7 @@ class _Dancer:
     def pose(self, t: float) -> tuple[Float, Float]:
         """Rotation (j, 4) and translation (j, 3) [m] in the world."""
         c = self.config
-        level, phase = grow(t, c.ramp), 2.0 * math.pi * c.tempo * t
+        level, phase = ease(max(t, 0.0) / c.ramp) if t < c.ramp else 1.0, 2.0 * math.pi * c.tempo * t
         place = np.array(c.position)
         hips = place + np.array([0.0, c.height * (0.55 - BEND), 0.0]) + self.circle(level, phase)
         turns = self.turns(level, phase)

@@ -11,7 +11,7 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.motions.rotations import from_axis_angle, from_euler, slerp
+from nuno_contact.motions.rotations import ease, from_axis_angle, from_euler, slerp
 from nuno_contact.quantities import Point, Spin, Time
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -95,7 +95,7 @@ class _Keys:
             return self.rotation[k : k + 1], self.position[k : k + 1]
         s = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
         if self.ease:
-            s = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+            s = ease(s)
         turn = slerp(self.rotation[k : k + 1], self.rotation[k + 1 : k + 2], s)
         return turn, (1.0 - s) * self.position[k : k + 1] + s * self.position[k + 1 : k + 2]
 

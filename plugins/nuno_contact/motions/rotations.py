@@ -11,6 +11,11 @@ from nuno_schemas.vectors import compose, dot, norm, turn
 AXES = np.eye(3)
 
 
+def ease(s: float) -> float:
+    """From 0 to 1 over s in [0, 1], with first and second derivative 0 at both ends."""
+    return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+
+
 def multiply(p: Float, q: Float) -> Float:
     """Product p q: first q turns, then p."""
     w0, x0, y0, z0 = np.moveaxis(p, -1, 0)
@@ -78,6 +83,15 @@ def slerp(p: Float, q: Float, s: float) -> Float:
     mixed = left * p + right * q
     unit: Float = mixed / norm(mixed)[..., None]
     return unit
+
+
+def rest_positions(parents: Int, offsets: Float) -> Float:
+    """(j, 3) joints with all rotations zero [m], the first at its own offset; parents come before their children."""
+    position = offsets.copy()
+    for j, parent in enumerate(parents):
+        if parent >= 0:
+            position[j] += position[parent]
+    return position
 
 
 def pose_skeleton(parents: Int, offsets: Float, local: Float, root: Float) -> tuple[Float, Float]:
