@@ -164,14 +164,14 @@ def _require_net(fabric: Fabric, edges: dict[tuple[int, int], list[int]]) -> Non
     """Raises ValueError where springs are not on the edges, each once, hinges not across the inner ones."""
     springs, hinges = fabric.springs, fabric.hinges
     assert springs is not None and hinges is not None
-    structural = np.sort(springs.of_kind(0).pairs(), axis=1).tolist()
+    structural = np.sort(springs.pairs()[springs.of_kind(0)], axis=1).tolist()
     if sorted(map(tuple, structural)) != sorted(edges):
         raise ValueError("springs do not lie on the edges")
     inner = {edge: ends for edge, ends in edges.items() if min(ends) >= 0}
     if {(a, b): [c, d] for a, b, c, d in hinges.quads().tolist()} != inner or hinges.number != len(inner):
         raise ValueError("hinges do not lie across the inner edges")
     spans = {(min(ends), max(ends)) for ends in inner.values()}
-    bent = set(map(tuple, np.sort(springs.of_kind(2).pairs(), axis=1).tolist()))
+    bent = set(map(tuple, np.sort(springs.pairs()[springs.of_kind(2)], axis=1).tolist()))
     if not bent <= spans or not spans - bent <= set(edges):
         raise ValueError("bending springs do not lie across the inner edges")
     for values in (springs.k, springs.rest, hinges.k, fabric.mass):

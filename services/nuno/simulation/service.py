@@ -23,7 +23,7 @@ from nuno.simulation.alter import name_of
 from nuno.simulation.run import Simulation
 from nuno.stepping.again import resume
 from nuno.stepping.driver import CONTROL, WINDOW, Driver
-from nuno.stepping.stepped import Report, Stepped
+from nuno.stepping.stepped import Stepped
 from nuno.wire.arrays import encode_arrays
 from nuno.wire.sessions import PATIENCE
 from nuno_schemas.bodies import Geometry, Poses
@@ -91,7 +91,7 @@ class ClothDriver(Driver):
             self.context.event("warning", text, self.simulation.frame, self.simulation.t)
         self.publish_fabric(self.simulation.frame)
 
-    def step_frame(self) -> Report:
+    def step_frame(self) -> Stepped:
         """See `Driver`; cloth that operations change by now is published first."""
         if self.simulation.alter_due():
             self.publish_fabric(self.simulation.frame + 1)

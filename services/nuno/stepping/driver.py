@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from nuno.service import Context, ack_topic, asks_to_finish
-from nuno.stepping.stepped import Report, Stepped, Stepper
+from nuno.stepping.stepped import Stepped, Stepper
 from nuno.wire.arrays import encode_arrays
 from nuno.wire.bus import WAITING_AFTER, Inbox, Message
 from nuno.wire.question import Question
@@ -77,13 +77,12 @@ class Driver(ABC):
     def facts(self, ended: str) -> dict[str, Any]:
         """What the report says of this service, beside `summary`."""
 
-    def step_frame(self) -> Report:
+    def step_frame(self) -> Stepped:
         """Step one frame and publish it."""
         frame = self.stepper.step()
         self.seconds["steps"] += frame.seconds
         self.publish(frame, frame.number % self.every == 0 or frame.report.status != "ok")
-        report: Report = frame.report
-        return report
+        return frame
 
     def publish(self, frame: Stepped, show: bool) -> None:
         """A frame's status, and before it, where it is to be shown, its arrays."""
@@ -222,7 +221,7 @@ class Driver(ABC):
             self.paused_seconds += time.perf_counter() - start
             if self.finish is not None or self.state == "stopped":
                 break
-            status = self.one_frame().status
+            status = self.one_frame()
             if status == "unconverged" and self.stepper.frame >= self.scene.frames:  # a longer one can go on
                 self.keep()
                 self.wait_for(self.stepper.frame)
@@ -244,7 +243,7 @@ class Driver(ABC):
                 frame = self.due.pop(0)
                 if frame not in (self.stepper.frame, self.stepper.frame + 1):
                     raise RunFailed(f"frame {frame} came after frame {self.stepper.frame}")
-                if frame > self.stepper.frame and self.one_frame().status != "ok":
+                if frame > self.stepper.frame and self.one_frame() != "ok":
                     raise RunFailed(self.message or "amounts are no longer finite")
                 self.context.acknowledge(frame, self.stepper.t)
                 self.listen(0)
@@ -256,9 +255,9 @@ class Driver(ABC):
             self.keep()
         return "done"
 
-    def one_frame(self) -> Report:
-        """Step, publish, and let nobody who must see it fall far behind."""
-        report = self.step_frame()
+    def one_frame(self) -> str:
+        """Step, publish, and let nobody who must see it fall far behind; the frame's status."""
+        report = self.step_frame().report
         for name, value in report.totals.items():
             self.totals[name] = self.totals.get(name, 0) + value
         self.message = report.message
@@ -267,7 +266,7 @@ class Driver(ABC):
         if due and report.status == "ok" and frame < self.scene.frames:
             self.keep()
         self.wait_for((frame - WINDOW) // self.every * self.every)  # those between are not all acknowledged
-        return report
+        return str(report.status)
 
     def wait_for(self, frame: int) -> None:
         """Wait until every service that must see `frame` has, and say for whom. Raises RunFailed for a hung one."""

@@ -17,14 +17,9 @@ from numpy.typing import NDArray
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint
 from nuno.scene.scene_file import Loaded
 from nuno.words import factor
-from nuno_schemas.dye import DyeReport
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
-from nuno_schemas.system import StepReport
-
-Report = StepReport | DyeReport
-"""What a solver says of a frame."""
 
 
 @dataclass
