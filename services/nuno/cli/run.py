@@ -140,7 +140,7 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
         print("drawing the last frame", flush=True)  # the first time, the renderer is compiled
         export_picture(options.record, target)
         print(f"picture    {target}  (no screen here; on one with a screen: nuno replay {options.record} --view)")
-    print(f"total      {time.perf_counter() - started:.1f} s")
+    print(f"total      {time.perf_counter() - started:.1f} s", flush=True)  # before what failed, in a pipe, too
     keep_page(options.view, outcome.services.get("viewer", {}))
     if outcome.problem:
         print(f"\n{outcome.problem}", file=sys.stderr)
