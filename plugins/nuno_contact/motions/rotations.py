@@ -18,8 +18,8 @@ def ease(s: float) -> float:
 
 def multiply(p: Float, q: Float) -> Float:
     """Product p q: first q turns, then p."""
-    w0, x0, y0, z0 = np.moveaxis(p, -1, 0)
-    w1, x1, y1, z1 = np.moveaxis(q, -1, 0)
+    w0, x0, y0, z0 = (p[..., i] for i in range(4))
+    w1, x1, y1, z1 = (q[..., i] for i in range(4))
     return np.stack(
         [
             w0 * w1 - x0 * x1 - y0 * y1 - z0 * z1,
