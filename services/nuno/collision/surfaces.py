@@ -8,11 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nuno.collision.primitives import box_mesh, capsule_mesh, plane_mesh
 from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, rotation_matrices
 from nuno_schemas.fabric import Float, Int
-
-ROUND = (12, 24)
-"""Parts of a capsule from pole to pole, but for its straight part, and round it."""
 
 
 @dataclass(frozen=True)
@@ -51,26 +49,16 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
 
 def _primitive(geometry: Geometry, i: int, inset: float, plane_size: float) -> tuple[Float, Int]:
     """Vertices (n, 3) [m] and faces (f, 3) of one primitive in its frame."""
-    from trimesh import creation  # only what draws bodies waits for it
-    from trimesh import geometry as directions
-
     kind, a, b, radius = geometry.kind[i], geometry.a[i], geometry.b[i], float(geometry.radius[i])
     if kind in OF_TRIANGLES:
         return geometry.mesh(i)
-    up = np.array([0.0, 0.0, 1.0])
     if kind == BOX:
-        turn, mesh, middle = np.eye(4), creation.box(2.0 * np.maximum(b - inset, 0.1 * b)), a
-    elif kind == PLANE:
-        turn, middle = directions.align_vectors(up, b), a - inset * b
-        corner = 0.5 * plane_size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
-        return corner @ turn[:3, :3].T + middle, np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    elif kind == CAPSULE:
-        length, middle = float(np.linalg.norm(b - a)), 0.5 * (a + b)
-        turn = directions.align_vectors(up, b - a) if length > 0.0 else np.eye(4)
-        mesh = creation.capsule(length, max(radius - inset, 0.1 * radius), ROUND)
-    else:
-        raise ValueError(f"unknown primitive kind {int(kind)}")
-    return np.asarray(mesh.vertices) @ turn[:3, :3].T + middle, np.asarray(mesh.faces, np.int32)
+        return box_mesh(a, np.maximum(b - inset, 0.1 * b))
+    if kind == PLANE:
+        return plane_mesh(a - inset * b, b, plane_size)
+    if kind == CAPSULE:
+        return capsule_mesh(a, b, max(radius - inset, 0.1 * radius))
+    raise ValueError(f"unknown primitive kind {int(kind)}")
 
 
 def vertex_normals(x: Float, faces: Int) -> Float:
