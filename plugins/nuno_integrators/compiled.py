@@ -112,7 +112,7 @@ class Compiled(ABC):
         packed = _set_poses(work.packed, poses)
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t + steps * dt)
-        call_each(packed, "begin", work.x)
+        call_each(packed, "begin", work.x, steps * dt)
         if steps == 0:
             self.compile(work, packed, extra)
         started = time.perf_counter()
@@ -210,7 +210,7 @@ def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
 def _own_arrays(packed: Packed, work: Work) -> dict[str, NDArray[Any]]:
     """The method's own arrays that are part of the state."""
     arrays: dict[str, NDArray[Any]] = {}
-    for term in (*packed.forces, *packed.bodies):
+    for term in {id(term): term for term in (*packed.forces, *packed.bodies)}.values():
         for name in kernels_of(term).memory:
             arrays[name if name not in arrays else f"{name}-{len(arrays)}"] = getattr(term, name)
     return arrays | work.kept()

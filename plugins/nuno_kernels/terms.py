@@ -84,7 +84,7 @@ class Kernels:
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
                                                    nuno_kernels.forces.constraint_packing
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
-    begin(term, x)                                 before an interval's first step
+    begin(term, x, span)                           before an interval's first step; it lasts `span` [s]
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
     unbalance(term, x, force)                      holds forces (3, n) off bodies, in place
     counts(term) -> mapping                        counts for a step's report

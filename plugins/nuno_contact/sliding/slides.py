@@ -199,7 +199,7 @@ def find_block_room(block: int, x: Float, s: Slides) -> None:
 
 
 @parallel_kernel
-def find_room(s: Slides, x: Float) -> None:
+def find_room(s: Slides, x: Float, span: float) -> None:
     """Take vertices x (3, n) as they are at the start of the interval for the start of their next movement.
 
     One that has not gone on from where it was, as after a jump, is looked up anew.

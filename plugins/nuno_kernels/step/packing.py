@@ -10,7 +10,7 @@ from nuno_kernels import threads_available
 from nuno_kernels.forces.hinges import pack_hinges
 from nuno_kernels.forces.spring_packing import pack_springs
 from nuno_kernels.step.acceleration import Extra, Packed
-from nuno_kernels.terms import kernels_of, role_of
+from nuno_kernels.terms import Kernels, kernels_of, role_of
 from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.system import System
 
@@ -44,7 +44,7 @@ def pack(system: System) -> Packed:
     given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
     forces = (*pack_springs(fabric.springs, fabric.number), *pack_hinges(fabric.hinges, fabric.number))
     forces += (*_pack_yarns(fabric), *(part for part in given if kernels_of(part).block is not None))
-    bodies = (*_pack_carried(system), *(part for part in given if kernels_of(part).block is None))
+    bodies = (*_pack_carried(system), *(part for part in given if _has_steps(kernels_of(part))))
     threads = thread_count(system)
     python = any(term.in_python for term in system.terms)
     adds = any(kernels_of(part).after is not None for part in bodies)
@@ -86,7 +86,8 @@ def silence(packed: Packed, *names: str) -> Packed:
 
 def silence_bodies(packed: Packed) -> Packed:
     """The same system, of the same types, in which no body carries, meets or holds vertices."""
-    return packed._replace(bodies_on=np.zeros_like(packed.bodies_on))
+    alone = [kernels_of(term).interval is None for term in packed.bodies]
+    return packed._replace(bodies_on=packed.bodies_on & np.array(alone, np.bool_))
 
 
 def reads_velocity(packed: Packed) -> bool:
@@ -101,8 +102,14 @@ def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
     are silent do nothing.
     """
     terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
-    calls = [(role_of(type(term), role), term) for term, on in terms if on]
+    acting = {id(term): term for term, on in terms if on}
+    calls = [(role_of(type(term), role), term) for term in acting.values()]
     return [call(term, *args) for call, term in calls if call is not None]
+
+
+def _has_steps(kernels: Kernels) -> bool:
+    """Whether terms have a part in steps beside a force by blocks."""
+    return kernels.block is None or kernels.hold is not None
 
 
 def _pack_carried(system: System) -> tuple[Any, ...]:
