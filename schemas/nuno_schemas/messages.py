@@ -67,7 +67,9 @@ class DyeStatus(FrameStatus):
 
 
 class Penetration(BaseModel):
-    """Collision service, once a frame: how deep published positions lie inside bodies."""
+    """Collision service, once a frame: how deep published positions lie inside bodies, and where cloth passes through
+    cloth.
+    """
 
     frame: int
     t: float
@@ -80,6 +82,10 @@ class Penetration(BaseModel):
     mean: float
     """Mean depth of those inside [m]."""
     seconds: float
+    crossings: int = 0
+    """Edges of cloth that pass through triangles of cloth, where the scene has cloth contact."""
+    places: list[tuple[float, float, float]] = []
+    """Where the first of them do [m]."""
 
 
 class Event(BaseModel):

@@ -30,6 +30,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh, sdf",
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
+    "nuno.cloth_contacts": "forces between cloth and cloth, and what keeps it from passing through",
     "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure, wrinkle",
     "nuno.renderers": "draw a picture of a frame",
     "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
@@ -94,6 +95,18 @@ class Contact(Plugin, Protocol):
 
     def prepare(self, config: Any, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
         """The term of the bodies that have this contact, so configured: those of `geometry`, on the frames of all."""
+        ...
+
+
+class ClothContact(Plugin, Protocol):
+    """What cloth does to cloth."""
+
+    def prepare(
+        self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_], gravity: Float
+    ) -> Term:
+        """The term of all cloth, which has faces; `objects` are the vertices (k,) of each by name, and meet (o, o) says
+        which of them, in that order, meet each other and themselves.
+        """
         ...
 
 

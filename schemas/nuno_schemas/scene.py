@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -55,6 +57,14 @@ class Applied(Choice):
     object: Name | None = Field(default=None, description="the object that is changed; the only one where left out")
 
 
+class ClothContact(Choice):
+    """What cloth does to cloth."""
+
+    allow: list[tuple[Name, Name]] = Field(
+        default_factory=list, description="objects that may pass through each other, in pairs; one through itself, too"
+    )
+
+
 class Record(Part):
     """What goes into the recording."""
 
@@ -68,7 +78,7 @@ class Record(Part):
     )
 
 
-MOVING = ("objects", "bodies", "forces", "operations", "solver", "until")
+MOVING = ("objects", "bodies", "forces", "operations", "solver", "until", "cloth_contact")
 """Fields of a scene of moving cloth, which a scene of dye alone has not."""
 
 
@@ -112,6 +122,9 @@ class Scene(Part):
         default_factory=list, max_length=1000, description="what changes the cloth while the scene goes on: wrinkle"
     )
     contact: Choice = Field(default=Choice(plugin="penalty"), description="between cloth and the bodies that name none")
+    cloth_contact: ClothContact | Literal["none"] = Field(
+        default="none", description="of cloth with itself and with other cloth; none: it passes through"
+    )
     dye: Dyeing | None = Field(default=None, description="a cloth that is dyed; alone, or on an object")
     record: Record = Field(default=Record(), description="what goes into the recording beside every frame")
     view: View = Field(default=View(), description="how pictures are taken")
@@ -129,6 +142,9 @@ class Scene(Part):
         ]
         if self.dye is not None and self.dye.object is not None:
             named.append((self.dye.object, ("dye", "object")))
+        if isinstance(self.cloth_contact, ClothContact):
+            pairs = enumerate(self.cloth_contact.allow)
+            named += [(name, ("cloth_contact", "allow", i, k)) for i, pair in pairs for k, name in enumerate(pair)]
         for name, place in named:
             if name not in names and (name is not None or len(names) != 1):
                 problem = "say which object it changes; {known}" if name is None else "no object has this name; {known}"
@@ -172,6 +188,20 @@ class Scene(Part):
     def moves(self) -> bool:
         """Whether there is cloth to simulate: in every scene but one of dye alone."""
         return self.dye is None or self.dye.object is not None
+
+    @property
+    def meets(self) -> bool:
+        """Whether cloth meets cloth."""
+        return self.moves and self.cloth_contact != "none"
+
+    def meet(self) -> NDArray[np.bool_]:
+        """(o, o) which objects meet each other, and themselves."""
+        names = [part.name for part in self.objects]
+        found = np.full((len(names), len(names)), self.meets)
+        for one, other in self.cloth_contact.allow if isinstance(self.cloth_contact, ClothContact) else ():
+            a, b = names.index(one), names.index(other)
+            found[a, b] = found[b, a] = False
+        return found
 
     @property
     def step_undecided(self) -> bool:

@@ -190,6 +190,7 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
     ("nuno.models", "count"): (int, lambda found, args: check_number("it", found, Bounds(0))),
     ("nuno.forces", "prepare"): (Term, lambda found, args: check_term(found, _of(Fabric, args))),
     ("nuno.contacts", "prepare"): (Term, lambda found, args: check_term(found, _of(Fabric, args))),
+    ("nuno.cloth_contacts", "prepare"): (Term, lambda found, args: check_term(found, _of(Fabric, args))),
     ("nuno.motions", "prepare"): (Mover, lambda found, args: check_mover(found)),
     ("nuno.colliders", "build"): (BodyShape, lambda found, args: check_body(found, _of(Mover, args))),
     ("nuno.integrators", "prepare"): (Memory, lambda found, args: check_memory(found)),

@@ -52,6 +52,8 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "omega": (summary.get("limit") or {}).get("omega"),
         "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
         "penetration": services.get("collision", {}).get("deepest"),
+        "crossed_frames": services.get("collision", {}).get("crossed"),
+        "crossings": services.get("collision", {}).get("crossings"),
         "last_penetration": services.get("collision", {}).get("last_depth"),
         **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed")},
         # One that was asked to finish before its first frame has no amounts.
@@ -230,6 +232,9 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         if report["rest_depth"] is not None:
             text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
+    if (crossed := report["crossed_frames"]) is not None:
+        most = f", up to {report['crossings']:,} edges through triangles in one" if crossed else ""
+        rows.append(("crossings", f"cloth passes through cloth in {crossed:,} frames{most}"))
     if report["slip_speed"]:
         text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"
         rows.append(("friction", f"{text}, what turns round up to twice that"))

@@ -46,6 +46,7 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
         "hula": {},
     },
     "nuno.contacts": {"penalty": {}, "sliding": {}},
+    "nuno.cloth_contacts": {"offset": {}},
     "nuno.operations": {
         "pressure": {},
         "repair": {},

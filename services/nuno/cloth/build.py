@@ -193,6 +193,9 @@ def build_system(
     for contact, bodies in group_contacts(loaded):
         if geometry is not None and len((own := geometry.of_bodies(bodies)).kind):
             terms.append(_prepared(loaded, contact.field, contact, fabric, own, gravity, fields=fields))
+    if (meeting := loaded.cloth_contact) is not None and len(fabric.faces):
+        objects = {piece.name: np.arange(piece.start, piece.stop, dtype=np.int32) for piece in pieces}
+        terms.append(_prepared(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity))
     return System(fabric, gravity, _start_damping(loaded.scene), tuple(terms), threads, carried)
 
 

@@ -3,35 +3,54 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 
 from nuno.collision.bodies import Bodies, build_bodies
+from nuno.collision.crossings import edges_of, find_crossings
 from nuno.collision.distance import penetration
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, encode_geometry, encode_poses
 from nuno.service import Context, each_message
-from nuno.wire.arrays import BadMessage, decode_points
+from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
 from nuno.wire.bus import Inbox, Message
 from nuno.wire.question import Question
+from nuno.wrong import Wrong, check_array
 from nuno_schemas.bodies import Poses
-from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATE, Header, Penetration
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.layout import Bounds
+from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, Header, Penetration
 
 KEPT = 16
 """Frames whose poses are kept: more than the simulation runs ahead."""
 
 
-class Collision:
-    """Bodies of one run."""
+MOST_PLACES = 100
+"""Where cloth passes through cloth is told of so many edges at most."""
 
-    def __init__(self, context: Context, bodies: Bodies, inbox: Inbox) -> None:
+
+class Collision:
+    """Bodies of one run, and its cloth where that meets itself."""
+
+    def __init__(self, context: Context, bodies: Bodies | None, inbox: Inbox) -> None:
         self.context, self.bodies, self.inbox = context, bodies, inbox
         self.rate, self.frames = context.loaded.scene.frame_rate, context.loaded.scene.frames
         self.seconds = 0.0
         self.deepest = self.last = 0.0
         self.cache: dict[int, tuple[Poses, bytes]] = {}
+        self.cloth: tuple[Int, Int] | None = None
+        """Triangles and edges of the cloth, where it is to be looked at."""
+        self.piece, self.meet = np.zeros(0, np.int32), context.loaded.scene.meet()
+        """(n,) number of the object that each vertex is of, and which objects meet."""
+        self.crossed = self.crossings = 0
+        """Frames in which cloth passed through cloth, and the most crossings in one."""
 
     def answer(self, question: Question) -> None:
         """The geometry, or the poses of a frame."""
+        if self.bodies is None:
+            self.inbox.refuse(question)
+            question.refuse("the scene has no bodies")
+            return
         if question.name == GEOMETRY_QUESTION:
             question.answer(encode_geometry(self.bodies.geometry))
             return
@@ -45,6 +64,7 @@ class Collision:
     def poses(self, frame: int) -> tuple[Poses, bytes]:
         """Poses of a frame, and their message; the last few are kept, so that each frame's are encoded once."""
         if frame not in self.cache:
+            assert self.bodies is not None
             poses = self.bodies.poses(frame / self.rate)
             self.cache[frame] = poses, encode_poses(poses, frame)
             while len(self.cache) > KEPT:
@@ -56,6 +76,8 @@ class Collision:
 
         Not before: until the first frame some services may still be starting.
         """
+        if self.bodies is None:
+            return
         if GEOMETRY.name not in self.context.bus.publishers:
             for note in self.bodies.notes:
                 self.context.event("warning", note, header.frame, header.t)
@@ -70,7 +92,9 @@ class Collision:
         points = decode_points(message.payload)
         self.publish(header)
         start = time.perf_counter()
-        depth = penetration(points, self.bodies.geometry, self.poses(header.frame)[0])
+        depth = np.zeros(len(points))
+        if self.bodies is not None:
+            depth = penetration(points, self.bodies.geometry, self.poses(header.frame)[0])
         inside = depth > 0.0
         deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(
@@ -81,27 +105,55 @@ class Collision:
             inside=int(inside.sum()),
             mean=float(depth[inside].mean()) if deepest >= 0 else 0.0,
             seconds=time.perf_counter() - start,
+            **self.look_for_crossings(points),
         )
         self.deepest, self.last = max(self.deepest, report.depth), report.depth
         self.seconds += report.seconds
         self.context.bus.publisher(PENETRATION).put(report.model_dump_json().encode(), header.frame, header.t)
         self.context.acknowledge(header.frame, header.t)
 
+    def look_for_crossings(self, points: Float) -> dict[str, Any]:
+        """What a frame's report says of where cloth passes through cloth, which is said aloud once."""
+        if self.cloth is None or not np.isfinite(points).all():
+            return {}
+        found = find_crossings(points, *self.cloth)
+        places = found.places[self.meet[self.piece[found.edges[:, 0]], self.piece[found.triangles[:, 0]]]]
+        number = len(places)
+        self.crossed, self.crossings = self.crossed + (number > 0), max(self.crossings, number)
+        return {"crossings": number, "places": places[:MOST_PLACES].tolist()}
+
+    def take_cloth(self, message: Message) -> None:
+        """Look at another cloth from now on: the run's, or what an operation has made of it. Raises BadMessage."""
+        arrays, text = decode_arrays(message.payload)
+        try:
+            faces = arrays["faces"]
+            check_array("faces", faces, np.int32, (None, 3), Bounds(0, text["vertices"] - 1))
+            number = [piece["stop"] - piece["start"] for piece in text["objects"]]
+            self.cloth, self.piece = (faces, edges_of(faces)), np.repeat(np.arange(len(self.meet)), number)
+        except (LookupError, TypeError, ValueError) as error:
+            raise BadMessage(f"a fabric without {error}") from None
+        except Wrong as error:
+            raise BadMessage(f"a fabric of which {error}") from None
+
 
 def main(context: Context) -> None:
-    """Serve one run's bodies until asked to finish."""
-    inbox = Inbox(context.bus, [STATE])
-    bodies = build_bodies(context.loaded)
-    collision = Collision(context, bodies, inbox)
+    """Serve one run's bodies, and look at its cloth, until asked to finish."""
+    scene = context.loaded.scene
+    inbox = Inbox(context.bus, [STATE, FABRIC] if scene.meets else [STATE])
+    collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
     inbox.answer(GEOMETRY_QUESTION)
     inbox.answer(POSES_QUESTION)
 
     def handle(message: Message) -> None:
         try:
-            collision.measure(message)
+            (collision.take_cloth if message.topic == FABRIC.name else collision.measure)(message)
         except BadMessage:
             inbox.refuse(message)
 
     finish = each_message(context, inbox, handle, collision.answer)
-    found = {"seconds": collision.seconds, "deepest": collision.deepest, "last_depth": collision.last}
+    found: dict[str, Any] = {"seconds": collision.seconds}
+    if scene.bodies:
+        found |= {"deepest": collision.deepest, "last_depth": collision.last}
+    if collision.cloth is not None:
+        found |= {"crossed": collision.crossed, "crossings": collision.crossings}
     finish.answer_json(context.counts(inbox) | found)

@@ -16,6 +16,7 @@ _PLACES = {
     ("Body", "contact"): "nuno.contacts",
     ("Scene", "solver"): "nuno.integrators",
     ("Scene", "contact"): "nuno.contacts",
+    ("Scene", "cloth_contact"): "nuno.cloth_contacts",
     ("Scene", "forces"): "nuno.forces",
     ("Scene", "operations"): "nuno.operations",
     ("Dyeing", "cloth"): "nuno.dye_cloths",
@@ -30,6 +31,7 @@ _BESIDE = {
     "nuno.dye_solvers": "DyeSolver",
     "nuno.dye_pictures": "DyePicture",
     "nuno.operations": "Applied",
+    "nuno.cloth_contacts": "ClothContact",
 }
 """Parts of the contract whose own fields stand beside a plugin's."""
 
@@ -52,6 +54,8 @@ def scene_schema() -> dict[str, Any]:
             for key in ("$ref", "anyOf", "default"):
                 place.pop(key, None)
             place["oneOf"] = [*choices, *(_short(group) if field == "solver" else ())]
+            if field == "cloth_contact":
+                place["oneOf"].append({"const": "none"})
             if field in ("isotherm", "yarns"):
                 place["oneOf"].append({"type": "null"})
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -19,7 +19,7 @@ from nuno.scene.yaml_lines import dotted
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.parts import Choice
-from nuno_schemas.scene import Applied, Scene
+from nuno_schemas.scene import Applied, ClothContact, Scene
 from nuno_schemas.solver import AUTO, Solver
 
 FIRST, FIRST_DYE = "symplectic_euler", "explicit"
@@ -75,6 +75,8 @@ class Loaded:
     chosen: list[Chosen]
     """All plugins of the scene, each once."""
     operations: list[Chosen] = field(default_factory=list)
+    cloth_contact: Chosen | None = None
+    """None where cloth passes through cloth."""
     dye: ChosenDye | None = None
     yarn_picture: Chosen | None = None
     """How pictures of yarns are drawn, where the scene says."""
@@ -206,6 +208,12 @@ def _contacts(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path], Cho
     ]
 
 
+def _cloth_contact(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path], Chosen]) -> Chosen | None:
+    if not scene.moves or not isinstance(scene.cloth_contact, ClothContact):
+        return None
+    return chosen("nuno.cloth_contacts", scene.cloth_contact, ("cloth_contact",))
+
+
 def choose_plugin(
     group: str, choice: Choice, place: yaml_lines.Path, file: str, lines: Mapping[yaml_lines.Path, int]
 ) -> Chosen:
@@ -271,6 +279,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
         ],
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
         operations=operations,
+        cloth_contact=_cloth_contact(scene, chosen),
         chosen=all_chosen,
         contacts=_contacts(scene, chosen),
         dye=_chosen_dye(scene.dye, chosen) if scene.dye is not None else None,

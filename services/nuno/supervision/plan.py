@@ -30,7 +30,11 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
     services = [
         ("simulation", scene.moves, "simulation and collision services: nothing in the scene moves"),
         ("dye", scene.dye is not None, ""),
-        ("collision", bool(scene.bodies), "collision service and contact force: the scene has no bodies"),
+        (
+            "collision",
+            bool(scene.bodies or scene.meets),
+            "collision service and contact force: the scene has no bodies",
+        ),
         ("render", scene.view.pictures is not None, "render service: view.pictures is not given"),
         ("recorder", options.record is not None, "recorder: not asked for"),
         ("viewer", bool(options.view or options.save), "viewer: no screen, or not asked for"),
@@ -39,6 +43,8 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         ("cloth", bool(scene.objects), "cloth, and all that acts on it: the scene has no objects"),
         ("forces", bool(scene.forces), "wind and other forces: the scene names none"),
         ("damping", bool(scene.damping), "viscous damping: 0"),
+        ("bodies", bool(scene.bodies) or not scene.meets, "contact with bodies: the scene has none"),
+        ("cloth", scene.meets, "contact of cloth with cloth, which passes through: cloth_contact is not given"),
         ("gravity", any(scene.gravity), "gravity: 0"),
         ("others", not absent, f"{' and '.join(absent)}: the scene has none"),
     ]

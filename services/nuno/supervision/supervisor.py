@@ -63,7 +63,8 @@ class Outcome:
     def problem(self) -> str:
         """What went wrong, in words; empty where nothing did."""
         if self.state in ("done", "stopped"):
-            return ""
+            crossed = self.services.get("collision", {}).get("crossed")
+            return f"crossed: cloth passes through cloth in {counted({'frames': crossed})}" if crossed else ""
         return f"{self.state}: {self.error or self.summary.get('message') or 'positions are no longer finite'}"
 
 

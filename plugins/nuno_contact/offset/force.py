@@ -1,0 +1,291 @@
+"""What pushes and rubs where two primitives are nearer than the thickness h.
+
+Along the line between their closest points, at a distance d,
+
+    N = k (h - d)            for d >= h / 2
+    N = k h^2 / (4 d)        below,
+
+which is smooth to its second derivative (Offset Geometric Contact, Chen et al., SIGGRAPH 2025). From h / 4 on it goes
+on as steeply as it is there: a barrier without bound would be stiffer than any step of an explicit method can follow,
+throw apart what has come that near, and is not needed, since steps are cut short (nuno_contact.offset.hold). And a
+dashpot that takes hold over the first quarter of h. It never attracts. Vertices of a pair share N by the
+weights of the closest points, so that momentum and its moment are kept.
+
+Contacts that meet in one feature count once: a vertex above the inside of a triangle; above an edge, where it is above
+neither of the edge's triangles, by the lower-numbered one; above a vertex, where it is above none of that one's edges;
+two edges that cross inside of both. With every pair counted a vertex over a vertex would feel six triangles and
+thirty-six pairs of edges. Two parallel layers then still have about two vertices and seven crossing edges for each
+vertex, so that edges have the share EDGES of the stiffness.
+
+Friction is a spring between the points of both primitives that touched first (Cundall & Strack 1979), in the tangent
+plane and no longer than mu N: an anchor is the weights of those points, which go along with the cloth however it moves
+and turns. What slides drags it along, so that the spring stays at mu N; what sticks does not creep. A vertex that
+slides on to the next triangle begins with a slack spring: the way that it takes to load, mu times the depth, is the
+share of a triangle's width by which friction is too small, some thousandths of a hundredth.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from nuno_contact.offset.lists import share_out
+from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.proximity import (
+    AT_A,
+    INSIDE,
+    ON_AB,
+    Corners,
+    Four,
+    between,
+    closest,
+    dot,
+    minus,
+    point,
+    to_triangle,
+    unit,
+    weigh,
+)
+from nuno_kernels import forced_inline, kernel
+from nuno_kernels.bodies.poses import Vector
+from nuno_kernels.step.blocks import PADDING
+from nuno_schemas.fabric import Float, Int
+
+STEEPEST = 0.25
+"""Share of the thickness below which N grows no more steeply: four times as stiff as at the surface."""
+RAMP = 0.25
+"""Share of the thickness over which the dashpot takes hold: at once it would jump at the surface."""
+
+
+class Faces(NamedTuple):
+    """The arrays of Meeting of these names."""
+
+    faces: Int
+    beside: Int
+    ring_start: Int
+    ring: Int
+    first_face: Int
+
+
+class Touch(NamedTuple):
+    """Where two primitives touch: weights of their vertices, the direction from the second to the first, and the
+    distance [m]; infinite where another pair stands for the place.
+    """
+
+    weights: Four
+    normal: Vector
+    distance: float
+
+
+@forced_inline
+def faces_of(m: Meeting) -> Faces:
+    """What tells features of the mesh apart."""
+    return Faces(m.faces, m.beside, m.ring_start, m.ring, m.first_face)
+
+
+@forced_inline
+def stands_for_edge(x: Float, v: int, f: int, side: int, mesh: Faces) -> bool:
+    """Whether triangle f is the one to count vertex v above its edge number `side`, to which v is closest."""
+    faces, other = mesh.faces, mesh.beside[f, side]
+    if other < 0:
+        return True
+    i, j, k = faces[other, 0], faces[other, 1], faces[other, 2]
+    if v in (i, j, k):
+        return True
+    found = to_triangle(point(x, v), point(x, i), point(x, j), point(x, k))
+    a, b = faces[f, side], faces[f, (side + 1) % 3]
+    third = found.weights[1] if i != a and i != b else found.weights[2] if j != a and j != b else found.weights[3]
+    return found.where >= ON_AB and found.where < AT_A and third == 0.0 and f < other
+
+
+@forced_inline
+def stands_for_vertex(x: Float, v: int, f: int, w: int, mesh: Faces) -> bool:
+    """Whether triangle f is the one to count vertex v above vertex w, to which v is closest on f."""
+    if mesh.first_face[w] != f:
+        return False
+    at = point(x, w)
+    way = minus(point(x, v), at)
+    for q in range(mesh.ring_start[w], mesh.ring_start[w + 1]):
+        r = mesh.ring[q]
+        if r == v or dot(way, minus(point(x, r), at)) > 0.0:
+            return False
+    return True
+
+
+@forced_inline
+def touch(x: Float, i: int, f: int, corners: Corners, mesh: Faces) -> Touch:
+    """How a pair touches: of vertex i and triangle f, or of two edges where f is negative."""
+    found = closest(f < 0, corners)
+    n, distance = unit(weigh(found.weights, corners))
+    counts = found.where == INSIDE
+    if f >= 0 and found.where >= AT_A:
+        counts = stands_for_vertex(x, i, f, mesh.faces[f, found.where - AT_A], mesh)
+    elif f >= 0 and found.where >= ON_AB:
+        counts = stands_for_edge(x, i, f, found.where - ON_AB, mesh)
+    return Touch(found.weights, n, distance if counts else math.inf)
+
+
+@forced_inline
+def push(k: float, h: float, distance: float) -> float:
+    """The force [N] at a distance below h."""
+    if distance >= 0.5 * h:
+        return k * (h - distance)
+    d = max(distance, STEEPEST * h)
+    return k * h * h / (4.0 * d) * (1.0 + (d - distance) / d)
+
+
+@forced_inline
+def stored(k: float, h: float, distance: float) -> float:
+    """Its energy [J]."""
+    if distance >= 0.5 * h:
+        return 0.5 * k * (h - distance) * (h - distance)
+    d = max(distance, STEEPEST * h)
+    deeper = (d - distance) / d
+    return k * h * h * (0.125 + 0.25 * (math.log(0.5 * h / d) + deeper + 0.5 * deeper * deeper))
+
+
+@forced_inline
+def press(k: float, c: float, h: float, at: Touch, u: Vector) -> float:
+    """The normal force N [N], of primitives that move at u [m/s] relative to each other."""
+    ramp = min(1.0, (h - at.distance) / (RAMP * h))
+    return max(0.0, push(k, h, at.distance) - c * ramp * dot(u, at.normal))
+
+
+@forced_inline
+def across(v: Vector, n: Vector) -> Vector:
+    """The part of v across the unit vector n."""
+    along = dot(v, n)
+    return v[0] - along * n[0], v[1] - along * n[1], v[2] - along * n[2]
+
+
+@forced_inline
+def corners_of(x: Float, i: int, j: int, k: int, l: int) -> Corners:  # noqa: E741
+    """The four vertices of a pair."""
+    return point(x, i), point(x, j), point(x, k), point(x, l)
+
+
+@kernel
+def is_fresh(m: Meeting, x: Float, v: Float, s: float) -> None:
+    """Note whether x (3, n) are the vertices after the last step, whose contacts are known."""
+    last, count = m.last, 0
+    for row in range(3):
+        for i in range(x.shape[1]):
+            count += 1 if x[row, i] == last[row, i] else 0
+    m.fresh[0] = count == 3 * x.shape[1]
+
+
+@kernel
+def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+    """Add the forces [N] of the block's pairs to its vertices."""
+    pair, of, reach, normal, weights, mesh = m.pair, m.of, m.reach, m.normal, m.weights, faces_of(m)
+    stiffness, damping, anchor, anchored, mu, fresh = (
+        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.law[1], m.fresh[0]
+    )  # fmt: skip
+    start, chosen = (m.touch_start, m.touch_pair) if fresh else (m.block_start, m.block_pair)
+    width = force.shape[1] - PADDING
+    for q in range(start[block], start[block + 1]):
+        p = chosen[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        corners, h, n = corners_of(x, i, j, k, l), reach[p], (normal[p, 0], normal[p, 1], normal[p, 2])
+        if fresh:
+            at = Touch((weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), n, m.distance[p])
+        else:
+            low, high = between(of[p] < 0, n, corners)
+            if low - high > h:
+                continue
+            at = touch(x, i, of[p], corners, mesh)
+            if not at.distance < h:
+                continue
+        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], damping[p], mu, anchored[p],
+                         (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]))  # fmt: skip
+        for corner in range(4):
+            local = pair[p, corner] - origin
+            if 0 <= local < width:
+                w = at.weights[corner]
+                force[0, local] += w * fx
+                force[1, local] += w * fy
+                force[2, local] += w * fz
+
+
+@forced_inline
+def rub(
+    x: Corners, v: Corners, at: Touch, h: float, k: float, c: float, mu: float, anchored: bool, anchor: Four
+) -> Vector:
+    """The force [N] on the first of two primitives that touch."""
+    u = weigh(at.weights, v)
+    n = press(k, c, h, at, u)
+    t = across(u, at.normal)
+    fx, fy, fz = -c * t[0], -c * t[1], -c * t[2]
+    if anchored:
+        e = across(weigh(anchor, x), at.normal)
+        fx, fy, fz = fx - k * e[0], fy - k * e[1], fz - k * e[2]
+    size = math.sqrt(fx * fx + fy * fy + fz * fz)
+    share = mu * n / size if size > mu * n else 1.0
+    return share * fx + n * at.normal[0], share * fy + n * at.normal[1], share * fz + n * at.normal[2]
+
+
+@kernel
+def find_touching(m: Meeting) -> None:
+    """Which near pairs touch at `last`, where, and the planes across them; others have no anchor."""
+    pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
+    near, touching, weights, gap, number = m.near, m.touching, m.weights, m.distance, 0
+    for q in range(m.number[1]):
+        p = near[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        corners, h = corners_of(x, i, j, k, l), reach[p]
+        low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
+        if low - high > h:
+            anchored[p] = False
+            continue
+        at = touch(x, i, of[p], corners, mesh)
+        normal[p, 0], normal[p, 1], normal[p, 2] = at.normal
+        if at.distance < h:
+            touching[number], gap[p] = p, at.distance
+            number += 1
+            for corner in range(4):
+                weights[p, corner] = at.weights[corner]
+        else:
+            anchored[p] = False
+    m.tally[0] = number
+    share_out(pair, touching, number, m.touch_start, m.touch_pair)
+
+
+@kernel
+def drag_anchors(m: Meeting, v: Float) -> None:
+    """Set the anchors of pairs that touch at `last` and move at v (3, n), or drag them along."""
+    pair, reach, normal, anchor, anchored, weights = m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights
+    stiffness, damping, mu, x, touching, gap = (
+        m.pair_stiffness, m.pair_damping, m.law[1], m.last, m.touching, m.distance
+    )  # fmt: skip
+    for q in range(m.tally[0]):
+        p = touching[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        w, n = (weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), (normal[p, 0], normal[p, 1], normal[p, 2])
+        share = 0.0
+        if anchored[p]:
+            a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
+            _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
+            u = weigh(w, corners_of(v, i, j, k, l))
+            limit = mu * press(stiffness[p], damping[p], reach[p], Touch(w, n, gap[p]), u)
+            share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
+        anchored[p] = True
+        for corner in range(4):
+            anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]
+
+
+@kernel
+def measure_pairs(m: Meeting, x: Float) -> float:
+    """Energy [J] of all contacts at x (3, n), that of friction's springs included."""
+    pair, of, reach, stiffness, mesh, total = m.pair, m.of, m.reach, m.pair_stiffness, faces_of(m), 0.0
+    for q in range(m.number[1]):
+        p = m.near[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        corners = corners_of(x, i, j, k, l)
+        at = touch(x, i, of[p], corners, mesh)
+        if at.distance < reach[p]:
+            total += stored(stiffness[p], reach[p], at.distance)
+            if m.anchored[p]:
+                a = (m.anchor[p, 0], m.anchor[p, 1], m.anchor[p, 2], m.anchor[p, 3])
+                e = across(weigh(a, corners), at.normal)
+                total += 0.5 * stiffness[p] * dot(e, e)
+    return total

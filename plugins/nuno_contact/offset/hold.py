@@ -1,0 +1,210 @@
+"""What keeps cloth from ever passing through itself: every step is looked at before it counts.
+
+A step takes vertices from `last`, where no primitives meet, to x, in straight lines. Each listed pair has a plane that
+keeps its primitives apart at `last`; where the plane does so at x as well, it has done so all the while (see
+nuno_contact.offset.search). Where it does not, the closest points at `last` give another. Where that does not
+either, the pair may have met: none of its vertices may then go farther than a quarter of the distance short of the
+plane midway between. A vertex' step is shortened as a whole, to the shortest of what its pairs allow, and then
+its other pairs are looked at again, until all are apart. Pairs that are not listed are too far away to meet.
+
+The proof needs nothing of the solver, the step or the forces; a vertex whose step is cut short, which forces prevent
+from happening often, is counted, and what met approaches no further: an impulse between the
+closest points makes the encounter inelastic, and keeps momentum. Not chosen: bounds on how far a vertex may move at all
+(half of its least distance), which cloth that moves along together uses up many times a frame; continuous collision
+detection, whose cubic equations need care with rounding and which says where paths meet, but not what to do then.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_contact.offset.brake import brake
+from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
+from nuno_contact.offset.lists import choose_near, make_list
+from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.plan import LISTS, WINDOW, plan, strays
+from nuno_contact.offset.proximity import Corners, between, closest, dot, unit, weigh
+from nuno_kernels import forced_inline, kernel
+from nuno_kernels.bodies.poses import Vector
+from nuno_schemas.fabric import Float
+
+CLOSEST, FLOOR = 0.02, 0.001
+"""A pair may come as near as the first share of its thickness; from there on, at most half as near in a step; from the
+second share on not any nearer."""
+
+
+@forced_inline
+def nearest(reach: float, distance: float) -> float:
+    """How near a pair may come in a step that begins at a distance [m]."""
+    return min(CLOSEST * reach, max(0.5 * distance, min(FLOOR * reach, distance)))
+
+
+@kernel
+def pass_by(m: Meeting, x: Float) -> int:
+    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`."""
+    pair, of, reach, normal, last, near, fails = m.pair, m.of, m.reach, m.normal, m.last, m.near, 0
+    for q in range(m.number[1]):
+        p = near[q]
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
+        low, high = between(of_edges, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
+        if low - high >= CLOSEST * reach[p]:
+            continue
+        here = corners_of(last, i, j, k, l)
+        n, distance = unit(weigh(closest(of_edges, here).weights, here))
+        normal[p, 0], normal[p, 1], normal[p, 2] = n
+        low, high = between(of_edges, n, there)
+        fails += 0 if low - high >= nearest(reach[p], distance) else 1
+    return fails
+
+
+@forced_inline
+def shortened(here: Vector, there: Vector, n: Vector, least: float, share: float) -> float:
+    """How much of its way a vertex goes that may not go below `least` along n; `share` at most."""
+    start, down = dot(n, here), dot(n, here) - dot(n, there)
+    if share * down <= start - least:
+        return share
+    return max(0.0, (1.0 - 1e-12) * (start - least) / down)
+
+
+@forced_inline
+def on_the_way(here: Corners, there: Corners, share: tuple[float, float, float, float]) -> Corners:
+    """Four vertices, each after a share of its way."""
+    return partly(here[0], there[0], share[0]), partly(here[1], there[1], share[1]), partly(
+        here[2], there[2], share[2]), partly(here[3], there[3], share[3])  # fmt: skip
+
+
+@forced_inline
+def partly(a: Vector, b: Vector, share: float) -> Vector:
+    """A share of the way from a to b, b itself where that is all."""
+    if share == 1.0:
+        return b
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
+
+
+@kernel
+def shorten(m: Meeting, x: Float) -> None:
+    """Into m.share how much of its way from `last` to x each vertex can go."""
+    pair, of, reach, normal, last, share = m.pair, m.of, m.reach, m.normal, m.last, m.share
+    share[:] = 1.0
+    again = True
+    while again:
+        again = False
+        for q in range(m.number[1]):
+            p = m.near[q]
+            i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+            here, there, of_edges = corners_of(last, i, j, k, l), corners_of(x, i, j, k, l), of[p] < 0
+            n = (normal[p, 0], normal[p, 1], normal[p, 2])
+            end = on_the_way(here, there, (share[i], share[j], share[k], share[l]))
+            low, high = between(of_edges, n, end)
+            if low - high >= CLOSEST * reach[p]:
+                continue
+            n, distance = unit(weigh(closest(of_edges, here).weights, here))
+            normal[p, 0], normal[p, 1], normal[p, 2] = n
+            low, high = between(of_edges, n, end)
+            if low - high >= nearest(reach[p], distance):
+                continue
+            low, high = between(of_edges, n, here)
+            middle, room = 0.5 * (low + high), 0.5 * nearest(reach[p], low - high)
+            back = (-n[0], -n[1], -n[2])
+            for corner in range(4):
+                v = pair[p, corner]
+                first = corner == 0 or (of_edges and corner == 1)
+                least = room + (middle if first else -middle)
+                allowed = shortened(here[corner], there[corner], n if first else back, least, share[v])
+                if allowed < share[v]:
+                    share[v], again = allowed, True
+
+
+@kernel
+def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
+    """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
+    last, reference, motion, clock, spread = m.last, m.reference[3:], m.motion[3:], m.clock, m.spread[1]
+    way = s - clock[0]
+    m.tally[3] += 1
+    if s > clock[3] + clock[4] or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
+        if not np.isfinite(x).all():
+            return
+        # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
+        gone = clock[0] - clock[3]
+        if gone > 0.0:
+            plan(m, last - reference, gone, False)
+        if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
+            plan(m, x - last, way, False)
+    if m.number[2] > 0 or pass_by(m, x) > 0:
+        cut_short(m, x, v)
+    last[:] = x
+    clock[0] = s
+    find_touching(m)
+    drag_anchors(m, v)
+    brake(m, v, way * m.span[0])
+
+
+@kernel
+def cut_short(m: Meeting, x: Float, v: Float) -> None:
+    """Shorten vertices' ways to x, in place, and their velocities v (3, n) as much."""
+    last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
+    for i in range(x.shape[1]):
+        a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
+        share[i] = np.sqrt(a * a + b * b + c * c)
+        farthest = max(farthest, share[i])
+    if 2.0 * farthest > 0.9 * m.law[0]:
+        # One that stays behind strays by its way: whatever could be met by that is listed.
+        for i in range(x.shape[1]):
+            spread[i] = max(spread[i], share[i])
+        plan(m, 0.0 * x, 1.0, True)
+    if m.number[2] > 0:
+        # What is not listed might be met: nothing moves.
+        x[:] = last
+        v[:] = 0.0
+    shorten(m, x)
+    for i in range(x.shape[1]):
+        if share[i] < 1.0:
+            m.tally[1 if m.mass[i] > 0.0 else 2] += 1
+            for row in range(3):
+                x[row, i] = last[row, i] + share[i] * (x[row, i] - last[row, i])
+                v[row, i] *= share[i]
+
+
+@kernel
+def same_rows(a: Float, b: Float) -> bool:
+    """Whether two arrays hold the same numbers; NaN is none."""
+    for row in range(a.shape[0]):
+        for i in range(a.shape[1]):
+            if a[row, i] != b[row, i]:
+                return False
+    return True
+
+
+@kernel
+def begin_apart(m: Meeting, x: Float, span: float) -> None:
+    """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
+    clock, m.span[0] = m.clock, span
+    clock[1], clock[3], clock[0] = clock[1] - clock[0], clock[3] - clock[0], 0.0
+    if np.isnan(m.reference[0, 0]) or not same_rows(m.last, x):
+        if not np.isfinite(x).all():
+            return
+        m.last[:] = x
+        clock[4], clock[2] = WINDOW, LISTS
+        clock[1], clock[3] = -2.0 * clock[2], 0.0
+        m.unrest[:] = 0.0
+        plan(m, 0.0 * x, 1.0, False)
+    elif not (
+        same_rows(m.listed[:6], m.reference)
+        and same_rows(m.listed[6:12], m.motion)
+        and same_rows(m.listed[12:], m.spread)
+    ):
+        make_list(m)
+        choose_near(m)
+    renew_planes(m)
+    find_touching(m)
+
+
+@kernel
+def renew_planes(m: Meeting) -> None:
+    """Give each near pair the plane across its closest points at `last`."""
+    for q in range(m.number[1]):
+        p = m.near[q]
+        corners = corners_of(m.last, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3])
+        n, _ = unit(weigh(closest(m.of[p] < 0, corners).weights, corners))
+        m.normal[p, 0], m.normal[p, 1], m.normal[p, 2] = n

@@ -1,0 +1,194 @@
+"""What cloth contact works on: the mesh, the pairs of primitives that may come near, and what has been of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_contact.offset.tree import Tree, make_tree
+from nuno_kernels import forced_inline
+from nuno_kernels.step.blocks import block_count
+from nuno_schemas.fabric import Bool, Fabric, Float, Int
+
+PER_VERTEX, FEWEST = 32, 32768
+"""Most pairs that are listed for each vertex, and besides."""
+EDGES = 0.25
+"""Share of the stiffness that two edges have: see nuno_contact.offset.force."""
+
+
+class Meeting(NamedTuple):
+    """Cloth of n vertices, e edges and f triangles, and P places for pairs.
+
+    boxes ... edge_boxes are the tree's (nuno_contact.offset.tree).
+    """
+
+    boxes: Float
+    faces: Int
+    edges: Int
+    face_start: Int
+    face: Int
+    edge_start: Int
+    edge: Int
+    vertex_start: Int
+    vertex: Int
+    face_boxes: Float
+    edge_boxes: Float
+    beside: Int
+    """(f, 3) number of the triangle on the other side of the edges a-b, b-c, c-a; -1 where there is none"""
+    ring_start: Int
+    """(n + 1,) bounds of each vertex' neighbours in ring"""
+    ring: Int
+    first_face: Int
+    """(n,) lowest number of the triangles at each vertex, -1 where there are none"""
+    start: Float
+    """(3, n) vertices at the start [m]: what is nearer than the thickness there keeps the distance that it has"""
+    piece: Int
+    """(n,) the object that a vertex is of"""
+    meets: Bool
+    """(o, o) which objects meet each other"""
+    stiffness: Float
+    """(n,) what a vertex can bear [N/m]"""
+    mass: Float
+    """(n,) [kg], 0 for those that are held or carried"""
+    law: Float
+    """(3,) thickness [m], Coulomb coefficient, damping as a ratio of critical"""
+    pair: Int
+    """(P, 4) vertices of each pair: see nuno_contact.offset.proximity"""
+    of: Int
+    """(P,) number of the triangle of a vertex and a triangle, -1 for two edges"""
+    key: NDArray[np.int64]
+    """(P,) a number of the pair, the same in every list"""
+    reach: Float
+    """(P,) distance within which a pair pushes [m]"""
+    pair_stiffness: Float
+    """(P,) k of a pair [N/m]: half of what the weakest of its vertices can bear, or EDGES of that"""
+    pair_damping: Float
+    """(P,) c = 2 zeta sqrt(k m / 2) [N s/m], m the mass of the lightest"""
+    normal: Float
+    """(P, 3) of a plane that keeps the pair apart at `last`"""
+    near: Int
+    """(P,) which of them are near"""
+    number: NDArray[np.int64]
+    """(5,) pairs in the list; those near; those that found no place in it; how often the list was made so far, and what
+    is near of it"""
+    block_start: Int
+    """(B + 1,) bounds of each block's pairs, of those near, in"""
+    block_pair: Int
+    """(4 P,)"""
+    touching: Int
+    """(P,) pairs that touch at `last`; touch_start (B + 1,) and touch_pair (4 P,) share them out as above"""
+    touch_start: Int
+    touch_pair: Int
+    weights: Float
+    """(P, 4) at the closest points of those that touch"""
+    distance: Float
+    """(P,) of those that touch [m]"""
+    fresh: Bool
+    """(1,) whether forces are asked for at `last`"""
+    anchor: Float
+    """(P, 4) weights of the points that friction holds together: part of the state"""
+    anchored: Bool
+    """(P,) which pairs have an anchor: part of the state"""
+    reference: Float
+    """(6, n) vertices where the list was made, and where what is near was chosen [m]; NaN before: part of the state"""
+    motion: Float
+    """(6, n) how far they are taken to go from there over the windows [m]: part of the state"""
+    spread: Float
+    """(2, n) how far they may be from there, in the list's plan and in that of what is near [m]: part of the state"""
+    unrest: Float
+    """(2, n) how much they strayed in the last plans, over the square of the time that they lasted [m]: part of the
+    state"""
+    last: Float
+    """(3, n) vertices after the last step [m]: part of the state"""
+    clock: Float
+    """(5,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
+    what is near: part of the state"""
+    span: Float
+    """(1,) of the interval [s]"""
+    listed: Float
+    """(14, n) references, motions and spreads that the lists were made for"""
+    nothing: Float
+    """(n,) zeros"""
+    share: Float
+    """(n,) scratch: of a step, how much of it each vertex makes"""
+    tally: NDArray[np.int64]
+    """(5,) pairs that touch after the last step; steps of vertices cut short so far, and of held ones; steps so far;
+    pairs that found no place in a list so far"""
+
+
+@forced_inline
+def tree_of(m: Meeting) -> Tree:
+    """The tree."""
+    return Tree(
+        m.boxes, m.faces, m.edges, m.face_start, m.face, m.edge_start, m.edge, m.vertex_start, m.vertex,
+        m.face_boxes, m.edge_boxes,
+    )  # fmt: skip
+
+
+def beside(faces: Int, edges: Int) -> Int:
+    """(f, 3) number of the triangle across each edge of faces (f, 3), -1 for none; of several the lowest."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).astype(np.int64)
+    span = int(faces.max(initial=0)) + 1
+    keys = (ends[..., 0] * span + ends[..., 1]).ravel()
+    order = np.argsort(keys, kind="stable")
+    same = keys[order][1:] == keys[order][:-1]
+    found = np.full(keys.shape, -1, np.int32)
+    found[order[:-1][same]] = order[1:][same] // 3
+    found[order[1:][same]] = order[:-1][same] // 3
+    return found.reshape(-1, 3)
+
+
+def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float) -> Meeting:
+    """Of a fabric with triangles, without a list."""
+    n, places = fabric.number, PER_VERTEX * fabric.number + FEWEST
+    tree = make_tree(fabric.position, fabric.faces)
+    both = np.concatenate([tree.edges, tree.edges[:, ::-1]])
+    order = np.lexsort((both[:, 1], both[:, 0]))
+    first_face = np.full(n, -1, np.int32)
+    corners = fabric.faces.ravel()
+    first_face[corners[::-1]] = np.arange(len(corners))[::-1] // 3
+    return Meeting(
+        *tree,
+        beside=beside(fabric.faces, tree.edges),
+        ring_start=np.searchsorted(both[order, 0], np.arange(n + 1)).astype(np.int32),
+        ring=np.ascontiguousarray(both[order, 1]),
+        first_face=first_face,
+        start=np.ascontiguousarray(fabric.position.T),
+        piece=piece.astype(np.int32),
+        meets=meets,
+        stiffness=stiffness,
+        mass=np.where(fabric.pinned, 0.0, fabric.mass),
+        law=law,
+        pair=np.zeros((places, 4), np.int32),
+        of=np.zeros(places, np.int32),
+        key=np.zeros(places, np.int64),
+        reach=np.zeros(places),
+        pair_stiffness=np.zeros(places),
+        pair_damping=np.zeros(places),
+        normal=np.zeros((places, 3)),
+        near=np.zeros(places, np.int32),
+        number=np.zeros(5, np.int64),
+        block_start=np.zeros(block_count(n) + 1, np.int32),
+        block_pair=np.zeros(4 * places, np.int32),
+        touching=np.zeros(places, np.int32),
+        touch_start=np.zeros(block_count(n) + 1, np.int32),
+        touch_pair=np.zeros(4 * places, np.int32),
+        weights=np.zeros((places, 4)),
+        distance=np.zeros(places),
+        fresh=np.zeros(1, np.bool_),
+        anchor=np.zeros((places, 4)),
+        anchored=np.zeros(places, np.bool_),
+        reference=np.full((6, n), np.nan),
+        motion=np.zeros((6, n)),
+        last=np.zeros((3, n)),
+        spread=np.zeros((2, n)),
+        unrest=np.zeros((2, n)),
+        clock=np.zeros(5),
+        span=np.zeros(1),
+        listed=np.zeros((14, n)),
+        nothing=np.zeros(n),
+        share=np.ones(n),
+        tally=np.zeros(5, np.int64),
+    )

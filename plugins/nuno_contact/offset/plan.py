@@ -1,0 +1,111 @@
+"""Where vertices are taken to go, for how long and how precisely: what lists of pairs are made for.
+
+There are two plans. That of the list is looked for in the tree, which is dear, and lasts some tenths of an interval;
+that of what is near is chosen from the list, often, so that each step looks at few pairs. Vertices go on as they have
+gone on average since the last plan. How far each may stray follows from how far it did stray then, as the square of
+the time: what is thrown about gets wide room, what hangs quietly nearly none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_contact.offset.lists import choose_near, renew_list
+from nuno_contact.offset.meeting import Meeting
+from nuno_kernels import kernel
+from nuno_schemas.fabric import Float
+
+WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 64.0, 4.0
+"""Of an interval: for how long what is near is chosen at first, at least and at most."""
+LISTS = 0.3
+"""The list's window over that of what is near."""
+LEAST, MOST = (2.0, 0.1), (8.0, 1.0)
+"""How far vertices may stray in the list's plan, and in that of what is near, over the thickness."""
+AHEAD = 3.0
+"""They may stray by so many times what is expected of them."""
+
+
+@kernel
+def strays(x: Float, reference: Float, motion: Float, share: float, most: Float, less: Float) -> bool:
+    """Whether a vertex of x (3, n) is farther than most - less (n,) from where a plan has it after a share of it."""
+    count = 0
+    for i in range(x.shape[1]):
+        a = x[0, i] - reference[0, i] - share * motion[0, i]
+        b = x[1, i] - reference[1, i] - share * motion[1, i]
+        c = x[2, i] - reference[2, i] - share * motion[2, i]
+        room = most[i] - less[i]
+        count += 0 if a * a + b * b + c * c <= room * abs(room) else 1
+    return count > 0
+
+
+@kernel
+def learn(m: Meeting, which: int, gone: float, share: float) -> None:
+    """How much each vertex of `last` has strayed from a plan since it was made, `gone` of the interval ago."""
+    x, reference, motion, unrest = m.last, m.reference[3 * which :], m.motion[3 * which :], m.unrest[which]
+    for i in range(x.shape[1]):
+        a = x[0, i] - reference[0, i] - share * motion[0, i]
+        b = x[1, i] - reference[1, i] - share * motion[1, i]
+        c = x[2, i] - reference[2, i] - share * motion[2, i]
+        unrest[i] = max(0.7 * unrest[i], np.sqrt(a * a + b * b + c * c) / (gone * gone))
+
+
+@kernel
+def allow(m: Meeting, which: int, window: float) -> None:
+    """How far each vertex may stray in a plan of so long a window."""
+    spread, unrest, h = m.spread[which], m.unrest[which], m.law[0]
+    for i in range(spread.shape[0]):
+        spread[i] = min(max(AHEAD * window * window * unrest[i], LEAST[which] * h), MOST[which] * h)
+
+
+@kernel
+def tighter(spread: Float) -> bool:
+    """Halve how far vertices may stray in the list's plan, as far as what is near allows; False if that is none."""
+    changed = False
+    for i in range(spread.shape[1]):
+        half = max(0.5 * spread[0, i], 1.5 * spread[1, i])
+        changed = changed or half < spread[0, i]
+        spread[0, i] = half
+    return changed
+
+
+@kernel
+def plan(m: Meeting, u: Float, way: float, cut: bool) -> None:
+    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval.
+
+    The list is made anew unless it holds for all of the near plan. Where steps are cut short (`cut`) vertices may be
+    anywhere on their way, and stray as far as m.spread[1] says.
+    """
+    clock, last, reference, motion, spread = m.clock, m.last, m.reference, m.motion, m.spread
+    s, gone = clock[0], clock[0] - clock[3]
+    window = clock[4]
+    if not cut:
+        share = gone / clock[4]
+        window = min(LONGEST, max(SHORTEST, window * (1.5 if share > 1.0 else 0.75 if share < 0.5 else 1.0)))
+        window = max(way, window)
+        if gone > 0.0:
+            learn(m, 1, gone, share)
+        allow(m, 1, window)
+    near, scale = motion[3:], window / way
+    for row in range(3):
+        for i in range(last.shape[1]):
+            near[row, i] = scale * u[row, i]
+    reference[3:] = last
+    clock[3], clock[4] = s, window
+    begun, end = (s - clock[1]) / clock[2], (s + window - clock[1]) / clock[2]
+    if end > 1.0 or strays(last, reference[:3], motion[:3], begun, spread[0], spread[1]) or strays(
+        last + near, reference[:3], motion[:3], end, spread[0], spread[1]
+    ):  # fmt: skip
+        if s > clock[1] and not cut:
+            learn(m, 0, s - clock[1], begun)
+        whole = max(2.0 * window, LISTS)
+        allow(m, 0, whole)
+        for i in range(last.shape[1]):
+            spread[0, i] = max(spread[0, i], 1.5 * spread[1, i])
+        reference[:3] = last
+        motion[:3] = (whole / window) * near
+        clock[1], clock[2] = s, whole
+        renew_list(m)
+        while m.number[2] > 0 and tighter(spread):
+            renew_list(m)
+        m.tally[4] += m.number[2]
+    choose_near(m)

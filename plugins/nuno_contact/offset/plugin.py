@@ -1,0 +1,157 @@
+"""Offset contact: cloth keeps off itself and other cloth by a thickness, rubs, and never passes through."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, cast
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_contact.offset.force import add_pairs, is_fresh, measure_pairs
+from nuno_contact.offset.hold import begin_apart, hold_apart
+from nuno_contact.offset.lists import make_list
+from nuno_contact.offset.meeting import Meeting, make_meeting
+from nuno_kernels import threads_available
+from nuno_kernels.meshes.check import find_crossings, place_of
+from nuno_kernels.meshes.tree import build_tree
+from nuno_kernels.terms import register
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import Term
+from nuno_schemas.units import quantity
+from nuno_schemas.vectors import norm
+
+Thickness = Annotated[float, quantity("m", gt=0)]
+REST_SHARE = 0.1
+"""A vertex under its own weight stays off by all but this share of the thickness."""
+STOP_SPEED = 1.0
+"""A vertex that arrives at this speed [m/s] is stopped within the thickness, if its stiffness is no more than SHARE
+allows."""
+SHARE, AT_ONCE = 0.4, 4
+"""The stiffness of all contacts of a vertex, of which layers that lie on each other have about AT_ONCE, is at most this
+share of that of the vertex' springs together: see nuno_contact.penalty.plugin.auto_stiffness."""
+
+
+class OffsetConfig(Config):
+    """How cloth meets cloth."""
+
+    thickness: Thickness = Field(default=1e-3, description="distance from which on cloth pushes cloth away [m]")
+    friction: float = Field(default=0.3, ge=0, le=100, description="Coulomb coefficient of cloth on cloth")
+    damping: float = Field(default=0.5, ge=0, le=10, description="normal damping in contact, as a ratio of critical")
+
+
+def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
+    """(n,) what each vertex can bear [N/m]: k = m max(g / (REST_SHARE h), min(w0^2, SHARE / AT_ONCE sum_j k_j / m))."""
+    reaction = np.zeros(fabric.number)
+    if fabric.springs is not None:
+        pairs, k = fabric.springs.pairs(), fabric.springs.per_spring(fabric.springs.k)
+        for end in (0, 1):
+            np.add.at(reaction, pairs[:, end], k)
+    reaction[reaction == 0.0] = np.inf
+    weight = fabric.mass * float(norm(gravity)) / (REST_SHARE * thickness)
+    stop = fabric.mass * (STOP_SPEED / thickness) ** 2
+    return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * reaction))
+
+
+def check_thickness(fabric: Fabric, thickness: float) -> None:
+    """Raises BadInput for cloth that is thicker than its edges are long."""
+    x, faces = fabric.position, fabric.faces
+    shortest = float(norm(x[faces] - x[np.roll(faces, -1, axis=1)]).min())
+    if thickness > shortest:
+        raise BadInput(
+            "cloth is thicker than its shortest edge is long", field="thickness", value=f"{thickness:g} m",
+            limit=f"{shortest:.3g} m", remedy="make it thinner, or the mesh coarser",
+        )  # fmt: skip
+
+
+def check_start(fabric: Fabric, piece: Int, meet: Bool) -> None:
+    """Raises BadInput for cloth that passes through cloth as it starts; pieces that do not meet may."""
+    x, faces, pieces = fabric.position, fabric.faces, range(len(meet))
+    groups = [pieces] if meet.all() else [sorted({a, b}) for a in pieces for b in pieces if a <= b and meet[a, b]]
+    for group in groups:
+        own = np.flatnonzero(np.isin(piece[faces[:, 0]], group))
+        crossed = crossing(x, faces[own])
+        if len(group) > 1 and not meet.all():  # each alone is looked at where it meets itself
+            crossed = [(a, b) for a, b in crossed if piece[faces[own[a], 0]] != piece[faces[own[b], 0]]]
+        if crossed:
+            face = own[list(crossed[0])]
+            raise BadInput(
+                f"cloth passes through cloth where it starts ({len(crossed):,} triangles)",
+                value=f"triangles {face[0]} and {face[1]}, {place_of(x[faces[face[0]]].mean(axis=0))}",
+                limit="a start in which nothing meets", remedy="move the objects apart, or leave cloth_contact out",
+            )  # fmt: skip
+
+
+def crossing(x: Float, faces: Int) -> list[tuple[int, int]]:
+    """Triangles that are crossed, by number, each with one that crosses it."""
+    other, tree = np.full(len(faces), -1, np.int32), build_tree(x, faces)
+    threads_available()
+    find_crossings(x, faces, tree.boxes, tree.child, tree.face, other)
+    return [(i, int(other[i])) for i in np.flatnonzero(other >= 0).tolist()]
+
+
+def check_gaps(m: Meeting, pieces: list[str]) -> None:
+    """Raises BadInput for objects that start nearer to each other than the thickness."""
+    m.reference[:3] = m.start
+    make_list(m)
+    number = int(m.number[0])
+    near = m.reach[:number] < m.law[0]
+    both = m.piece[m.pair[:number]][:, [0, 3]]
+    if len(close := np.flatnonzero(near & (both[:, 0] != both[:, 1]))):
+        least = close[m.reach[close].argmin()]
+        names = " and ".join(pieces[i] for i in both[least])
+        raise BadInput(
+            f"{names} start nearer to each other than the thickness", field="thickness", value=f"{m.law[0]:g} m",
+            limit=f"{m.reach[least]:.3g} m, {place_of(m.start[:, m.pair[least, 0]])}",
+            remedy="move them apart, or make it thinner",
+        )  # fmt: skip
+    m.reference[:] = np.nan
+    m.number[:] = 0
+
+
+def count_meetings(m: Meeting) -> dict[str, int]:
+    """Counts for a step's report."""
+    return {
+        "cloth_contacts": int(m.tally[0]), "cut_short": int(m.tally[1]), "held_cut_short": int(m.tally[2]),
+        "pairs_left_out": int(m.tally[4]),
+    }  # fmt: skip
+
+
+register(
+    Meeting,
+    name="cloth_contact",
+    memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock"),
+    reads_velocity=lambda term: True,
+    place=is_fresh,
+    block=add_pairs,
+    hold=hold_apart,
+    begin=begin_apart,
+    energy=measure_pairs,
+    counts=count_meetings,
+)
+
+
+class Offset:
+    """Repulsion and friction within a thickness, and steps that go only as far as nothing meets."""
+
+    name: ClassVar[str] = "offset"
+    Config: ClassVar[type[BaseModel]] = OffsetConfig
+
+    def prepare(self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, gravity: Float) -> Term:
+        """The term. Raises BadInput for a start in which cloth meets, and for names of no object."""
+        settings = cast(OffsetConfig, config)
+        h, piece = float(settings.thickness), np.zeros(fabric.number, np.int32)
+        for number, vertices in enumerate(objects.values()):
+            piece[vertices] = number
+        check_thickness(fabric, h)
+        check_start(fabric, piece, meet)
+        stiffness = auto_stiffness(fabric, gravity, h)
+        law = np.array([h, settings.friction, settings.damping])
+        free = ~fabric.pinned
+        most = AT_ONCE * (stiffness / fabric.mass)[free].max(initial=0.0)
+        term = make_meeting(fabric, piece, meet, stiffness, law)
+        if len(objects) > 1:
+            check_gaps(term, list(objects))
+        return Term("cloth_contact", (term,), float(most), 2.0 * settings.damping * float(np.sqrt(most)))

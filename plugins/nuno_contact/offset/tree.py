@@ -1,0 +1,142 @@
+"""A tree of boxes over a moving cloth's triangles, made once and refitted; each box also holds how its vertices move.
+
+Triangles are cut at medians along the widest axis of their centroids at the start, so that a leaf is a patch of
+neighbours and stays one however the cloth folds: a sheet hardly stretches. Each vertex and each edge is owned by the
+first leaf that has it, so that a pair of primitives is looked at once.
+
+Not chosen: a grid of cells, whose size suits one length of edges; boxes rebuilt by place, which separate folds that
+touch a little better and cost a sort each time.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nuno_kernels import forced_inline, kernel
+from nuno_kernels.lanes.simd import WIDTH
+from nuno_kernels.meshes.normals import edge_numbers
+from nuno_schemas.fabric import Float, Int
+
+LEAF = 8
+"""Triangles of a leaf at most."""
+
+
+class Tree(NamedTuple):
+    """Of f triangles, e edges and n vertices: a complete binary tree of M leaves, M a power of two; node k has the
+    children 2 k + 1 and 2 k + 2, the leaves are the last M nodes.
+
+    boxes  (2 M - 1, 12) lowest and highest place [m], lowest and highest motion [m]; lowest above highest where empty
+    faces  (f, 3), edges (e, 2) vertices
+    face_start, edge_start, vertex_start (M + 1,)  bounds of what each leaf owns in
+    face, edge, vertex  numbers, leaf by leaf; faces and edges are filled up to eights with -1
+    face_boxes, edge_boxes (12, places)  boxes of each, as above
+    """
+
+    boxes: Float
+    faces: Int
+    edges: Int
+    face_start: Int
+    face: Int
+    edge_start: Int
+    edge: Int
+    vertex_start: Int
+    vertex: Int
+    face_boxes: Float
+    edge_boxes: Float
+
+
+def make_tree(x: Float, faces: Int) -> Tree:
+    """The tree of triangles faces (f, 3) between vertices x (n, 3)."""
+    numbers, edges = edge_numbers(faces)
+    centre = x[faces].mean(axis=1)
+    parts: list[Any] = [np.arange(len(faces))]
+    while max(map(len, parts)) > LEAF:
+        parts = [half for part in parts for half in _halves(part, centre)]
+    leaves = len(parts)
+    leaf_of = np.empty(len(faces), np.int64)
+    for leaf, part in enumerate(parts):
+        leaf_of[part] = leaf
+    boxes = np.empty((2 * leaves - 1, 12))
+    face_start, face = _in_eights(*_owned(leaf_of, np.arange(len(faces)), leaves))
+    edge_start, edge = _in_eights(*_owned(leaf_of.repeat(3), numbers.ravel(), leaves))
+    corner_start, corner = _owned(leaf_of.repeat(3), faces.ravel(), leaves)
+    rooms = (np.empty((12, len(face))), np.empty((12, len(edge))))
+    faces = np.ascontiguousarray(faces, np.int32)
+    return Tree(boxes, faces, edges, face_start, face, edge_start, edge, corner_start, corner, *rooms)
+
+
+def _halves(part: Any, centre: Float) -> tuple[Any, Any]:
+    """A set of triangles cut at the median along the widest axis."""
+    if len(part) < 2:
+        return part, part[:0]
+    axis = int(np.ptp(centre[part], axis=0).argmax())
+    order = part[np.argsort(centre[part, axis], kind="stable")]
+    return order[: (len(order) + 1) // 2], order[(len(order) + 1) // 2 :]
+
+
+def _owned(leaf: Any, number: Any, leaves: int) -> tuple[Int, Int]:
+    """(M + 1,) bounds and the numbers that each leaf is the first to have."""
+    order = np.lexsort((leaf, number))
+    kept, first = np.unique(number[order], return_index=True)
+    owner = leaf[order][first]
+    by_leaf = np.lexsort((kept, owner))
+    bounds = np.searchsorted(owner[by_leaf], np.arange(leaves + 1))
+    return bounds.astype(np.int32), kept[by_leaf].astype(np.int32)
+
+
+def _in_eights(start: Int, number: Int) -> tuple[Int, Int]:
+    """The same with each leaf's numbers filled up with -1 to a whole number of vectors."""
+    count = np.diff(start)
+    places = np.concatenate([[0], np.cumsum(-(-count // WIDTH) * WIDTH)])
+    filled = np.full(places[-1], -1, np.int32)
+    filled[np.arange(len(number)) - np.repeat(start[:-1] - places[:-1], count)] = number
+    return places.astype(np.int32), filled
+
+
+@forced_inline
+def less(a: float, b: float) -> float:
+    """The lower of two numbers; min() also looks for NaN."""
+    return a if a < b else b
+
+
+@forced_inline
+def more(a: float, b: float) -> float:
+    """The higher of two numbers."""
+    return a if a > b else b
+
+
+@kernel
+def fit_boxes(numbers: Int, of: Int, x: Float, motion: Float, spread: Float, boxes: Float) -> None:
+    """Boxes (12, p) of primitives of vertices of[number]; -1 is nowhere."""
+    for p in range(numbers.shape[0]):
+        for axis in range(3):
+            low, high, back, on = np.inf, -np.inf, np.inf, -np.inf
+            if numbers[p] >= 0:
+                for corner in range(of.shape[1]):
+                    v = of[numbers[p], corner]
+                    low, high = less(low, x[axis, v] - spread[v]), more(high, x[axis, v] + spread[v])
+                    back, on = less(back, motion[axis, v]), more(on, motion[axis, v])
+            boxes[axis, p], boxes[3 + axis, p], boxes[6 + axis, p], boxes[9 + axis, p] = low, high, back, on
+
+
+@kernel
+def fit_tree(tree: Tree, x: Float, motion: Float, spread: Float) -> None:
+    """Fit the boxes to vertices x (3, n), each within spread (n,) [m], that go motion (3, n) from there."""
+    boxes, face_start, face_boxes = tree.boxes, tree.face_start, tree.face_boxes
+    fit_boxes(tree.face, tree.faces, x, motion, spread, face_boxes)
+    fit_boxes(tree.edge, tree.edges, x, motion, spread, tree.edge_boxes)
+    leaves = face_start.shape[0] - 1
+    for leaf in range(leaves):
+        for row in range(12):
+            lowest = row % 6 < 3
+            value = np.inf if lowest else -np.inf
+            for p in range(face_start[leaf], face_start[leaf + 1]):
+                value = less(value, face_boxes[row, p]) if lowest else more(value, face_boxes[row, p])
+            boxes[leaves - 1 + leaf, row] = value
+    for node in range(leaves - 2, -1, -1):
+        a, b = 2 * node + 1, 2 * node + 2
+        for row in range(12):
+            lowest = row % 6 < 3
+            boxes[node, row] = less(boxes[a, row], boxes[b, row]) if lowest else more(boxes[a, row], boxes[b, row])
