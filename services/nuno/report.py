@@ -53,6 +53,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
         "penetration": services.get("collision", {}).get("deepest"),
         "crossed_frames": services.get("collision", {}).get("crossed"),
+        "frames_looked_at": services.get("collision", {}).get("looked"),
         "crossings": services.get("collision", {}).get("crossings"),
         "last_penetration": services.get("collision", {}).get("last_depth"),
         **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed")},
@@ -234,7 +235,9 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("penetration", text))
     if (crossed := report["crossed_frames"]) is not None:
         most = f", up to {report['crossings']:,} edges through triangles in one" if crossed else ""
-        rows.append(("crossings", f"cloth passes through cloth in {crossed:,} frames{most}"))
+        rows.append(
+            ("crossings", f"cloth passes through cloth in {crossed:,} of {report['frames_looked_at']:,} frames{most}")
+        )
     if report["slip_speed"]:
         text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"
         rows.append(("friction", f"{text}, what turns round up to twice that"))

@@ -7,11 +7,12 @@ either, the pair may have met: none of its vertices may then go farther than a q
 plane midway between. A vertex' step is shortened as a whole, to the shortest of what its pairs allow, and then
 its other pairs are looked at again, until all are apart. Pairs that are not listed are too far away to meet.
 
-The proof needs nothing of the solver, the step or the forces; a vertex whose step is cut short, which forces prevent
-from happening often, is counted, and what met approaches no further: an impulse between the
-closest points makes the encounter inelastic, and keeps momentum. Not chosen: bounds on how far a vertex may move at all
-(half of its least distance), which cloth that moves along together uses up many times a frame; continuous collision
-detection, whose cubic equations need care with rounding and which says where paths meet, but not what to do then.
+The proof needs nothing of the solver, the step or the forces. A vertex whose step is cut short, which forces prevent
+from happening often, is counted, and its velocity shortened as much, which takes momentum and energy: to keep the
+velocity of what does not move stretches the springs to those that do, and throws it off later. Not chosen: bounds on
+how far a vertex may move at all (half of its least distance), which cloth that moves along together uses up many times
+a frame; continuous collision detection, whose cubic equations need care with rounding and which says where paths meet,
+but not what to do then.
 """
 
 from __future__ import annotations

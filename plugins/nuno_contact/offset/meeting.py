@@ -127,7 +127,7 @@ def tree_of(m: Meeting) -> Tree:
     )  # fmt: skip
 
 
-def beside(faces: Int, edges: Int) -> Int:
+def beside(faces: Int) -> Int:
     """(f, 3) number of the triangle across each edge of faces (f, 3), -1 for none; of several the lowest."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).astype(np.int64)
     span = int(faces.max(initial=0)) + 1
@@ -151,7 +151,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
     first_face[corners[::-1]] = np.arange(len(corners))[::-1] // 3
     return Meeting(
         *tree,
-        beside=beside(fabric.faces, tree.edges),
+        beside=beside(fabric.faces),
         ring_start=np.searchsorted(both[order, 0], np.arange(n + 1)).astype(np.int32),
         ring=np.ascontiguousarray(both[order, 1]),
         first_face=first_face,

@@ -18,9 +18,9 @@ from nuno_schemas.fabric import Float
 WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 64.0, 4.0
 """Of an interval: for how long what is near is chosen at first, at least and at most."""
 LISTS = 0.3
-"""The list's window over that of what is near."""
+"""Of an interval: for how long the list is made at least; else for two windows of what is near."""
 LEAST, MOST = (2.0, 0.1), (8.0, 1.0)
-"""How far vertices may stray in the list's plan, and in that of what is near, over the thickness."""
+"""How far vertices may stray over the thickness, at least and at most: in the list's plan, in that of what is near."""
 AHEAD = 3.0
 """They may stray by so many times what is expected of them."""
 

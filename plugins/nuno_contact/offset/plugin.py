@@ -12,6 +12,7 @@ from nuno_contact.offset.force import add_pairs, is_fresh, measure_pairs
 from nuno_contact.offset.hold import begin_apart, hold_apart
 from nuno_contact.offset.lists import make_list
 from nuno_contact.offset.meeting import Meeting, make_meeting
+from nuno_contact.reaction import spring_stiffness
 from nuno_kernels import threads_available
 from nuno_kernels.meshes.check import find_crossings, place_of
 from nuno_kernels.meshes.tree import build_tree
@@ -44,15 +45,9 @@ class OffsetConfig(Config):
 
 def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
     """(n,) what each vertex can bear [N/m]: k = m max(g / (REST_SHARE h), min(w0^2, SHARE / AT_ONCE sum_j k_j / m))."""
-    reaction = np.zeros(fabric.number)
-    if fabric.springs is not None:
-        pairs, k = fabric.springs.pairs(), fabric.springs.per_spring(fabric.springs.k)
-        for end in (0, 1):
-            np.add.at(reaction, pairs[:, end], k)
-    reaction[reaction == 0.0] = np.inf
     weight = fabric.mass * float(norm(gravity)) / (REST_SHARE * thickness)
     stop = fabric.mass * (STOP_SPEED / thickness) ** 2
-    return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * reaction))
+    return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * spring_stiffness(fabric)))
 
 
 def check_thickness(fabric: Fabric, thickness: float) -> None:
@@ -140,7 +135,7 @@ class Offset:
     Config: ClassVar[type[BaseModel]] = OffsetConfig
 
     def prepare(self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, gravity: Float) -> Term:
-        """The term. Raises BadInput for a start in which cloth meets, and for names of no object."""
+        """The term. Raises BadInput for a start in which cloth meets, and for cloth thicker than its edges."""
         settings = cast(OffsetConfig, config)
         h, piece = float(settings.thickness), np.zeros(fabric.number, np.int32)
         for number, vertices in enumerate(objects.values()):

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno_contact.penalty.contact import make_contact
+from nuno_contact.reaction import spring_stiffness
 from nuno_schemas.bodies import MESH, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
@@ -39,15 +40,9 @@ def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
     gravity may be zero, since the other two terms do not need it. A vertex without springs is
     stopped at w0.
     """
-    reaction = np.zeros(fabric.number)
-    if fabric.springs is not None:
-        pairs, k = fabric.springs.pairs(), fabric.springs.per_spring(fabric.springs.k)
-        for end in (0, 1):
-            np.add.at(reaction, pairs[:, end], k)
-    reaction[reaction == 0.0] = np.inf
     weight = fabric.mass * float(norm(gravity)) / REST_DEPTH
     stop = fabric.mass * (STOP_SPEED / STOP_DEPTH) ** 2
-    return np.maximum(weight, np.minimum(stop, SHARE * reaction))
+    return np.maximum(weight, np.minimum(stop, SHARE * spring_stiffness(fabric)))
 
 
 def slip_speed(damping: float) -> float:

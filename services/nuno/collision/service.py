@@ -23,8 +23,6 @@ from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, 
 
 KEPT = 16
 """Frames whose poses are kept: more than the simulation runs ahead."""
-
-
 MOST_PLACES = 100
 """Where cloth passes through cloth is told of so many edges at most."""
 
@@ -42,8 +40,8 @@ class Collision:
         """Triangles and edges of the cloth, where it is to be looked at."""
         self.piece, self.meet = np.zeros(0, np.int32), context.loaded.scene.meet()
         """(n,) number of the object that each vertex is of, and which objects meet."""
-        self.crossed = self.crossings = 0
-        """Frames in which cloth passed through cloth, and the most crossings in one."""
+        self.looked = self.crossed = self.crossings = 0
+        """Frames that were looked at, those in which cloth passed through cloth, and the most crossings in one."""
 
     def answer(self, question: Question) -> None:
         """The geometry, or the poses of a frame."""
@@ -95,7 +93,7 @@ class Collision:
         depth = np.zeros(len(points))
         if self.bodies is not None:
             depth = penetration(points, self.bodies.geometry, self.poses(header.frame)[0])
-        inside = depth > 0.0
+        inside, crossings = depth > 0.0, self.look_for_crossings(points)
         deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(
             frame=header.frame,
@@ -105,7 +103,7 @@ class Collision:
             inside=int(inside.sum()),
             mean=float(depth[inside].mean()) if deepest >= 0 else 0.0,
             seconds=time.perf_counter() - start,
-            **self.look_for_crossings(points),
+            **crossings,
         )
         self.deepest, self.last = max(self.deepest, report.depth), report.depth
         self.seconds += report.seconds
@@ -113,9 +111,12 @@ class Collision:
         self.context.acknowledge(header.frame, header.t)
 
     def look_for_crossings(self, points: Float) -> dict[str, Any]:
-        """What a frame's report says of where cloth passes through cloth, which is said aloud once."""
+        """What a frame's report says of where cloth passes through cloth. Raises BadMessage for points of another."""
         if self.cloth is None or not np.isfinite(points).all():
             return {}
+        if len(points) != len(self.piece):
+            raise BadMessage(f"{len(points)} points of a cloth of {len(self.piece)} vertices")
+        self.looked += 1
         found = find_crossings(points, *self.cloth)
         places = found.places[self.meet[self.piece[found.edges[:, 0]], self.piece[found.triangles[:, 0]]]]
         number = len(places)
@@ -154,6 +155,6 @@ def main(context: Context) -> None:
     found: dict[str, Any] = {"seconds": collision.seconds}
     if scene.bodies:
         found |= {"deepest": collision.deepest, "last_depth": collision.last}
-    if collision.cloth is not None:
-        found |= {"crossed": collision.crossed, "crossings": collision.crossings}
+    if scene.meets:
+        found |= {"looked": collision.looked, "crossed": collision.crossed, "crossings": collision.crossings}
     finish.answer_json(context.counts(inbox) | found)
