@@ -21,7 +21,8 @@ import numba
 import numpy as np
 from numba.extending import register_jitable
 
-from nuno_kernels.compile.kept import keep
+from nuno_kernels.compile.apart import call_by_address, call_from_kernels
+from nuno_kernels.compile.kept import keep, reached_by
 from nuno_kernels.compile.reached import SOLVERS
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -50,8 +51,35 @@ numba.config.CACHE_DIR = str(CACHE)
 
 
 def kernel(function: F) -> F:
-    """Compile `function` with the flags that all kernels share."""
-    return cast(F, keep(numba.njit(**FLAGS)(function), CACHE))
+    """Compile `function` with the flags that all kernels share. It becomes a part of kernels that call it; steps call
+    terms' kernels by address (nuno_kernels.terms).
+    """
+    return cast(F, _versions(function))
+
+
+def block_kernel(function: F) -> F:
+    """As `kernel`, for functions that work on a block of vertices or on a mesh: compiled once, and called by address.
+
+    Not for those called per vertex, which a call may cost ten times what they do.
+    """
+    return cast(F, _versions(function, apart=True))
+
+
+def _versions(function: Any, apart: bool = False, **flags: Any) -> Any:
+    """A compiled function for Python, with what kernels call in its place."""
+
+    @functools.cache
+    def part() -> Any:
+        return keep(numba.njit(no_cpython_wrapper=True, **flags, **FLAGS)(function), CACHE, "part")
+
+    @functools.cache
+    def by_address() -> Any:
+        own = keep(numba.njit(no_cpython_wrapper=True, **FLAGS)(function), CACHE, "apart")
+        return call_by_address(own, lambda types: CACHE.name + reached_by(function, types))
+
+    outer: Any = keep(numba.njit(**flags, **FLAGS)(function), CACHE)
+    outer.by_address = by_address
+    return call_from_kernels(outer, by_address if apart else part)
 
 
 def inlined(function: F) -> F:
@@ -68,7 +96,7 @@ def forced_inline(function: F) -> F:
     """As `kernel`, for functions called per vertex: LLVM inlines them, since a call would pass every array's shape and
     strides.
     """
-    return cast(F, keep(numba.njit(forceinline=True, **FLAGS)(function), CACHE))
+    return cast(F, _versions(function, forceinline=True))
 
 
 def parallel_kernel(function: F) -> F:

@@ -21,6 +21,7 @@ from numba import prange, types
 from numba.extending import overload
 
 from nuno_kernels import FLAGS
+from nuno_kernels.compile.apart import by_address
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -178,7 +179,7 @@ def each(role: str, parameters: str, linear: bool = False) -> Any:
     call = "    if on[{0}]:\n        kernel{0}(" + own + ", " + parameters + ")\n"
 
     def build(kinds: Any) -> Any:
-        kernels = {f"kernel{k}": role_of(kind.instance_class, role) for k, kind in enumerate(kinds)}
+        kernels = {f"kernel{k}": by_address(role_of(kind.instance_class, role)) for k, kind in enumerate(kinds)}
         lines = [call.format(k) for k in range(len(kinds)) if kernels[f"kernel{k}"] is not None]
         return _define("each", head, "".join(lines), **kernels)
 

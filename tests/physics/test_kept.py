@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import logging
+import os
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -91,6 +93,7 @@ def force(x):
 """
 HELPERS = {
     "compiled": ("pull(x)", "@numba.njit\ndef pull(x): return {} * x"),
+    "by address": ("pull(x)", "from nuno_kernels import block_kernel\n@block_kernel\ndef pull(x): return {} * x"),
     "kept": ("pull(x)", "@numba.njit(cache=True)\ndef pull(x): return {} * x"),
     "shared source": ("pull(x)", "@numba.extending.register_jitable\ndef pull(x): return {} * x"),
     "two calls away": (
@@ -156,3 +159,23 @@ def test_what_a_kernel_reaches_in_another_module_is_never_stale(
         force = package.force(kind, value, compiler)
         assert force(1.5) == 1.5 * value
         assert sum(force.stats.cache_hits.values()) == hits
+
+
+def test_a_kept_kernel_finds_what_it_calls_by_address_in_a_new_process(tmp_path: Path) -> None:
+    """Where that was itself kept, and where it is gone and compiled anew: its name is the same."""
+    text = "from nuno_kernels import {kinds}\n@{kind}\ndef {name}(x):\n    return {body}\n"
+    (tmp_path / "far.py").write_text(text.format(kinds="block_kernel", kind="block_kernel", name="far", body="3.0 * x"))
+    near = text.format(kinds="kernel", kind="kernel", name="near", body="far(x) + 1.0")
+    (tmp_path / "near.py").write_text("from far import far\n" + near)
+    script = "from near import near\nprint(near(2.0), sum(near.stats.cache_hits.values()))"
+
+    def run() -> str:
+        given = os.environ | {"PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+        return subprocess.run(
+            [sys.executable, "-c", script], env=given, capture_output=True, text=True, check=True
+        ).stdout
+
+    assert [run(), run()] == ["7.0 0\n", "7.0 1\n"]
+    for path in (tmp_path / "cache").rglob("far.*.nb?"):
+        path.unlink()
+    assert run() == "7.0 1\n"

@@ -13,14 +13,14 @@ import numpy as np
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import Corners, between, closest, dot, unit, weigh
-from nuno_kernels import forced_inline, kernel
+from nuno_kernels import block_kernel, forced_inline
 from nuno_schemas.fabric import Float
 
 BRAKED, SWEEPS = 0.25, 4
 """What would come nearer than this share of the thickness in the next step is slowed down, in so many sweeps."""
 
 
-@kernel
+@block_kernel
 def brake(m: Meeting, v: Float, dt: float) -> None:
     """Slow down what would come nearer in the next step, of dt [s], than forces can answer: in v (3, n)."""
     pair, of, reach, normal, mass, last, near = m.pair, m.of, m.reach, m.normal, m.mass, m.last, m.near

@@ -46,7 +46,7 @@ from nuno_contact.offset.proximity import (
     unit,
     weigh,
 )
-from nuno_kernels import forced_inline, kernel
+from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.step.blocks import PADDING
 from nuno_schemas.fabric import Float, Int
@@ -224,7 +224,7 @@ def rub(
     return share * fx + n * at.normal[0], share * fy + n * at.normal[1], share * fz + n * at.normal[2]
 
 
-@kernel
+@block_kernel
 def find_touching(m: Meeting) -> None:
     """Which near pairs touch at `last`, where, and the planes across them; others have no anchor."""
     pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
@@ -250,7 +250,7 @@ def find_touching(m: Meeting) -> None:
     share_out(pair, touching, number, m.touch_start, m.touch_pair)
 
 
-@kernel
+@block_kernel
 def drag_anchors(m: Meeting, v: Float) -> None:
     """Set the anchors of pairs that touch at `last` and move at v (3, n), or drag them along."""
     pair, reach, normal, anchor, anchored, weights = m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights

@@ -25,7 +25,7 @@ from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.plan import LISTS, WINDOW, plan, strays
 from nuno_contact.offset.proximity import Corners, between, closest, dot, unit, weigh
-from nuno_kernels import forced_inline, kernel
+from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_schemas.fabric import Float
 
@@ -40,7 +40,7 @@ def nearest(reach: float, distance: float) -> float:
     return min(CLOSEST * reach, max(0.5 * distance, min(FLOOR * reach, distance)))
 
 
-@kernel
+@block_kernel
 def pass_by(m: Meeting, x: Float) -> int:
     """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`."""
     pair, of, reach, normal, last, near, fails = m.pair, m.of, m.reach, m.normal, m.last, m.near, 0
@@ -83,7 +83,7 @@ def partly(a: Vector, b: Vector, share: float) -> Vector:
     return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
 
 
-@kernel
+@block_kernel
 def shorten(m: Meeting, x: Float) -> None:
     """Into m.share how much of its way from `last` to x each vertex can go."""
     pair, of, reach, normal, last, share = m.pair, m.of, m.reach, m.normal, m.last, m.share
@@ -141,7 +141,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     brake(m, v, way * m.span[0])
 
 
-@kernel
+@block_kernel
 def cut_short(m: Meeting, x: Float, v: Float) -> None:
     """Shorten vertices' ways to x, in place, and their velocities v (3, n) as much."""
     last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
@@ -167,7 +167,7 @@ def cut_short(m: Meeting, x: Float, v: Float) -> None:
                 v[row, i] *= share[i]
 
 
-@kernel
+@block_kernel
 def same_rows(a: Float, b: Float) -> bool:
     """Whether two arrays hold the same numbers; NaN is none."""
     for row in range(a.shape[0]):
@@ -201,7 +201,7 @@ def begin_apart(m: Meeting, x: Float, span: float) -> None:
     find_touching(m)
 
 
-@kernel
+@block_kernel
 def renew_planes(m: Meeting) -> None:
     """Give each near pair the plane across its closest points at `last`."""
     for q in range(m.number[1]):

@@ -10,7 +10,7 @@ from nuno_contact.offset.meeting import EDGES, Meeting, tree_of
 from nuno_contact.offset.proximity import Corners, closest, moved, point, spread_between, unit, weigh
 from nuno_contact.offset.search import find_leaves, find_near
 from nuno_contact.offset.tree import Tree, fit_tree, less
-from nuno_kernels import forced_inline, kernel
+from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_schemas.fabric import Float, Int
@@ -42,7 +42,7 @@ def stay_apart(
     return spread_between(of_edges, n, end, r) > radius
 
 
-@kernel
+@block_kernel
 def enlist(m: Meeting, x: Float, u: Float, spread: Float, found: Long, count: int) -> None:
     """List those of `count` primitives found that do not stay apart."""
     s, faces, edges, piece, meets = m.start, m.faces, m.edges, m.piece, m.meets
@@ -74,7 +74,7 @@ def enlist(m: Meeting, x: Float, u: Float, spread: Float, found: Long, count: in
     m.number[0], m.number[2] = min(at, pair.shape[0]), max(0, at - pair.shape[0])
 
 
-@kernel
+@block_kernel
 def search(m: Meeting, tree: Tree, x: Float, u: Float, spread: Float) -> None:
     """List the pairs by the tree, which is fitted already."""
     radius = m.law[0]
@@ -91,7 +91,7 @@ def search(m: Meeting, tree: Tree, x: Float, u: Float, spread: Float) -> None:
     enlist(m, x, u, spread, found, number)
 
 
-@kernel
+@block_kernel
 def choose_near(m: Meeting) -> None:
     """Choose the listed pairs that may come near in the near plan, and share them out to blocks; the others touch
     nothing, and lose their anchors.
@@ -117,7 +117,7 @@ def choose_near(m: Meeting) -> None:
     share_out(m.pair, near, number, m.block_start, m.block_pair)
 
 
-@kernel
+@block_kernel
 def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int) -> None:
     """Which of `number` chosen pairs each block of vertices has a part in, in their order: bounds of each block's, and
     the pairs.
@@ -147,7 +147,7 @@ def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int) -> N
     start[0] = 0
 
 
-@kernel
+@block_kernel
 def keep_anchors(m: Meeting, old: int, keys: Long, anchors: Float) -> None:
     """Give pairs the anchors that they had: keys (k,) and weights (k, 4) of those anchored in a list of `old` pairs."""
     order = np.argsort(keys)
@@ -162,7 +162,7 @@ def keep_anchors(m: Meeting, old: int, keys: Long, anchors: Float) -> None:
             m.anchor[p] = anchors[order[at]]
 
 
-@kernel
+@block_kernel
 def make_list(m: Meeting) -> None:
     """List the pairs for the present plan; anchors are left alone."""
     x, u, spread = m.reference[:3], m.motion[:3], m.spread[0]
@@ -173,7 +173,7 @@ def make_list(m: Meeting) -> None:
     m.number[3] += 1
 
 
-@kernel
+@block_kernel
 def renew_list(m: Meeting) -> None:
     """The same, anchors going with their pairs."""
     old = m.number[0]

@@ -12,7 +12,7 @@ import numpy as np
 
 from nuno_contact.offset.lists import choose_near, renew_list
 from nuno_contact.offset.meeting import Meeting
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel
 from nuno_schemas.fabric import Float
 
 WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 64.0, 4.0
@@ -25,7 +25,7 @@ AHEAD = 3.0
 """They may stray by so many times what is expected of them."""
 
 
-@kernel
+@block_kernel
 def strays(x: Float, reference: Float, motion: Float, share: float, most: Float, less: Float) -> bool:
     """Whether a vertex of x (3, n) is farther than most - less (n,) from where a plan has it after a share of it."""
     count = 0
@@ -38,7 +38,7 @@ def strays(x: Float, reference: Float, motion: Float, share: float, most: Float,
     return count > 0
 
 
-@kernel
+@block_kernel
 def learn(m: Meeting, which: int, gone: float, share: float) -> None:
     """How much each vertex of `last` has strayed from a plan since it was made, `gone` of the interval ago."""
     x, reference, motion, unrest = m.last, m.reference[3 * which :], m.motion[3 * which :], m.unrest[which]
@@ -49,7 +49,7 @@ def learn(m: Meeting, which: int, gone: float, share: float) -> None:
         unrest[i] = max(0.7 * unrest[i], np.sqrt(a * a + b * b + c * c) / (gone * gone))
 
 
-@kernel
+@block_kernel
 def allow(m: Meeting, which: int, window: float) -> None:
     """How far each vertex may stray in a plan of so long a window."""
     spread, unrest, h = m.spread[which], m.unrest[which], m.law[0]
@@ -57,7 +57,7 @@ def allow(m: Meeting, which: int, window: float) -> None:
         spread[i] = min(max(AHEAD * window * window * unrest[i], LEAST[which] * h), MOST[which] * h)
 
 
-@kernel
+@block_kernel
 def tighter(spread: Float) -> bool:
     """Halve how far vertices may stray in the list's plan, as far as what is near allows; False if that is none."""
     changed = False
@@ -68,7 +68,7 @@ def tighter(spread: Float) -> bool:
     return changed
 
 
-@kernel
+@block_kernel
 def plan(m: Meeting, u: Float, way: float, cut: bool) -> None:
     """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval.
 

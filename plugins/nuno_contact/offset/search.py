@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_contact.offset.tree import Tree, less
-from nuno_kernels import forced_inline, kernel
+from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Index, Vector
 from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to, lower
 from nuno_kernels.lanes.simd import WIDTH, load, splat
@@ -69,7 +69,7 @@ def box_of(boxes: Float, p: Index) -> Box:
     )  # fmt: skip
 
 
-@kernel
+@block_kernel
 def find_leaves(boxes: Float, radius: float, found: Long) -> int:
     """Pairs (p, 2) of leaves that may come near, as far as there is room; how many there are."""
     waiting = np.empty((DEPTH, 2), np.int64)
@@ -148,7 +148,7 @@ def find_edges(a: int, b: int, tree: Tree, radius: float, found: Long, number: i
     return number
 
 
-@kernel
+@block_kernel
 def find_near(
     x: Float, u: Float, spread: Float, tree: Tree, radius: float, leaves: Long, count: int, found: Long
 ) -> int:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno_kernels import forced_inline, kernel
+from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes.simd import WIDTH
 from nuno_kernels.meshes.normals import edge_numbers
 from nuno_schemas.fabric import Float, Int
@@ -107,7 +107,7 @@ def more(a: float, b: float) -> float:
     return a if a > b else b
 
 
-@kernel
+@block_kernel
 def fit_boxes(numbers: Int, of: Int, x: Float, motion: Float, spread: Float, boxes: Float) -> None:
     """Boxes (12, p) of primitives of vertices of[number]; -1 is nowhere."""
     for p in range(numbers.shape[0]):
@@ -121,7 +121,7 @@ def fit_boxes(numbers: Int, of: Int, x: Float, motion: Float, spread: Float, box
             boxes[axis, p], boxes[3 + axis, p], boxes[6 + axis, p], boxes[9 + axis, p] = low, high, back, on
 
 
-@kernel
+@block_kernel
 def fit_tree(tree: Tree, x: Float, motion: Float, spread: Float) -> None:
     """Fit the boxes to vertices x (3, n), each within spread (n,) [m], that go motion (3, n) from there."""
     boxes, face_start, face_boxes = tree.boxes, tree.face_start, tree.face_boxes

@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from numba.core import dispatcher as numba_dispatcher
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
+from nuno_kernels.compile.apart import called_by_address, load_called
 from nuno_kernels.compile.reached import digest_of, is_known
 
 LOGGER = logging.getLogger("nuno.kernels")
@@ -46,8 +47,23 @@ class _Files(IndexDataCacheFile):  # type: ignore[misc]
         return super()._load_data(name) if _is_whole(self._data_path(name)) else None
 
 
+class _Results(CompileResultCacheImpl):  # type: ignore[misc]
+    """Machine code with what it calls by address (nuno_kernels.compile.apart)."""
+
+    def reduce(self, compiled: Any) -> Any:
+        return called_by_address(compiled), super().reduce(compiled)
+
+    def rebuild(self, context: Any, kept: Any) -> Any:
+        called, payload = kept
+        return super().rebuild(context, payload) if load_called(called) else None
+
+
 class _Cache(FunctionCache):  # type: ignore[misc]
     """The signatures of one kernel."""
+
+    _impl_class = _Results
+    version = ""
+    """Which of the kernel's versions."""
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
@@ -56,13 +72,13 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """See numba, which compiles what is not found, and saves it: of what was reached before."""
-        self._reached = digest_of((self._py_func, *_called_by_type(sig)))
+        self._reached = reached_by(self._py_func, sig)
         return super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         """Text: to read an index of types would import, for any of its kernels, what brought them all."""
         names = tuple(f"{kind.__module__}.{kind.__qualname__}" for kind in _classes(sig))
-        return (str(sig), names, *super()._index_key(sig, codegen)[1:], self._reached)
+        return (str(sig), names, self.version, *super()._index_key(sig, codegen)[1:], self._reached)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """See numba; a kernel that cannot be kept is compiled again by the next run."""
@@ -77,6 +93,11 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
 # What third parties compile with numba's own `cache=True` is kept in the same folder, and calls kernels, too.
 numba_dispatcher.FunctionCache = _Cache  # type: ignore[attr-defined]
+
+
+def reached_by(function: Any, types: Any) -> str:
+    """Digest of all that a kernel reaches, called with arguments of these types."""
+    return digest_of((function, *_called_by_type(types)))
 
 
 def _called_by_type(types: Any) -> Iterator[Any]:
@@ -94,10 +115,11 @@ def _classes(types: Any) -> Iterator[Any]:
         yield from _classes(getattr(kind, "types", ()))
 
 
-def keep(dispatcher: Any, folder: Path) -> Any:
-    """The same compiled function, kept in numba's present folder, which is `folder`."""
+def keep(dispatcher: Any, folder: Path, version: str = "Python") -> Any:
+    """The same compiled function, kept in numba's present folder, which is `folder`, as one of a kernel's versions."""
     if _can_be_written(folder):
         dispatcher.enable_caching()
+        dispatcher._cache.version = version
     return dispatcher
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno_kernels import kernel, shared_source
+from nuno_kernels import block_kernel, shared_source
 from nuno_kernels.lanes.simd import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.terms import each, each_block, over_blocks
@@ -71,7 +71,7 @@ class Own(NamedTuple):
     dt: float
 
 
-@kernel
+@block_kernel
 def finish_block(block: int, v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float) -> None:
     """Turn a block's forces into accelerations, in place; pinned vertices get none."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, a.shape[1])
@@ -83,7 +83,7 @@ def finish_block(block: int, v: Float, a: Float, inverse_mass: Float, gravity: F
             a[row, p] = w * a[row, p] + (own if w > 0.0 else 0.0)
 
 
-@kernel
+@block_kernel
 def step_block(block: int, x: Float, v: Float, force: Float, own: Own, to_x: Float, to_v: Float) -> None:
     """A step of symplectic Euler from x, v (3, n) and a block's forces (3, w), with the bits of `finish_block`
     and `add_twice`, but in one pass.
@@ -101,7 +101,7 @@ def step_block(block: int, x: Float, v: Float, force: Float, own: Own, to_x: Flo
             to_x[row, p] = x[row, p] + dt * moved
 
 
-@kernel
+@block_kernel
 def force_block(
     block: int, forces: tuple[Any, ...], on: Bool, own: Own, late: bool | None, x: Float, v: Float, to_x: Float,
     to_v: Float,
@@ -129,7 +129,7 @@ finish_blocks = over_blocks(finish_block, "v, a, inverse_mass, gravity, damping"
 force_parallel = each_block(force_block, "own, late, x, v, to_x, to_v")
 
 
-@kernel
+@block_kernel
 def add_forces(
     x: Float, v: Float, s: float, to_x: Float, to_v: Float, dt: float, p: Packed, late: bool | None, threads: int | None
 ) -> None:
@@ -150,7 +150,7 @@ def add_forces(
     add_after(p.bodies, p.bodies_on, x, v, s, to_x, threads)
 
 
-@kernel
+@block_kernel
 def finish(
     v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float, late: bool | None, threads: int | None
 ) -> None:
@@ -171,26 +171,26 @@ def evaluate(x: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) ->
     finish(v, a, p.inverse_mass, p.gravity, p.damping, p.late, p.threads)
 
 
-@kernel
+@block_kernel
 def settle(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """After a whole step that ends at fraction s: place carried vertices, update friction anchors."""
     place(bodies, on, x, v, s)
     settle_bodies(bodies, on, x, v, s, threads)
 
 
-@kernel
+@block_kernel
 def hold(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """Hold vertices that have moved up to fraction s of the frame off the bodies that they slide on."""
     hold_bodies(bodies, on, x, v, s, threads)
 
 
-@kernel
+@block_kernel
 def slow(x: Float, v: Float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """Hold velocities off the planes that hold the vertices since they were last held off."""
     slow_bodies(bodies, on, x, v, threads)
 
 
-@kernel
+@block_kernel
 def commit(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """After a whole step that ends at fraction s: place carried vertices, hold vertices off the bodies that they slide
     on, and update friction anchors on the others by where that leaves them.
