@@ -22,6 +22,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from nuno_kernels.compile.apart import call_by_address, call_from_kernels
+from nuno_kernels.compile.borrowed import Borrowing
 from nuno_kernels.compile.kept import keep, reached_by
 from nuno_kernels.compile.reached import SOLVERS
 
@@ -74,7 +75,7 @@ def _versions(function: Any, apart: bool = False, **flags: Any) -> Any:
 
     @functools.cache
     def by_address() -> Any:
-        own = keep(numba.njit(no_cpython_wrapper=True, **FLAGS)(function), CACHE, "apart")
+        own = keep(numba.njit(no_cpython_wrapper=True, pipeline_class=Borrowing, **FLAGS)(function), CACHE, "apart")
         return call_by_address(own, lambda types: CACHE.name + reached_by(function, types))
 
     outer: Any = keep(numba.njit(**flags, **FLAGS)(function), CACHE)

@@ -1,0 +1,79 @@
+"""Kernels that are called by address keep their hands off the arrays that they are lent, and free what they make."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import pytest
+from numba.core.runtime import _nrt_python, rtsys
+
+from nuno_kernels import FLAGS, block_kernel, kernel
+from nuno_kernels.compile.borrowed import Borrowing
+from nuno_schemas.fabric import Float
+
+
+class Pair(NamedTuple):
+    first: Float
+    second: Float
+
+
+@kernel
+def longer(pair: Pair) -> Float:
+    """An array out of two, chosen in a branch, where numba counts."""
+    return pair.first if pair.first.shape[0] > pair.second.shape[0] else pair.second
+
+
+@block_kernel
+def borrow(pair: Pair, out: Float) -> None:
+    for i in range(out.shape[0]):
+        out[i] += longer(pair)[i]
+
+
+@block_kernel
+def make(pair: Pair, out: Float) -> None:
+    made = np.full(out.shape[0], 1.0)
+    for i in range(out.shape[0]):
+        out[i] += made[i] * longer(pair)[i]
+
+
+@block_kernel
+def hand_back(pair: Pair, out: Float) -> Float:
+    return longer(pair)
+
+
+@kernel
+def call_all(pair: Pair, out: Float) -> float:
+    total = 0.0
+    for _ in range(100):
+        borrow(pair, out)
+        make(pair, out)
+        total += hand_back(pair, out)[0]
+    return total
+
+
+def test_references_are_as_before_and_nothing_leaks() -> None:
+    pair, out = Pair(np.arange(8.0), np.arange(5.0)), np.zeros(4)
+    assert call_all(pair, out) == 0.0
+    np.testing.assert_array_equal(out, 200.0 * np.arange(4.0))
+    counts = [sys.getrefcount(one) for one in (*pair, out)]
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    for _ in range(10):
+        call_all(pair, out)
+    after = rtsys.get_allocation_stats()
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free
+    assert after.alloc - before.alloc == after.free - before.free
+    assert [sys.getrefcount(one) for one in (*pair, out)] == counts
+    np.testing.assert_array_equal(pair.first, np.arange(8.0))
+
+
+@pytest.mark.parametrize(("function", "counts"), [(borrow, False), (make, True), (hand_back, True)])
+def test_only_what_makes_or_hands_back_arrays_counts(function: Any, counts: bool) -> None:
+    """By the machine code: it counts by locked instructions."""
+    fresh = numba.njit(pipeline_class=Borrowing, no_cpython_wrapper=True, **FLAGS)(function.py_func)
+    fresh.compile((numba.typeof(Pair(np.zeros(8), np.zeros(5))), numba.typeof(np.zeros(4))))
+    (code,) = fresh.inspect_asm().values()
+    assert ("lock" in code) == counts
