@@ -45,7 +45,7 @@ from nuno_contact.fields.sample import join_fields
 from nuno_contact.penalty.distance import FIELD, find_bounds
 from nuno_contact.penalty.poses import pose_bodies, set_poses
 from nuno_contact.penalty.response import add_body, bodies_of, commit_body, fields_of, find_deepest, touch_of
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.fabric import Float, Int
@@ -128,7 +128,7 @@ def count_contacts(contact: Contact) -> dict[str, int]:
     return {"touching": touching, "on_capsule_axis": on_axis}
 
 
-@kernel
+@block_kernel
 def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) -> None:
     """Add the contact force [N] on the vertices of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
@@ -140,7 +140,7 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
             contact.tally[block, 1] += on_axis
 
 
-@kernel
+@block_kernel
 def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
     """Set, drag along or drop the friction anchors of one block; bodies are posed already."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])

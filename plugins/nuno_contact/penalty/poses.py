@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nuno_contact.penalty.distance import BOX, CAPSULE, FIELD
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.bodies.poses import pose_frame, write_interval
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float
@@ -49,7 +49,7 @@ def pose_primitive(p: int, kind: int, f: int, a: Float, b: Float, radius: Float,
     posed[p, 7] = radius[p]
 
 
-@kernel
+@block_kernel
 def pose_bodies(s: float, contact: Contact) -> None:
     """Pose all frames and primitives at fraction s in [0, 1] of the interval.
 

@@ -36,12 +36,12 @@ from nuno_contact.penalty.response import (
     rub,
     touch_of,
 )  # fmt: skip
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.terms import Displaced, over_blocks
 from nuno_schemas.fabric import Float
 
 
-@kernel
+@block_kernel
 def place_block(low: int, high: int, moved: Displaced, held: Float | None) -> None:
     """y = x + u and w = u / h on vertices [low, high), what contact did taken back from u first."""
     x, u, y, w = moved.x, moved.u, moved.y, moved.w
@@ -85,7 +85,7 @@ def push_body(
     return on_axis
 
 
-@kernel
+@block_kernel
 def push_block(block: int, contact: Contact, moved: Displaced, held: Float | None) -> None:
     """Solve the contact of one block's vertices; bodies are posed already."""
     y, bodies, fields = moved.y, bodies_of(contact), fields_of(contact)

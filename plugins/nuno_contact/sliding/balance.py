@@ -15,7 +15,7 @@ from numba import prange
 from nuno_contact.sliding.planes import PARALLEL
 from nuno_contact.sliding.slides import BLOCK, Slides, pose_slides, tree_of
 from nuno_contact.sliding.vertex import slide
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import block_kernel, kernel, parallel_kernel
 from nuno_kernels.bodies.poses import Vector, to_frame, turn_in, turn_out
 from nuno_kernels.meshes.closest_point import closest
 from nuno_kernels.meshes.tree import make_room
@@ -41,7 +41,7 @@ def along_planes(m: Vector, n1: Vector, n2: Vector, planes: int) -> Vector:
     return m[0] - share * n1[0], m[1] - share * n1[1], m[2] - share * n1[2]
 
 
-@kernel
+@block_kernel
 def hold_block(block: int, x: Float, force: Float, s: Slides) -> None:
     """Hold the forces (3, n) on a block's vertices off all bodies, in place."""
     room, tree = make_room(), tree_of(s)

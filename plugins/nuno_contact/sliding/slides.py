@@ -25,7 +25,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from nuno_contact.sliding.vertex import slide, slow_down
-from nuno_kernels import forced_inline, kernel, parallel_kernel
+from nuno_kernels import block_kernel, forced_inline, kernel, parallel_kernel
 from nuno_kernels.bodies.poses import pose_frame, to_frame, turn_out, write_interval
 from nuno_kernels.meshes.closest_point import closest
 from nuno_kernels.meshes.tree import Tree, make_room
@@ -90,7 +90,7 @@ def tree_of(s: Slides) -> Tree:
     )  # fmt: skip
 
 
-@kernel
+@block_kernel
 def slide_block(block: int, x: Float, v: Float, body: int, s: Slides) -> None:
     """Hold the vertices of one block off one body, in place in x and v (3, n)."""
     room, tree, f, mu, gap, root = make_room(), tree_of(s), s.frame[body], s.friction[body], s.gap[body], s.root[body]
@@ -128,7 +128,7 @@ def slide_block(block: int, x: Float, v: Float, body: int, s: Slides) -> None:
         tally[block, 1] += 1 if end.back else 0
 
 
-@kernel
+@block_kernel
 def slide_bodies(block: int, x: Float, v: Float, s: Slides) -> None:
     """Hold the vertices of one block off all bodies, one after the other."""
     s.tally[block, 0] = 0

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from nuno_dye.laws.adsorption import Uptake, adsorb_both
 from nuno_dye.solvers.upkeep import Upkeep, keep_both
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import block_kernel, kernel, parallel_kernel
 from nuno_kernels.lanes.simd import WIDTH, instruction, load, splat, store, vector
 from nuno_schemas.fabric import Float
 
@@ -107,7 +107,7 @@ def start_row(phi: Float, down: Float, edge: Float, level: int, row: int, r: int
         store(edge, 2 * level + 1, c, load(down, below - 1, c) * (load(phi, below, c) - load(phi, below - 1, c)))
 
 
-@kernel
+@block_kernel
 def pass_over(levels: int, bands: Bands, uptake: Uptake | None, upkeep: Upkeep | None, b: int) -> None:
     """`levels` steps of band `b`. Level s is right where it has levels - 1 - s rows of its neighbours.
 

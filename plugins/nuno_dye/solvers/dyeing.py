@@ -19,7 +19,7 @@ from nuno_dye.laws.adsorption import Uptake, adsorb_both
 from nuno_dye.laws.potential import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, Rows, renew_ghosts, slide
 from nuno_dye.solvers.upkeep import Upkeep, keep_both
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import block_kernel, kernel, parallel_kernel
 from nuno_kernels.lanes.choose import higher, lower
 from nuno_kernels.lanes.simd import WIDTH, load, splat, store
 from nuno_schemas.fabric import Float
@@ -142,7 +142,7 @@ def move_row(phi: Float, rolling: Float, base: int, row: int, r: int) -> None:
         left_0, left_1 = right_0, right_1
 
 
-@kernel
+@block_kernel
 def pass_over_dye(
     levels: int, bands: DyeBands, uptake: Uptake | None, upkeep: Upkeep | None, curve: Curve | None, n: int
 ) -> None:

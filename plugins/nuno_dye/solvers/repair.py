@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_dye.solvers.diffusion import LEFT, Rows, Weights
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_schemas.fabric import Float, Int
 
 ROUNDS = 100
@@ -143,7 +143,7 @@ def send_on(phi: Float, most: Float, weights: Weights, floor: Float, lacking: bo
     phi[row, c] = 0.0 if lacking else most[row, c]
 
 
-@kernel
+@block_kernel
 def repair_side(
     phi: Float, most: Float, floor: Float, weights: Weights, first: int, last: int, nx: int, lacking: bool
 ) -> int:

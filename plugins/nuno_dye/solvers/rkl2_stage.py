@@ -42,7 +42,7 @@ from nuno_dye.solvers.rkl2_rows import (
     see_row,
     spread_row,
 )
-from nuno_kernels import kernel, parallel_kernel
+from nuno_kernels import block_kernel, kernel, parallel_kernel
 from nuno_schemas.fabric import Float
 
 LEVELS = 8
@@ -91,7 +91,7 @@ class Span(NamedTuple):
     low: int
 
 
-@kernel
+@block_kernel
 def pass_rows(
     span: Span, stages: Stages, rules: Rules, coefs: Float, weights: Weights, curve: Curve | None, amounts: Amounts,
     most: Float | None, scratch: Float,

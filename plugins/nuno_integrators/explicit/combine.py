@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes.simd import WIDTH, read, splat, store, write
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import over_blocks
@@ -44,7 +44,7 @@ class Stage(NamedTuple):
     slopes: int
 
 
-@kernel
+@block_kernel
 def combine_block(block: int, b: Buffers, stage: Stage, y: Float, u: Float) -> None:
     """A stage (y, u) on a block's vertices."""
     x, v, k, position, velocity = b.x, b.v, b.flat, stage.position, stage.velocity
@@ -73,7 +73,7 @@ def combine(b: Buffers, stage: Stage, y: Float, u: Float, threads: int | None) -
     combine_blocks(b, stage, y, u, (y.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
-@kernel
+@block_kernel
 def add_squares(block: int, k: Float, weights: Float, sums: Float, wait: Float) -> None:
     """Sum over a block of (sum_j weights_j k_j)^2, into sums; `wait` (blocks, 1, 8) is scratch."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, k.shape[1])
@@ -97,7 +97,7 @@ def add_squares(block: int, k: Float, weights: Float, sums: Float, wait: Float) 
 square_blocks = over_blocks(add_squares, "k, weights, sums, wait")
 
 
-@kernel
+@block_kernel
 def square(k: Float, weights: Float, sums: Float, wait: Float, threads: int | None) -> float:
     """Sum over all vertices of |sum_j weights_j k_j|^2, in an order that no thread changes.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from nuno_integrators.compiled import source_of
 from nuno_integrators.explicit.combine import Buffers, Stage, combine, square
-from nuno_kernels import kernel, shared_source
+from nuno_kernels import block_kernel, kernel, shared_source
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
@@ -52,7 +52,7 @@ ACCEPTED, REJECTED = 0, 1
 """Places in `counts` (2,)."""
 
 
-@kernel
+@block_kernel
 def attempt(
     b: Buffers, pair: Pair, first: int, stages: int, h: float, start: float, span: float, p: Packed, extra: Extra
 ) -> None:

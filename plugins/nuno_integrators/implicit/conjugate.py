@@ -15,7 +15,7 @@ import numpy as np
 
 from nuno_integrators.explicit.updates import add
 from nuno_integrators.implicit.matrix import Linear
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.terms import each, each_block, over_blocks
 from nuno_schemas.fabric import Bool, Float
@@ -23,7 +23,7 @@ from nuno_schemas.fabric import Bool, Float
 multiply_forces = each("multiply", "block, origin, u, out", linear=True)
 
 
-@kernel
+@block_kernel
 def multiply_block(
     block: int, forces: tuple[Any, ...], on: Bool, rows: tuple[Any, ...], inverse_mass: Float, own: Float, u: Float,
     out: Float, sums: Float,
@@ -63,7 +63,7 @@ class Vectors(NamedTuple):
     sums: Float
 
 
-@kernel
+@block_kernel
 def descend_block(block: int, a: Vectors, step: float) -> None:
     """x += step p, r -= step q, z = A's inverse diagonal blocks times r; the block's part of r.z into sums."""
     total, (inverse, x, r, z, p, q, sums) = 0.0, a
@@ -83,7 +83,7 @@ def descend_block(block: int, a: Vectors, step: float) -> None:
 descend_blocks = over_blocks(descend_block, "a, step")
 
 
-@kernel
+@block_kernel
 def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
     """Set p = z + turn p and q = A p; returns p.q."""
     blocks = a.sums.shape[0]
@@ -104,7 +104,7 @@ def descend(a: Linear, step: float, threads: int | None) -> float:
     return float(a.sums.sum())
 
 
-@kernel
+@block_kernel
 def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
     """Conjugate gradients from x = 0; see `solve`."""
     a.x[:] = 0.0

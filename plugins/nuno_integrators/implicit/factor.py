@@ -17,7 +17,7 @@ import numpy as np
 from nuno_integrators.implicit.fronts import TILE, Fronts
 from nuno_integrators.implicit.matrix import Linear
 from nuno_integrators.implicit.plan import Elements, Plan
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes.simd import WIDTH, fused, load, splat, store
 from nuno_kernels.terms import role_of
 from nuno_schemas.fabric import Float
@@ -58,7 +58,7 @@ def compile_factor(a: Linear) -> None:
     solve_factored(factor, a.r, a.x)
 
 
-@kernel
+@block_kernel
 def add_diagonal(fronts: Fronts, diagonal: Float, values: Float) -> None:
     """Put the diagonal blocks of the vertices that each front eliminates in their places."""
     for f in range(fronts.own.shape[0]):
@@ -115,7 +115,7 @@ def subtract(rows: Rows, depth: int, low: int, high: int, end: int, to: Rows) ->
             store(out, 0, place + WIDTH, load(out, 0, place + WIDTH) - d1)
 
 
-@kernel
+@block_kernel
 def eliminate(u: Float, at: int, width: int, own: int, size: int) -> bool:
     """Turn a front's own rows of A into rows of U; False at a pivot that is not positive."""
     for first in range(0, own, PANEL):
@@ -164,7 +164,7 @@ def clear(f: int, fronts: Fronts, scratch: Float) -> None:
     scratch[0, fronts.rest[f] : fronts.rest[f] + rows * fronts.reach[f]] = 0.0
 
 
-@kernel
+@block_kernel
 def factorise_fronts(fronts: Fronts, values: Float, scratch: Float) -> bool:
     """All fronts, children before parents; False at a pivot that is not positive."""
     for f in range(fronts.own.shape[0]):
@@ -182,7 +182,7 @@ def factorise_fronts(fronts: Fronts, values: Float, scratch: Float) -> bool:
     return True
 
 
-@kernel
+@block_kernel
 def solve_fronts(fronts: Fronts, values: Float, local: Float, r: Float, x: Float) -> None:
     """x (3, n) = A^-1 r: U^T y = r from the first front to the last, then U x = y back."""
     x[:] = r

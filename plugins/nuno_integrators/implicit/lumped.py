@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_schemas.fabric import Float
 
 MOST_SWEEPS = 12
@@ -56,7 +56,7 @@ def keep_positive(a: Float, vectors: Float, values: Float) -> None:
                 a[i, j] += vectors[i, k] * values[k] * vectors[j, k]
 
 
-@kernel
+@block_kernel
 def add_stiffness(base: Float, moved: Float, scale: Any, own: Float) -> None:
     """Add to own (6, n) what the accelerations base (3, n) lose as all vertices move along each axis, (3, 3, n):
     scale (n,) times the differences, mass over the way.

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, PADDING, block_count
 from nuno_kernels.terms import each, each_block, role_of
@@ -92,7 +92,7 @@ class Diagonals(NamedTuple):
     inverse: Float
 
 
-@kernel
+@block_kernel
 def fill_block(
     block: int, forces: tuple[Any, ...], on: Bool, rows: tuple[Any, ...], x: Float, before: Float, tangent: Tangent,
     diagonals: Diagonals,
@@ -110,7 +110,7 @@ def fill_block(
 fill_parallel = each_block(fill_block, "x, before, tangent, diagonals", linear=True)
 
 
-@kernel
+@block_kernel
 def fill_blocks(x: Float, before: Float, tangent: Tangent, a: Linear, threads: int | None) -> None:
     """`fill_block` for all blocks, on one thread or several."""
     diagonals = Diagonals(a.inverse_mass, a.own, a.inverse)

@@ -15,7 +15,7 @@ import numpy as np
 
 from nuno_integrators.implicit.linear_solve import Counts, Solver, compile_solver, make_solver, solve_linear
 from nuno_integrators.implicit.lumped import add_stiffness
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
 from nuno_kernels.step.packing import call_each, parts, silence
 from nuno_kernels.terms import kernels_of
@@ -33,7 +33,7 @@ REACH = 1e-7
 EPSILON = float(np.finfo(float).eps)
 
 
-@kernel
+@block_kernel
 def missing_force(a: Float, u: Float, vhat: Float, g: float, mass: Float, out: Float) -> float:
     """out = mass (a - (u - vhat) / g), 0 for mass 0; the largest of its norms."""
     largest = 0.0
@@ -48,7 +48,7 @@ def missing_force(a: Float, u: Float, vhat: Float, g: float, mass: Float, out: F
     return largest
 
 
-@kernel
+@block_kernel
 def along(r: Float, d: Float) -> float:
     """r.d of (3, n) arrays."""
     total = 0.0

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_kernels import kernel, shared_source
+from nuno_kernels import block_kernel, kernel, shared_source
 from nuno_kernels.forces.constraints import Constraints, clear, forget, sweep
 from nuno_kernels.step.acceleration import Extra, Own, Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
@@ -17,7 +17,7 @@ carry = each("carry", "moved, s")
 project = each("project", "moved, s, held, threads")
 
 
-@kernel
+@block_kernel
 def predict_block(block: int, v: Float, u: Float, a: Float | None, mobility: Float, own: Own) -> None:
     """Displacement u without constraints, and mobility h^2 / (m (1 + h damping)), on a block's vertices.
 
@@ -36,7 +36,7 @@ def predict_block(block: int, v: Float, u: Float, a: Float | None, mobility: Flo
             u[row, i] = free if inverse_mass[i] > 0.0 else dt * v[row, i]
 
 
-@kernel
+@block_kernel
 def arrive_block(block: int, x: Float, v: Float, u: Float, inverse_step: float) -> None:
     """x += u and v = u / h on a block's vertices."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, u.shape[1])

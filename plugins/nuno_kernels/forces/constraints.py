@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.forces.springs import listed_difference, run_constant, run_difference
 from nuno_kernels.lanes.choose import where_not_zero
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, store, write
@@ -96,7 +96,7 @@ def spring_pull(d: Triple, u: Triple, mobility: Lanes, k: Lanes, rest: Lanes, ra
     return times(where_not_zero(square, missing / (square * (1.0 + (k + rate) * mobility))), p)
 
 
-@kernel
+@block_kernel
 def sweep_spring_runs(batch: int, moved: Displaced, runs: RunBatches, each: bool | None, kept: Float | None) -> None:
     """Solve a batch's runs in their order, in place in the displacements; `each` and `kept` are the runs'."""
     x, u, mobility, inverse_step = moved.x, moved.u, moved.mobility, moved.inverse_step
@@ -122,7 +122,7 @@ def sweep_spring_runs(batch: int, moved: Displaced, runs: RunBatches, each: bool
                 write(u, row, b, m, uj[row] - mj * f[row])
 
 
-@kernel
+@block_kernel
 def sweep_spring_lists(batch: int, moved: Displaced, lists: SpringBatches, kept: Float | None) -> None:
     """Solve a batch's listed springs in their order, in place in the displacements; `kept` is the lists'."""
     x, u, mobility, inverse_step = moved.x, moved.u, moved.mobility, moved.inverse_step

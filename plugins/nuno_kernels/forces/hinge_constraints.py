@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.forces.constraints import forget_kept
 from nuno_kernels.forces.hinges import hinge_shape
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, root, store
@@ -52,7 +52,7 @@ def moved_corner(x: Float, u: Float, ends: Int, which: int, p: int) -> Triple:
     return plus(gather_triple(x, ends, which, p), gather_triple(u, ends, which, p))
 
 
-@kernel
+@block_kernel
 def sweep_hinges(batch: int, moved: Displaced, hinges: HingeBatches, kept: Float | None) -> None:
     """Solve a batch's hinges in their order, in place in the displacements; `kept` is the hinges'.
 

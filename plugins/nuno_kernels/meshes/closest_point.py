@@ -26,7 +26,7 @@ import numba
 import numpy as np
 from numba import prange
 
-from nuno_kernels import forced_inline, kernel, parallel_kernel, threads_available
+from nuno_kernels import block_kernel, forced_inline, kernel, parallel_kernel, threads_available
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import first_lane, higher, lane, lanes_up_to, lower, where_not_negative
 from nuno_kernels.lanes.simd import WIDTH, Lanes, load, splat
@@ -230,7 +230,7 @@ class Closest(NamedTuple):
     distance: Float
 
 
-@kernel
+@block_kernel
 def find_block(block: int, points: Float, start: Int, tree: Tree, found: Closest) -> None:
     """The closest points of a block of points (n, 3)."""
     room, (point, face, weights, distance) = make_room(), found

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_render.light.ground import Ground, background
 from nuno_render.rays.crossings import cross_yarns
 from nuno_render.rays.fibre import Look
@@ -72,7 +72,7 @@ def see(
         out[k] += weight * colour[k]
 
 
-@kernel
+@block_kernel
 def cast_rows(
     first: int, last: int, sight: Sight, grid: Any, look: Look, skin: Skin, threads: Threads, floor: Ground,
     picture: Float,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_kernels import kernel
+from nuno_kernels import block_kernel, kernel
 from nuno_render.rays.hits import make_buffers, meet_triangle
 from nuno_render.rays.near import sum_near
 from nuno_render.rays.surfaces import find_weights
@@ -50,7 +50,7 @@ def value_at(p: Float, face: int, weights: Any, skin: Skin, shown: Shown) -> Any
     return total / count if count > 0 else np.nan
 
 
-@kernel
+@block_kernel
 def map_rows(
     first: int, last: int, sight: Sight, grid: Any, light: Float, skin: Skin, shown: Shown, found: Float
 ) -> None:
