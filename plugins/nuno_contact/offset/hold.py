@@ -23,7 +23,7 @@ from nuno_contact.offset.brake import brake
 from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
-from nuno_contact.offset.plan import LISTS, WINDOW, plan, strays
+from nuno_contact.offset.plan import LISTS, WINDOW, plan, set_out, strays
 from nuno_contact.offset.proximity import Corners, between, closest, dot, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
@@ -129,9 +129,9 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
         # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
         gone = clock[0] - clock[3]
         if gone > 0.0:
-            plan(m, last - reference, gone, False)
+            plan(m, last - reference, gone)
         if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
-            plan(m, x - last, way, False)
+            plan(m, x - last, way)
     if m.number[2] > 0 or pass_by(m, x) > 0:
         cut_short(m, x, v)
     last[:] = x
@@ -153,7 +153,7 @@ def cut_short(m: Meeting, x: Float, v: Float) -> None:
         # One that stays behind strays by its way: whatever could be met by that is listed.
         for i in range(x.shape[1]):
             spread[i] = max(spread[i], share[i])
-        plan(m, 0.0 * x, 1.0, True)
+        set_out(m, 0.0 * x, 1.0, m.clock[4])
     if m.number[2] > 0:
         # What is not listed might be met: nothing moves.
         x[:] = last
@@ -189,7 +189,7 @@ def begin_apart(m: Meeting, x: Float, span: float) -> None:
         clock[4], clock[2] = WINDOW, LISTS
         clock[1], clock[3] = -2.0 * clock[2], 0.0
         m.unrest[:] = 0.0
-        plan(m, 0.0 * x, 1.0, False)
+        plan(m, 0.0 * x, 1.0)
     elif not (
         same_rows(m.listed[:6], m.reference)
         and same_rows(m.listed[6:12], m.motion)

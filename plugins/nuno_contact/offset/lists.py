@@ -113,7 +113,7 @@ def choose_near(m: Meeting) -> None:
         near[number] = p
         number += 1
     m.number[1], m.number[4] = number, m.number[4] + 1
-    m.listed[3:6], m.listed[9:12], m.listed[13] = x, u, spread
+    note(m, 1)
     share_out(m.pair, near, number, m.block_start, m.block_pair)
 
 
@@ -163,12 +163,22 @@ def keep_anchors(m: Meeting, old: int, keys: Long, anchors: Float) -> None:
 
 
 @block_kernel
+def note(m: Meeting, which: int) -> None:
+    """Note in m.listed what a plan's list is made for."""
+    listed, reference, motion, spread = m.listed, m.reference, m.motion, m.spread
+    for i in range(spread.shape[1]):
+        for row in range(3 * which, 3 * which + 3):
+            listed[row, i], listed[6 + row, i] = reference[row, i], motion[row, i]
+        listed[12 + which, i] = spread[which, i]
+
+
+@block_kernel
 def make_list(m: Meeting) -> None:
     """List the pairs for the present plan; anchors are left alone."""
     x, u, spread = m.reference[:3], m.motion[:3], m.spread[0]
     tree = tree_of(m)
     fit_tree(tree, x, u, spread)
-    m.listed[:3], m.listed[6:9], m.listed[12] = x, u, spread
+    note(m, 0)
     search(m, tree, x, u, spread)
     m.number[3] += 1
 

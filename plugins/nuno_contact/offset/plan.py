@@ -69,40 +69,43 @@ def tighter(spread: Float) -> bool:
 
 
 @block_kernel
-def plan(m: Meeting, u: Float, way: float, cut: bool) -> None:
-    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval.
+def plan(m: Meeting, u: Float, way: float) -> None:
+    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, about as long as before."""
+    clock = m.clock
+    gone = clock[0] - clock[3]
+    share = gone / clock[4]
+    window = clock[4] * (1.5 if share > 1.0 else 0.75 if share < 0.5 else 1.0)
+    window = max(way, min(LONGEST, max(SHORTEST, window)))
+    if gone > 0.0:
+        learn(m, 1, gone, share)
+    allow(m, 1, window)
+    set_out(m, u, way, window)
 
-    The list is made anew unless it holds for all of the near plan. Where steps are cut short (`cut`) vertices may be
-    anywhere on their way, and stray as far as m.spread[1] says.
+
+@block_kernel
+def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
+    """Choose what is near for a window, in which vertices may stray as far as m.spread[1] says. The list is made anew
+    unless it holds for all of that.
     """
     clock, last, reference, motion, spread = m.clock, m.last, m.reference, m.motion, m.spread
-    s, gone = clock[0], clock[0] - clock[3]
-    window = clock[4]
-    if not cut:
-        share = gone / clock[4]
-        window = min(LONGEST, max(SHORTEST, window * (1.5 if share > 1.0 else 0.75 if share < 0.5 else 1.0)))
-        window = max(way, window)
-        if gone > 0.0:
-            learn(m, 1, gone, share)
-        allow(m, 1, window)
-    near, scale = motion[3:], window / way
+    s, near, scale = clock[0], motion[3:], window / way
     for row in range(3):
         for i in range(last.shape[1]):
             near[row, i] = scale * u[row, i]
-    reference[3:] = last
+            reference[3 + row, i] = last[row, i]
     clock[3], clock[4] = s, window
     begun, end = (s - clock[1]) / clock[2], (s + window - clock[1]) / clock[2]
     if end > 1.0 or strays(last, reference[:3], motion[:3], begun, spread[0], spread[1]) or strays(
         last + near, reference[:3], motion[:3], end, spread[0], spread[1]
     ):  # fmt: skip
-        if s > clock[1] and not cut:
+        if s > clock[1]:
             learn(m, 0, s - clock[1], begun)
         whole = max(2.0 * window, LISTS)
         allow(m, 0, whole)
         for i in range(last.shape[1]):
             spread[0, i] = max(spread[0, i], 1.5 * spread[1, i])
-        reference[:3] = last
-        motion[:3] = (whole / window) * near
+            for row in range(3):
+                reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[1], clock[2] = s, whole
         renew_list(m)
         while m.number[2] > 0 and tighter(spread):

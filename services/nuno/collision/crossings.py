@@ -6,6 +6,7 @@ edges through triangles instead of distances, signs that are certain instead of 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -19,6 +20,8 @@ Long = NDArray[np.int64]
 CERTAIN = 7.8e-16
 """Share of its terms' sizes above which the sign of a determinant in floating point is right (Shewchuk 1997, Adaptive
 precision floating-point arithmetic and fast robust geometric predicates, 4.4)."""
+CELL = 2.0
+"""Width of a grid's cells over that of the triangles' boxes: fewer, larger cells leave more pairs to be told apart."""
 MOST_CELLS = 1 << 20
 """Of a grid along an axis."""
 
@@ -40,11 +43,15 @@ def edges_of(faces: Int) -> Int:
 def find_crossings(x: Float, faces: Int, edges: Int) -> Crossings:
     """All that cross of a mesh x (n, 3), which must be finite; an edge that just touches counts as well."""
     edge, face = _candidates(x[edges], x[faces])
+    apart = np.ones(len(edge), bool)
+    for end in edges.T:
+        for corner in faces.T:
+            apart &= end[edge] != corner[face]
+    edge, face = edge[apart], face[apart]
+    through = cross(x[edges[edge]], x[faces[face]])
+    # A pair that is in several cells was looked at in each.
+    edge, face = np.unique(np.stack([edge[through], face[through]]), axis=1)
     ends, corners = edges[edge], faces[face]
-    apart = (ends[:, :, None] != corners[:, None, :]).all(axis=(1, 2))
-    ends, corners = ends[apart], corners[apart]
-    through = cross(x[ends], x[corners])
-    ends, corners = ends[through], corners[through]
     return Crossings(ends, corners, _places(x[ends], x[corners]))
 
 
@@ -92,31 +99,31 @@ def _places(segment: Float, triangle: Float) -> Float:
 
 
 def _candidates(segments: Float, triangles: Float) -> tuple[Long, Long]:
-    """Numbers of segments and of triangles whose boxes overlap, each pair once."""
+    """Numbers of segments and of triangles whose boxes overlap, once for each cell that both reach into."""
     if not len(segments) or not len(triangles):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    boxes = [(points.min(axis=1), points.max(axis=1)) for points in (segments, triangles)]
+    boxes = [(_fold(np.minimum, points), _fold(np.maximum, points)) for points in (segments, triangles)]
     low = np.minimum(*(box[0].min(axis=0) for box in boxes))
     size = np.maximum(*(box[1].max(axis=0) for box in boxes)) - low
-    cell = max(float((boxes[1][1] - boxes[1][0]).max(axis=1).mean()), float(size.max()) / MOST_CELLS) or 1.0
+    cell = max(CELL * float((boxes[1][1] - boxes[1][0]).max(axis=1).mean()), float(size.max()) / MOST_CELLS) or 1.0
     shape = np.floor(size / cell).astype(np.int64) + 1
     (own, key), (other, other_key) = (_cells(box, low, cell, shape) for box in boxes)
     order = np.argsort(other_key, kind="stable")
     other, other_key = other[order], other_key[order]
     first, last = np.searchsorted(other_key, key, "left"), np.searchsorted(other_key, key, "right")
     count = last - first
-    one, key = np.repeat(own, count), np.repeat(key, count)
+    one = np.repeat(own, count)
     two = other[np.arange(len(one)) - np.repeat(np.cumsum(count) - count - first, count)]
-    # A pair is looked at in several cells, and counts in the one with the lowest corner of what both boxes share.
-    corner = np.zeros(len(one), np.int64)
-    for axis, stride in enumerate((shape[1] * shape[2], shape[2], 1)):
-        (a, b), (c, d) = ((box[0][:, axis][index], box[1][:, axis][index]) for box, index in
-                          ((boxes[0], one), (boxes[1], two)))  # fmt: skip
-        kept = np.flatnonzero((a <= d) & (c <= b))
-        one, two, key = one[kept], two[kept], key[kept]
-        corner = corner[kept] + stride * np.floor((np.maximum(a, c)[kept] - low[axis]) / cell).astype(np.int64)
-    once = corner == key
-    return one[once], two[once]
+    for axis in range(3):
+        (low_one, high_one), (low_two, high_two) = ((box[0][:, axis], box[1][:, axis]) for box in boxes)
+        kept = np.flatnonzero((low_one[one] <= high_two[two]) & (low_two[two] <= high_one[one]))
+        one, two = one[kept], two[kept]
+    return one, two
+
+
+def _fold(choose: Any, points: Float) -> Any:
+    """(k, 3) the lower or the higher of each of the points (k, w, 3), contiguous by axis; min() over so few is slow."""
+    return functools.reduce(choose, points.transpose(1, 2, 0)).T
 
 
 def _cells(box: tuple[Float, Float], low: Float, cell: float, shape: Any) -> tuple[Long, Long]:
