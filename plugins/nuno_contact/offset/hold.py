@@ -186,7 +186,7 @@ def begin_apart(m: Meeting, x: Float, span: float) -> None:
         if not np.isfinite(x).all():
             return
         m.last[:] = x
-        clock[4], clock[2] = WINDOW, LISTS
+        clock[4], clock[2], clock[5] = WINDOW, LISTS, 1.0
         clock[1], clock[3] = -2.0 * clock[2], 0.0
         m.unrest[:] = 0.0
         plan(m, 0.0 * x, 1.0)

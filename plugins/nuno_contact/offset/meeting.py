@@ -103,8 +103,8 @@ class Meeting(NamedTuple):
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     clock: Float
-    """(5,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
-    what is near: part of the state"""
+    """(6,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
+    what is near; the share of what the list's plan allows at most: part of the state"""
     span: Float
     """(1,) of the interval [s]"""
     listed: Float
@@ -185,7 +185,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         last=np.zeros((3, n)),
         spread=np.zeros((2, n)),
         unrest=np.zeros((2, n)),
-        clock=np.zeros(5),
+        clock=np.zeros(6),
         span=np.zeros(1),
         listed=np.zeros((14, n)),
         nothing=np.zeros(n),

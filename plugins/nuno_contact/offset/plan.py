@@ -19,6 +19,10 @@ WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 64.0, 4.0
 """Of an interval: for how long what is near is chosen at first, at least and at most."""
 LISTS = 0.3
 """Of an interval: for how long the list is made at least; else for two windows of what is near."""
+CROWDED = 24.0
+"""Pairs in the list for each vertex from which on the next is made for less: layers that lie on each other are all near
+to each other, if each may stray by more than they are apart.
+"""
 LEAST, MOST = (2.0, 0.1), (8.0, 1.0)
 """How far vertices may stray over the thickness, at least and at most: in the list's plan, in that of what is near."""
 AHEAD = 3.0
@@ -100,10 +104,12 @@ def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
     ):  # fmt: skip
         if s > clock[1]:
             learn(m, 0, s - clock[1], begun)
-        whole = max(2.0 * window, LISTS)
+        scale, pairs = clock[5], m.number[0] / last.shape[1]
+        scale = scale * 0.7 if pairs > CROWDED else min(1.0, 1.2 * scale) if pairs < 0.5 * CROWDED else scale
+        whole, clock[5] = max(2.0 * window, LISTS), scale
         allow(m, 0, whole)
         for i in range(last.shape[1]):
-            spread[0, i] = max(spread[0, i], 1.5 * spread[1, i])
+            spread[0, i] = max(scale * spread[0, i], 1.5 * spread[1, i])
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[1], clock[2] = s, whole
