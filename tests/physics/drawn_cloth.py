@@ -8,7 +8,7 @@ import numpy as np
 
 from nuno.scene.files import SceneFiles
 from nuno_dye.cloths.woven import WovenConfig, YarnConfig, build_cells
-from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
+from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig
 from nuno_dye.pictures.texture import TextureConfig
 from nuno_schemas.dye import Cells, Tortuosity
 from nuno_schemas.dye_picture import Picture, Window
@@ -35,7 +35,7 @@ def draw_cloth(
     cells: Cells, amounts: Float, scale: int = 1, texture: TextureConfig | None = None, window: Window | None = None
 ) -> Picture:
     """A picture of one dye, black on white."""
-    config, plugin = YarnsConfig(texture=texture or TextureConfig()), YarnsPicture()
+    config, plugin = YarnsPictureConfig(texture=texture or TextureConfig()), YarnsPicture()
     return plugin.draw(plugin.prepare(config, SceneFiles(Path()), cells, [INK], window or whole(cells), scale), amounts)
 
 

@@ -16,7 +16,7 @@ from nuno_dye.cloths.woven import Lay
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.pictures import picture as module
 from nuno_dye.pictures.colour import colour_of, mix
-from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
+from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig
 from nuno_dye.pictures.texture import Shades, TextureConfig, find_lays
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dye_picture import Window, amount_seen
@@ -188,7 +188,7 @@ def test_colours_that_are_none_are_refused() -> None:
 def test_no_texture_is_colours_alone() -> None:
     cells = cloth(draw_twill(2, 1))
     plugin, seen = YarnsPicture(), spots(cells)
-    how = YarnsConfig(texture=None)
+    how = YarnsPictureConfig(texture=None)
     prepared = plugin.prepare(how, SceneFiles(Path()), cells, [INK], whole(cells), 2)
     assert np.array_equal(plugin.draw(prepared, seen), draw_cloth(cells, seen, 2, FLAT))
     assert (plugin.draw(prepared, 0.0 * seen) == 255).all()

@@ -14,7 +14,7 @@ from test_dye_resist import write_image
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
 from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.laws.isotherms import Langmuir
-from nuno_dye.pictures.picture import YarnsConfig, YarnsPicture
+from nuno_dye.pictures.picture import YarnsPicture, YarnsPictureConfig
 from nuno_dye.solvers.explicit import Explicit
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem
 from nuno_schemas.dye_picture import Window
@@ -125,7 +125,7 @@ def test_undyed_yarns_have_the_colours_of_the_draft(tmp_path: Path) -> None:
     dye = DyeColour(light="#808080", mid="#404040", dark="#000000")
 
     def draw(amounts: np.ndarray, **config: Any) -> np.ndarray:
-        look, plugin = YarnsConfig(texture=None, **config), YarnsPicture()
+        look, plugin = YarnsPictureConfig(texture=None, **config), YarnsPicture()
         prepared = plugin.prepare(look, Folder(tmp_path), cells, [dye], Window(0, 20, 0, 20), 1)
         return plugin.draw(prepared, amounts)
 

@@ -33,7 +33,7 @@ SAMPLES = 4
 PLAIN = TextureConfig(depth=0.0, fibres=0.0, relief=0.0, bend=0.0, shadow=1.0, hole=1.0)
 
 
-class YarnsConfig(Config):
+class YarnsPictureConfig(Config):
     """Yarns drawn as twisted cylinders."""
 
     ground: Colour | None = Field(
@@ -81,11 +81,11 @@ class YarnsPicture:
     """Draws the yarns that are woven."""
 
     name: ClassVar[str] = "yarns"
-    Config: ClassVar[type[BaseModel]] = YarnsConfig
+    Config: ClassVar[type[BaseModel]] = YarnsPictureConfig
 
     def prepare(
         self,
-        config: YarnsConfig,
+        config: YarnsPictureConfig,
         files: Files,
         layers: Layers,
         dyes: Sequence[DyeColour],
