@@ -13,7 +13,8 @@ from nuno import registry
 from nuno.cloth.join import join_fabrics
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.plugin import Offset, OffsetConfig
-from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
+from nuno_kernels.meshes.normals import edge_numbers
+from nuno_schemas.fabric import Fabric, Float, Memory, State
 from nuno_schemas.system import StepReport, System
 
 DOWN = np.array([0.0, -9.81, 0.0])
@@ -37,12 +38,6 @@ def sheet(
     return replace(fabric, name=name, position=x, velocity=moving, pinned=np.full(len(x), pinned))
 
 
-def edges_of(faces: Int) -> Int:
-    """(e, 2) each edge once."""
-    found: Int = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0).astype(np.int32)
-    return found
-
-
 class Pile:
     """Pieces under cloth contact and a solver."""
 
@@ -59,7 +54,7 @@ class Pile:
         self.solver = registry.load("nuno.integrators", solver)
         self.state = State(self.fabric.position.copy(), self.fabric.velocity.copy())
         self.memory: Memory = self.solver.prepare(self.solver.Config(), self.system, self.state)
-        self.mesh = ipctk.CollisionMesh(self.fabric.position, edges_of(self.fabric.faces), self.fabric.faces)
+        self.mesh = ipctk.CollisionMesh(self.fabric.position, edge_numbers(self.fabric.faces)[1], self.fabric.faces)
 
     def go(self, steps: int) -> StepReport:
         """An interval of so many steps."""

@@ -12,8 +12,9 @@ import numpy as np
 
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.meeting import Meeting
-from nuno_contact.offset.proximity import Corners, between, closest, dot, unit, weigh
+from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.lanes.triples import dot
 from nuno_schemas.fabric import Float
 
 BRAKED, SWEEPS = 0.25, 4

@@ -39,8 +39,6 @@ from nuno_contact.offset.proximity import (
     Four,
     between,
     closest,
-    dot,
-    minus,
     point,
     to_triangle,
     unit,
@@ -48,6 +46,7 @@ from nuno_contact.offset.proximity import (
 )
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
+from nuno_kernels.lanes.triples import dot, minus
 from nuno_kernels.step.blocks import PADDING
 from nuno_schemas.fabric import Float, Int
 
@@ -148,7 +147,8 @@ def stored(k: float, h: float, distance: float) -> float:
 def press(k: float, c: float, h: float, at: Touch, u: Vector) -> float:
     """The normal force N [N], of primitives that move at u [m/s] relative to each other."""
     ramp = min(1.0, (h - at.distance) / (RAMP * h))
-    return max(0.0, push(k, h, at.distance) - c * ramp * dot(u, at.normal))
+    pressed: float = max(0.0, push(k, h, at.distance) - c * ramp * dot(u, at.normal))
+    return pressed
 
 
 @forced_inline

@@ -24,9 +24,10 @@ from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.plan import LISTS, WINDOW, plan, set_out, strays
-from nuno_contact.offset.proximity import Corners, between, closest, dot, unit, weigh
+from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
+from nuno_kernels.lanes.triples import dot
 from nuno_schemas.fabric import Float
 
 CLOSEST, FLOOR = 0.02, 0.001
@@ -65,7 +66,8 @@ def shortened(here: Vector, there: Vector, n: Vector, least: float, share: float
     start, down = dot(n, here), dot(n, here) - dot(n, there)
     if share * down <= start - least:
         return share
-    return max(0.0, (1.0 - 1e-12) * (start - least) / down)
+    room: float = (1.0 - 1e-12) * (start - least) / down
+    return max(0.0, room)
 
 
 @forced_inline
@@ -189,6 +191,8 @@ def begin_apart(m: Meeting, x: Float, span: float) -> None:
         clock[4], clock[2], clock[5] = WINDOW, LISTS, 1.0
         clock[1], clock[3] = -2.0 * clock[2], 0.0
         m.unrest[:] = 0.0
+        m.anchored[:] = False
+        m.number[0] = 0
         plan(m, 0.0 * x, 1.0)
     elif not (
         same_rows(m.listed[:6], m.reference)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from nuno_kernels import forced_inline
 from nuno_kernels.bodies.poses import Index, Vector
+from nuno_kernels.lanes.triples import dot, minus
 from nuno_schemas.fabric import Float
 
 INSIDE, ON_AB, ON_BC, ON_CA, AT_A, AT_B, AT_C = 0, 1, 2, 3, 4, 5, 6
@@ -30,18 +31,6 @@ class Closest(NamedTuple):
 
     weights: Four
     where: int
-
-
-@forced_inline
-def minus(a: Vector, b: Vector) -> Vector:
-    """a - b."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@forced_inline
-def dot(a: Vector, b: Vector) -> float:
-    """a.b."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @forced_inline
@@ -141,9 +130,10 @@ def between(of_edges: bool, n: Vector, p: Corners) -> tuple[float, float]:
 def spread_between(of_edges: bool, n: Vector, p: Corners, r: Four) -> float:
     """How far apart a plane across n keeps a pair whose vertices may be r from where they are."""
     a, b, c, d = dot(n, p[0]), dot(n, p[1]), dot(n, p[2]), dot(n, p[3])
+    gap: float = a - r[0] - max(max(b + r[1], c + r[2]), d + r[3])
     if of_edges:
-        return min(a - r[0], b - r[1]) - max(c + r[2], d + r[3])
-    return a - r[0] - max(max(b + r[1], c + r[2]), d + r[3])
+        gap = min(a - r[0], b - r[1]) - max(c + r[2], d + r[3])
+    return gap
 
 
 @forced_inline
