@@ -66,7 +66,8 @@ class Kernels:
                                                    nuno_integrators.implicit.matrix
     diagonal(term, rows, block, origin, out)       adds the matrix' diagonal blocks to (6, w)
     multiply(term, rows, block, origin, u, out)    adds the matrix' product with u (3, n) to out (3, w)
-    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.forces.assembly
+    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.forces.assembly. One
+                                                   without stays out of factors: what it couples changes
 
     carry(term, moved, s)                          of xpbd: puts displacements of carried vertices into `Displaced`
     project(term, moved, s, held, threads)         of xpbd: solves for a body; see nuno_contact.penalty.projection
@@ -87,6 +88,11 @@ class Kernels:
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
     begin(term, x, span)                           before an interval's first step; it lasts `span` [s]
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
+    bound(term, x, d, s) -> bool                   shortens a way d (3, n) that Newton's method is to go from x towards
+                                                   fraction s, in place; whether it did
+    foresee(term, x, d, out) -> bool               adds to out (3, n) what forces that begin on a way d (3, n) from x
+                                                   bring to a linear step's right side; whether they are others than
+                                                   before
     unbalance(term, x, force)                      holds forces (3, n) off bodies, in place
     counts(term) -> mapping                        counts for a step's report
     """
@@ -122,6 +128,8 @@ class Kernels:
     begin: Any = None
     interval: Any = None
     approach: Any = None
+    bound: Any = None
+    foresee: Any = None
     unbalance: Any = None
     counts: Any = None
 

@@ -125,6 +125,14 @@ def touch(x: Float, i: int, f: int, corners: Corners, mesh: Faces) -> Touch:
 
 
 @forced_inline
+def kept(m: Meeting, p: int, corners: Corners) -> Touch:
+    """How a pair touches whose features are kept; see nuno_contact.offset.iterate.freeze."""
+    w = (m.kept_weights[p, 0], m.kept_weights[p, 1], m.kept_weights[p, 2], m.kept_weights[p, 3])
+    n = (m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2])
+    return Touch(w, n, dot(n, weigh(w, corners)) if m.kept_limit[p] >= 0.0 else math.inf)
+
+
+@forced_inline
 def push(k: float, h: float, distance: float) -> float:
     """The force [N] at a distance below h."""
     if distance >= 0.5 * h:
@@ -172,17 +180,19 @@ def is_fresh(m: Meeting, x: Float, v: Float, s: float) -> None:
         for i in range(x.shape[1]):
             count += 1 if x[row, i] == last[row, i] else 0
     m.fresh[0] = count == 3 * x.shape[1]
+    if m.step[0] > 0.0:
+        m.velocity[:] = v
 
 
 @kernel
 def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the forces [N] of the block's pairs to its vertices."""
     pair, of, reach, normal, weights, mesh = m.pair, m.of, m.reach, m.normal, m.weights, faces_of(m)
-    stiffness, damping, anchor, anchored, mu, fresh = (
-        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.law[1], m.fresh[0]
+    stiffness, damping, anchor, anchored, mu, fresh, step = (
+        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.law[1], m.fresh[0], m.step[0]
     )  # fmt: skip
     start, chosen = (m.touch_start, m.touch_pair) if fresh else (m.block_start, m.block_pair)
-    width = force.shape[1] - PADDING
+    width, frozen = force.shape[1] - PADDING, m.frozen[0]
     for q in range(start[block], start[block + 1]):
         p = chosen[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
@@ -193,11 +203,12 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
             low, high = between(of[p] < 0, n, corners)
             if low - high > h:
                 continue
-            at = touch(x, i, of[p], corners, mesh)
+            at = kept(m, p, corners) if frozen else touch(x, i, of[p], corners, mesh)
             if not at.distance < h:
                 continue
         fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], damping[p], mu, anchored[p],
-                         (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]))  # fmt: skip
+                         (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step, m.kept_limit[p] if frozen
+                         else -1.0)  # fmt: skip
         for corner in range(4):
             local = pair[p, corner] - origin
             if 0 <= local < width:
@@ -209,18 +220,26 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
 
 @forced_inline
 def rub(
-    x: Corners, v: Corners, at: Touch, h: float, k: float, c: float, mu: float, anchored: bool, anchor: Four
-) -> Vector:
-    """The force [N] on the first of two primitives that touch."""
+    x: Corners, v: Corners, at: Touch, h: float, k: float, c: float, mu: float, anchored: bool, anchor: Four,
+    step: float, limit: float,
+) -> Vector:  # fmt: skip
+    """The force [N] on the first of two primitives that touch.
+
+    What touches for the first time at the end of an implicit step is rubbed for its way in that step. Friction is
+    `limit` [N] at most, mu N where that is negative.
+    """
     u = weigh(at.weights, v)
     n = press(k, c, h, at, u)
     t = across(u, at.normal)
+    if not anchored:
+        c += k * step
     fx, fy, fz = -c * t[0], -c * t[1], -c * t[2]
     if anchored:
         e = across(weigh(anchor, x), at.normal)
         fx, fy, fz = fx - k * e[0], fy - k * e[1], fz - k * e[2]
     size = math.sqrt(fx * fx + fy * fy + fz * fz)
-    share = mu * n / size if size > mu * n else 1.0
+    most = mu * n if limit < 0.0 else limit
+    share = most / size if size > most else 1.0
     return share * fx + n * at.normal[0], share * fy + n * at.normal[1], share * fz + n * at.normal[2]
 
 

@@ -23,8 +23,9 @@ from nuno_contact.offset.brake import brake
 from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.parting import give_way, on_the_way, part
 from nuno_contact.offset.plan import LISTS, WINDOW, plan, set_out, strays
-from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
+from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot
@@ -56,7 +57,12 @@ def pass_by(m: Meeting, x: Float) -> int:
         n, distance = unit(weigh(closest(of_edges, here).weights, here))
         normal[p, 0], normal[p, 1], normal[p, 2] = n
         low, high = between(of_edges, n, there)
-        fails += 0 if low - high >= nearest(reach[p], distance) else 1
+        gap = low - high
+        if m.step[0] > 0.0 and gap < nearest(reach[p], distance):
+            n, gap = part(of_edges, here, there, nearest(reach[p], distance))
+            if gap >= nearest(reach[p], distance):
+                normal[p, 0], normal[p, 1], normal[p, 2] = n
+        fails += 0 if gap >= nearest(reach[p], distance) else 1
     return fails
 
 
@@ -68,21 +74,6 @@ def shortened(here: Vector, there: Vector, n: Vector, least: float, share: float
         return share
     room: float = (1.0 - 1e-12) * (start - least) / down
     return max(0.0, room)
-
-
-@forced_inline
-def on_the_way(here: Corners, there: Corners, share: tuple[float, float, float, float]) -> Corners:
-    """Four vertices, each after a share of its way."""
-    return partly(here[0], there[0], share[0]), partly(here[1], there[1], share[1]), partly(
-        here[2], there[2], share[2]), partly(here[3], there[3], share[3])  # fmt: skip
-
-
-@forced_inline
-def partly(a: Vector, b: Vector, share: float) -> Vector:
-    """A share of the way from a to b, b itself where that is all."""
-    if share == 1.0:
-        return b
-    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
 
 
 @block_kernel
@@ -160,7 +151,18 @@ def cut_short(m: Meeting, x: Float, v: Float) -> None:
         # What is not listed might be met: nothing moves.
         x[:] = last
         v[:] = 0.0
+    if m.step[0] > 0.0 and give_way(m, last, x - last, CLOSEST):
+        go_partly(m, x, v)
+        if pass_by(m, x) == 0:
+            return
     shorten(m, x)
+    go_partly(m, x, v)
+
+
+@block_kernel
+def go_partly(m: Meeting, x: Float, v: Float) -> None:
+    """Take the shares of ways to x and of velocities v (3, n), in place, and count them."""
+    last, share = m.last, m.share
     for i in range(x.shape[1]):
         if share[i] < 1.0:
             m.tally[1 if m.mass[i] > 0.0 else 2] += 1

@@ -111,6 +111,20 @@ class Meeting(NamedTuple):
     """(14, n) references, motions and spreads that the lists were made for"""
     nothing: Float
     """(n,) zeros"""
+    step: Float
+    """(1,) g [s] of a method that feels the forces at its step's end, x = x^ + g v; 0 for others"""
+    velocity: Float
+    """(3, n) scratch of an implicit method: where forces were found last [m/s]"""
+    expected: Bool
+    """(P,) scratch of an implicit method: which pairs are taken to touch after its next Newton step"""
+    calm: NDArray[np.int64]
+    """(1,) scratch of an implicit method: Newton steps since one was shortened"""
+    frozen: Bool
+    """(1,) scratch of an implicit method: whether pairs touch as it is kept in"""
+    kept_weights: Float
+    """(P, 4), kept_normal (P, 3) at the closest points, kept_limit (P,) most friction [N], negative of what is apart"""
+    kept_normal: Float
+    kept_limit: Float
     share: Float
     """(n,) scratch: of a step, how much of it each vertex makes"""
     tally: NDArray[np.int64]
@@ -189,6 +203,14 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         span=np.zeros(1),
         listed=np.zeros((14, n)),
         nothing=np.zeros(n),
+        step=np.zeros(1),
+        velocity=np.zeros((3, n)),
+        expected=np.zeros(places, np.bool_),
+        calm=np.zeros(1, np.int64),
+        frozen=np.zeros(1, np.bool_),
+        kept_weights=np.zeros((places, 4)),
+        kept_normal=np.zeros((places, 3)),
+        kept_limit=np.zeros(places),
         share=np.ones(n),
         tally=np.zeros(5, np.int64),
     )

@@ -10,7 +10,9 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.offset.force import add_pairs, is_fresh, measure_pairs
 from nuno_contact.offset.hold import begin_apart, hold_apart
+from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.lists import make_list
+from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
 from nuno_contact.offset.meeting import Meeting, make_meeting
 from nuno_contact.reaction import spring_stiffness
 from nuno_kernels import threads_available
@@ -106,6 +108,11 @@ def check_gaps(m: Meeting, pieces: list[str]) -> None:
     m.number[:] = 0
 
 
+def take_step(m: Meeting, rate: float) -> None:
+    """Have forces act as at the end of steps of 1 / rate [s]; see Meeting.step."""
+    m.step[0], m.calm[0], m.frozen[0] = 1.0 / rate, 0, False
+
+
 def count_meetings(m: Meeting) -> dict[str, int]:
     """Counts for a step's report."""
     return {
@@ -123,6 +130,13 @@ register(
     block=add_pairs,
     hold=hold_apart,
     begin=begin_apart,
+    approach=take_step,
+    bound=restrain,
+    foresee=foresee,
+    rows=make_touching,
+    fill=fill_pairs,
+    diagonal=add_diagonal,
+    multiply=multiply_pairs,
     energy=measure_pairs,
     counts=count_meetings,
 )

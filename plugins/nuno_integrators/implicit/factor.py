@@ -52,7 +52,11 @@ def make_factor(plan: Plan, n: int) -> Factor:
 def compile_factor(a: Linear) -> None:
     """Compile what a factor of this matrix needs, with one that has no vertices."""
     none = np.zeros(0, np.int64)
-    elements = tuple(Elements(none, *np.zeros((3, 1, 0), np.int64)) for _ in a.rows)
+    empty = Elements(none, *np.zeros((3, 1, 0), np.int64))
+    elements = tuple(
+        None if rows is None or role_of(type(term), "assemble") is None else empty
+        for term, rows in zip(a.forces, a.rows, strict=True)
+    )
     factor = make_factor(Plan(Fronts(*(none for _ in Fronts._fields)), 0, 0, elements), a.own.shape[1])
     factorise(factor, a)
     solve_factored(factor, a.r, a.x)
@@ -233,7 +237,7 @@ def factorise(factor: Factor, a: Linear) -> bool:
     factor.values[...] = 0.0
     factor.diagonal[...] = a.own
     for term, rows, places in zip(a.forces, a.rows, plan.elements, strict=True):
-        if rows is not None:
+        if places is not None:
             role_of(type(term), "assemble")(rows, places, factor.diagonal, factor.values)
     add_diagonal(plan.fronts, factor.diagonal, factor.values)
     return bool(factorise_fronts(plan.fronts, factor.values, factor.scratch))

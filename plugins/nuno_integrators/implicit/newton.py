@@ -13,7 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno_integrators.implicit.linear_solve import Counts, Solver, compile_solver, make_solver, solve_linear
+from nuno_integrators.implicit.linear_solve import (
+    Counts,
+    Solver,
+    compile_solver,
+    make_solver,
+    solve_again,
+    solve_linear,
+)
 from nuno_integrators.implicit.lumped import add_stiffness
 from nuno_kernels import block_kernel
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
@@ -28,6 +35,11 @@ goes a tenth of the way. Far from the end the exact matrix is mostly not positiv
 SLOPE = 0.5
 """A step is shortened where the residual along it has turned round and is more than this share of what it was."""
 MOST_TRIALS = 6
+HELD_BACK = 5
+"""Times the Newton steps that are taken at most where contact has shortened the others: such a step goes as far as what
+it meets, and the next knows of that. Three sheets that meet at 8 m/s in a step of 1/60 s take 40, without a halving."""
+FORESEEN = 4
+"""Times that a Newton step is solved again with what it has been found to touch."""
 REACH = 1e-7
 """Share of the cloth's size by which vertices are moved to differentiate what acts on each by itself."""
 EPSILON = float(np.finfo(float).eps)
@@ -104,9 +116,10 @@ def solve_stage(
     guess = st.v.copy()
     np.multiply(st.v, g, out=st.x)
     st.x += xhat
+    _begin_apart(st, packed, xhat, g, s, start)
     st.solver.before[...], st.solver.follow = start, False
     worst, slow = _evaluate(st, packed, extra, vhat, g, s), False
-    for _ in range(most):
+    for _ in range(HELD_BACK * most):
         allowed = tolerance * largest_force(st, packed) + _rounding(st, g)
         if worst <= allowed:
             return True, worst
@@ -116,9 +129,21 @@ def solve_stage(
         if not _solve_newton(st, packed, extra, g, s, slow):
             st.v[...] = guess
             return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+        most -= 0 if any(call_each(packed, "bound", st.x, st.solver.linear.x, s)) else 1
         worst = _search(st, packed, extra, vhat, g, s)
         slow = worst > SLOW * before
+        if most == 0:
+            break
     return False, worst
+
+
+def _begin_apart(st: Stage, packed: Packed, xhat: Float, g: float, s: float, start: Float) -> None:
+    """Take the first guess only as far from the start as cloth does not meet."""
+    d = st.x - start
+    if any(call_each(packed, "bound", start, d, s)):
+        np.add(start, d, out=st.x)
+        np.subtract(st.x, xhat, out=st.v)
+        st.v /= g
 
 
 def limit_approach(packed: Packed, g: float) -> None:
@@ -131,6 +156,11 @@ def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, e
     _fill_own(st, packed, extra, g, s)
     st.counts.newton += 1
     done = solve_linear(st.solver, packed, st.x, 1.0 / g, st.residual, exact)
+    for _ in range(FORESEEN if done else 0):
+        pull = st.residual.copy()
+        if not any(call_each(packed, "foresee", st.x, st.solver.linear.x, pull)):
+            break
+        solve_again(st.solver, packed, st.x, 1.0 / g, pull)
     st.solver.before[...], st.solver.follow = st.x, True
     return done
 
@@ -177,7 +207,7 @@ def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: f
         after = along(st.residual, d)
         if st.solver.direct:
             after += turning_work(st.solver.before, st.x, d, packed)
-        if after >= -SLOPE * before:
+        if after >= -SLOPE * abs(before):
             break
         share *= max(0.1, before / (before - after)) if np.isfinite(after) else 0.1
     return worst

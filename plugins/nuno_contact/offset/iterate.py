@@ -1,0 +1,92 @@
+"""How far a step of Newton's method may go, so that no iterate has passed through anything.
+
+An iterate that has gone through cloth would be pushed on by it. From iterate y the step d is shortened vertex by
+vertex, until each pair has a plane that keeps its primitives apart at y and at y + d (nuno_contact.offset.parting).
+
+Not chosen: one share for all vertices, as Incremental Potential Contact has (Li et al. 2020, ACM Trans. Graph. 39,
+49), which keeps the direction, but lets the first to touch stop all; and the rule of nuno_contact.offset.hold, half
+way to a plane at rest, which holds for whatever the vertices have done before, where a step of Newton's only needs to
+get there in the end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_contact.offset.force import corners_of, faces_of, press, touch
+from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.parting import give_way
+from nuno_contact.offset.plan import MOST, WINDOW, allow, learn, set_out, strays
+from nuno_contact.offset.proximity import weigh
+from nuno_kernels import block_kernel
+from nuno_schemas.fabric import Float
+
+FREEZE, REFREEZE = 4, 10
+"""After so many iterates that nothing stopped, and again after so many more, features are kept; see freeze."""
+KEPT = 2.0
+"""Features are kept of what is nearer than so many times the thickness."""
+STOP = 0.25
+"""An iterate's pairs come as near as this share of their thickness, and half as near as they were at most."""
+
+
+@block_kernel
+def restrain(m: Meeting, y: Float, d: Float, s: float) -> bool:
+    """Shorten d (3, n), which leads from iterate y (3, n) to another for fraction s of the interval; whether it was."""
+    end = y + d
+    if not np.isfinite(end).all():
+        return False
+    if m.calm[0] < FREEZE:
+        m.frozen[0] = False
+    cover(m, end, s)
+    m.expected[:] = False
+    if not give_way(m, y, d, STOP):
+        m.calm[0] += 1
+        if m.calm[0] % REFREEZE == FREEZE:
+            freeze(m, y)
+        return False
+    m.calm[0] = 0
+    for i in range(d.shape[1]):
+        for row in range(3):
+            d[row, i] *= m.share[i]
+    return True
+
+
+@block_kernel
+def freeze(m: Meeting, y: Float) -> None:
+    """From here on keep which features meet, where and across what, and how much friction there is, as at y (3, n).
+
+    That pairs touch in other features, and count or do not, changes forces by jumps, between which Newton's method
+    may go to and fro; so may what slides and what it presses with. Kept, they are as smooth as springs.
+    """
+    mesh = faces_of(m)
+    for q in range(m.number[1]):
+        p = m.near[q]
+        i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
+        at = touch(y, i, m.of[p], corners_of(y, i, j, k, l), mesh)
+        u = weigh(at.weights, corners_of(m.velocity, i, j, k, l))
+        pressed = press(m.pair_stiffness[p], m.pair_damping[p], m.reach[p], at, u) if at.distance < m.reach[p] else 0.0
+        m.kept_limit[p] = m.law[1] * pressed if at.distance < KEPT * m.reach[p] else -1.0
+        m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2] = at.normal
+        for corner in range(4):
+            m.kept_weights[p, corner] = at.weights[corner]
+    m.frozen[0] = True
+
+
+@block_kernel
+def cover(m: Meeting, end: Float, s: float) -> None:
+    """Have lists for a step from `last` to `end` (3, n) and what is around that."""
+    clock, last, spread = m.clock, m.last, m.spread[1]
+    reference, motion = m.reference[3:], m.motion[3:]
+    if s <= clock[3] + clock[4] and not strays(end, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
+        return
+    way, gone = s - clock[0], clock[0] - clock[3]
+    if gone > 0.0:
+        learn(m, 1, gone, gone / clock[4])
+    window = max(way, WINDOW)
+    allow(m, 1, window)
+    for i in range(end.shape[1]):
+        a, b, c = end[0, i] - last[0, i], end[1, i] - last[1, i], end[2, i] - last[2, i]
+        spread[i] = max(spread[i], min(MOST[1] * m.law[0], np.sqrt(a * a + b * b + c * c)))
+    left_out = m.tally[4]
+    set_out(m, end - last, way, window)
+    m.tally[4] = left_out  # which counts those of steps that count
