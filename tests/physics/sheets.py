@@ -63,6 +63,11 @@ class Pile:
         return report
 
     @property
+    def momentum(self) -> Float:
+        """Of all cloth [kg m/s]."""
+        return np.asarray((self.fabric.mass[:, None] * self.state.v).sum(axis=0))
+
+    @property
     def crossed(self) -> bool:
         """Whether cloth passes through cloth, as ipc-toolkit sees it."""
         return bool(ipctk.has_intersections(self.mesh, self.state.x))

@@ -62,12 +62,12 @@ def test_what_never_meets_keeps_its_bits() -> None:
     assert ends[0] == ends[1]
 
 
-def sliding(friction: float, slope: float, pull: float = 0.0) -> Pile:
+def sliding(friction: float, slope: float, **settings: object) -> Pile:
     """A sheet that lies on a held one, gravity tilted by its slope [rad] towards +x."""
     gravity = 9.81 * np.array([math.sin(slope), -math.cos(slope), 0.0])
     lower = sheet(24, 0.3, pinned=True)
     upper = sheet(8, 0.1, at=np.array([-0.05, 1.01e-3, 0.003]))
-    return Pile(lower, upper, gravity=gravity, friction=friction)
+    return Pile(lower, upper, gravity=gravity, friction=friction, **settings)  # type: ignore[arg-type]
 
 
 def pace(pile: Pile) -> Float:

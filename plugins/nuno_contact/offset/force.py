@@ -125,11 +125,11 @@ def touch(x: Float, i: int, f: int, corners: Corners, mesh: Faces) -> Touch:
 
 
 @forced_inline
-def kept(m: Meeting, p: int, corners: Corners) -> Touch:
+def kept_touch(m: Meeting, p: int, corners: Corners) -> Touch:
     """How a pair touches whose features are kept; see nuno_contact.offset.iterate.freeze."""
     w = (m.kept_weights[p, 0], m.kept_weights[p, 1], m.kept_weights[p, 2], m.kept_weights[p, 3])
     n = (m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2])
-    return Touch(w, n, dot(n, weigh(w, corners)) if m.kept_limit[p] >= 0.0 else math.inf)
+    return Touch(w, n, dot(n, weigh(w, corners)) if m.kept[p] else math.inf)
 
 
 @forced_inline
@@ -203,12 +203,11 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
             low, high = between(of[p] < 0, n, corners)
             if low - high > h:
                 continue
-            at = kept(m, p, corners) if frozen else touch(x, i, of[p], corners, mesh)
+            at = kept_touch(m, p, corners) if frozen else touch(x, i, of[p], corners, mesh)
             if not at.distance < h:
                 continue
         fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], damping[p], mu, anchored[p],
-                         (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step, m.kept_limit[p] if frozen
-                         else -1.0)  # fmt: skip
+                         (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step)  # fmt: skip
         for corner in range(4):
             local = pair[p, corner] - origin
             if 0 <= local < width:
@@ -221,12 +220,11 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
 @forced_inline
 def rub(
     x: Corners, v: Corners, at: Touch, h: float, k: float, c: float, mu: float, anchored: bool, anchor: Four,
-    step: float, limit: float,
+    step: float,
 ) -> Vector:  # fmt: skip
     """The force [N] on the first of two primitives that touch.
 
-    What touches for the first time at the end of an implicit step is rubbed for its way in that step. Friction is
-    `limit` [N] at most, mu N where that is negative.
+    What touches for the first time at the end of an implicit step is rubbed for its way in that step.
     """
     u = weigh(at.weights, v)
     n = press(k, c, h, at, u)
@@ -238,8 +236,7 @@ def rub(
         e = across(weigh(anchor, x), at.normal)
         fx, fy, fz = fx - k * e[0], fy - k * e[1], fz - k * e[2]
     size = math.sqrt(fx * fx + fy * fy + fz * fz)
-    most = mu * n if limit < 0.0 else limit
-    share = most / size if size > most else 1.0
+    share = mu * n / size if size > mu * n else 1.0
     return share * fx + n * at.normal[0], share * fy + n * at.normal[1], share * fz + n * at.normal[2]
 
 

@@ -13,11 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.force import corners_of, faces_of, press, touch
+from nuno_contact.offset.force import corners_of, faces_of, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way
 from nuno_contact.offset.plan import MOST, WINDOW, allow, learn, set_out, strays
-from nuno_contact.offset.proximity import weigh
 from nuno_kernels import block_kernel
 from nuno_schemas.fabric import Float
 
@@ -25,6 +24,8 @@ FREEZE, REFREEZE = 4, 10
 """After so many iterates that nothing stopped, and again after so many more, features are kept; see freeze."""
 KEPT = 2.0
 """Features are kept of what is nearer than so many times the thickness."""
+SHORTER = 40
+"""A step so long that what it may meet has no room in the lists is taken to a quarter, so often."""
 STOP = 0.25
 """An iterate's pairs come as near as this share of their thickness, and half as near as they were at most."""
 
@@ -32,19 +33,23 @@ STOP = 0.25
 @block_kernel
 def restrain(m: Meeting, y: Float, d: Float, s: float) -> bool:
     """Shorten d (3, n), which leads from iterate y (3, n) to another for fraction s of the interval; whether it was."""
-    end = y + d
-    if not np.isfinite(end).all():
+    if not np.isfinite(d).all():
         return False
-    if m.calm[0] < FREEZE:
-        m.frozen[0] = False
-    cover(m, end, s)
+    lists = m.number[4]
+    cover(m, y + d, s)
+    shortened = m.number[2] > 0
+    for _ in range(SHORTER):
+        if m.number[2] == 0:
+            break
+        d *= 0.25
+        cover(m, y + d, s)
     m.expected[:] = False
-    if not give_way(m, y, d, STOP):
+    if not give_way(m, y, d, STOP) and not shortened:
         m.calm[0] += 1
-        if m.calm[0] % REFREEZE == FREEZE:
+        if m.calm[0] % REFREEZE == FREEZE or (m.frozen[0] and m.number[4] > lists):
             freeze(m, y)
         return False
-    m.calm[0] = 0
+    m.calm[0], m.frozen[0] = 0, False
     for i in range(d.shape[1]):
         for row in range(3):
             d[row, i] *= m.share[i]
@@ -53,19 +58,18 @@ def restrain(m: Meeting, y: Float, d: Float, s: float) -> bool:
 
 @block_kernel
 def freeze(m: Meeting, y: Float) -> None:
-    """From here on keep which features meet, where and across what, and how much friction there is, as at y (3, n).
+    """From here on keep which features meet, where and across what, as at y (3, n).
 
     That pairs touch in other features, and count or do not, changes forces by jumps, between which Newton's method
-    may go to and fro; so may what slides and what it presses with. Kept, they are as smooth as springs.
+    may go to and fro. Kept, they are as smooth as springs.
     """
     mesh = faces_of(m)
+    m.kept[: m.number[0]] = False
     for q in range(m.number[1]):
         p = m.near[q]
         i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
         at = touch(y, i, m.of[p], corners_of(y, i, j, k, l), mesh)
-        u = weigh(at.weights, corners_of(m.velocity, i, j, k, l))
-        pressed = press(m.pair_stiffness[p], m.pair_damping[p], m.reach[p], at, u) if at.distance < m.reach[p] else 0.0
-        m.kept_limit[p] = m.law[1] * pressed if at.distance < KEPT * m.reach[p] else -1.0
+        m.kept[p] = at.distance < KEPT * m.reach[p]
         m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2] = at.normal
         for corner in range(4):
             m.kept_weights[p, corner] = at.weights[corner]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, kept, press, touch
+from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, kept_touch, press, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import Four, between, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel
@@ -100,7 +100,7 @@ def foresee(m: Meeting, x: Float, d: Float, out: Float) -> bool:
         p = m.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, ways, h, waits = corners_of(x, i, j, k, l), corners_of(d, i, j, k, l), reach[p], False
-        here = kept(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, mesh)
+        here = kept_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, mesh)
         closing = dot(here.normal, weigh(here.weights, ways))
         if here.distance >= h and here.distance < np.inf and here.distance + closing < h:
             waits, pull = True, stiffness[p] * (h - here.distance)
@@ -129,7 +129,7 @@ def fill_pairs(
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
         if low - high > h and not expected[p]:
             continue
-        here = kept(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, mesh)
+        here = kept_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, mesh)
         if expected[p] or not here.distance < h:
             if expected[p]:
                 write_row(rows, at, p, here.weights, spread_out(stiffness[p], 0.0, 0.0, here.normal, here.normal))
@@ -146,9 +146,8 @@ def fill_pairs(
             e = across(weigh((anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), corners), n)
             pull = (pull[0] + ks * e[0], pull[1] + ks * e[1], pull[2] + ks * e[2])
         t, size = unit(pull)
-        most = m.kept_limit[p] if m.frozen[0] else mu * pressed
-        if size > most:
-            tangent *= most / size
+        if size > mu * pressed:
+            tangent *= mu * pressed / size
             slid = tangent
         write_row(rows, at, p, here.weights, spread_out(steep, tangent, slid, n, t))
         at += 1

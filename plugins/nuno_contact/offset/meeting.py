@@ -122,9 +122,9 @@ class Meeting(NamedTuple):
     frozen: Bool
     """(1,) scratch of an implicit method: whether pairs touch as it is kept in"""
     kept_weights: Float
-    """(P, 4), kept_normal (P, 3) at the closest points, kept_limit (P,) most friction [N], negative of what is apart"""
+    """(P, 4), kept_normal (P, 3) at the closest points; kept (P,) which pairs count"""
     kept_normal: Float
-    kept_limit: Float
+    kept: Bool
     share: Float
     """(n,) scratch: of a step, how much of it each vertex makes"""
     tally: NDArray[np.int64]
@@ -210,7 +210,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         frozen=np.zeros(1, np.bool_),
         kept_weights=np.zeros((places, 4)),
         kept_normal=np.zeros((places, 3)),
-        kept_limit=np.zeros(places),
+        kept=np.zeros(places, np.bool_),
         share=np.ones(n),
         tally=np.zeros(5, np.int64),
     )
