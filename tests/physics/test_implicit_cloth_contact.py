@@ -10,7 +10,7 @@ import pytest
 from sheets import DOWN, Pile, sheet
 from test_cloth_contact import heap, pace, sliding
 
-from nuno_cloth.fabrics.presets import resolve
+from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.models.delaunay import fill_outline
 from nuno_cloth.models.mesh import build_elements
 from nuno_cloth.models.triangles import face_areas, find_edges

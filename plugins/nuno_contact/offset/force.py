@@ -142,16 +142,6 @@ def push(k: float, h: float, distance: float) -> float:
 
 
 @forced_inline
-def stored(k: float, h: float, distance: float) -> float:
-    """Its energy [J]."""
-    if distance >= 0.5 * h:
-        return 0.5 * k * (h - distance) * (h - distance)
-    d = max(distance, STEEPEST * h)
-    deeper = (d - distance) / d
-    return k * h * h * (0.125 + 0.25 * (math.log(0.5 * h / d) + deeper + 0.5 * deeper * deeper))
-
-
-@forced_inline
 def press(k: float, c: float, h: float, at: Touch, u: Vector) -> float:
     """The normal force N [N], of primitives that move at u [m/s] relative to each other."""
     ramp = min(1.0, (h - at.distance) / (RAMP * h))
@@ -287,21 +277,3 @@ def drag_anchors(m: Meeting, v: Float) -> None:
         anchored[p] = True
         for corner in range(4):
             anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]
-
-
-@kernel
-def measure_pairs(m: Meeting, x: Float) -> float:
-    """Energy [J] of all contacts at x (3, n), that of friction's springs included."""
-    pair, of, reach, stiffness, mesh, total = m.pair, m.of, m.reach, m.pair_stiffness, faces_of(m), 0.0
-    for q in range(m.number[1]):
-        p = m.near[q]
-        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-        corners = corners_of(x, i, j, k, l)
-        at = touch(x, i, of[p], corners, mesh)
-        if at.distance < reach[p]:
-            total += stored(stiffness[p], reach[p], at.distance)
-            if m.anchored[p]:
-                a = (m.anchor[p, 0], m.anchor[p, 1], m.anchor[p, 2], m.anchor[p, 3])
-                e = across(weigh(a, corners), at.normal)
-                total += 0.5 * stiffness[p] * dot(e, e)
-    return total

@@ -35,13 +35,13 @@ Six = tuple[float, float, float, float, float, float]
 class Touching(NamedTuple):
     """What the matrix holds of each block's pairs that touch, from the block's first place in Meeting.block_pair on.
 
-    count  (B,) how many they are
+    number (B,) how many they are
     which  (4 P,) their numbers in the list
     weight (4 P, 4) of their vertices
     stiff  (4 P, 6) S [N/m]
     """
 
-    count: NDArray[np.int64]
+    number: NDArray[np.int64]
     which: Int
     weight: Float
     stiff: Float
@@ -151,7 +151,7 @@ def fill_pairs(
             slid = tangent
         write_row(rows, at, p, here.weights, spread_out(steep, tangent, slid, n, t))
         at += 1
-    rows.count[block] = at - m.block_start[block]
+    rows.number[block] = at - m.block_start[block]
 
 
 @kernel
@@ -159,7 +159,7 @@ def add_diagonal(m: Meeting, rows: Touching, block: int, origin: int, out: Float
     """Add the diagonal blocks to out (6, w), whose last columns take what is of other blocks."""
     pair, which, weight, stiff = m.pair, rows.which, rows.weight, rows.stiff
     width = out.shape[1] - PADDING
-    for q in range(m.block_start[block], m.block_start[block] + rows.count[block]):
+    for q in range(m.block_start[block], m.block_start[block] + rows.number[block]):
         for corner in range(4):
             local = pair[which[q], corner] - origin
             if 0 <= local < width:
@@ -173,7 +173,7 @@ def multiply_pairs(m: Meeting, rows: Touching, block: int, origin: int, u: Float
     """Add the product with u (3, n) to out (3, w), whose last columns take what is of other blocks."""
     pair, which, weight, s = m.pair, rows.which, rows.weight, rows.stiff
     width = out.shape[1] - PADDING
-    for q in range(m.block_start[block], m.block_start[block] + rows.count[block]):
+    for q in range(m.block_start[block], m.block_start[block] + rows.number[block]):
         p = which[q]
         w = (weight[q, 0], weight[q, 1], weight[q, 2], weight[q, 3])
         x, y, z = weigh(w, corners_of(u, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]))

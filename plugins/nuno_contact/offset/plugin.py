@@ -8,7 +8,8 @@ from typing import Annotated, Any, ClassVar, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.offset.force import add_pairs, is_fresh, measure_pairs
+from nuno_contact.offset.energy import measure_pairs
+from nuno_contact.offset.force import add_pairs, is_fresh
 from nuno_contact.offset.hold import begin_apart, hold_apart
 from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.lists import make_list

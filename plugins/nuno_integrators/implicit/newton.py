@@ -129,9 +129,11 @@ def solve_stage(
         if not _solve_newton(st, packed, extra, g, s, slow):
             st.v[...] = guess
             return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
-        most -= 0 if any(call_each(packed, "bound", st.x, st.solver.linear.x, s)) else 1
+        shortened = any(call_each(packed, "bound", st.x, st.solver.linear.x, s))
+        # Springs have not come to the tension that the whole step expects of them.
+        st.solver.follow, most = not shortened, most - (0 if shortened else 1)
         worst = _search(st, packed, extra, vhat, g, s)
-        slow = worst > SLOW * before
+        slow = worst > SLOW * before and not shortened
         if most == 0:
             break
     return False, worst
