@@ -60,6 +60,8 @@ class Solver:
     before    (3, n) where the last Newton step began, or the time step
     follow    whether `before` is a Newton step's: a spring's tension at a time step's start is taken as it is
     direct    whether this time step uses factorisations
+    hindered  whether in this time step something shortens Newton's steps: it then stays with the gradients. Exact steps
+              of stiff cloth are long, and right only as a whole (nuno_integrators.implicit.newton._search)
     barred    whether there is no room for a factor
     """
 
@@ -68,6 +70,7 @@ class Solver:
     before: Float
     follow: bool = False
     direct: bool = False
+    hindered: bool = False
     barred: bool = False
     factor: Factor | None = None
     counts: Counts = field(default_factory=Counts)
@@ -91,20 +94,15 @@ def solve_linear(s: Solver, packed: Packed, x: Float, rate: float, residual: Flo
             return True
     elif _iterate(s, packed, x, rate, residual, kinds, math.ceil(PATIENCE * math.sqrt(n))):
         return True
-    elif prefer_factors(s):
+    elif not s.hindered and prefer_factors(s):
         return False
     _iterate(s, packed, x, rate, residual, (False,), 20 * n + 100)
     return True
 
 
 def solve_again(s: Solver, packed: Packed, x: Float, rate: float, residual: Float) -> None:
-    """The same with another right side, and with terms outside of factors linearised anew; the rest is as it was."""
-    if s.direct and s.factor is not None:
-        fill(x, rate, packed, s.linear, False, s.before, s.follow)
-        solve_factored(s.factor, residual, s.linear.x)
-        s.counts.linear += refine(s.linear, s.factor, residual, LOOSE, packed.threads)
-    else:
-        _iterate(s, packed, x, rate, residual, (False,), math.ceil(PATIENCE * math.sqrt(x.shape[1])))
+    """The same by the gradients with another right side, terms linearised anew."""
+    _iterate(s, packed, x, rate, residual, (False,), math.ceil(PATIENCE * math.sqrt(x.shape[1])))
 
 
 def _iterate(

@@ -130,6 +130,11 @@ def solve_stage(
             st.v[...] = guess
             return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
         shortened = any(call_each(packed, "bound", st.x, st.solver.linear.x, s))
+        if shortened and st.solver.direct:
+            st.solver.direct, st.solver.hindered = False, True
+            st.v[...] = guess
+            return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+        st.solver.hindered = st.solver.hindered or shortened
         # Springs have not come to the tension that the whole step expects of them.
         st.solver.follow, most = not shortened, most - (0 if shortened else 1)
         worst = _search(st, packed, extra, vhat, g, s)
@@ -158,7 +163,7 @@ def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, e
     _fill_own(st, packed, extra, g, s)
     st.counts.newton += 1
     done = solve_linear(st.solver, packed, st.x, 1.0 / g, st.residual, exact)
-    for _ in range(FORESEEN if done else 0):
+    for _ in range(FORESEEN if done and not st.solver.direct else 0):
         pull = st.residual.copy()
         if not any(call_each(packed, "foresee", st.x, st.solver.linear.x, pull)):
             break

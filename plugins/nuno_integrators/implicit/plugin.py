@@ -116,7 +116,7 @@ class Implicit(Compiled):
     ) -> tuple[int, float | None]:
         """One step, halved as often as needed: steps taken, and the residual it failed with, None where it did not."""
         solver, (tolerance, most) = work.stage.solver, work.limits
-        solver.direct = False
+        solver.direct = solver.hindered = False
         ok, residual = self.attempt(work, packed, extra, start, h, span, work.limits)
         if not ok and depth == PATIENT_FROM and prefer_factors(solver):
             ok, residual = self.attempt(work, packed, extra, start, h, span, (tolerance, PATIENCE * most))
