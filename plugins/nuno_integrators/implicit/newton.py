@@ -2,9 +2,12 @@
 
 The residual is the force that is missing, m (a(x, v) - (v - v^) / g), and the step in x solves
 (M / g^2 + K + C / g) dx = residual with K and C of nuno_kernels.forces.linear; nuno_integrators.implicit.linear_solve
-says how. What springs and hinges do not hold (contact, wind, forces in Python, damping) acts on each vertex by itself
-or nearly so: its derivative is taken as one 3 x 3 block a vertex, by moving all vertices together along each
+says how. What has no matrix of its own (contact with bodies, wind, forces in Python, damping) acts on each vertex by
+itself or nearly so: its derivative is taken as one 3 x 3 block a vertex, by moving all vertices together along each
 axis. Contact and friction are exact that way; a triangle's wind is lumped.
+
+Cloth that meets cloth shortens steps so that no iterate has passed through (role `bound`), and says what a step would
+bring into touch, with which it is solved again (role `foresee`): the active set of a quadratic program.
 """
 
 from __future__ import annotations
