@@ -26,6 +26,7 @@ from nuno_integrators.implicit.matrix import Linear, fill, make_linear
 from nuno_integrators.implicit.plan import make_plan
 from nuno_integrators.implicit.refine import refine
 from nuno_kernels.step.acceleration import Packed
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Float
 
 FORCING = 0.05
@@ -98,6 +99,12 @@ def solve_linear(s: Solver, packed: Packed, x: Float, rate: float, residual: Flo
         return False
     _iterate(s, packed, x, rate, residual, (False,), 20 * n + 100)
     return True
+
+
+def is_touched(s: Solver) -> bool:
+    """Whether a term that foresees what it touches had a part in the last matrix."""
+    terms = zip(s.linear.forces, s.linear.rows, strict=True)
+    return any(rows.number.any() for term, rows in terms if rows is not None and kernels_of(term).foresee is not None)
 
 
 def solve_again(s: Solver, packed: Packed, x: Float, rate: float, residual: Float) -> None:
