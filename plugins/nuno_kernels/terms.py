@@ -59,6 +59,7 @@ class Kernels:
     block(term, block, origin, x, v, force)        adds newtons to the block's force (3, w), column 0 vertex `origin`
     after(term, x, v, s, a, threads)               adds newtons to a (3, n) once all blocks are done
     place(term, x, v, s)                           puts vertices where they are carried to, before forces are found
+    look(term, x)                                  notes what its blocks need to know of all vertices
     settle(term, x, v, s, threads)                 remembers what a whole step has led to
     hold(term, x, v, s, threads)                   moves vertices after a step
     slow(term, x, v, threads)                      holds velocities off what `hold` found
@@ -101,6 +102,7 @@ class Kernels:
     block: Any = None
     after: Any = None
     place: Any = None
+    look: Any = None
     settle: Any = None
     hold: Any = None
     slow: Any = None

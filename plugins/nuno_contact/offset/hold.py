@@ -17,14 +17,17 @@ but not what to do then.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from nuno_contact.offset.brake import brake
+from nuno_contact.offset.brake import BRAKED, brake
 from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.plan import LISTS, WINDOW, plan, set_out, strays
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
+from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot
@@ -42,14 +45,33 @@ def nearest(reach: float, distance: float) -> float:
 
 
 @block_kernel
-def pass_by(m: Meeting, x: Float) -> int:
-    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`."""
-    pair, of, reach, normal, last, near, fails = m.pair, m.of, m.reach, m.normal, m.last, m.near, 0
+def farthest_way(v: Float, dt: float) -> float:
+    """How far the fastest vertex goes in dt [s] at v (3, n) [m]."""
+    most = 0.0
+    for i in range(v.shape[1]):
+        most = max(most, v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
+    return dt * math.sqrt(most)
+
+
+@block_kernel
+def pass_by(m: Meeting, x: Float, way: float) -> int:
+    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
+
+    Those that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
+    m.close.
+    """
+    pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
+    fails, number = 0, 0
     for q in range(m.number[1]):
         p = near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
         low, high = between(of_edges, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
+        if low - high > more(reach[p], BRAKED * reach[p] + 2.0 * way):
+            m.anchored[p] = False
+            continue
+        close[number] = p
+        number += 1
         if low - high >= CLOSEST * reach[p]:
             continue
         here = corners_of(last, i, j, k, l)
@@ -57,7 +79,15 @@ def pass_by(m: Meeting, x: Float) -> int:
         normal[p, 0], normal[p, 1], normal[p, 2] = n
         low, high = between(of_edges, n, there)
         fails += 0 if low - high >= nearest(reach[p], distance) else 1
+    m.number[6] = number
     return fails
+
+
+@block_kernel
+def all_close(m: Meeting) -> None:
+    """Note all that is near as close."""
+    m.number[6] = m.number[1]
+    m.close[: m.number[1]] = m.near[: m.number[1]]
 
 
 @forced_inline
@@ -134,13 +164,15 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
             plan(m, last - reference, gone)
         if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
             plan(m, x - last, way)
-    if m.number[2] > 0 or pass_by(m, x) > 0:
+    dt = way * m.span[0]
+    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0:
         cut_short(m, x, v)
+        all_close(m)
     last[:] = x
     clock[0] = s
     find_touching(m)
     drag_anchors(m, v)
-    brake(m, v, way * m.span[0])
+    brake(m, v, dt)
 
 
 @block_kernel
@@ -202,6 +234,7 @@ def begin_apart(m: Meeting, x: Float, span: float) -> None:
         make_list(m)
         choose_near(m)
     renew_planes(m)
+    all_close(m)
     find_touching(m)
 
 

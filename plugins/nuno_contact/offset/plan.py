@@ -17,7 +17,7 @@ from nuno_schemas.fabric import Float
 
 WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 64.0, 4.0
 """Of an interval: for how long what is near is chosen at first, at least and at most."""
-LISTS = 0.3
+LISTS = 0.6
 """Of an interval: for how long the list is made at least; else for two windows of what is near."""
 CROWDED = 24.0
 """Pairs in the list for each vertex from which on the next is made for less: layers that lie on each other are all near

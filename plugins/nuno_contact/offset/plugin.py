@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.offset.force import add_pairs, is_fresh, measure_pairs
 from nuno_contact.offset.hold import begin_apart, hold_apart
-from nuno_contact.offset.lists import make_list
+from nuno_contact.offset.lists import make_list, measure
 from nuno_contact.offset.meeting import Meeting, make_meeting
 from nuno_contact.reaction import spring_stiffness
 from nuno_kernels import threads_available
@@ -92,6 +92,8 @@ def check_gaps(m: Meeting, pieces: list[str]) -> None:
     m.reference[:3] = m.start
     make_list(m)
     number = int(m.number[0])
+    for p in range(number):
+        measure(m, p)
     near = m.reach[:number] < m.law[0]
     both = m.piece[m.pair[:number]][:, [0, 3]]
     if len(close := np.flatnonzero(near & (both[:, 0] != both[:, 1]))):
@@ -119,7 +121,7 @@ register(
     name="cloth_contact",
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock"),
     reads_velocity=lambda term: True,
-    place=is_fresh,
+    look=is_fresh,
     block=add_pairs,
     hold=hold_apart,
     begin=begin_apart,
