@@ -99,7 +99,9 @@ class Contact(Plugin, Protocol):
 
 
 class ClothContact(Plugin, Protocol):
-    """What cloth does to cloth."""
+    """What cloth does to cloth. Its Config has a `thickness` [m], from which on cloth keeps off cloth: up to there the
+    collision service measures how near it comes.
+    """
 
     def prepare(
         self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_], gravity: Float
