@@ -34,7 +34,7 @@ def rows(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     text = f"cloth passes through cloth in {found['crossed']:,} of {_frames(found['looked'])}"
     if first := found["first_crossing"]:
         text += f", up to {found['crossings']:,} edges through triangles in one, first in frame {first['frame']}"
-        text += f" ({first['t']:.4g} s), {passing(first)}"
+        return [("crossings", f"{text} ({first['t']:.4g} s), {passing(first)}")]
     thick, least = _millimetres(found["thickness"]), found["least_distance"]
     near = f"never nearer to cloth than {thick}" if least is None else f"down to {_millimetres(least)} from cloth"
     return [("crossings", text), ("distance", f"cloth is {near}; it is {thick} thick")]

@@ -8,6 +8,7 @@ import ipctk
 import numpy as np
 import pytest
 
+from nuno.collision import crossings
 from nuno.collision.clearance import least_distance
 from nuno.collision.crossings import cross, find_crossings
 from nuno.collision.pairs import Mesh, mesh_of, near_pairs
@@ -80,3 +81,21 @@ def test_an_edge_that_ends_next_to_a_triangle_is_told_from_one_that_goes_through
     start = foot - 1e-3 * normal
     ends = foot + 1e-12 * normal, foot - 1e-12 * normal
     assert [bool(cross(np.array([[start, end]]), triangle)[0]) for end in ends] == [True, False]
+
+
+def test_flat_cloth_is_told_apart_without_fractions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All signs of a level or leaning sheet are 0 but for rounding; and one that it goes through is still found."""
+    row, column = np.divmod(np.arange(64), 8)
+    at = np.arange(64).reshape(8, 8)
+    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
+    mesh = mesh_of(np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32))
+    for lean in (0.0, 0.3):
+        x = 0.01 * np.stack([column, lean * row, row], axis=1)
+        pairs = near_pairs(x, mesh, 0.004)
+        assert len(pairs[0]) > 100
+        with monkeypatch.context() as patch:
+            patch.setattr(crossings, "_exact_side", lambda *points: pytest.fail("in fractions"))
+            assert not len(find_crossings(x, mesh, pairs).places)
+        x[0] = x[27] + [0.003, -0.05, 0.002]  # the corner is drawn through the middle
+        x[1] = x[27] + [0.003, 0.05, 0.002]
+        assert len(find_crossings(x, mesh, near_pairs(x, mesh, 0.0)).places)

@@ -17,6 +17,8 @@ from nuno_schemas.fabric import Bool, Float, Int
 CERTAIN = 7.8e-16
 """Share of its terms' sizes above which the sign of a determinant in floating point is right (Shewchuk 1997, Adaptive
 precision floating-point arithmetic and fast robust geometric predicates, 4.4)."""
+DOUBT = 1e-13
+"""Share of what is added up, above which a distance along an axis is not rounding."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,34 @@ def find_crossings(x: Float, mesh: Mesh, pairs: tuple[Long, Long]) -> Crossings:
 
 def cross(segment: Float, triangle: Float) -> Bool:
     """(k,) whether segments (k, 2, 3) meet triangles (k, 3, 3); in one plane they are taken not to."""
+    a, b, c = (triangle[:, i] for i in range(3))
+    (above, doubt), (below, other) = (_determinant(a, b, c, segment[:, end]) for end in (0, 1))
+    near = np.flatnonzero((above * below <= 0.0) | (np.abs(above) <= doubt) | (np.abs(below) <= other))
+    near = near[_not_clearly_apart(segment[near], triangle[near])]
+    found: Bool = np.zeros(len(segment), bool)
+    found[near] = _cross(segment[near], triangle[near])
+    return found
+
+
+def _not_clearly_apart(segment: Float, triangle: Float) -> Long:
+    """Numbers of the pairs that are left when those are gone that a plane across the triangle, along one of its sides
+    or the segment, keeps apart without a doubt: those of flat cloth, whose signs would be 0 but for rounding.
+    """
+    left = np.arange(len(segment))
+    corners = np.concatenate([triangle, segment], axis=1) - triangle[:, :1]
+    normal = np.cross(corners[:, 1], corners[:, 2])
+    for start, end in ((0, 1), (1, 2), (2, 0), (3, 4)):
+        points = corners[left]
+        axis = np.cross(normal[left], points[:, end] - points[:, start])
+        along = np.einsum("kpi,ki->pk", points, axis)
+        doubt = DOUBT * np.abs(points).max(axis=(1, 2)) * np.abs(axis).sum(axis=1)
+        (low, high), (lower, higher) = ((part.min(axis=0), part.max(axis=0)) for part in (along[:3], along[3:]))
+        left = left[(low - higher <= doubt) & (lower - high <= doubt)]
+    return left
+
+
+def _cross(segment: Float, triangle: Float) -> Bool:
+    """`cross` by signs alone."""
     p, q = segment[:, 0], segment[:, 1]
     a, b, c = triangle[:, 0], triangle[:, 1], triangle[:, 2]
     found: Bool = np.zeros(len(p), bool)
@@ -50,14 +80,21 @@ def cross(segment: Float, triangle: Float) -> Bool:
 
 def _side(a: Float, b: Float, c: Float, d: Float) -> Long:
     """(k,) sign of the determinant of a - d, b - d, c - d: on which side of the plane a b c the points d lie."""
+    found, doubt = _determinant(a, b, c, d)
+    sign = np.sign(found).astype(np.int64)
+    # Terms that are all 0 leave no doubt: so it is all over a cloth that lies flat along an axis.
+    for i in np.flatnonzero((np.abs(found) <= doubt) & (doubt > 0.0)).tolist():
+        sign[i] = _exact_side(*(point[i].tolist() for point in (a, b, c, d)))
+    return sign
+
+
+def _determinant(a: Float, b: Float, c: Float, d: Float) -> tuple[Float, Float]:
+    """(k,) determinants of a - d, b - d, c - d, and (k,) up to what their signs may be wrong."""
     u, v, w = a - d, b - d, c - d
     products = [(v[:, i] * w[:, j], v[:, j] * w[:, i]) for i, j in ((1, 2), (2, 0), (0, 1))]
     found = sum(u[:, k] * (one - other) for k, (one, other) in enumerate(products))
     size = sum(np.abs(u[:, k]) * (np.abs(one) + np.abs(other)) for k, (one, other) in enumerate(products))
-    sign = np.sign(found).astype(np.int64)
-    for i in np.flatnonzero(np.abs(found) <= CERTAIN * np.asarray(size)).tolist():
-        sign[i] = _exact_side(*(point[i].tolist() for point in (a, b, c, d)))
-    return sign
+    return np.asarray(found), CERTAIN * np.asarray(size)
 
 
 def _exact_side(*points: list[float]) -> int:

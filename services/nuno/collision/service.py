@@ -16,8 +16,10 @@ from nuno.wire.arrays import BadMessage, decode_points
 from nuno.wire.bus import Inbox, Message
 from nuno.wire.question import Question
 from nuno_schemas.bodies import Poses
-from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, Header, Penetration
+from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, Header, Penetration, Topic
 
+CLOTH_AND_STATES = Topic("sim/*", "json", "")
+"""By one subscription: a cloth comes before its first state then, and a changed one before the first that it has."""
 KEPT = 16
 """Frames whose poses are kept: more than the simulation runs ahead."""
 
@@ -105,16 +107,16 @@ class Collision:
 def main(context: Context) -> None:
     """Serve one run's bodies, and look at its cloth, until asked to finish."""
     scene = context.loaded.scene
-    inbox = Inbox(context.bus, [STATE, FABRIC] if scene.meets else [STATE])
+    inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
     inbox.answer(GEOMETRY_QUESTION)
     inbox.answer(POSES_QUESTION)
 
     def handle(message: Message) -> None:
         try:
-            if message.topic != FABRIC.name:
+            if message.topic == STATE.name:
                 collision.measure(message)
-            elif collision.cloth is not None:
+            elif message.topic == FABRIC.name and collision.cloth is not None:
                 collision.cloth.take(message.payload)
         except BadMessage:
             inbox.refuse(message)

@@ -32,7 +32,8 @@ class CrossingsView:
         self.recording.log("/plots/distance", rr.Scalars(distance), strict=True)
         found: dict[str, list[tuple[float, float, float]]] = {}
         labels: dict[str, str] = {}
-        for place, (one, other) in zip(report.places, report.objects, strict=True):
+        for place, pair in zip(report.places, report.objects, strict=True):
+            one, other = sorted(pair)
             path = layout.entity("world", "crossings", one, other)
             found.setdefault(path, []).append(place)
             labels[path] = f"{one} passes through {'itself' if one == other else other}"
