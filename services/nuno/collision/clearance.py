@@ -23,8 +23,8 @@ def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float
     edge, face = pairs
     points, edges, faces = (boxes_of(x[part]) for part in (np.arange(len(x))[:, None], mesh.edges, mesh.faces))
     vertex, below = _near(mesh.edges[edge].ravel().astype(np.int64), points, face.repeat(2), faces, within)
-    one, two = np.sort([edge.repeat(3), mesh.sides[face].ravel()], axis=0)
-    one, two = _near(one, edges, two, edges, within)
+    one, two = edge.repeat(3), mesh.sides[face].ravel()
+    one, two = _near(np.minimum(one, two), edges, np.maximum(one, two), edges, within)
     least = min(_above(x[vertex], x[mesh.faces[below]]), _across(x[mesh.edges[one]], x[mesh.edges[two]]))
     return least if least <= within else None
 

@@ -42,8 +42,10 @@ def cross(segment: Float, triangle: Float) -> Bool:
     """(k,) whether segments (k, 2, 3) meet triangles (k, 3, 3); in one plane they are taken not to."""
     a, b, c = (triangle[:, i] for i in range(3))
     (above, doubt), (below, other) = (_determinant(a, b, c, segment[:, end]) for end in (0, 1))
-    near = np.flatnonzero((above * below <= 0.0) | (np.abs(above) <= doubt) | (np.abs(below) <= other))
-    near = near[_not_clearly_apart(segment[near], triangle[near])]
+    doubtful = (np.abs(above) <= doubt) | (np.abs(below) <= other)
+    left = np.flatnonzero(doubtful)
+    left = left[_not_clearly_apart(segment[left], triangle[left])]
+    near = np.concatenate([np.flatnonzero((above * below <= 0.0) & ~doubtful), left])
     found: Bool = np.zeros(len(segment), bool)
     found[near] = _cross(segment[near], triangle[near])
     return found

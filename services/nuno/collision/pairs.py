@@ -79,7 +79,8 @@ def overlap(a: Long, one: Boxes, b: Long, two: Boxes) -> Bool:
 
 def once(a: Long, b: Long, number: int) -> tuple[Long, Long]:
     """Each of the pairs a, b (k,) once, in order; b are below `number`."""
-    both = np.unique(a * number + b)
+    both = np.sort(a * number + b)
+    both = both[np.diff(both, prepend=-1) != 0]
     return both // number, both % number
 
 
