@@ -8,7 +8,7 @@ import ipctk
 import numpy as np
 import pytest
 
-from nuno.collision import crossings
+from nuno.collision import crossings, pairs
 from nuno.collision.clearance import least_distance
 from nuno.collision.crossings import cross, find_crossings
 from nuno.collision.pairs import Mesh, mesh_of, near_pairs
@@ -41,13 +41,13 @@ def test_crossings_are_those_that_ipctk_finds(seed: int) -> None:
     near = near_pairs(x, mesh, 0.0)
     assert len(set(zip(*(number.tolist() for number in near), strict=True))) == len(near[0])
     found = find_crossings(x, mesh, near)
-    pairs = [(*a, *b) for a, b in zip(found.edges.tolist(), found.triangles.tolist(), strict=True)]
+    through = [(*a, *b) for a, b in zip(found.edges.tolist(), found.triangles.tolist(), strict=True)]
     expected = [
         (*mesh.edges[e].tolist(), *mesh.faces[f].tolist())
         for e, f in all_pairs(mesh)
         if ipctk.is_edge_intersecting_triangle(*x[mesh.edges[e]], *x[mesh.faces[f]])
     ]
-    assert sorted(set(pairs)) == sorted(set(expected))
+    assert sorted(set(through)) == sorted(set(expected))
     assert len(found.places) == len(found.edges)
 
 
@@ -73,6 +73,14 @@ def test_the_least_distance_is_that_which_ipctk_finds(seed: int) -> None:
         assert found == (pytest.approx(least, rel=1e-9, abs=1e-15) if within > least else None)
 
 
+@pytest.mark.parametrize("at_once", [1, 7, 100])
+def test_pairs_are_the_same_however_many_are_looked_at_together(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    x, mesh = disorder(3)
+    expected = near_pairs(x, mesh, 0.1)
+    monkeypatch.setattr(pairs, "AT_ONCE", at_once)
+    assert np.array_equal(near_pairs(x, mesh, 0.1), expected)
+
+
 def test_an_edge_that_ends_next_to_a_triangle_is_told_from_one_that_goes_through() -> None:
     """By 1e-12 m, at ten metres from the origin."""
     triangle = np.array([[[12.1, 0.3, 7.7], [13.9, 0.1, 8.3], [12.7, 1.9, 9.1]]])
@@ -91,11 +99,11 @@ def test_flat_cloth_is_told_apart_without_fractions(monkeypatch: pytest.MonkeyPa
     mesh = mesh_of(np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32))
     for lean in (0.0, 0.3):
         x = 0.01 * np.stack([column, lean * row, row], axis=1)
-        pairs = near_pairs(x, mesh, 0.004)
-        assert len(pairs[0]) > 100
+        near = near_pairs(x, mesh, 0.004)
+        assert len(near[0]) > 100
         with monkeypatch.context() as patch:
             patch.setattr(crossings, "_exact_side", lambda *points: pytest.fail("in fractions"))
-            assert not len(find_crossings(x, mesh, pairs).places)
+            assert not len(find_crossings(x, mesh, near).places)
         x[0] = x[27] + [0.003, -0.05, 0.002]  # the corner is drawn through the middle
         x[1] = x[27] + [0.003, 0.05, 0.002]
         assert len(find_crossings(x, mesh, near_pairs(x, mesh, 0.0)).places)

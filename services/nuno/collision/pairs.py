@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,8 @@ CELL = 2.0
 """Width of a grid's cells over that of the triangles' boxes: fewer, larger cells leave more pairs to be told apart."""
 MOST_CELLS = 1 << 20
 """Of a grid along an axis."""
+AT_ONCE = 1 << 16
+"""Pairs of boxes that are looked at together: as many as stay in the core's cache."""
 BITS = 9
 """Of a box' side in units of the whole cloth, for the first look: six of them and a bit each above fill a number."""
 
@@ -51,15 +54,18 @@ def near_pairs(x: Float, mesh: Mesh, within: float) -> tuple[Long, Long]:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     (low, high), faces = boxes_of(x[mesh.edges]), boxes_of(x[mesh.faces])
     edges = low - within, high + within
-    edge, face = _candidates(edges, faces)
-    corners, apart = [np.ascontiguousarray(corner)[face] for corner in mesh.faces.T], np.ones(len(edge), bool)
-    for end in (np.ascontiguousarray(end)[edge] for end in mesh.edges.T):
-        for corner in corners:
-            apart &= end != corner
-    edge, face = edge[apart], face[apart]
-    near = overlap(edge, edges, face, faces)
+    ends, corners = ([np.ascontiguousarray(each) for each in part.T] for part in (mesh.edges, mesh.faces))
+    found = []
+    for edge, face in _candidates(edges, faces):
+        apart = np.ones(len(edge), bool)
+        for one, other in itertools.product([end[edge] for end in ends], [corner[face] for corner in corners]):
+            apart &= one != other
+        edge, face = edge[apart], face[apart]
+        near = overlap(edge, edges, face, faces)
+        found.append((edge[near], face[near]))
     # A pair that is in several cells was looked at in each.
-    return once(edge[near], face[near], len(mesh.faces))
+    edge, face = (np.concatenate(each) for each in zip(*found, strict=True))
+    return once(edge, face, len(mesh.faces))
 
 
 def boxes_of(points: Float) -> Boxes:
@@ -84,9 +90,9 @@ def once(a: Long, b: Long, number: int) -> tuple[Long, Long]:
     return both // number, both % number
 
 
-def _candidates(one: Boxes, two: Boxes) -> tuple[Long, Long]:
+def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
     """Numbers of boxes of the one kind and of the other that overlap but for rounding, once for each cell that both
-    reach into.
+    reach into; some at a time.
     """
     low = np.minimum(one[0].min(axis=0), two[0].min(axis=0))
     size = np.maximum(one[1].max(axis=0), two[1].max(axis=0)) - low
@@ -98,10 +104,6 @@ def _candidates(one: Boxes, two: Boxes) -> tuple[Long, Long]:
     other, other_key = _cells(two, low, cell, shape, table)
     other = other[np.argsort(other_key, kind="stable")]
     start = np.concatenate([[0], np.cumsum(np.bincount(other_key, minlength=table))])
-    first = start[key]
-    count = start[key + 1] - first
-    a = np.repeat(own, count)
-    b = other[np.arange(len(a)) + np.repeat(first - np.cumsum(count) + count, count)]
     scale = np.divide(2**BITS - 1, size, out=np.zeros(3), where=size > 0.0)
     (low_one, high_one), (low_two, high_two) = (
         [((side - low) * scale).astype(np.int64) for side in box] for box in (one, two)
@@ -110,8 +112,17 @@ def _candidates(one: Boxes, two: Boxes) -> tuple[Long, Long]:
     most = 2**BITS - 1
     above = _pack(np.full((3, 1), most + 1), np.full((3, 1), most + 1))
     upper, lower = _pack(high_one.T, most - low_one.T) | above, _pack(low_two.T, most - high_two.T)
-    kept = np.flatnonzero((upper[a] - lower[b]) & above == above)
-    return a[kept], b[kept]
+    first = start[key]
+    count = start[key + 1] - first
+    total = np.cumsum(count)
+    parts = np.searchsorted(total, np.arange(AT_ONCE, total[-1], AT_ONCE)).tolist()
+    for begin, end in itertools.pairwise([0, *parts, len(own)]):
+        part = slice(begin, end)
+        a = np.repeat(own[part], count[part])
+        before = total[begin] - count[begin] if begin < end else 0
+        b = other[np.arange(len(a)) + np.repeat(first[part] - total[part] + count[part] + before, count[part])]
+        kept = np.flatnonzero((upper[a] - lower[b]) & above == above)
+        yield a[kept], b[kept]
 
 
 def _pack(*numbers: Long) -> Long:
