@@ -21,7 +21,7 @@ from nuno_schemas.fabric import Memory, State
 from nuno_schemas.system import StepReport, System
 
 MOMENTS, MOST_BYTES = 8, 1 << 26
-"""Moments that are kept, and bytes that they take together, at most; but at least two are kept."""
+"""Moments that are kept, and bytes that they take together, at most; but one is kept whatever it takes."""
 SHARE = 0.1
 """Of a run's frames: as many are stepped again at most, but at least two."""
 
@@ -77,8 +77,9 @@ class Costs:
         if not self.lists or self.frames % self.every != 0:
             return
         size = state.x.nbytes + state.v.nbytes + sum(array.nbytes for array in memory.arrays.values())
-        if len(self.moments) >= max(2, min(MOMENTS, MOST_BYTES // size)):
-            del self.moments[1::2]
+        most = min(MOMENTS, MOST_BYTES // size)
+        if len(self.moments) >= max(1, most):
+            self.moments = self.moments[::2] if most > 1 else []
             self.every *= 2
             if self.frames % self.every != 0:
                 return
