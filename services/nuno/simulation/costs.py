@@ -108,7 +108,8 @@ class Costs:
         if not self.moments or not self.lists:
             return {}
         most = max(1, int(SHARE * self.frames / (1 + len(self.lists))))
-        chosen = self.moments[:: -(-len(self.moments) // most)]
+        every = -(-len(self.moments) // most)
+        chosen = self.moments[every // 2 :: every]
         taken = [
             [stage.replay(moment, without)[1].seconds["steps"] for without in ((), *((name,) for name in self.lists))]
             for moment in chosen
