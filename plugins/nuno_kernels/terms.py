@@ -98,6 +98,8 @@ class Kernels:
     """Whether a method that has no constraint for it may take it as at the step's start."""
     memory: tuple[str, ...] = ()
     """Fields that are part of the state."""
+    lists: bool = False
+    """Whether it makes lists now and then, as far as vertices move: only real steps tell what it costs."""
     reads_velocity: Callable[[Any], bool] = lambda term: False
     block: Any = None
     after: Any = None
@@ -134,7 +136,7 @@ class Kernels:
 
     def all(self) -> list[Any]:
         """What is done in all roles."""
-        roles = [one.name for one in fields(self) if one.name not in ("name", "lags", "memory")]
+        roles = [one.name for one in fields(self) if one.name not in ("name", "lags", "memory", "lists")]
         return [found for role in roles if (found := self.find(role)) is not None]
 
 

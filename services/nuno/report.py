@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TextIO
 
+from nuno import crossed
 from nuno.scene.scene_file import Loaded
 from nuno.supervision.supervisor import Outcome
 from nuno.warnings import result_warnings, scene_warnings
@@ -52,9 +53,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "omega": (summary.get("limit") or {}).get("omega"),
         "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
         "penetration": services.get("collision", {}).get("deepest"),
-        "crossed_frames": services.get("collision", {}).get("crossed"),
-        "frames_looked_at": services.get("collision", {}).get("looked"),
-        "crossings": services.get("collision", {}).get("crossings"),
+        "cloth_contact": services.get("collision", {}).get("cloth_contact"),
         "last_penetration": services.get("collision", {}).get("last_depth"),
         **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed")},
         # One that was asked to finish before its first frame has no amounts.
@@ -233,11 +232,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         if report["rest_depth"] is not None:
             text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
-    if (crossed := report["crossed_frames"]) is not None:
-        most = f", up to {report['crossings']:,} edges through triangles in one" if crossed else ""
-        rows.append(
-            ("crossings", f"cloth passes through cloth in {crossed:,} of {report['frames_looked_at']:,} frames{most}")
-        )
+    rows += crossed.rows(report.get("cloth_contact"))
     if report["slip_speed"]:
         text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"
         rows.append(("friction", f"{text}, what turns round up to twice that"))

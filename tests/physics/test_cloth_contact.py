@@ -11,7 +11,7 @@ from sheets import DOWN, Pile, sheet
 from nuno.cloth.join import join_fabrics
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, State
 
 SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
 
@@ -113,6 +113,19 @@ def test_a_pile_presses_with_its_weight() -> None:
     weight = 9.81 * pile.fabric.mass[~pile.fabric.pinned].sum()
     assert -found[pile.fabric.pinned, 1].sum() == pytest.approx(weight, rel=0.01)
     assert np.abs(found.sum(axis=0)).max() < 1e-12
+
+
+def test_forces_are_those_of_the_state_that_is_asked_for() -> None:
+    """Not of the one that the solver knows: of sheets that are then lifted off each other, none."""
+    pile = Pile(sheet(pinned=True), sheet(at=np.array([0.003, 0.004, 0.002])), thickness=3e-3, damping=1.0)
+    for _ in range(20):
+        pile.go(20)
+    state = State(pile.state.x.copy(), pile.state.v.copy())
+    asked = (pile.system, state, pile.memory, None)
+    assert np.abs(pile.solver.forces(*asked).parts["cloth_contact"]).max() > 0.0
+    state.x[~pile.fabric.pinned, 1] += 3e-3
+    assert np.abs(pile.solver.forces(*asked).parts["cloth_contact"]).max() == 0.0
+    pile.go(20)
 
 
 def collision(damping: float) -> Pile:

@@ -120,6 +120,7 @@ register(
     Meeting,
     name="cloth_contact",
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock"),
+    lists=True,
     reads_velocity=lambda term: True,
     look=is_fresh,
     block=add_pairs,
