@@ -70,11 +70,14 @@ def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
 def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[Any]:
     """A solver's array for a changed fabric: of old vertices what `values` has, of new ones what `target` begins with.
 
-    source (n,) the vertex that each was, -1 for a new one. An array without an axis of vertices stays as it is.
+    source (n,) the vertex that each was, -1 for a new one. An array of the same shape stays as it is; one that grows by
+    something else than vertices, such as the pairs that may come near, begins anew.
     """
     axes = [i for i, (old, new) in enumerate(zip(values.shape, target.shape, strict=True)) if old != new]
     if not axes:
         return values
+    if target.shape[axes[0]] != len(source):
+        return target
     carried = np.moveaxis(target.copy(), axes[0], 0)
     old = source >= 0
     carried[old] = np.moveaxis(values, axes[0], 0)[source[old]]
