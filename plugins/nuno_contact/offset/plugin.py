@@ -75,7 +75,8 @@ def check_start(fabric: Fabric, piece: Int, meet: Bool) -> None:
             raise BadInput(
                 f"cloth passes through cloth where it starts ({len(crossed):,} triangles)",
                 value=f"triangles {face[0]} and {face[1]}, {place_of(x[faces[face[0]]].mean(axis=0))}",
-                limit="a start in which nothing meets", remedy="move the objects apart, or leave cloth_contact out",
+                limit="a start in which nothing meets",
+                remedy="add operations: [{plugin: untangle}], move the objects apart, or leave cloth_contact out",
             )  # fmt: skip
 
 
