@@ -83,8 +83,8 @@ def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool) -> Cloth
     )  # fmt: skip
 
 
-def fit(cloth: Cloth, x: Float) -> Float:
-    """Fit the tree to vertices x (n, 3), and the same as (3, n)."""
+def fit(tree: Tree, x: Float) -> Float:
+    """Fit a tree to vertices x (n, 3), and the same as (3, n)."""
     rows = np.ascontiguousarray(x.T)
-    fit_tree(cloth.tree, rows, np.zeros_like(rows), np.zeros(len(x)))
+    fit_tree(tree, rows, np.zeros_like(rows), np.zeros(len(x)))
     return rows

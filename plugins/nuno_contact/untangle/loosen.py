@@ -61,7 +61,7 @@ def loosen(cloth: Cloth, gap: float, most: int) -> Loosened:
     ever, fewest, since, clear = np.zeros(len(moved), bool), len(moved) + 1, 0, 0
     for iteration in range(most + 1):
         x = cloth.begun + moved
-        edge, face = find_crossings(cloth, x)
+        edge, face = find_crossings(cloth.tree, x, cloth.piece, cloth.meets)
         tangled, push = np.zeros(len(x), bool), np.zeros_like(x)
         if len(edge):
             nodes = make_nodes(cloth, x, edge, face)

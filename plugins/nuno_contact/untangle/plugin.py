@@ -57,17 +57,18 @@ class Untangle:
         if not len(fabric.faces):
             return Arranged(x, facts_of(0, 0, np.zeros_like(x)))
         cloth = make_cloth(fabric, objects, meet)
-        before = len(find_crossings(cloth, x)[0])
+        before = len(find_crossings(cloth.tree, x, cloth.piece, cloth.meets)[0])
         if not before:
             return Arranged(x, facts_of(0, 0, np.zeros_like(x)))
         gap = (thickness or GAP) if config.gap == "auto" else config.gap
         found = loosen(cloth, gap + 4.0 * JITTER * cloth.edge, config.iterations)
-        x += found.moved
-        # Of the places themselves: what moved them was found a little beside them.
-        edge, face = find_crossings(cloth, x)
+        # What has hardly gone stays. And the check is of the places themselves: they were moved a little beside them.
+        gone = norm(found.moved) > JITTER * cloth.edge
+        x[gone] += found.moved[gone]
+        edge, face = find_crossings(cloth.tree, x, cloth.piece, cloth.meets)
         check_loose(cloth, x, edge, face, found.iterations, before, list(objects))
         check_apart(cloth, x, found, gap, list(objects))
-        return Arranged(x, facts_of(before, found.iterations, found.moved))
+        return Arranged(x, facts_of(before, found.iterations, x - fabric.position))
 
 
 def facts_of(crossings: int, iterations: int, moved: Float) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -21,19 +22,38 @@ KEPT = 0.5
 """Share of its distance at the start that a pair may lose which is not to have a gap."""
 
 
+APART, CROSSING, DOUBTFUL = 0, 1, 2
+
+
 @kernel
-def passes_through(x: Float, p: int, q: int, face: Int) -> bool:
-    """Whether the edge from vertex p to vertex q meets a triangle of three others, touches counted; in one plane it is
-    taken not to.
+def passes_through(x: Float, p: int, q: int, face: Int) -> int:
+    """Whether the edge from vertex p to vertex q goes through a triangle of three others, as far as rounding tells; in
+    one plane it is taken not to.
     """
     a, b, c = x[face[0]], x[face[1]], x[face[2]]
     above, below = orient(a, b, c, x[p]), orient(a, b, c, x[q])
     if above * below > 0.0 or (above == 0.0 and below == 0.0):
-        return False
+        return APART
     u, v, w = orient(x[p], x[q], a, b), orient(x[p], x[q], b, c), orient(x[p], x[q], c, a)
-    if u == 0.0 and v == 0.0 and w == 0.0:
-        return False
-    return (u >= 0.0 and v >= 0.0 and w >= 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0)
+    if (u < 0.0 or v < 0.0 or w < 0.0) and (u > 0.0 or v > 0.0 or w > 0.0):
+        return APART
+    return DOUBTFUL if above * below * u * v * w == 0.0 else CROSSING
+
+
+def touches(edge: Float, triangle: Float) -> bool:
+    """Whether an edge (2, 3) meets a triangle (3, 3), an end or a side counted, in fractions."""
+    (p, q), corners = (
+        [[Fraction(value) for value in point] for point in points.tolist()] for points in (edge, triangle)
+    )
+
+    def side(*points: list[Fraction]) -> int:
+        u, v, w = ([one - other for one, other in zip(point, points[3], strict=True)] for point in points[:3])
+        found = sum(u[k] * (v[k - 2] * w[k - 1] - v[k - 1] * w[k - 2]) for k in range(3))
+        return (found > 0) - (found < 0)
+
+    ends = {side(*corners, p), side(*corners, q)}
+    turns = {side(p, q, corners[k], corners[(k + 1) % 3]) for k in range(3)}
+    return ends not in ({0}, {1}, {-1}) and not {1, -1} <= turns and turns != {0}
 
 
 @kernel
@@ -47,7 +67,9 @@ def boxes_meet(a: Float, p: int, b: Float, q: int) -> bool:
 
 @block_kernel
 def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, leaves: Long, count: int, found: Long) -> int:
-    """Edges and the triangles that they meet, into found (c, 2) as far as there is room; how many there are."""
+    """Edges and the triangles f that they go through, doubtful ones as -1 - f, into found (c, 2) as far as there is
+    room; how many there are.
+    """
     number, edges, faces = 0, tree.edges, tree.faces
     for g in range(count):
         for turn in range(2):
@@ -68,9 +90,10 @@ def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, leaves: Long, co
                         shared |= faces[f, k] == i or faces[f, k] == j
                     if shared or not meets[piece[i], piece[faces[f, 0]]]:
                         continue
-                    if passes_through(x, i, j, faces[f]):
+                    told = passes_through(x, i, j, faces[f])
+                    if told != APART:
                         if number < found.shape[0]:
-                            found[number, 0], found[number, 1] = e, f
+                            found[number, 0], found[number, 1] = e, f if told == CROSSING else -1 - f
                         number += 1
     return number
 
@@ -84,15 +107,16 @@ def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
     return rows, number
 
 
-def find_crossings(cloth: Cloth, x: Float) -> tuple[Long, Long]:
-    """Edges (k,) and the triangles (k,) that they meet, of vertices x (n, 3), in order."""
-    tree = cloth.tree
-    fit(cloth, x)
+def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool) -> tuple[Long, Long]:
+    """Edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
+    fit(tree, x)
     leaves, count = with_room(lambda rows: find_leaves(tree.boxes, 0.0, rows), 8 * len(tree.face))
-    found, number = with_room(
-        lambda rows: find_through(x, tree, cloth.piece, cloth.meets, leaves, count, rows), len(tree.face)
-    )
-    found = found[:number]
+    found, number = with_room(lambda rows: find_through(x, tree, piece, meets, leaves, count, rows), len(tree.face))
+    found, kept = found[:number], np.ones(number, bool)
+    for row in np.flatnonzero(found[:, 1] < 0):
+        found[row, 1] = -1 - found[row, 1]
+        kept[row] = touches(x[tree.edges[found[row, 0]]], x[tree.faces[found[row, 1]]])
+    found = found[kept]
     order = np.lexsort((found[:, 1], found[:, 0]))
     return found[order, 0], found[order, 1]
 
@@ -166,7 +190,7 @@ def measure_near(
 
 def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
     """Pairs that are nearer than OVER times what they ought to be, of vertices x (n, 3), in order."""
-    tree, rows, radius = cloth.tree, fit(cloth, x), OVER * gap
+    tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
     still, nothing = np.zeros_like(rows), np.zeros(len(x))
     leaves, count = with_room(lambda rows: find_leaves(tree.boxes, radius, rows), 8 * len(tree.face))
     found, number = with_room(
