@@ -67,10 +67,10 @@ def bump(random: Random, draw: Random | None) -> list[Sheet]:
 
 
 def poke(random: Random, draw: Random | None) -> list[Sheet]:
-    """An upright sheet's lower end through a level one."""
+    """The lower end of a small upright sheet, less than half of it, through a level one."""
     angles = 0.5 * np.pi + random.uniform(-0.3, 0.3), random.uniform(0.0, 1.0), 0.0
-    upright = lowered(turned(sheet(draw), *angles), random.uniform(0.5, 4.0) * EDGE)
-    return [moved(upright, random.uniform(-0.01, 0.01), 0.0, random.uniform(-0.03, 0.03)), sheet(draw)]
+    upright = lowered(turned(sheet(draw, 7), *angles), random.uniform(0.5, 2.5) * EDGE)
+    return [moved(upright, random.uniform(-0.01, 0.01), 0.0, random.uniform(-0.01, 0.01)), sheet(draw)]
 
 
 def corner(random: Random, draw: Random | None) -> list[Sheet]:

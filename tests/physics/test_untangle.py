@@ -47,7 +47,7 @@ def over(upper: Float, lower: Float) -> Float:
 @pytest.mark.parametrize("irregular", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
 def test_cloth_comes_apart(kind: str, irregular: bool, seeds: int) -> None:
-    """As ipc-toolkit sees it, and moved by no more than half of its width whatever the tangle."""
+    """As ipc-toolkit sees it, and no vertex by more than 0.75 of a sheet's width, of which up to 0.6 is to be gone."""
     tangled = 0
     for seed in range(seeds):
         fabric, objects = tangle(kind, seed, irregular)
@@ -55,7 +55,7 @@ def test_cloth_comes_apart(kind: str, irregular: bool, seeds: int) -> None:
         tangled += crosses(fabric, begun)
         made = untangle(fabric, objects)
         assert not crosses(fabric, made.position), seed
-        assert made.facts["largest"] < 0.5 * EDGE * SIDE, seed
+        assert made.facts["largest"] < 0.75 * EDGE * SIDE, seed
         assert fabric.position.tobytes() == begun.tobytes()
     assert tangled > 0.9 * seeds
 
@@ -63,18 +63,16 @@ def test_cloth_comes_apart(kind: str, irregular: bool, seeds: int) -> None:
 @pytest.mark.parametrize("irregular", [False, True])
 def test_what_was_pushed_through_comes_back_on_its_side(irregular: bool) -> None:
     """A dent that came out below is above again, and an upright sheet above the one that it was pushed through, however
-    many edges deep; nothing has gone much farther than the depth.
+    many edges deep; nothing has gone farther than the depth.
     """
-    for made, alike in ((bump, 1.0), (poke, 1.5)):
-        for seed in range(4):
+    for made in (bump, poke):
+        for seed in range(6):
             fabric, objects = cloth_of(made(*draws(seed, irregular)))
             depth = -float(fabric.position[objects["sheet0"], 1].min())
-            assert depth > 0.5 * EDGE
+            assert depth > 0.4 * EDGE
             found = untangle(fabric, objects)
-            upper, lower = (found.position[vertices] for vertices in objects.values())
-            inside = (np.abs(upper[:, [0, 2]]) < 0.45 * EDGE * SIDE).all(axis=1)
-            assert over(upper[inside], lower).min() > -0.3 * EDGE, (made.__name__, seed)
-            assert found.facts["largest"] < alike * depth + EDGE, (made.__name__, seed)
+            assert over(*(found.position[vertices] for vertices in objects.values())).min() > 0.0, (made, seed)
+            assert found.facts["largest"] <= depth, (made, seed)
 
 
 def test_pieces_come_to_have_the_gap() -> None:
