@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from tangles import EDGE, KINDS, SIDE, Random, Sheet, across, bump, cloth_of, crosses, moved, poke, sheet, tangle
 
+from nuno.scene import scene_file
+from nuno.simulation.run import Simulation
 from nuno_contact.untangle.plugin import Untangle, UntangleConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
@@ -73,6 +75,18 @@ def test_what_was_pushed_through_comes_back_on_its_side(irregular: bool) -> None
             found = untangle(fabric, objects)
             assert over(*(found.position[vertices] for vertices in objects.values())).min() > 0.0, (made, seed)
             assert found.facts["largest"] <= depth, (made, seed)
+
+
+@pytest.mark.full
+def test_cloth_that_fell_through_itself_comes_apart() -> None:
+    """The folds below a ball, after two thirds of a second without cloth contact: hundreds of crossings."""
+    simulation = Simulation.with_bodies(scene_file.read(scene_file.find("drape-over-sphere")), 1)
+    for _ in range(40):
+        simulation.step()
+    fabric = replace(simulation.fabric, position=simulation.state.x)
+    made = untangle(fabric, {"cloth": np.arange(fabric.number, dtype=np.int32)})
+    assert made.facts["crossings"] > 500
+    assert not crosses(fabric, made.position)
 
 
 def test_pieces_come_to_have_the_gap() -> None:

@@ -2,16 +2,13 @@
 
 Each time, what crosses is pushed by STEP of an edge at most, as nuno_contact.untangle.sides says, and what has come
 too near is pushed apart, each vertex by the mean of what its pairs ask of it. What crosses is pushed by a displacement
-that is smoothed over the mesh, and scaled so that it still comes nearest to what was asked: cloth moves as a whole and
-not vertex by vertex. What takes no part then follows by the mean displacement of its neighbours, as a net of
-springs that resists being displaced unevenly.
+that is smoothed over the mesh, and scaled so that it still comes nearest to what was asked: cloth does not move vertex
+by vertex. Where the number of tangled vertices has not fallen for PATIENCE times, the next of WAYS is taken for as
+many.
 
-Where the number of tangled vertices has not fallen for PATIENCE times, the contours' lengths decide for as many; after
-four times as many nothing is smoothed any more, since small tangles may ask for displacements that differ from
-vertex to vertex.
-
-Not chosen: steps that never let a new crossing come up, by the bounds of nuno_contact.offset.hold. What has to pass
-through one sheet on its way out of another could not.
+Not chosen: to smooth over more of the mesh, or to let what takes no part follow as by springs. Both draw what has been
+freed of a crumpled skirt into itself again, and move more of it. Nor steps that never let a new crossing come up, by the
+bounds of nuno_contact.offset.hold: what has to pass through one sheet on its way out of another could not.
 """
 
 from __future__ import annotations
@@ -29,10 +26,10 @@ from nuno_schemas.fabric import Bool, Float
 
 STEP = 0.5
 """Share of the mean edge by which what crosses is pushed at most."""
-SWEEPS, MOST = 24, 5.0
-"""How often a push is smoothed, and how much it is scaled at most."""
-FOLLOW, SHARE = 4, 0.25
-"""How often what takes no part is moved towards the mean displacement of its neighbours, and by what share."""
+WAYS = ((3, False), (3, True), (1, False), (1, True))
+"""How often a push is smoothed, and whether all contours are made shorter, also where they cut."""
+MOST = 5.0
+"""How much a smoothed push is scaled at most."""
 LEAST = 0.25
 """Of the squares of weights that a pair is moved by: less has one of which hardly anything is free."""
 PATIENCE, SETTLED = 15, 50
@@ -65,11 +62,12 @@ def loosen(cloth: Cloth, gap: float, most: int) -> Loosened:
         tangled, push = np.zeros(len(x), bool), np.zeros_like(x)
         if len(edge):
             nodes = make_nodes(cloth, x, edge, face)
-            sides = find_sides(cloth, x, nodes, find_contours(cloth, x, nodes), since // PATIENCE % 2 == 1)
+            sweeps, shorten = WAYS[since // PATIENCE % len(WAYS)]
+            sides = find_sides(cloth, x, nodes, find_contours(cloth, x, nodes), shorten)
             tangled, count = sides.tangled, int(sides.tangled.sum())
             fewest, since = (count, 0) if count < fewest else (fewest, since + 1)
             ever |= tangled
-            push = pushed(cloth, nodes, sides, gap, smooth=since <= 4 * PATIENCE)
+            push = pushed(cloth, nodes, sides, gap, sweeps)
         near = find_near_pairs(cloth, x + push, ever, gap)
         close = near.distance < near.wanted
         between = cloth.piece[near.pair[:, 0]] != cloth.piece[near.pair[:, 3]]
@@ -77,15 +75,10 @@ def loosen(cloth: Cloth, gap: float, most: int) -> Loosened:
         if iteration == most or clear > SETTLED or (clear and not close.any()):
             break
         moved += push + parted(cloth, near, tangled)
-        if len(edge) and since <= 4 * PATIENCE:
-            follows = cloth.free.copy()
-            follows[tangled] = follows[near.pair] = 0.0
-            for _ in range(FOLLOW):
-                moved += SHARE * follows * (cloth.mean @ moved - moved)
     return Loosened(moved, iteration, edge, face, near)
 
 
-def pushed(cloth: Cloth, nodes: Nodes, sides: Sides, gap: float, smooth: bool) -> Float:
+def pushed(cloth: Cloth, nodes: Nodes, sides: Sides, gap: float, sweeps: int) -> Float:
     """(n, 3) how far what crosses is to go now [m]."""
     known, step = sides.wrong >= 0, STEP * cloth.edge
     is_wrong = nodes.ends == sides.wrong[:, None]
@@ -96,13 +89,11 @@ def pushed(cloth: Cloth, nodes: Nodes, sides: Sides, gap: float, smooth: bool) -
     vertices = np.concatenate([nodes.ends, nodes.corners], axis=1)
     raw, asked = displaced(cloth, vertices, weights, amount, sides.way)
     push = raw
-    if smooth:
-        for _ in range(SWEEPS):
-            push = cloth.free * 0.5 * (push + cloth.mean @ push)
-        along = math.fsum((raw[asked] * push[asked]).ravel().tolist())
-        own = math.fsum((push[asked] ** 2).ravel().tolist())
-        push = min(max(along / own, 1.0), MOST) * push if own > 0.0 else push
-    return push
+    for _ in range(sweeps):
+        push = cloth.free * 0.5 * (push + cloth.mean @ push)
+    along = math.fsum((raw[asked] * push[asked]).ravel().tolist())
+    own = math.fsum((push[asked] ** 2).ravel().tolist())
+    return min(max(along / own, 1.0), MOST) * push if own > 0.0 else push
 
 
 def parted(cloth: Cloth, near: Near, tangled: Bool) -> Float:
