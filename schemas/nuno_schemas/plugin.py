@@ -31,7 +31,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
     "nuno.cloth_contacts": "forces between cloth and cloth, and what keeps it from passing through",
-    "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure, wrinkle",
+    "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure, untangle, wrinkle",
     "nuno.renderers": "draw a picture of a frame",
     "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
     "nuno.dye_solvers": "spread dye in a cloth over time",

@@ -18,7 +18,7 @@ ENDS = (("min", "shortest"), ("max", "longest"))
 TOLD: dict[str, Any] = {
     "digest": "", "began": 0.0, "paused_seconds": 0.0, "step_seconds": {}, "totals": {}, "dt": None,
     "steps_per_frame": None, "idle": 0, "rested": False, "threads": "", "energy": [], "stretch": 0.0,
-    "rest": {}, "counts": {}, "changes": [], "yarns": {}, "courses": {}, "pressure": {},
+    "rest": {}, "counts": {}, "arranged": [], "changes": [], "yarns": {}, "courses": {}, "pressure": {},
 }  # fmt: skip
 """What the service that leads says of a run, and what stands where it has not."""
 
@@ -221,6 +221,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("energy", text or "0 J"))
         since = f", since the run went on at {report['began']:g} s" if report["began"] else ""
         rows.append(("balance", _balance(first, last, report["left_out"]) + since))
+    rows += [(done["operation"], _arranged(done["facts"])) for done in report["arranged"]]
     stretch = report["stretch"]
     rows.append(("stretch", _percent(stretch)))
     if rest := report["rest"]:
@@ -241,6 +242,15 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))
     rows += _dye(report) if report.get("dye") else []
     return rows
+
+
+def _arranged(facts: dict[str, float]) -> str:
+    """What an operation did to the cloth before the first frame."""
+    if not facts.get("crossings"):
+        return "nothing crossed at the start"
+    far = f"{_millimetres(facts['largest'])} at most, {_millimetres(facts['mean'])} on average of all"
+    moved = f"{facts['vertices']:,.0f} vertices were moved in {facts['iterations']:,.0f} iterations, {far}"
+    return f"{facts['crossings']:,.0f} edges went through triangles at the start; {moved}"
 
 
 def _knit(report: Report) -> list[tuple[str, str]]:

@@ -17,6 +17,7 @@ from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Chosen, Loaded, choose_operation
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Springs
+from nuno_schemas.operation import arranges
 from nuno_schemas.scene import Applied
 
 NAME = "add"
@@ -60,6 +61,9 @@ def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
         raise BadInput("say which object it changes", NAME, field="object", value=applied.object, remedy=remedy)
     files = SceneFiles(loaded.files.folder, loaded.files.roots)
     chosen = choose_operation(applied, (), NAME, lines, files)
+    if arranges(chosen.plugin):
+        raise BadInput("this operation is for the start, before the first frame", NAME, value=name,
+                       remedy=f"run the scene again with operations: [{{plugin: {name}}}]")  # fmt: skip
     if files.used:
         own = {} if applied.object is None else {"object": applied.object}
         said = chosen.config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)

@@ -30,6 +30,7 @@ from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Int, State
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
+from nuno_schemas.operation import arranges
 from nuno_schemas.system import Forces, StepLimit, StepReport, System
 
 REST_SPEED, REST_TIME = 1e-3, 0.1
@@ -55,7 +56,7 @@ class Simulation(Changing):
 
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
-        self.fabric, self.pieces = build.build_fabric(loaded, geometry, poses)
+        self.fabric, self.pieces, self.arranged = build.build_told(loaded, geometry, poses)
         if loaded.scene.until == "balance" and (self.fabric.springs is None or self.fabric.springs.number == 0):
             problem, remedy = "cloth without springs has no tension to be in balance with", "take until: rest"
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
@@ -75,8 +76,8 @@ class Simulation(Changing):
         self.system: System
         self.limit: StepLimit
         self._prepare({})
-        for operation in self.loaded.operations:
-            operation.plugin.compile()
+        for operation in (one.plugin for one in self.loaded.operations if not arranges(one.plugin)):
+            operation.compile()
         self.alter_due()
 
     @classmethod

@@ -184,6 +184,7 @@ class ClothDriver(Driver):
             "yarns": measure_yarns(fabric),
             "courses": measure_courses(fabric, simulation.state.x),
             "pressure": self.pressure(),
+            "arranged": simulation.arranged,
             "changes": [
                 change | {"measured": [*change["measured"], simulation.heights(i)]}
                 for i, change in enumerate(simulation.changes)
