@@ -73,8 +73,9 @@ def _side(a: Float, b: Float, c: Float, d: Float) -> Long:
     products = [(v[:, i] * w[:, j], v[:, j] * w[:, i]) for i, j in ((1, 2), (2, 0), (0, 1))]
     found = sum(u[:, k] * (one - other) for k, (one, other) in enumerate(products))
     size = sum(np.abs(u[:, k]) * (np.abs(one) + np.abs(other)) for k, (one, other) in enumerate(products))
-    sign = np.sign(found).astype(np.int64)
-    for i in np.flatnonzero(np.abs(found) <= CERTAIN * np.asarray(size)).tolist():
+    sign, size = np.sign(found).astype(np.int64), np.asarray(size)
+    # Where all terms are nothing, as of cloth that lies flat along the axes, the determinant is: nothing is rounded.
+    for i in np.flatnonzero((size > 0.0) & (np.abs(found) <= CERTAIN * size)).tolist():
         sign[i] = _exact_side(*(point[i].tolist() for point in (a, b, c, d)))
     return sign
 

@@ -99,7 +99,7 @@ def watch(simulation: Simulation, found: Passed) -> Passed:
     faces, number = simulation.fabric.faces, simulation.fabric.number
     oracle, edges = Oracle(simulation.state.x, faces), edges_of(faces)
     crossed, own, steps, most, counts = list[int](), list[int](), 0, 0, dict[str, int]()
-    status, message = "ok", ""
+    frames, status, message = 0, "ok", ""
     while not simulation.finished and status == "ok":
         try:
             report = simulation.step().report
@@ -110,11 +110,11 @@ def watch(simulation: Simulation, found: Passed) -> Passed:
         if status != "ok":
             break
         counts, most = dict(report.counts), max(most, report.counts["cloth_contacts"])
-        frame, x = simulation.frame, simulation.state.x
-        crossed += [frame] * oracle.crossed(x)
-        own += [frame] * (len(find_crossings(x, faces, edges).edges) > 0)
+        frames, x = simulation.frame, simulation.state.x
+        crossed += [frames] * oracle.crossed(x)
+        own += [frames] * (len(find_crossings(x, faces, edges).edges) > 0)
     return replace(
-        found, vertices=number, frames=simulation.frame - (status == "crashed"), crossed=crossed, own=own,
+        found, vertices=number, frames=frames, crossed=crossed, own=own,
         vertex_steps=number * steps, cut=counts.get("cut_short", 0), held=counts.get("held_cut_short", 0),
         left_out=counts.get("pairs_left_out", 0), touching=most, status=status, message=message,
     )  # fmt: skip
