@@ -22,6 +22,7 @@ from nuno_bench.problem.irregular import irregular_square
 from nuno_bench.problem.oracle import Oracle
 from nuno_bench.problem.random_piles import BODIES, SOLVERS, random_pile
 from nuno_bench.sweep.executor import Executor
+from nuno_bench.sweep.kept import Kept
 
 SHORT = 0.1
 """Duration of a scene [s]."""
@@ -90,6 +91,22 @@ def test_what_passes_through_is_seen_named_kept_and_ends_the_command_with_1(
         assert [row["verdict"] for row in csv.DictReader(stream)] == ["crossed"]
 
 
+def test_what_is_finished_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[int]()
+
+    def ran(task: tuple[int, float]) -> Passed:
+        asked.append(task[0])
+        return Passed(task[0], "rk4", "box", ("denim",), ("quads",), crossed=[4] * (task[0] == 2))
+
+    monkeypatch.setattr(command, "run_pile", ran)
+    flags = ["--jobs", "1", "--out", str(tmp_path)]
+    assert main(["bench", "contact", "1", "2", *flags]) == 1
+    assert main(["bench", "contact", "--count", "3", "--resume", *flags]) == 1
+    assert asked == [1, 2, 3]
+    assert [one["seed"] for one in json.loads((tmp_path / "contact.json").read_text())["scenes"]] == [1, 2, 3]
+    assert main(["bench", "contact", "3", "--resume", "--duration", "0.2", *flags]) == 2, "another sweep's"
+
+
 def test_both_checks_see_an_edge_through_a_triangle() -> None:
     x, faces = irregular_square(6, 0.1, 1)
     turned = x[:, [1, 0, 2]] + [0.0, 0.003, 0.001]
@@ -120,12 +137,13 @@ def test_verdicts_follow_from_what_was_seen(found: Passed, verdict: str, bad: bo
     assert command.keep([Passed(1)], 0.1, Path("nowhere")) is None
 
 
-def test_what_raises_is_a_finding_about_its_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_raises_is_a_finding_about_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(self: Simulation) -> None:
         raise ZeroDivisionError("by hand")
 
     monkeypatch.setattr(Simulation, "step", broken)
-    (found,) = command.run_all([2], SHORT, Executor(), lambda text: None)
+    kept = Kept(tmp_path / "kept.jsonl", {}, False)
+    (found,) = command.run_all([2], SHORT, kept, Executor(), lambda text: None)
     assert (found.verdict, found.message, found.frames) == ("crashed", "ZeroDivisionError: by hand", 0)
 
 

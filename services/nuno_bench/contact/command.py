@@ -13,11 +13,12 @@ from nuno_bench.contact.run import Passed, run_pile
 from nuno_bench.problem.random_piles import random_pile
 from nuno_bench.report import page
 from nuno_bench.sweep import places
-from nuno_bench.sweep.executor import Executor, Lost
+from nuno_bench.sweep.executor import Executor, Lost, versions
+from nuno_bench.sweep.kept import Kept, require
 from nuno_schemas.errors import BadInput
 
-FOLDER = "contact"
-"""Of --out, into which scenes are written that went wrong."""
+FOLDER, KEPT = "contact", "contact.jsonl"
+"""Of --out: into the first go scenes that went wrong, into the second what is finished, line by line."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_count(parser, "--count", "scenes, where no seed is given (default: %(default)s)", 200)
     options.add_seconds(parser, "--duration", 0.5, "of each scene, of which a shorter one is the beginning")
     places.add_arguments(parser)
-    options.add_shared(parser, "--out", "--docs")
+    options.add_shared(parser, "--resume", "--out", "--docs")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -34,25 +35,32 @@ def main(args: argparse.Namespace) -> int:
         raise BadInput("a seed is not negative", field="SEED", value=min(args.seeds), limit="0 and more")
     extras.require("cloth is looked at by", "ipctk")
     page.check_section(args.docs, "contact")
+    if args.resume:
+        require([args.out / KEPT])
     others, seeds = machine.Others(), args.seeds or list(range(1, args.count + 1))
+    kept = Kept(args.out / KEPT, {"duration": args.duration, "versions": versions()}, args.resume)
     with places.opened(args) as where:
-        found = run_all(seeds, args.duration, where, lambda text: print(text, file=sys.stderr))
+        found = run_all(seeds, args.duration, kept, where, lambda text: print(text, file=sys.stderr))
     for table in shown.tables(found):
         print(table.text(), end="\n\n")
     print("\n".join([*map(shown.line, found), shown.summary(found)]).lstrip())
-    kept = keep(found, args.duration, args.out / FOLDER)
-    about = machine.about(others) | ({"scenes that went wrong": str(kept)} if kept else {})
+    folder = keep(found, args.duration, args.out / FOLDER)
+    about = machine.about(others) | ({"scenes that went wrong": str(folder)} if folder else {})
     shown.report(found, args.duration, about).write_beside(args.out / "contact", args.docs, "contact")
     return int(any(shown.is_bad(one) for one in found))
 
 
-def run_all(seeds: Sequence[int], duration: float, where: Executor, told: Callable[[str], None]) -> list[Passed]:
-    """What came of the scenes of all seeds, in their order."""
-    found: dict[int, Passed] = {}
-    for (seed, _), one in where.run(run_pile, [(seed, duration) for seed in dict.fromkeys(seeds)]):
+def run_all(
+    seeds: Sequence[int], duration: float, kept: Kept, where: Executor, told: Callable[[str], None]
+) -> list[Passed]:
+    """What came of the scenes of all seeds, in their order; those that are kept are not run again."""
+    found = {one.seed: one for one in (Passed(**line) for line in kept.lines)}
+    left = [(seed, duration) for seed in dict.fromkeys(seeds) if seed not in found]
+    for (seed, _), one in where.run(run_pile, left):
         if isinstance(one, BadInput | Lost):
             one = Passed(seed, status="crashed", message=str(one))
         found[seed] = one
+        kept.add(vars(one))
         told(f"{len(found)} of {len(seeds)}: {shown.line(one) or f'seed {seed}, {one.solver}: clean'}")
     return [found[seed] for seed in dict.fromkeys(seeds)]
 

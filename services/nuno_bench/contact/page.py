@@ -21,7 +21,7 @@ LEAD = (
     "Random scenes by a seed: two or three pieces of random cloth fly at each other and at a body, under random wind, "
     "friction, thickness, solver and frame rate. Every frame is looked at by ipctk, and by our own check."
 )
-BY: Mapping[str, Callable[[Passed], tuple[str, ...]]] = {
+BY: Mapping[str, Callable[[Passed], Sequence[str]]] = {
     "solver": lambda one: (one.solver,),
     "body": lambda one: (one.body,),
     "cloth": lambda one: one.cloths,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -35,8 +36,8 @@ class Passed:
     seed: int
     solver: str = ""
     body: str = ""
-    fabrics: tuple[str, ...] = ()
-    cloths: tuple[str, ...] = ()
+    fabrics: Sequence[str] = ()
+    cloths: Sequence[str] = ()
     rate: float = 0.0
     vertices: int = 0
     frames: int = 0
