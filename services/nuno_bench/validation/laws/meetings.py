@@ -19,6 +19,8 @@ laws = Laws()
 ROUNDING = 1e-12
 LONGEST = 2e-4
 """A contact lasts some ten steps of this at least [s]."""
+LOOKS = 30
+"""How often it is looked at what becomes of a collision."""
 
 
 def meshes(name: str, **given: Any) -> dict[str, Mapping[str, Any]]:
@@ -98,7 +100,7 @@ def measure_momentum(plugin: Any, irregular: bool) -> Found:
         return np.stack([mass * v, mass * np.cross(x, v)])
 
     before, kinds = parts(), 2 if plugin.name in KEEPS_ANGULAR_MOMENTUM else 1
-    touched = collide(run)
+    touched = collide(run, 20, 5e-5)
     change = np.abs((parts() - before).sum(axis=1)).max(axis=1) / np.abs(before).sum(axis=(1, 2))
     largest = float(change[:kinds].max())
     return Found(largest, 0.0, largest if touched else math.nan, ROUNDING)
@@ -109,17 +111,15 @@ def measure_energy(plugin: Any, irregular: bool) -> Found:
     """Two sheets that bounce off each other without damping have no more energy afterwards, as a share of it."""
     run = Run(plugin, piles.pile(*piles.collision(irregular), gravity=NONE, friction=0.0, damping=0.0), ACCURATE)
     before = run.energy()
-    touched = collide(run)
+    touched = collide(run, *choose_step(run, 1e-3, 5e-5, LOOKS))
     after = run.energy()
     return Found(after, before, max(0.0, after / before - 1.0) if touched else math.nan, 1e-3)
 
 
-def collide(run: Run, duration: float = 0.03) -> bool:
-    """Let two sheets meet and part; whether they have."""
-    intervals = 30
-    steps, dt = choose_step(run, duration / intervals, 5e-5, intervals)
+def collide(run: Run, steps: int, dt: float) -> bool:
+    """Let two sheets meet and part, looking at them every so many steps; whether they have."""
     most, now = 0, 0
-    for _ in range(intervals):
+    for _ in range(LOOKS):
         now = int(run.go(steps, dt).counts["cloth_contacts"])
         most = max(most, now)
     return most > 0 and now == 0
@@ -129,10 +129,9 @@ def collide(run: Run, duration: float = 0.03) -> bool:
 def measure_apart(plugin: Any, irregular: bool) -> Found:
     """Two sheets that swing far from each other end in the bits that they have without cloth contact."""
     both = [Run(plugin, piles.pile(*piles.swinging(irregular), contact=on)) for on in (True, False)]
-    steps, dt = choose_step(both[0], 0.1, 5e-3, 2)
     for run in both:
-        run.go(steps, dt)
-        run.go(steps, dt)
+        run.go(150, LONGEST)
+        run.go(150, LONGEST)
     one, other = (run.both() for run in both)
     return Found(float(np.abs(one - other).max()), 0.0, float((one.view(np.int64) != other.view(np.int64)).sum()), 0.0)
 
@@ -149,11 +148,11 @@ def measure_heap(plugin: Any, irregular: bool) -> Found:
 
 
 def heap_looks(plugin: Any, pieces: list[Fabric], contact: bool) -> int:
-    """At how many of 30 looks a piece of the heap passes through another."""
+    """At how many of LOOKS a piece of the heap passes through another."""
     system, crossed = piles.pile(*pieces, contact=contact), 0
     run, faces = Run(plugin, system, ACCURATE), system.fabric.faces
-    steps, dt = choose_step(run, 2e-3, LONGEST, 30)
-    for _ in range(30):
+    steps, dt = choose_step(run, 2e-3, LONGEST, LOOKS)
+    for _ in range(LOOKS):
         run.go(steps, dt)
         crossed += len(find_crossings(run.state.x, faces, edges_of(faces)).edges) > 0
     return crossed
