@@ -130,8 +130,8 @@ def measure_apart(plugin: Any, irregular: bool) -> Found:
     """Two sheets that swing far from each other end in the bits that they have without cloth contact."""
     both = [Run(plugin, piles.pile(*piles.swinging(irregular), contact=on)) for on in (True, False)]
     for run in both:
-        run.go(150, LONGEST)
-        run.go(150, LONGEST)
+        run.go(300, 5e-5)
+        run.go(300, 5e-5)
     one, other = (run.both() for run in both)
     return Found(float(np.abs(one - other).max()), 0.0, float((one.view(np.int64) != other.view(np.int64)).sum()), 0.0)
 
