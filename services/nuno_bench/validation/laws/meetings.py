@@ -77,7 +77,7 @@ def measure_pile(plugin: Any, irregular: bool) -> Found:
     """Four sheets at rest on a held one press on it with 4 m g."""
     system = piles.pile(*piles.stack(irregular), damping=1.0)
     run = Run(plugin, system, ACCURATE)
-    steps, dt = choose_step(run, 0.05, LONGEST, 8)
+    steps, dt = choose_step(run, 0.02, LONGEST, 8)
     for _ in range(8):
         run.go(steps, dt)
         run.state.v *= 0.5
