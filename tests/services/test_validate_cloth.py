@@ -24,9 +24,11 @@ def outcome(case: str, solver: str = "symplectic_euler") -> Outcome:
 @pytest.mark.quick(solver=["symplectic_euler"])
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_solvers_keep_every_law_of_cloth_contact(solver: str) -> None:
-    """On grids and on irregular triangles."""
+    """On grids and on irregular triangles; bits without contact are not asked of an adaptive method."""
     found = [outcome(case, solver) for case in CASES]
-    assert {one.case: one.reason for one in found if one.verdict != "passed"} == {}
+    unposed = {"cloth apart", "mesh apart"} if solver == "dopri5" else set()
+    assert {one.case: one.reason for one in found if one.verdict != "passed" and one.case not in unposed} == {}
+    assert {one.case for one in found if one.verdict == "unsupported"} == unposed
     assert len(found) == 16
 
 
