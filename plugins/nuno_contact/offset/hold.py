@@ -25,7 +25,7 @@ from nuno_contact.offset.brake import BRAKED, brake
 from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
-from nuno_contact.offset.plan import LISTS, WINDOW, plan, set_out, strays
+from nuno_contact.offset.plan import LEAST, LISTS, WINDOW, plan, set_out, strays
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
@@ -220,7 +220,7 @@ def begin_apart(m: Meeting, x: Float, span: float) -> None:
         if not np.isfinite(x).all():
             return
         m.last[:] = x
-        clock[4], clock[2], clock[5] = WINDOW, LISTS, 1.0
+        clock[4], clock[2], clock[5], clock[6] = WINDOW, LISTS, 1.0, LEAST[1]
         clock[1], clock[3] = -2.0 * clock[2], 0.0
         m.unrest[:] = 0.0
         m.anchored[:] = False

@@ -12,7 +12,7 @@ from nuno_kernels import forced_inline
 from nuno_kernels.step.blocks import block_count
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 
-PER_VERTEX, FEWEST = 32, 32768
+PER_VERTEX, FEWEST = 64, 32768
 """Most pairs that are listed for each vertex, and besides."""
 EDGES = 0.25
 """Share of the stiffness that two edges have: see nuno_contact.offset.force."""
@@ -107,8 +107,9 @@ class Meeting(NamedTuple):
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     clock: Float
-    """(6,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
-    what is near; the share of what the list's plan allows at most: part of the state"""
+    """(7,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
+    what is near; the share of what the list's plan allows at most; how many thicknesses that of what is near allows
+    at least: part of the state"""
     span: Float
     """(1,) of the interval [s]"""
     listed: Float
@@ -192,7 +193,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         last=np.zeros((3, n)),
         spread=np.zeros((2, n)),
         unrest=np.zeros((2, n)),
-        clock=np.zeros(6),
+        clock=np.zeros(7),
         span=np.zeros(1),
         listed=np.zeros((14, n)),
         nothing=np.zeros(n),

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_contact.offset.proximity import closest, point, unit, weigh
-from nuno_contact.offset.search import find_leaves, find_near
+from nuno_contact.offset.search import HITS, find_leaves, find_near, meet_eights, node_box
 from nuno_contact.offset.tree import Tree, less
 from nuno_contact.untangle.cloth import Cloth, Long, fit
 from nuno_kernels import block_kernel, kernel
+from nuno_kernels.lanes.choose import first_lane
 from nuno_kernels.meshes.check import orient
 from nuno_schemas.fabric import Bool, Float, Int
 
@@ -56,35 +57,25 @@ def touches(edge: Float, triangle: Float) -> bool:
     return ends not in ({0}, {1}, {-1}) and not {1, -1} <= turns and turns != {0}
 
 
-@kernel
-def boxes_meet(a: Float, p: int, b: Float, q: int) -> bool:
-    """Whether the boxes in column p of a and in column q of b overlap."""
-    meet = True
-    for k in range(3):
-        meet &= a[k, p] <= b[3 + k, q] and b[k, q] <= a[3 + k, p]
-    return meet
-
-
 @block_kernel
 def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, leaves: Long, count: int, found: Long) -> int:
     """Edges and the triangles f that they go through, doubtful ones as -1 - f, into found (c, 2) as far as there is
     room; how many there are.
     """
-    number, edges, faces = 0, tree.edges, tree.faces
+    number, edges, faces, hits, first = 0, tree.edges, tree.faces, np.empty((HITS, 4), np.int64), len(tree.boxes) // 2
     for g in range(count):
-        for turn in range(2):
+        for turn in range(1 if leaves[g, 0] == leaves[g, 1] else 2):
             one, two = leaves[g, turn], leaves[g, 1 - turn]
-            if turn == 1 and one == two:
-                continue
-            for p in range(tree.edge_start[one], tree.edge_start[one + 1]):
-                e = tree.edge[p]
-                if e < 0:
-                    continue
+            met = meet_eights(
+                node_box(tree.boxes, first + two), tree.edge_boxes, tree.edge_start, tree.face_boxes, tree.face_start,
+                one, two, 0.0, hits,
+            )  # fmt: skip
+            for h in range(met):
+                e, bits = tree.edge[hits[h, 0], hits[h, 1]], hits[h, 3]
                 i, j = edges[e, 0], edges[e, 1]
-                for q in range(tree.face_start[two], tree.face_start[two + 1]):
-                    f = tree.face[q]
-                    if f < 0 or not boxes_meet(tree.edge_boxes, p, tree.face_boxes, q):
-                        continue
+                while bits != 0:
+                    f = tree.face[hits[h, 2], first_lane(bits)]
+                    bits &= bits - 1
                     shared = False
                     for k in range(3):
                         shared |= faces[f, k] == i or faces[f, k] == j
@@ -110,8 +101,8 @@ def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
 def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool) -> tuple[Long, Long]:
     """Edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
     fit(tree, x)
-    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, 0.0, rows), 8 * len(tree.face))
-    found, number = with_room(lambda rows: find_through(x, tree, piece, meets, leaves, count, rows), len(tree.face))
+    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, 0.0, rows), 8 * len(tree.faces))
+    found, number = with_room(lambda rows: find_through(x, tree, piece, meets, leaves, count, rows), len(tree.faces))
     found, kept = found[:number], np.ones(number, bool)
     for row in np.flatnonzero(found[:, 1] < 0):
         found[row, 1] = -1 - found[row, 1]
@@ -191,11 +182,8 @@ def measure_near(
 def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
     """Pairs that are nearer than OVER times what they ought to be, of vertices x (n, 3), in order."""
     tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
-    still, nothing = np.zeros_like(rows), np.zeros(len(x))
-    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, radius, rows), 8 * len(tree.face))
-    found, number = with_room(
-        lambda room: find_near(rows, still, nothing, tree, radius, leaves, count, room), 8 * len(tree.face)
-    )
+    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, radius, rows), 8 * len(tree.faces))
+    found, number = with_room(lambda rows: find_near(tree, radius, leaves, count, rows), 8 * len(tree.faces))
     pair, sizes = np.empty((number, 4), np.int64), np.empty((number, 2))
     weights, normal = np.empty((number, 4)), np.empty((number, 3))
     kept = measure_near(

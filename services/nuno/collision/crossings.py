@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from nuno.collision.pairs import Long, Mesh
+from nuno.collision.pairs import Long, Mesh, near_pairs
 from nuno_schemas.fabric import Bool, Float, Int
 
 CERTAIN = 7.8e-16
@@ -30,9 +30,11 @@ class Crossings:
     places: Float
 
 
-def find_crossings(x: Float, mesh: Mesh, pairs: tuple[Long, Long]) -> Crossings:
-    """Those of a mesh x (n, 3), of pairs of edges and triangles by number; an edge that just touches counts as well."""
-    edge, face = pairs
+def find_crossings(x: Float, mesh: Mesh, pairs: tuple[Long, Long] | None = None) -> Crossings:
+    """Those of a mesh x (n, 3), of pairs of edges and triangles by number, or of all; an edge that just touches counts
+    as well.
+    """
+    edge, face = near_pairs(x, mesh, 0.0) if pairs is None else pairs
     through = cross(x[mesh.edges[edge]], x[mesh.faces[face]])
     ends, corners = mesh.edges[edge[through]], mesh.faces[face[through]]
     return Crossings(ends, corners, _places(x[ends], x[corners]))

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from nuno.collision.crossings import edges_of, find_crossings
+from nuno.collision.crossings import find_crossings
+from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.problem.oracle import Oracle
@@ -98,7 +99,7 @@ def describe(seed: int, scene: dict[str, Any]) -> Passed:
 def watch(simulation: Simulation, found: Passed) -> Passed:
     """Step to the end, or to where it stops, and look at every frame that would be published."""
     faces, number = simulation.fabric.faces, simulation.fabric.number
-    oracle, edges = Oracle(simulation.state.x, faces), edges_of(faces)
+    oracle, mesh = Oracle(simulation.state.x, faces), mesh_of(faces)
     crossed, own, steps, most, counts = list[int](), list[int](), 0, 0, dict[str, int]()
     frames, status, message = 0, "ok", ""
     while not simulation.finished and status == "ok":
@@ -113,7 +114,7 @@ def watch(simulation: Simulation, found: Passed) -> Passed:
         counts, most = dict(report.counts), max(most, report.counts["cloth_contacts"])
         frames, x = simulation.frame, simulation.state.x
         crossed += [frames] * oracle.crossed(x)
-        own += [frames] * (len(find_crossings(x, faces, edges).edges) > 0)
+        own += [frames] * (len(find_crossings(x, mesh).edges) > 0)
     return replace(
         found, vertices=number, frames=frames, crossed=crossed, own=own,
         vertex_steps=number * steps, cut=counts.get("cut_short", 0), held=counts.get("held_cut_short", 0),

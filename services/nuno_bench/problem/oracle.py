@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nuno.collision.crossings import edges_of
+from nuno.collision.pairs import mesh_of
 from nuno_schemas.fabric import Float, Int
 
 
@@ -12,7 +12,7 @@ class Oracle:
     def __init__(self, x: Float, faces: Int) -> None:
         import ipctk
 
-        self._ipctk, self._mesh = ipctk, ipctk.CollisionMesh(x, edges_of(faces), faces)
+        self._ipctk, self._mesh = ipctk, ipctk.CollisionMesh(x, mesh_of(faces).edges, faces)
 
     def crossed(self, x: Float) -> bool:
         """Whether an edge goes through a triangle that it shares no vertex with, of vertices at x (n, 3) [m]."""

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.crossings import edges_of, find_crossings
+from nuno.collision.crossings import find_crossings
+from nuno.collision.pairs import Mesh, mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
@@ -18,7 +19,7 @@ from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.lists import make_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.fabric import Fabric, Int
+from nuno_schemas.fabric import Fabric
 
 ON, OFF = "cloth_contact={plugin: offset}", "cloth_contact=none"
 SCENES: dict[str, tuple[str, tuple[str, ...], float, float, float | None]] = {
@@ -103,7 +104,7 @@ def queries(repeats: int) -> list[Result]:
         fabric, data = system.fabric, system.terms[-1].data
         assert isinstance(data, tuple)
         (meeting,) = data
-        asked.append({"list": listing(meeting), "check": partial(look, fabric, edges_of(fabric.faces))})
+        asked.append({"list": listing(meeting), "check": partial(look, fabric, mesh_of(fabric.faces))})
         triangles.append(len(fabric.faces))
         for ask in asked[-1].values():
             ask()
@@ -129,7 +130,7 @@ def listing(meeting: Meeting) -> Callable[[], None]:
     return partial(make_list, meeting)
 
 
-def look(fabric: Fabric, edges: Int) -> None:
+def look(fabric: Fabric, mesh: Mesh) -> None:
     """As at a published frame. Raises RunFailed if anything crosses, which would take longer."""
-    if len(find_crossings(fabric.position, fabric.faces, edges).edges):
+    if len(find_crossings(fabric.position, mesh).edges):
         raise RunFailed("the layers pass through each other")

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.crossings import edges_of, find_crossings
+from nuno.collision.crossings import find_crossings
+from nuno.collision.pairs import mesh_of
 from nuno_bench.problem import piles
 from nuno_bench.validation.laws.base import ACCURATE, NONE, Found, G, Laws, Run, Unsupported, choose_step, relative
 from nuno_bench.validation.laws.methods import KEEPS_ANGULAR_MOMENTUM
@@ -152,9 +153,9 @@ def measure_heap(plugin: Any, irregular: bool) -> Found:
 def heap_looks(plugin: Any, pieces: list[Fabric], contact: bool) -> int:
     """At how many of LOOKS a piece of the heap passes through another."""
     system, crossed = piles.pile(*pieces, contact=contact), 0
-    run, faces = Run(plugin, system, ACCURATE), system.fabric.faces
+    run, mesh = Run(plugin, system, ACCURATE), mesh_of(system.fabric.faces)
     steps, dt = choose_step(run, 2e-3, LONGEST, LOOKS)
     for _ in range(LOOKS):
         run.go(steps, dt)
-        crossed += len(find_crossings(run.state.x, faces, edges_of(faces)).edges) > 0
+        crossed += len(find_crossings(run.state.x, mesh).edges) > 0
     return crossed
