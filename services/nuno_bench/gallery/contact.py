@@ -23,16 +23,16 @@ VERTICES, CONTACTS, CROSSED = "vertices", "contacts at the end", "frames with a 
 CUT, STRETCH, SECONDS = "steps of vertices cut short [1/million]", "largest stretch [%]", "steps of a frame [s]"
 MEASURES = (VERTICES, CONTACTS, CROSSED, CUT, STRETCH, SECONDS)
 
-PPF = "ppf, NVIDIA L4"
+PPF, PPF_2025 = "ppf, NVIDIA L4", "ppf of 2025, NVIDIA L4"
 PUBLISHED = {
     "cards": f"{PPF}: 9.4 k vertices, 1.5 s; Newton, RTX 3080: does not settle",
     "five-sheets": f"{PPF}: 82 k vertices, 1.6 s",
     "knot": f"{PPF}: 19.6 k vertices, 0.84 s",
-    "ribbon": f"{PPF}: 34.9 k vertices, 1.7 s",
-    "twist": f"{PPF}: 203 k vertices, 6.6 s",
+    "ribbon": f"{PPF_2025}: 34.9 k vertices, 1.7 s",
+    "twist": f"{PPF_2025}: 203 k vertices, 6.6 s",
 }
 """Seconds a frame of a scene of this kind in the README of ppf-contact-solver (Ando, ACM TOG 43(6), 2024), whose frames
-are a sixtieth of a second, too, and Newton's issue 3494. What is not named has no published cost.
+are a sixtieth of a second, too; it became about twice as fast in 2026. Of Newton its issue 3494. The others have none.
 """
 
 
