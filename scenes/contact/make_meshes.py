@@ -27,9 +27,9 @@ Points = NDArray[np.float64]
 Mesh = tuple[Points, NDArray[Any]]
 """Vertices (n, 3) [m] and triangles (f, 3)."""
 
-AROUND, THROAT, NECK, WALL = 72, 0.05, 0.03, 0.008
+AROUND, THROAT, NECK, WALL = 72, 0.05, 0.03, 0.012
 """Of the funnel: vertices round its axis, y, radius of its tube inside, of the bend above, and thickness [m]."""
-BOTTOM, TUBE, CONE, SLOPE = 0.32, 0.08, 0.20, np.radians(45.0)
+BOTTOM, TUBE, CONE, SLOPE = 0.32, 0.08, 0.33, np.radians(45.0)
 """Height of the tube's end, lengths of tube and cone [m], and the cone's angle against the axis."""
 
 TABLE = (1.5, 0.03)
