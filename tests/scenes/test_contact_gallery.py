@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,19 +51,26 @@ def test_a_scene_is_measured_as_its_run_says(one_scene: Path, tmp_path: Path) ->
     shown, run = contact_gallery.run_scene(one_scene), nuno.run(one_scene, record=tmp_path / "run.mcap")
     assert not shown.failed and [label.partition(",")[0] for label, _ in shown.pictures] == list(contact_gallery.SHARES)
     assert shown.measured[VERTICES] == 72 and shown.measured[CROSSED] == 0 < shown.measured[SECONDS]
+    steps = run.report["steps_per_frame"] * 9 * 72
+    assert shown.measured[CUT] == pytest.approx(1e6 * run.report["counts"]["cut_short"] / steps)
     assert shown.measured[CONTACTS] == run.report["counts"]["cloth_contacts"] > 0
     first, *_, last = (picture for _, picture in shown.pictures)
     assert last.shape == (48, 64, 3) and not np.array_equal(first, last)
 
 
-def test_what_was_cut_short_is_a_share_of_all_steps_of_vertices() -> None:
-    """Of 4 frames of 10 steps of 50 vertices one in a thousand."""
-    report = {
-        "frames": {"sent": 5}, "counts": {"cloth_contacts": 7, "cut_short": 2}, "totals": {"steps": 40},
-        "size": {"vertices": 50}, "crossed_frames": 0, "stretch": 0.1, "parts_seconds": {"steps": 8.0},
+@pytest.mark.parametrize(
+    "steps", [{"totals": {}, "steps_per_frame": 10}, {"totals": {"steps": 30}, "steps_per_frame": None}]
+)
+def test_what_was_cut_short_is_a_share_of_all_steps_of_vertices(steps: dict[str, Any]) -> None:
+    """Of 3 frames of 10 steps of 50 vertices, and one in which nothing moved, one in 500; solvers that choose their
+    steps count them.
+    """
+    report = steps | {
+        "frames": {"sent": 5}, "counts": {"cloth_contacts": 7, "cut_short": 3}, "idle": 1, "stretch": 0.1,
+        "size": {"vertices": 50}, "crossed_frames": 0, "parts_seconds": {"steps": 8.0},
     }  # fmt: skip
     found = contact_gallery.measure(report)
-    assert found[CUT] == pytest.approx(1000.0) and found[SECONDS] == 2.0
+    assert found[CUT] == pytest.approx(2000.0) and found[SECONDS] == 2.0
     assert contact_gallery.measure({}) == {}
 
 

@@ -68,12 +68,12 @@ def measure(report: Mapping[str, Any]) -> dict[str, float]:
     if not report:
         return {}
     frames, counts = report["frames"]["sent"] - 1, report["counts"]
-    steps = report["totals"].get("steps", 0) * report["size"]["vertices"]
+    steps = report["totals"].get("steps") or report["steps_per_frame"] * (frames - report["idle"])
     return {
         VERTICES: report["size"]["vertices"],
         CONTACTS: counts.get("cloth_contacts", 0),
         CROSSED: report["crossed_frames"],
-        CUT: 1e6 * counts.get("cut_short", 0) / steps if steps else 0.0,
+        CUT: 1e6 * counts.get("cut_short", 0) / (max(steps, 1) * report["size"]["vertices"]),
         STRETCH: 100.0 * report["stretch"],
         SECONDS: report["parts_seconds"].get("steps", 0.0) / max(frames, 1),
     }
