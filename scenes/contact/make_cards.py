@@ -18,7 +18,7 @@ HEAD = """\
 nuno: 1
 name: cards
 description: A deck of 52 cards, each turned against the one below, falls on a table and comes to rest.
-duration: 4 s
+duration: 2.5 s
 until: rest
 frame_rate: 60 Hz
 solver: {plugin: symplectic_euler, dt: auto}

@@ -44,6 +44,9 @@ LEG = np.array([
 """Places x, y [m] and heights [LIFT] of one leg from its end to near the middle; the other mirrors it in y."""
 MIDDLE = np.array([[0.066, 0.0, 1.0]])
 
+ASKEW = 1.2
+"""Ratio of a cell's diagonals from which on it is askew."""
+
 SCARF, NECKLINE, PITCH, TAIL = 0.07, 1.345, 0.082, 0.55
 """Width of the scarf, height of its lower tail's middle, rise each turn, and length of the level tails [m]."""
 COILS, INNER, OUTER = 1.5, 0.100, 0.108
@@ -98,11 +101,17 @@ def _along(places: Points) -> Points:
 
 
 def make_strip(line: Points, width: Points, columns: int) -> Mesh:
-    """A band of cloth along its middle line (p, 3), as wide as the vector `width` (3,) says; diagonals alternate."""
+    """A band of cloth along its middle line (p, 3), as wide as the vector `width` (3,) says.
+
+    Diagonals alternate; those of cells that are askew are the shorter ones, for springs along the sides of obtuse
+    triangles cannot bear shear.
+    """
     x = line[:, None] + np.linspace(-0.5, 0.5, columns)[:, None] * width
     number = np.arange(len(line) * columns).reshape(len(line), columns)
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
-    even = (np.add.outer(np.arange(len(line) - 1), np.arange(columns - 1)) % 2 == 0)[..., None]
+    ad, bc = np.linalg.norm(x[:-1, :-1] - x[1:, 1:], axis=-1), np.linalg.norm(x[:-1, 1:] - x[1:, :-1], axis=-1)
+    even = np.add.outer(np.arange(len(line) - 1), np.arange(columns - 1)) % 2 == 0
+    even = np.where(np.maximum(ad, bc) > ASKEW * np.minimum(ad, bc), ad < bc, even)[..., None]
     first = np.where(even, np.stack([a, b, d], axis=-1), np.stack([a, b, c], axis=-1))
     second = np.where(even, np.stack([a, d, c], axis=-1), np.stack([b, d, c], axis=-1))
     return x.reshape(-1, 3), np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
