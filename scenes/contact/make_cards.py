@@ -17,7 +17,7 @@ HEAD = """\
 # Made by make_cards.py, which also makes the published size.
 nuno: 1
 name: cards
-description: A deck of 52 cards, each turned against the one below, falls on a table and comes to rest.
+description: A deck of 52 cards, each turned against the one below, falls on a table and stays as it lies.
 duration: 2.5 s
 until: rest
 frame_rate: 60 Hz
