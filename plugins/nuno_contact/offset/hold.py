@@ -149,6 +149,14 @@ def shorten(m: Meeting, x: Float) -> None:
                     share[v], again = allowed, True
 
 
+@block_kernel
+def copy_rows(x: Float, to: Float) -> None:
+    """Copy x (3, n); numba's own assignment goes through a third array, in case the two overlap."""
+    for row in range(3):
+        for i in range(x.shape[1]):
+            to[row, i] = x[row, i]
+
+
 @kernel
 def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
@@ -168,7 +176,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0:
         cut_short(m, x, v)
         all_close(m)
-    last[:] = x
+    copy_rows(x, last)
     clock[0] = s
     find_touching(m)
     drag_anchors(m, v)

@@ -114,7 +114,7 @@ def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
         whole, clock[5] = max(2.0 * window, LISTS), scale
         allow(m, 0, whole, LEAST[0])
         for i in range(last.shape[1]):
-            spread[0, i] = max(scale * spread[0, i], 1.5 * spread[1, i])
+            spread[0, i] = scale * spread[0, i] + spread[1, i]
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[1], clock[2] = s, whole

@@ -114,16 +114,15 @@ def more(a: float, b: float) -> float:
 def fit_boxes(eights: Int, of: Int, x: Float, motion: Float, spread: Float, boxes: Float) -> None:
     """Boxes (g, 96) of eights (g, 8) of primitives of vertices of[number]; -1 is nowhere."""
     for g in range(eights.shape[0]):
-        for lane in range(WIDTH):
-            number = eights[g, lane]
-            for axis in range(3):
-                low, high, back, on = np.inf, -np.inf, np.inf, -np.inf
+        for axis in range(3):
+            at, along, box = x[axis], motion[axis], boxes[g, axis * WIDTH :]
+            for lane in range(WIDTH):
+                number, low, high, back, on = eights[g, lane], np.inf, -np.inf, np.inf, -np.inf
                 for corner in range(of.shape[1] if number >= 0 else 0):
-                    v = of[number, corner]
-                    low, high = less(low, x[axis, v] - spread[v]), more(high, x[axis, v] + spread[v])
-                    back, on = less(back, motion[axis, v]), more(on, motion[axis, v])
-                for part, value in enumerate((low, high, back, on)):
-                    boxes[g, (3 * part + axis) * WIDTH + lane] = value
+                    v = np.uint64(of[number, corner])
+                    low, high = less(low, at[v] - spread[v]), more(high, at[v] + spread[v])
+                    back, on = less(back, along[v]), more(on, along[v])
+                box[lane], box[lane + 3 * WIDTH], box[lane + 6 * WIDTH], box[lane + 9 * WIDTH] = low, high, back, on
 
 
 @block_kernel
