@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from nuno_integrators.forces import find_forces, own_bodies
+from nuno_integrators.forces import find_forces, undisturbed
 from nuno_integrators.pace import Pace
 from nuno_integrators.profile import profile_steps
 from nuno_integrators.rest import unbalance
@@ -22,7 +22,16 @@ from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import threads_available
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import call_each, pack, python_terms, silence_bodies, thread_count, to_rows
+from nuno_kernels.step.packing import (
+    call_each,
+    making_lists,
+    pack,
+    python_terms,
+    silence,
+    silence_bodies,
+    thread_count,
+    to_rows,
+)
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Memory, State
@@ -67,9 +76,11 @@ class Compiled(ABC):
     explicit: ClassVar[bool]
     adaptive: ClassVar[bool] = False
 
-    def prepare(self, config: Any, system: System, state: State) -> Memory:
-        """Memory for this system. Raises BadInput for a force that no kernel knows."""
-        packed = self.adapt(pack(system))
+    def prepare(self, config: Any, system: System, state: State, without: Sequence[str] = ()) -> Memory:
+        """Memory for this system, in which the terms of some names do nothing. Raises BadInput for a force that no
+        kernel knows.
+        """
+        packed = silence(self.adapt(pack(system)), *without)
         work = self.make_work(config, system, packed)
         return Memory(dict(_own_arrays(packed, work)), work)
 
@@ -128,12 +139,17 @@ class Compiled(ABC):
     def profile(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
     ) -> Mapping[str, float]:
-        """Wall time of a step by part [s]; see nuno_schemas.plugin.Integrator."""
+        """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
         packed = _set_poses(work.packed, poses)
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t)
         return profile_steps(self.step_at_rest(work, extra), packed, work.x, work.v, work.stages, extra)
+
+    def making_lists(self, memory: Memory) -> tuple[str, ...]:
+        """See nuno_schemas.plugin.Integrator."""
+        work: Work = memory.work  # type: ignore[assignment]
+        return making_lists(work.packed)
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
         """See nuno_schemas.plugin.Integrator."""
@@ -149,7 +165,7 @@ class Compiled(ABC):
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
-        packed = _set_poses(own_bodies(work.packed), poses)
+        packed = _set_poses(undisturbed(work.packed), poses)
         extra = _enter(system, state, work, state.t)
         return find_forces(system, state, packed, work.x, work.v, extra, poses)
 

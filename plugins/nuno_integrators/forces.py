@@ -6,16 +6,16 @@ import numpy as np
 
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import call_each, own_copy, parts, silence
+from nuno_kernels.step.packing import call_each, own_terms, parts, silence
 from nuno_kernels.terms import kernels_of, role_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.system import Forces, System
 
 
-def own_bodies(packed: Packed) -> Packed:
-    """The same system, whose bodies are its own and free of what a solver's step makes of them: see Contact.rate."""
-    packed = packed._replace(bodies=tuple(own_copy(term) for term in packed.bodies))
+def undisturbed(packed: Packed) -> Packed:
+    """The same system, whose terms are its own and free of what a solver's step makes of them: see Contact.rate."""
+    packed = own_terms(packed)
     call_each(packed, "approach", np.inf)
     return packed
 

@@ -59,6 +59,7 @@ class Kernels:
     block(term, block, origin, x, v, force)        adds newtons to the block's force (3, w), column 0 vertex `origin`
     after(term, x, v, s, a, threads)               adds newtons to a (3, n) once all blocks are done
     place(term, x, v, s)                           puts vertices where they are carried to, before forces are found
+    look(term, x, v)                               notes what its blocks need to know of all vertices
     settle(term, x, v, s, threads)                 remembers what a whole step has led to
     hold(term, x, v, s, threads)                   moves vertices after a step
     slow(term, x, v, threads)                      holds velocities off what `hold` found
@@ -103,10 +104,13 @@ class Kernels:
     """Whether a method that has no constraint for it may take it as at the step's start."""
     memory: tuple[str, ...] = ()
     """Fields that are part of the state."""
+    lists: bool = False
+    """Whether it makes lists now and then, as far as vertices move: only real steps tell what it costs."""
     reads_velocity: Callable[[Any], bool] = lambda term: False
     block: Any = None
     after: Any = None
     place: Any = None
+    look: Any = None
     settle: Any = None
     hold: Any = None
     slow: Any = None
@@ -140,7 +144,7 @@ class Kernels:
 
     def all(self) -> list[Any]:
         """What is done in all roles."""
-        roles = [one.name for one in fields(self) if one.name not in ("name", "lags", "memory")]
+        roles = [one.name for one in fields(self) if one.name not in ("name", "lags", "memory", "lists")]
         return [found for role in roles if (found := self.find(role)) is not None]
 
 

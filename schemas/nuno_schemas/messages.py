@@ -67,8 +67,8 @@ class DyeStatus(FrameStatus):
 
 
 class Penetration(BaseModel):
-    """Collision service, once a frame: how deep published positions lie inside bodies, and where cloth passes through
-    cloth.
+    """Collision service, once a frame: how deep published positions lie inside bodies, and, where the scene has cloth
+    contact, where cloth passes through cloth and how near it comes. Float32 positions: to a tenth of a micrometre.
     """
 
     frame: int
@@ -82,10 +82,16 @@ class Penetration(BaseModel):
     mean: float
     """Mean depth of those inside [m]."""
     seconds: float
-    crossings: int = 0
-    """Edges of cloth that pass through triangles of cloth, where the scene has cloth contact."""
+    crossings: int | None = None
+    """Edges of cloth that pass through triangles of cloth; None where that was not looked for."""
     places: list[tuple[float, float, float]] = []
     """Where the first of them do [m]."""
+    objects: list[tuple[str, str]] = []
+    """Whose edges these are, and whose triangles."""
+    distance: float | None = None
+    """Least distance of an edge of cloth from a triangle of cloth that it shares no vertex with [m], 0 where one passes
+    through; None for more than the thickness, and where it was not looked for.
+    """
 
 
 class Event(BaseModel):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.curves import YarnCurves
-from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.plugin import Files, Plugin
 
 
@@ -32,6 +32,14 @@ class Changed:
     fabric: Fabric
     state: State
     source: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """Where a fabric is to start: position (n, 3) [m], and numbers for a report."""
+
+    position: Annotated[Float, "n", 3]
+    facts: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,19 @@ class Operation(Plugin, Protocol):
         ...
 
 
+class Arrangement(Operation, Protocol):
+    """An operation that moves all cloth of a scene before anything acts on it."""
+
+    def arrange(
+        self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_], thickness: float | None
+    ) -> Arranged:
+        """Where cloth starts instead of fabric.position; what is pinned stays where it is, to the bit. `objects` are
+        the vertices (k,) of each by name, meet (o, o) says which of them, in that order, meet each other and
+        themselves, and `thickness` [m] is that of cloth in contact, None without. Changes none of its arguments.
+        """
+        ...
+
+
 class Alteration(Operation, Protocol):
     """An operation that changes the fabric, and may be applied while a simulation goes on."""
 
@@ -67,3 +88,8 @@ class Alteration(Operation, Protocol):
     def resolve(self, config: Any, files: Files) -> Any:
         """The configuration with what its files hold in the place of their names. Raises BadInput."""
         ...
+
+
+def arranges(operation: object) -> bool:
+    """Whether an operation is an `Arrangement`."""
+    return hasattr(operation, "arrange")

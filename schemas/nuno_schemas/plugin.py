@@ -7,7 +7,7 @@ failure is a returned status, not hidden state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -31,7 +31,7 @@ GROUPS: Mapping[str, str] = {
     "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
     "nuno.contacts": "forces between cloth and bodies",
     "nuno.cloth_contacts": "forces between cloth and cloth, and what keeps it from passing through",
-    "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure, wrinkle",
+    "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure, untangle, wrinkle",
     "nuno.renderers": "draw a picture of a frame",
     "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
     "nuno.dye_solvers": "spread dye in a cloth over time",
@@ -99,7 +99,9 @@ class Contact(Plugin, Protocol):
 
 
 class ClothContact(Plugin, Protocol):
-    """What cloth does to cloth."""
+    """What cloth does to cloth. Its Config has a `thickness` [m], from which on cloth keeps off cloth: up to there the
+    collision service measures how near it comes.
+    """
 
     def prepare(
         self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_], gravity: Float
@@ -118,8 +120,10 @@ class Integrator(Plugin, Protocol):
     adaptive: ClassVar[bool]
     """Whether it chooses its own steps: `dt` is then the largest it may take."""
 
-    def prepare(self, config: Any, system: System, state: State) -> Memory:
-        """Memory for this system; compiles nothing before the first `advance` or `limit`."""
+    def prepare(self, config: Any, system: System, state: State, without: Sequence[str] = ()) -> Memory:
+        """Memory for this system, in which the terms of the names in `without` do nothing; compiles nothing before the
+        first `advance` or `limit`.
+        """
         ...
 
     def limit(self, config: Any, system: System, state: State) -> StepLimit: ...
@@ -137,12 +141,16 @@ class Integrator(Plugin, Protocol):
     def profile(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
     ) -> Mapping[str, float]:
-        """Wall time of one step by part [s], measured here and now on `state`: "springs", "hinges",
-        "wind", "contact", "python" as far as the system has them, and "rest".
+        """Wall time by part [s] of one step, or of one evaluation of the forces where a method counts those, measured
+        here and now on `state`: "springs", "hinges", "wind", "contact", "python" as far as the system has them.
 
-        Changes neither state nor memory; poses as in `advance`. Meant for the end of a run: a run's
-        own steps are not slowed down by it.
+        Without those of `making_lists`. Changes neither state nor memory; poses as in `advance`. Meant for the end of a
+        run: a run's own steps are not slowed down by it.
         """
+        ...
+
+    def making_lists(self, memory: Memory) -> tuple[str, ...]:
+        """Names of the terms that make lists now and then, so that only real steps tell what they cost."""
         ...
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:

@@ -51,10 +51,12 @@ class Body(Part):
 
 
 class Applied(Choice):
-    """An operation that changes a piece of cloth while the scene goes on."""
+    """An operation that changes a piece of cloth while the scene goes on, or arranges all of it before."""
 
     at: Moment = Field(default=0.0, description="when [s]; the frame nearest to it is the last without")
-    object: Name | None = Field(default=None, description="the object that is changed; the only one where left out")
+    object: Name | None = Field(
+        default=None, description="the object that is changed; left out: the only one, or all by untangle"
+    )
 
 
 class ClothContact(Choice):
@@ -119,7 +121,9 @@ class Scene(Part):
         default_factory=list, max_length=1000, description="beyond springs, gravity and damping, in their order"
     )
     operations: list[Applied] = Field(
-        default_factory=list, max_length=1000, description="what changes the cloth while the scene goes on: wrinkle"
+        default_factory=list,
+        max_length=1000,
+        description="what changes the cloth: wrinkle while the scene goes on, untangle before",
     )
     contact: Choice = Field(default=Choice(plugin="penalty"), description="between cloth and the bodies that name none")
     cloth_contact: ClothContact | Literal["none"] = Field(
@@ -137,8 +141,10 @@ class Scene(Part):
     @model_validator(mode="after")
     def _objects_are_there(self) -> Scene:
         names = [part.name for part in self.objects]
-        named: list[tuple[str | None, tuple[str | int, ...]]] = [
-            (applied.object, ("operations", i, "object")) for i, applied in enumerate(self.operations)
+        named: list[tuple[str, tuple[str | int, ...]]] = [
+            (applied.object, ("operations", i, "object"))
+            for i, applied in enumerate(self.operations)
+            if applied.object is not None
         ]
         if self.dye is not None and self.dye.object is not None:
             named.append((self.dye.object, ("dye", "object")))
@@ -146,9 +152,9 @@ class Scene(Part):
             pairs = enumerate(self.cloth_contact.allow)
             named += [(name, ("cloth_contact", "allow", i, k)) for i, pair in pairs for k, name in enumerate(pair)]
         for name, place in named:
-            if name not in names and (name is not None or len(names) != 1):
-                problem = "say which object it changes; {known}" if name is None else "no object has this name; {known}"
-                raise PydanticCustomError("no_object", problem, {"known": nearest(name or "", names), "inside": place})
+            if name not in names:
+                problem = "no object has this name; {known}"
+                raise PydanticCustomError("no_object", problem, {"known": nearest(name, names), "inside": place})
         for i, applied in enumerate(self.operations):
             if applied.at > self.duration:
                 context = {"end": f"{self.duration:g}", "inside": ("operations", i, "at")}

@@ -17,7 +17,7 @@ from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
 from nuno_schemas.dye import Cells, DyeReport, DyeState, Isotherm, Supply
 from nuno_schemas.fabric import Fabric, Hinges, Memory, Springs, State
 from nuno_schemas.layout import Bounds
-from nuno_schemas.operation import Outcome
+from nuno_schemas.operation import Arranged, Outcome
 from nuno_schemas.plugin import BodyShape, Mover
 from nuno_schemas.system import StepLimit, StepReport, Term
 from nuno_schemas.yarns import Yarns
@@ -197,6 +197,9 @@ CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None
     ("nuno.integrators", "limit"): (StepLimit, lambda found, args: check_layout("", found)),
     ("nuno.integrators", "advance"): (StepReport, lambda found, args: check_layout("", found)),
     ("nuno.operations", "apply"): (Outcome, lambda found, args: check_outcome(found, len(_of(State, args).x))),
+    ("nuno.operations", "arrange"): (
+        Arranged, lambda found, args: check_layout("", found, {"n": _of(Fabric, args).number}),
+    ),
     ("nuno.renderers", "render"): (np.ndarray, lambda found, args: check_picture(found)),
     ("nuno.dye_pictures", "draw"): (np.ndarray, lambda found, args: check_picture(found)),
     ("nuno.yarn_pictures", "draw"): (np.ndarray, lambda found, args: check_picture(found)),

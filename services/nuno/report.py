@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TextIO
 
+from nuno import crossed
 from nuno.scene.scene_file import Loaded
 from nuno.supervision.supervisor import Outcome
 from nuno.warnings import result_warnings, scene_warnings
@@ -17,7 +18,7 @@ ENDS = (("min", "shortest"), ("max", "longest"))
 TOLD: dict[str, Any] = {
     "digest": "", "began": 0.0, "paused_seconds": 0.0, "step_seconds": {}, "totals": {}, "dt": None,
     "steps_per_frame": None, "idle": 0, "rested": False, "threads": "", "energy": [], "stretch": 0.0,
-    "rest": {}, "counts": {}, "changes": [], "yarns": {}, "courses": {}, "pressure": {},
+    "rest": {}, "counts": {}, "arranged": [], "changes": [], "yarns": {}, "courses": {}, "pressure": {},
 }  # fmt: skip
 """What the service that leads says of a run, and what stands where it has not."""
 
@@ -52,9 +53,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "omega": (summary.get("limit") or {}).get("omega"),
         "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
         "penetration": services.get("collision", {}).get("deepest"),
-        "crossed_frames": services.get("collision", {}).get("crossed"),
-        "frames_looked_at": services.get("collision", {}).get("looked"),
-        "crossings": services.get("collision", {}).get("crossings"),
+        "cloth_contact": services.get("collision", {}).get("cloth_contact"),
         "last_penetration": services.get("collision", {}).get("last_depth"),
         **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed")},
         # One that was asked to finish before its first frame has no amounts.
@@ -222,6 +221,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("energy", text or "0 J"))
         since = f", since the run went on at {report['began']:g} s" if report["began"] else ""
         rows.append(("balance", _balance(first, last, report["left_out"]) + since))
+    rows += [(done["operation"], _arranged(done["facts"])) for done in report["arranged"]]
     stretch = report["stretch"]
     rows.append(("stretch", _percent(stretch)))
     if rest := report["rest"]:
@@ -233,11 +233,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         if report["rest_depth"] is not None:
             text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
-    if (crossed := report["crossed_frames"]) is not None:
-        most = f", up to {report['crossings']:,} edges through triangles in one" if crossed else ""
-        rows.append(
-            ("crossings", f"cloth passes through cloth in {crossed:,} of {report['frames_looked_at']:,} frames{most}")
-        )
+    rows += crossed.rows(report.get("cloth_contact"))
     if report["slip_speed"]:
         text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"
         rows.append(("friction", f"{text}, what turns round up to twice that"))
@@ -246,6 +242,15 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         rows.append(("counted", ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in warnings.items())))
     rows += _dye(report) if report.get("dye") else []
     return rows
+
+
+def _arranged(facts: dict[str, float]) -> str:
+    """What an operation did to the cloth before the first frame."""
+    if not facts.get("crossings"):
+        return "nothing crossed at the start"
+    far = f"{_millimetres(facts['largest'])} at most, {_millimetres(facts['mean'])} on average of all"
+    moved = f"{facts['vertices']:,.0f} vertices were moved in {facts['iterations']:,.0f} iterations, {far}"
+    return f"{facts['crossings']:,.0f} edges went through triangles at the start; {moved}"
 
 
 def _knit(report: Report) -> list[tuple[str, str]]:

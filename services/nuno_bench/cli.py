@@ -11,6 +11,7 @@ COMMANDS = {
     "accuracy": ("nuno_bench.precision.accuracy", "whether `accuracy: LEVEL` keeps its promise, on many scenes"),
     "compare": ("nuno_bench.precision.compare", "two results of precision: which errors and times have changed"),
     "stability": ("nuno_bench.stability.command", "maps of what solvers make of a scene over stiffness, mesh and step"),
+    "contact": ("nuno_bench.contact.command", "random scenes of cloth that meets cloth: none may pass through"),
     "peers": ("nuno_bench.peers.command", "the stiff sheet in other engines and in ours: error beside time"),
     "integrators": (
         "nuno_bench.integrators.command",

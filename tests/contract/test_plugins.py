@@ -51,6 +51,7 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
         "pressure": {},
         "repair": {},
         "smooth": {},
+        "untangle": {},
         "wrinkle": {"lines": [{"texture": [[0.2, 0.4], [0.8, 0.6]], "height": 0.01}]},
     },
     "nuno.renderers": {"raster": {}},

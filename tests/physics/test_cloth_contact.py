@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from sheets import DOWN, Pile, sheet
 
 from nuno.cloth.join import join_fabrics
+from nuno_bench.problem import piles
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, State
 
 SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
 
@@ -19,17 +21,9 @@ SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_eu
 def heap(solver: str, seed: int, contact: bool = True, dt: float = 2e-4) -> Pile:
     """Three uneven sheets that fly at each other, one of them held, faster than a step can see."""
     rng = np.random.default_rng(seed)
-    pieces = [
-        sheet(
-            at=np.array([0.0, 0.02 * k, 0.0]), v=np.array([0.0, (1.0 - k) * rng.uniform(2.0, 8.0), 0.0]), pinned=k == 1
-        )
-        for k in range(3)
-    ]
-    for piece in pieces:
-        piece.position[:] += 2e-3 * rng.standard_normal(piece.position.shape)
-    return Pile(
-        *pieces, solver=solver, dt=dt, contact=contact, damping=rng.uniform(0.0, 1.0), friction=rng.uniform(0.0, 1.0)
-    )
+    damping, friction = rng.uniform(0.0, 1.0, 2)
+    pieces = piles.heap(seed)
+    return Pile(*pieces, solver=solver, dt=dt, contact=contact, damping=damping, friction=friction)
 
 
 @pytest.mark.quick(solver=["symplectic_euler"])
@@ -52,22 +46,16 @@ def test_what_never_meets_keeps_its_bits() -> None:
     """Two sheets far apart, which swing: as without cloth contact, to the last bit."""
     ends = []
     for contact in (True, False):
-        pieces = [sheet(at=np.array([0.0, 0.3 * k, 0.0]), v=np.array([0.3, 0.0, 0.1])) for k in (0, 1)]
-        for piece in pieces:
-            piece.pinned[:8] = True
-        pile = Pile(*pieces, contact=contact)
+        pile = Pile(*piles.swinging(), contact=contact)
         for _ in range(10):
             pile.go(50)
         ends.append(pile.state.x.tobytes() + pile.state.v.tobytes())
     assert ends[0] == ends[1]
 
 
-def sliding(friction: float, slope: float, **settings: object) -> Pile:
+def sliding(friction: float, slope: float, **settings: Any) -> Pile:
     """A sheet that lies on a held one, gravity tilted by its slope [rad] towards +x."""
-    gravity = 9.81 * np.array([math.sin(slope), -math.cos(slope), 0.0])
-    lower = sheet(24, 0.3, pinned=True)
-    upper = sheet(8, 0.1, at=np.array([-0.05, 1.01e-3, 0.003]))
-    return Pile(lower, upper, gravity=gravity, friction=friction, **settings)  # type: ignore[arg-type]
+    return Pile(*piles.incline(), gravity=piles.tilted(slope), friction=friction, **settings)
 
 
 def pace(pile: Pile) -> Float:
@@ -104,8 +92,7 @@ def test_a_sheet_slides_as_coulomb_says() -> None:
 
 def test_a_pile_presses_with_its_weight() -> None:
     """Four sheets at rest on a held one: m g of all, by the forces on that one."""
-    pieces = [sheet(pinned=k == 0, at=np.array([0.002 * k, 1.01e-3 * k, 0.001 * k])) for k in range(5)]
-    pile = Pile(*pieces, damping=1.0)
+    pile = Pile(*piles.stack(), damping=1.0)
     for _ in range(8):
         pile.go(500)
         pile.state.v *= 0.5
@@ -115,13 +102,22 @@ def test_a_pile_presses_with_its_weight() -> None:
     assert np.abs(found.sum(axis=0)).max() < 1e-12
 
 
+def test_forces_are_those_of_the_state_that_is_asked_for() -> None:
+    """Not of the one that the solver knows: of sheets that are then lifted off each other, none."""
+    pile = Pile(sheet(pinned=True), sheet(at=np.array([0.003, 0.004, 0.002])), thickness=3e-3, damping=1.0)
+    for _ in range(20):
+        pile.go(20)
+    state = State(pile.state.x.copy(), pile.state.v.copy())
+    asked = (pile.system, state, pile.memory, None)
+    assert np.abs(pile.solver.forces(*asked).parts["cloth_contact"]).max() > 0.0
+    state.x[~pile.fabric.pinned, 1] += 3e-3
+    assert np.abs(pile.solver.forces(*asked).parts["cloth_contact"]).max() == 0.0
+    pile.go(20)
+
+
 def collision(damping: float) -> Pile:
     """Two free sheets that fly at each other, without gravity and friction."""
-    one, two = (
-        sheet(v=np.array([0.1, 0.5, 0.0])),
-        sheet(at=np.array([0.003, 0.004, 0.002]), v=np.array([0.0, -0.3, 0.0])),
-    )
-    return Pile(one, two, gravity=np.zeros(3), friction=0.0, damping=damping, dt=5e-5)
+    return Pile(*piles.collision(), gravity=np.zeros(3), friction=0.0, damping=damping, dt=5e-5)
 
 
 def test_momentum_is_kept_in_a_collision() -> None:

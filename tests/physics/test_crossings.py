@@ -1,31 +1,84 @@
-"""Where cloth passes through cloth: as ipc-toolkit finds it on meshes in disorder, and to the last digits."""
+"""Where cloth passes through cloth, and how near it comes: as ipc-toolkit finds it on meshes in disorder."""
 
 from __future__ import annotations
+
+from math import sqrt
 
 import ipctk
 import numpy as np
 import pytest
 
-from nuno.collision.crossings import cross, edges_of, find_crossings
+from nuno.collision import crossings, pairs
+from nuno.collision.clearance import least_distance
+from nuno.collision.crossings import cross, find_crossings
+from nuno.collision.pairs import Mesh, mesh_of, near_pairs
+from nuno_schemas.fabric import Float
+
+SEEDS = range(20)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_crossings_are_those_that_ipctk_finds(seed: int) -> None:
-    """Each pair once, of flat, long and small meshes."""
+def disorder(seed: int) -> tuple[Float, Mesh]:
+    """Triangles in disorder: flat, long and small."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((int(rng.integers(6, 50)), 3)) * rng.choice([0.1, 1.0, 5.0], 3)
-    faces = np.array([rng.choice(len(x), 3, replace=False) for _ in range(40)], np.int32)
-    edges = edges_of(faces)
-    found = find_crossings(x, faces, edges)
-    pairs = {(*a, *b) for a, b in zip(found.edges.tolist(), found.triangles.tolist(), strict=True)}
-    expected = [
-        (*edge, *face)
-        for edge in edges.tolist()
-        for face in faces.tolist()
-        if not {*edge} & {*face} and ipctk.is_edge_intersecting_triangle(*x[edge], *x[face])
+    return x, mesh_of(np.array([rng.choice(len(x), 3, replace=False) for _ in range(40)], np.int32))
+
+
+def all_pairs(mesh: Mesh) -> list[tuple[int, int]]:
+    """Edges and triangles by number that share no vertex."""
+    return [
+        (e, f)
+        for e, edge in enumerate(mesh.edges.tolist())
+        for f, face in enumerate(mesh.faces.tolist())
+        if not {*edge} & {*face}
     ]
-    assert sorted(pairs) == sorted(set(expected))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_crossings_are_those_that_ipctk_finds(seed: int) -> None:
+    """Each pair once."""
+    x, mesh = disorder(seed)
+    near = near_pairs(x, mesh, 0.0)
+    assert len(set(zip(*(number.tolist() for number in near), strict=True))) == len(near[0])
+    found = find_crossings(x, mesh, near)
+    through = [(*a, *b) for a, b in zip(found.edges.tolist(), found.triangles.tolist(), strict=True)]
+    expected = [
+        (*mesh.edges[e].tolist(), *mesh.faces[f].tolist())
+        for e, f in all_pairs(mesh)
+        if ipctk.is_edge_intersecting_triangle(*x[mesh.edges[e]], *x[mesh.faces[f]])
+    ]
+    assert sorted(set(through)) == sorted(set(expected))
     assert len(found.places) == len(found.edges)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_least_distance_is_that_which_ipctk_finds(seed: int) -> None:
+    """Of vertices from triangles and of edges from edges, over all that share no vertex; and no less is found of more
+    than what is looked for.
+    """
+    x, mesh = disorder(seed)
+    apart = [
+        (e, f)
+        for e, f in all_pairs(mesh)
+        if not ipctk.is_edge_intersecting_triangle(*x[mesh.edges[e]], *x[mesh.faces[f]])
+    ]
+    squares = [ipctk.point_triangle_distance(x[v], *x[mesh.faces[f]]) for e, f in apart for v in mesh.edges[e]] + [
+        ipctk.edge_edge_distance(*x[mesh.edges[e]], *x[mesh.edges[s]]) for e, f in apart for s in mesh.sides[f]
+    ]
+    least = sqrt(min(squares))
+    for within in (1.01 * least, 0.99 * least):
+        edge, face = near_pairs(x, mesh, within)
+        kept = [pair in set(apart) for pair in zip(edge.tolist(), face.tolist(), strict=True)]
+        found = least_distance(x, mesh, (edge[kept], face[kept]), within)
+        assert found == (pytest.approx(least, rel=1e-9, abs=1e-15) if within > least else None)
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 100])
+def test_pairs_are_the_same_however_many_are_looked_at_together(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    x, mesh = disorder(3)
+    expected = near_pairs(x, mesh, 0.1)
+    monkeypatch.setattr(pairs, "AT_ONCE", at_once)
+    assert np.array_equal(near_pairs(x, mesh, 0.1), expected)
 
 
 def test_an_edge_that_ends_next_to_a_triangle_is_told_from_one_that_goes_through() -> None:
@@ -36,3 +89,21 @@ def test_an_edge_that_ends_next_to_a_triangle_is_told_from_one_that_goes_through
     start = foot - 1e-3 * normal
     ends = foot + 1e-12 * normal, foot - 1e-12 * normal
     assert [bool(cross(np.array([[start, end]]), triangle)[0]) for end in ends] == [True, False]
+
+
+def test_flat_cloth_is_told_apart_without_fractions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All signs of a level or leaning sheet are 0 but for rounding; and one that it goes through is still found."""
+    row, column = np.divmod(np.arange(64), 8)
+    at = np.arange(64).reshape(8, 8)
+    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
+    mesh = mesh_of(np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32))
+    for lean in (0.0, 0.3):
+        x = 0.01 * np.stack([column, lean * row, row], axis=1)
+        near = near_pairs(x, mesh, 0.004)
+        assert len(near[0]) > 100
+        with monkeypatch.context() as patch:
+            patch.setattr(crossings, "_exact_side", lambda *points: pytest.fail("in fractions"))
+            assert not len(find_crossings(x, mesh, near).places)
+        x[0] = x[27] + [0.003, -0.05, 0.002]  # the corner is drawn through the middle
+        x[1] = x[27] + [0.003, 0.05, 0.002]
+        assert len(find_crossings(x, mesh, near_pairs(x, mesh, 0.0)).places)

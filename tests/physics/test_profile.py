@@ -75,7 +75,7 @@ def test_a_profile_names_every_part_and_compiles_nothing() -> None:
     state, memory = moved(plugin, system)
     with event.install_listener("numba:compile", compilations):
         parts = plugin.profile(system, state, memory, POSES)
-    assert list(parts) == ["springs", "hinges", "wind", "contact", "other"]
+    assert list(parts) == ["springs", "hinges", "wind", "contact"]
     assert all(seconds >= 0.0 for seconds in parts.values())
     assert sum(parts.values()) > 0.0
     assert compilations.seen == 0
@@ -87,8 +87,8 @@ def test_parts_that_a_system_lacks_are_left_out() -> None:
     bare = make_system(Skirt().build(Skirt.Config.model_validate(SKIRT), None, 0), GRAVITY)
     forced = make_system(bare.fabric, GRAVITY, terms=(Term("python", lambda x, v, t, out: calls.append(t)),))
     for system, expected in (
-        (bare, ["springs", "hinges", "other"]),
-        (forced, ["springs", "hinges", "python", "other"]),
+        (bare, ["springs", "hinges"]),
+        (forced, ["springs", "hinges", "python"]),
     ):
         plugin, state = SymplecticEuler(), start(system)
         memory = plugin.prepare(plugin.Config(), system, state)

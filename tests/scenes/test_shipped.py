@@ -17,6 +17,7 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 
 FRAMES = 5
+SCENES = scene_file.shipped() | scene_file.shipped("contact")
 QUICK = ("hanging-sheet", "drape-over-sphere", "skirt-hula")
 """Scenes that have between them what shipped scenes are made of; each other one compiles its own kernels."""
 STRETCH = 0.25
@@ -27,7 +28,7 @@ DEPTH = 5e-3
 
 def simulate(name: str) -> tuple[Simulation, list[float], list[float]]:
     """A few frames: the simulation, and the largest stretch and depth of each frame."""
-    loaded = scene_file.read(scene_file.shipped()[name])
+    loaded = scene_file.read(SCENES[name])
     bodies = build_bodies(loaded) if loaded.scene.bodies else None
     start = bodies.poses(0.0) if bodies else None
     simulation = Simulation(loaded, bodies.geometry if bodies else None, start, 1)
@@ -44,7 +45,7 @@ def simulate(name: str) -> tuple[Simulation, list[float], list[float]]:
 
 
 @pytest.mark.quick(name=QUICK)
-@pytest.mark.parametrize("name", sorted(scene_file.shipped()))
+@pytest.mark.parametrize("name", sorted(SCENES))
 def test_scene_holds_together_and_runs_the_same_twice(name: str) -> None:
     first, stretches, depths = simulate(name)
     assert np.isfinite(first.state.x).all()
@@ -70,30 +71,38 @@ def test_waist_follows_its_frame(name: str) -> None:
     np.testing.assert_allclose(local[1], local[0], atol=1e-12)
 
 
-SCRIPTS = {"make_walk.py": "walk.bvh", "make_pattern.py": "seigaiha.png", "make_net.py": "pendulum.npz"}
+FOLDER = scene_file.shipped()["skirt-walk"].parent
+MESHES = tuple(f"contact/{name}.obj" for name in ("funnel", "knot-left", "knot-right", "scarf", "table"))
+SCRIPTS = {
+    "make_walk.py": ("walk.bvh",), "make_pattern.py": ("seigaiha.png",), "make_net.py": ("pendulum.npz",),
+    "contact/make_cards.py": ("contact/cards.yaml",), "contact/make_meshes.py": MESHES,
+}  # fmt: skip
+"""And what they make."""
 
 
-@pytest.mark.parametrize(("script", "made"), SCRIPTS.items())
-def test_files_are_what_their_scripts_make(script: str, made: str, tmp_path: Path) -> None:
-    folder = scene_file.shipped()["skirt-walk"].parent
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_files_are_what_their_scripts_make(script: str, tmp_path: Path) -> None:
     copy = tmp_path / script
-    copy.write_text((folder / script).read_text())
+    copy.parent.mkdir(exist_ok=True)
+    copy.write_text((FOLDER / script).read_text())
     subprocess.run([sys.executable, str(copy)], check=True, cwd=tmp_path)
-    if made.endswith(".png"):
-        from PIL import Image
+    for made in SCRIPTS[script]:
+        if made.endswith(".png"):
+            from PIL import Image
 
-        new, old = (np.asarray(Image.open(path / made)) for path in (tmp_path, folder))
-        np.testing.assert_array_equal(new, old)
-    elif made.endswith(".npz"):  # the arrays' own bytes: how they are packed is the zip library's matter
-        with zipfile.ZipFile(tmp_path / made) as new_file, zipfile.ZipFile(folder / made) as old_file:
-            assert new_file.namelist() == old_file.namelist()
-            for member in old_file.namelist():
-                assert new_file.read(member) == old_file.read(member), member
-    else:
-        assert (tmp_path / made).read_text() == (folder / made).read_text()
+            new, old = (np.asarray(Image.open(path / made)) for path in (tmp_path, FOLDER))
+            np.testing.assert_array_equal(new, old)
+        elif made.endswith(".npz"):  # the arrays' own bytes: how they are packed is the zip library's matter
+            with zipfile.ZipFile(tmp_path / made) as new_file, zipfile.ZipFile(FOLDER / made) as old_file:
+                assert new_file.namelist() == old_file.namelist()
+                for member in old_file.namelist():
+                    assert new_file.read(member) == old_file.read(member), member
+        else:
+            assert (tmp_path / made).read_text() == (FOLDER / made).read_text()
 
 
 def test_every_shipped_data_file_has_its_script() -> None:
-    folder = scene_file.shipped()["skirt-walk"].parent
-    data = {path.name for path in folder.iterdir() if path.suffix not in (".yaml", ".py") and path.is_file()}
-    assert data == set(SCRIPTS.values())
+    data = [path for path in FOLDER.iterdir() if path.suffix not in (".yaml", ".py") and path.is_file()]
+    data += [path for path in (FOLDER / "contact").iterdir() if path.suffix not in (".yaml", ".py")]
+    made = {name for names in SCRIPTS.values() for name in names if not name.endswith(".yaml")}
+    assert {str(path.relative_to(FOLDER)) for path in data} == made

@@ -24,10 +24,10 @@ BRAKED, SWEEPS = 0.25, 4
 @block_kernel
 def brake(m: Meeting, v: Float, dt: float) -> None:
     """Slow down what would come nearer in the next step, of dt [s], than forces can answer: in v (3, n)."""
-    pair, of, reach, normal, mass, last, near = m.pair, m.of, m.reach, m.normal, m.mass, m.last, m.near
-    fast, number = np.empty(m.number[1], np.int32), 0
-    for q in range(m.number[1]):
-        p = near[q]
+    pair, of, reach, normal, mass, last, close = m.pair, m.of, m.reach, m.normal, m.mass, m.last, m.close
+    fast, number = np.empty(m.number[6], np.int32), 0
+    for q in range(m.number[6]):
+        p = close[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         here, go = corners_of(last, i, j, k, l), corners_of(v, i, j, k, l)
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), ahead(here, go, dt))

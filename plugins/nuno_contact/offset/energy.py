@@ -30,7 +30,7 @@ def measure_pairs(m: Meeting, x: Float) -> float:
         p = m.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners = corners_of(x, i, j, k, l)
-        at = touch(x, i, of[p], corners, mesh)
+        at = touch(x, i, of[p], corners, reach[p], mesh)
         if at.distance < reach[p]:
             total += stored(stiffness[p], reach[p], at.distance)
             if m.anchored[p]:

@@ -112,10 +112,12 @@ def stands_for_vertex(x: Float, v: int, f: int, w: int, mesh: Faces) -> bool:
 
 
 @forced_inline
-def touch(x: Float, i: int, f: int, corners: Corners, mesh: Faces) -> Touch:
-    """How a pair touches: of vertex i and triangle f, or of two edges where f is negative."""
+def touch(x: Float, i: int, f: int, corners: Corners, h: float, mesh: Faces) -> Touch:
+    """How a pair touches that does so within h: of vertex i and triangle f, or of two edges where f is negative."""
     found = closest(f < 0, corners)
     n, distance = unit(weigh(found.weights, corners))
+    if distance >= h:
+        return Touch(found.weights, n, math.inf)
     counts = found.where == INSIDE
     if f >= 0 and found.where >= AT_A:
         counts = stands_for_vertex(x, i, f, mesh.faces[f, found.where - AT_A], mesh)
@@ -163,15 +165,20 @@ def corners_of(x: Float, i: int, j: int, k: int, l: int) -> Corners:  # noqa: E7
 
 
 @kernel
-def is_fresh(m: Meeting, x: Float, v: Float, s: float) -> None:
-    """Note whether x (3, n) are the vertices after the last step, whose contacts are known."""
-    last, count = m.last, 0
+def is_fresh(m: Meeting, x: Float, v: Float) -> None:
+    """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for those that are
+    carried, which have gone ahead by a step; share out to blocks what is near where they are not.
+    """
+    last, mass, count = m.last, m.mass, 0
     for row in range(3):
         for i in range(x.shape[1]):
-            count += 1 if x[row, i] == last[row, i] else 0
+            count += 1 if x[row, i] == last[row, i] or mass[i] == 0.0 else 0
     m.fresh[0] = count == 3 * x.shape[1]
     if m.step[0] > 0.0:
         m.velocity[:] = v
+    if not m.fresh[0] and m.number[5] != m.number[4]:
+        share_out(m.pair, m.near, m.number[1], m.block_start, m.block_pair)
+        m.number[5] = m.number[4]
 
 
 @kernel
@@ -193,7 +200,7 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
             low, high = between(of[p] < 0, n, corners)
             if low - high > h:
                 continue
-            at = kept_touch(m, p, corners) if frozen else touch(x, i, of[p], corners, mesh)
+            at = kept_touch(m, p, corners) if frozen else touch(x, i, of[p], corners, reach[p], mesh)
             if not at.distance < h:
                 continue
         fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], damping[p], mu, anchored[p],
@@ -232,18 +239,18 @@ def rub(
 
 @block_kernel
 def find_touching(m: Meeting) -> None:
-    """Which near pairs touch at `last`, where, and the planes across them; others have no anchor."""
+    """Which close pairs touch at `last`, where, and the planes across them; others have no anchor."""
     pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
-    near, touching, weights, gap, number = m.near, m.touching, m.weights, m.distance, 0
-    for q in range(m.number[1]):
-        p = near[q]
+    close, touching, weights, gap, number = m.close, m.touching, m.weights, m.distance, 0
+    for q in range(m.number[6]):
+        p = close[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, h = corners_of(x, i, j, k, l), reach[p]
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
         if low - high > h:
             anchored[p] = False
             continue
-        at = touch(x, i, of[p], corners, mesh)
+        at = touch(x, i, of[p], corners, reach[p], mesh)
         normal[p, 0], normal[p, 1], normal[p, 2] = at.normal
         if at.distance < h:
             touching[number], gap[p] = p, at.distance

@@ -17,15 +17,18 @@ but not what to do then.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from nuno_contact.offset.brake import brake
+from nuno_contact.offset.brake import BRAKED, brake
 from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way, on_the_way, part
-from nuno_contact.offset.plan import LISTS, WINDOW, plan, set_out, strays
+from nuno_contact.offset.plan import LEAST, LISTS, WINDOW, plan, set_out, strays
 from nuno_contact.offset.proximity import between, closest, unit, weigh
+from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot
@@ -43,14 +46,33 @@ def nearest(reach: float, distance: float) -> float:
 
 
 @block_kernel
-def pass_by(m: Meeting, x: Float) -> int:
-    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`."""
-    pair, of, reach, normal, last, near, fails = m.pair, m.of, m.reach, m.normal, m.last, m.near, 0
+def farthest_way(v: Float, dt: float) -> float:
+    """How far the fastest vertex goes in dt [s] at v (3, n) [m]."""
+    most = 0.0
+    for i in range(v.shape[1]):
+        most = max(most, v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
+    return dt * math.sqrt(most)
+
+
+@block_kernel
+def pass_by(m: Meeting, x: Float, way: float) -> int:
+    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
+
+    Those that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
+    m.close.
+    """
+    pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
+    fails, number = 0, 0
     for q in range(m.number[1]):
         p = near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
         low, high = between(of_edges, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
+        if low - high > more(reach[p], BRAKED * reach[p] + 2.0 * way):
+            m.anchored[p] = False
+            continue
+        close[number] = p
+        number += 1
         if low - high >= CLOSEST * reach[p]:
             continue
         here = corners_of(last, i, j, k, l)
@@ -63,7 +85,15 @@ def pass_by(m: Meeting, x: Float) -> int:
             if gap >= nearest(reach[p], distance):
                 normal[p, 0], normal[p, 1], normal[p, 2] = n
         fails += 0 if gap >= nearest(reach[p], distance) else 1
+    m.number[6] = number
     return fails
+
+
+@block_kernel
+def all_close(m: Meeting) -> None:
+    """Note all that is near as close."""
+    m.number[6] = m.number[1]
+    m.close[: m.number[1]] = m.near[: m.number[1]]
 
 
 @forced_inline
@@ -110,6 +140,14 @@ def shorten(m: Meeting, x: Float) -> None:
                     share[v], again = allowed, True
 
 
+@block_kernel
+def copy_rows(x: Float, to: Float) -> None:
+    """Copy x (3, n); numba's own assignment goes through a third array, in case the two overlap."""
+    for row in range(3):
+        for i in range(x.shape[1]):
+            to[row, i] = x[row, i]
+
+
 @kernel
 def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
@@ -125,13 +163,15 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
             plan(m, last - reference, gone)
         if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
             plan(m, x - last, way)
-    if m.number[2] > 0 or pass_by(m, x) > 0:
+    dt = way * m.span[0]
+    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0:
         cut_short(m, x, v)
-    last[:] = x
+        all_close(m)
+    copy_rows(x, last)
     clock[0] = s
     find_touching(m)
     drag_anchors(m, v)
-    brake(m, v, way * m.span[0])
+    brake(m, v, dt)
 
 
 @block_kernel
@@ -153,7 +193,7 @@ def cut_short(m: Meeting, x: Float, v: Float) -> None:
         v[:] = 0.0
     if m.step[0] > 0.0 and give_way(m, last, x - last, CLOSEST):
         go_partly(m, x, v)
-        if pass_by(m, x) == 0:
+        if pass_by(m, x, 0.0) == 0:
             return
     shorten(m, x)
     go_partly(m, x, v)
@@ -190,7 +230,7 @@ def begin_apart(m: Meeting, x: Float, span: float) -> None:
         if not np.isfinite(x).all():
             return
         m.last[:] = x
-        clock[4], clock[2], clock[5] = WINDOW, LISTS, 1.0
+        clock[4], clock[2], clock[5], clock[6] = WINDOW, LISTS, 1.0, LEAST[1]
         clock[1], clock[3] = -2.0 * clock[2], 0.0
         m.unrest[:] = 0.0
         m.anchored[:] = False
@@ -204,6 +244,7 @@ def begin_apart(m: Meeting, x: Float, span: float) -> None:
         make_list(m)
         choose_near(m)
     renew_planes(m)
+    all_close(m)
     find_touching(m)
 
 

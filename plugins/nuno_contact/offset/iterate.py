@@ -68,7 +68,7 @@ def freeze(m: Meeting, y: Float) -> None:
     for q in range(m.number[1]):
         p = m.near[q]
         i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
-        at = touch(y, i, m.of[p], corners_of(y, i, j, k, l), mesh)
+        at = touch(y, i, m.of[p], corners_of(y, i, j, k, l), KEPT * m.reach[p], mesh)
         m.kept[p] = at.distance < KEPT * m.reach[p]
         m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2] = at.normal
         for corner in range(4):
@@ -87,7 +87,7 @@ def cover(m: Meeting, end: Float, s: float) -> None:
     if gone > 0.0:
         learn(m, 1, gone, gone / clock[4])
     window = max(way, WINDOW)
-    allow(m, 1, window)
+    allow(m, 1, window, clock[6])
     for i in range(end.shape[1]):
         a, b, c = end[0, i] - last[0, i], end[1, i] - last[1, i], end[2, i] - last[2, i]
         spread[i] = max(spread[i], min(MOST[1] * m.law[0], np.sqrt(a * a + b * b + c * c)))

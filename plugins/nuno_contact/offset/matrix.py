@@ -100,7 +100,7 @@ def foresee(m: Meeting, x: Float, d: Float, out: Float) -> bool:
         p = m.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, ways, h, waits = corners_of(x, i, j, k, l), corners_of(d, i, j, k, l), reach[p], False
-        here = kept_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, mesh)
+        here = kept_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
         closing = dot(here.normal, weigh(here.weights, ways))
         if here.distance >= h and here.distance < np.inf and here.distance + closing < h:
             waits, pull = True, stiffness[p] * (h - here.distance)
@@ -129,7 +129,7 @@ def fill_pairs(
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
         if low - high > h and not expected[p]:
             continue
-        here = kept_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, mesh)
+        here = kept_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
         if expected[p] or not here.distance < h:
             if expected[p]:
                 write_row(rows, at, p, here.weights, spread_out(stiffness[p], 0.0, 0.0, here.normal, here.normal))

@@ -12,7 +12,7 @@ from nuno_kernels import forced_inline
 from nuno_kernels.step.blocks import block_count
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 
-PER_VERTEX, FEWEST = 32, 32768
+PER_VERTEX, FEWEST = 64, 32768
 """Most pairs that are listed for each vertex, and besides."""
 EDGES = 0.25
 """Share of the stiffness that two edges have: see nuno_contact.offset.force."""
@@ -21,12 +21,13 @@ EDGES = 0.25
 class Meeting(NamedTuple):
     """Cloth of n vertices, e edges and f triangles, and P places for pairs.
 
-    boxes ... edge_boxes are the tree's (nuno_contact.offset.tree).
+    boxes ... vertex_boxes are the tree's (nuno_contact.offset.tree).
     """
 
     boxes: Float
     faces: Int
     edges: Int
+    vertices: Int
     face_start: Int
     face: Int
     edge_start: Int
@@ -35,6 +36,7 @@ class Meeting(NamedTuple):
     vertex: Int
     face_boxes: Float
     edge_boxes: Float
+    vertex_boxes: Float
     beside: Int
     """(f, 3) number of the triangle on the other side of the edges a-b, b-c, c-a; -1 where there is none"""
     ring_start: Int
@@ -61,7 +63,7 @@ class Meeting(NamedTuple):
     key: NDArray[np.int64]
     """(P,) a number of the pair, the same in every list"""
     reach: Float
-    """(P,) distance within which a pair pushes [m]"""
+    """(P,) distance within which a pair pushes [m]; negative where it was not near so far, and nothing is known"""
     pair_stiffness: Float
     """(P,) k of a pair [N/m]: half of what the weakest of its vertices can bear, or EDGES of that"""
     pair_damping: Float
@@ -71,12 +73,14 @@ class Meeting(NamedTuple):
     near: Int
     """(P,) which of them are near"""
     number: NDArray[np.int64]
-    """(5,) pairs in the list; those near; those that found no place in it; how often the list was made so far, and what
-    is near of it"""
+    """(7,) pairs in the list; those near; those that found no place in it; how often the list was made so far, and what
+    is near of it; which of these is shared out to blocks; pairs that are close"""
     block_start: Int
     """(B + 1,) bounds of each block's pairs, of those near, in"""
     block_pair: Int
     """(4 P,)"""
+    close: Int
+    """(P,) those of them that may touch after the last step, or come too near in the next"""
     touching: Int
     """(P,) pairs that touch at `last`; touch_start (B + 1,) and touch_pair (4 P,) share them out as above"""
     touch_start: Int
@@ -103,14 +107,17 @@ class Meeting(NamedTuple):
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     clock: Float
-    """(6,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
-    what is near; the share of what the list's plan allows at most: part of the state"""
+    """(7,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
+    what is near; the share of what the list's plan allows at most; how many thicknesses that of what is near allows
+    at least: part of the state"""
     span: Float
     """(1,) of the interval [s]"""
     listed: Float
     """(14, n) references, motions and spreads that the lists were made for"""
     nothing: Float
     """(n,) zeros"""
+    ways: Float
+    """(n, 8) scratch: see nuno_contact.offset.lists.lay_out"""
     step: Float
     """(1,) g [s] of a method that feels the forces at its step's end, x = x^ + g v; 0 for others"""
     velocity: Float
@@ -136,8 +143,8 @@ class Meeting(NamedTuple):
 def tree_of(m: Meeting) -> Tree:
     """The tree."""
     return Tree(
-        m.boxes, m.faces, m.edges, m.face_start, m.face, m.edge_start, m.edge, m.vertex_start, m.vertex,
-        m.face_boxes, m.edge_boxes,
+        m.boxes, m.faces, m.edges, m.vertices, m.face_start, m.face, m.edge_start, m.edge, m.vertex_start, m.vertex,
+        m.face_boxes, m.edge_boxes, m.vertex_boxes,
     )  # fmt: skip
 
 
@@ -183,9 +190,10 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         pair_damping=np.zeros(places),
         normal=np.zeros((places, 3)),
         near=np.zeros(places, np.int32),
-        number=np.zeros(5, np.int64),
+        number=np.zeros(7, np.int64),
         block_start=np.zeros(block_count(n) + 1, np.int32),
         block_pair=np.zeros(4 * places, np.int32),
+        close=np.zeros(places, np.int32),
         touching=np.zeros(places, np.int32),
         touch_start=np.zeros(block_count(n) + 1, np.int32),
         touch_pair=np.zeros(4 * places, np.int32),
@@ -199,10 +207,11 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         last=np.zeros((3, n)),
         spread=np.zeros((2, n)),
         unrest=np.zeros((2, n)),
-        clock=np.zeros(6),
+        clock=np.zeros(7),
         span=np.zeros(1),
         listed=np.zeros((14, n)),
         nothing=np.zeros(n),
+        ways=np.zeros((n, 8)),
         step=np.zeros(1),
         velocity=np.zeros((3, n)),
         expected=np.zeros(places, np.bool_),

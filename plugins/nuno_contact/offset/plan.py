@@ -17,13 +17,15 @@ from nuno_schemas.fabric import Float
 
 WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 64.0, 4.0
 """Of an interval: for how long what is near is chosen at first, at least and at most."""
-LISTS = 0.3
+LISTS = 0.6
 """Of an interval: for how long the list is made at least; else for two windows of what is near."""
 CROWDED = 24.0
 """Pairs in the list for each vertex from which on the next is made for less: layers that lie on each other are all near
 to each other, if each may stray by more than they are apart.
 """
-LEAST, MOST = (2.0, 0.1), (8.0, 1.0)
+FEW = 0.25
+"""Pairs that are near for each vertex up to which more may be: vertices may then stray by more, and plans last."""
+LEAST, MOST = (2.0, 0.1), (8.0, 2.0)
 """How far vertices may stray over the thickness, at least and at most: in the list's plan, in that of what is near."""
 AHEAD = 3.0
 """They may stray by so many times what is expected of them."""
@@ -54,11 +56,11 @@ def learn(m: Meeting, which: int, gone: float, share: float) -> None:
 
 
 @block_kernel
-def allow(m: Meeting, which: int, window: float) -> None:
-    """How far each vertex may stray in a plan of so long a window."""
+def allow(m: Meeting, which: int, window: float, least: float) -> None:
+    """How far each vertex may stray in a plan of so long a window, `least` thicknesses at least."""
     spread, unrest, h = m.spread[which], m.unrest[which], m.law[0]
     for i in range(spread.shape[0]):
-        spread[i] = min(max(AHEAD * window * window * unrest[i], LEAST[which] * h), MOST[which] * h)
+        spread[i] = min(max(AHEAD * window * window * unrest[i], least * h), MOST[which] * h)
 
 
 @block_kernel
@@ -82,7 +84,10 @@ def plan(m: Meeting, u: Float, way: float) -> None:
     window = max(way, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m, 1, gone, share)
-    allow(m, 1, window)
+    crowd = m.number[1] / m.last.shape[1]
+    clock[6] = clock[6] * 0.7 if crowd > FEW else 1.2 * clock[6] if crowd < 0.5 * FEW else clock[6]
+    clock[6] = min(MOST[1], max(LEAST[1], clock[6]))
+    allow(m, 1, window, clock[6])
     set_out(m, u, way, window)
 
 
@@ -107,9 +112,9 @@ def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
         scale, pairs = clock[5], m.number[0] / last.shape[1]
         scale = scale * 0.7 if pairs > CROWDED else min(1.0, 1.2 * scale) if pairs < 0.5 * CROWDED else scale
         whole, clock[5] = max(2.0 * window, LISTS), scale
-        allow(m, 0, whole)
+        allow(m, 0, whole, LEAST[0])
         for i in range(last.shape[1]):
-            spread[0, i] = max(scale * spread[0, i], 1.5 * spread[1, i])
+            spread[0, i] = scale * spread[0, i] + spread[1, i]
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[1], clock[2] = s, whole

@@ -12,13 +12,13 @@ from nuno_contact.offset.energy import measure_pairs
 from nuno_contact.offset.force import add_pairs, is_fresh
 from nuno_contact.offset.hold import begin_apart, hold_apart
 from nuno_contact.offset.iterate import restrain
-from nuno_contact.offset.lists import make_list
+from nuno_contact.offset.lists import make_list, measure
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
 from nuno_contact.offset.meeting import Meeting, make_meeting
+from nuno_contact.offset.tree import make_tree
 from nuno_contact.reaction import spring_stiffness
-from nuno_kernels import threads_available
-from nuno_kernels.meshes.check import find_crossings, place_of
-from nuno_kernels.meshes.tree import build_tree
+from nuno_contact.untangle.search import find_crossings
+from nuno_kernels.meshes.check import place_of
 from nuno_kernels.terms import register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -66,28 +66,16 @@ def check_thickness(fabric: Fabric, thickness: float) -> None:
 
 def check_start(fabric: Fabric, piece: Int, meet: Bool) -> None:
     """Raises BadInput for cloth that passes through cloth as it starts; pieces that do not meet may."""
-    x, faces, pieces = fabric.position, fabric.faces, range(len(meet))
-    groups = [pieces] if meet.all() else [sorted({a, b}) for a in pieces for b in pieces if a <= b and meet[a, b]]
-    for group in groups:
-        own = np.flatnonzero(np.isin(piece[faces[:, 0]], group))
-        crossed = crossing(x, faces[own])
-        if len(group) > 1 and not meet.all():  # each alone is looked at where it meets itself
-            crossed = [(a, b) for a, b in crossed if piece[faces[own[a], 0]] != piece[faces[own[b], 0]]]
-        if crossed:
-            face = own[list(crossed[0])]
-            raise BadInput(
-                f"cloth passes through cloth where it starts ({len(crossed):,} triangles)",
-                value=f"triangles {face[0]} and {face[1]}, {place_of(x[faces[face[0]]].mean(axis=0))}",
-                limit="a start in which nothing meets", remedy="move the objects apart, or leave cloth_contact out",
-            )  # fmt: skip
-
-
-def crossing(x: Float, faces: Int) -> list[tuple[int, int]]:
-    """Triangles that are crossed, by number, each with one that crosses it."""
-    other, tree = np.full(len(faces), -1, np.int32), build_tree(x, faces)
-    threads_available()
-    find_crossings(x, faces, tree.boxes, tree.child, tree.face, other)
-    return [(i, int(other[i])) for i in np.flatnonzero(other >= 0).tolist()]
+    x, tree = fabric.position, make_tree(fabric.position, fabric.faces)
+    edge, face = find_crossings(tree, x, piece, meet)
+    if len(edge):
+        i, j = tree.edges[edge[0]]
+        raise BadInput(
+            f"cloth passes through cloth where it starts ({len(edge):,} edges through triangles)",
+            value=f"edge {i}-{j} through triangle {face[0]}, {place_of(x[[i, j]].mean(axis=0))}",
+            limit="a start in which nothing meets",
+            remedy="add operations: [{plugin: untangle}], move the objects apart, or leave cloth_contact out",
+        )
 
 
 def check_gaps(m: Meeting, pieces: list[str]) -> None:
@@ -95,6 +83,8 @@ def check_gaps(m: Meeting, pieces: list[str]) -> None:
     m.reference[:3] = m.start
     make_list(m)
     number = int(m.number[0])
+    for p in range(number):
+        measure(m, p)
     near = m.reach[:number] < m.law[0]
     both = m.piece[m.pair[:number]][:, [0, 3]]
     if len(close := np.flatnonzero(near & (both[:, 0] != both[:, 1]))):
@@ -126,8 +116,9 @@ register(
     Meeting,
     name="cloth_contact",
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock"),
+    lists=True,
     reads_velocity=lambda term: True,
-    place=is_fresh,
+    look=is_fresh,
     block=add_pairs,
     hold=hold_apart,
     begin=begin_apart,

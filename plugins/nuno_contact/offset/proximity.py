@@ -40,12 +40,6 @@ def point(x: Float, i: Index) -> Vector:
 
 
 @forced_inline
-def moved(p: Vector, u: Float, i: Index) -> Vector:
-    """p and column i of u (3, n)."""
-    return p[0] + u[0, i], p[1] + u[1, i], p[2] + u[2, i]
-
-
-@forced_inline
 def weigh(w: Four, p: Corners) -> Vector:
     """Sum of w_i p_i."""
     a, b, c, d = p
@@ -89,20 +83,25 @@ def to_triangle(p: Vector, a: Vector, b: Vector, c: Vector) -> Closest:
 
 
 @forced_inline
+def clamped(a: float) -> float:
+    """The number from 0 to 1 nearest to a."""
+    a = a if a > 0.0 else 0.0
+    return a if a < 1.0 else 1.0
+
+
+@forced_inline
 def to_edge(p: Vector, q: Vector, a: Vector, b: Vector) -> Closest:
     """Two edges p q and a b of some length."""
     d1, d2, r = minus(q, p), minus(b, a), minus(p, a)
     aa, ee, f = dot(d1, d1), dot(d2, d2), dot(d2, r)
     c, bb = dot(d1, r), dot(d1, d2)
     det = aa * ee - bb * bb
-    s = min(max((bb * f - c * ee) / det, 0.0), 1.0) if det > 1e-14 * aa * ee else 0.0
-    t = (bb * s + f) / ee
-    if t < 0.0:
-        t = 0.0
-        s = min(max(-c / aa, 0.0), 1.0)
-    elif t > 1.0:
-        t = 1.0
-        s = min(max((bb - c) / aa, 0.0), 1.0)
+    # Without branches: which region it is cannot be guessed, and a wrong guess takes as long as all of this.
+    s = clamped((bb * f - c * ee) / det) if det > 1e-14 * aa * ee else 0.0
+    along = (bb * s + f) / ee
+    t = clamped(along)
+    again = clamped((bb * t - c) / aa)
+    s = s if t == along else again
     ends = s <= 0.0 or s >= 1.0 or t <= 0.0 or t >= 1.0
     return Closest((1.0 - s, s, t - 1.0, -t), 1 if ends else 0)
 
@@ -142,4 +141,5 @@ def unit(v: Vector) -> tuple[Vector, float]:
     length = math.sqrt(dot(v, v))
     if length <= 0.0:
         return v, 0.0
-    return (v[0] / length, v[1] / length, v[2] / length), length
+    scale = 1.0 / length
+    return (scale * v[0], scale * v[1], scale * v[2]), length

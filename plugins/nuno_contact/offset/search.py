@@ -13,18 +13,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.tree import Tree, less
-from nuno_kernels import block_kernel, forced_inline, kernel
+from nuno_contact.offset.tree import LEAF, Tree, less
+from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.bodies.poses import Index, Vector
 from nuno_kernels.lanes.choose import first_lane, higher, lanes_up_to, lower
 from nuno_kernels.lanes.simd import WIDTH, load, splat
 from nuno_kernels.step.blocks import Long
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, Int
 
 Box = tuple[Vector, Vector, Vector, Vector]
 """Lowest and highest place, lowest and highest motion."""
 DEPTH = 512
 """Pairs of nodes that wait to be looked at."""
+HITS = (3 * LEAF) * (3 * LEAF // WIDTH + 1)
+"""Edges of a leaf by eights of edges of another, at most."""
 
 
 @forced_inline
@@ -39,34 +41,27 @@ def nodes_apart(boxes: Float, a: int, b: int, radius: float) -> bool:
 
 
 @forced_inline
-def box_apart(own: Box, nodes: Float, node: Index, radius: float) -> bool:
-    """The same of a box and a node."""
-    for k in range(3):
-        if nodes[node, k] - own[1][k] + less(nodes[node, 6 + k] - own[3][k], 0.0) > radius:
-            return True
-        if own[0][k] - nodes[node, 3 + k] + less(own[2][k] - nodes[node, 9 + k], 0.0) > radius:
-            return True
-    return False
-
-
-@forced_inline
-def near_lanes(own: Box, boxes: Float, p: Index, radius: float) -> int:
-    """Bits of the eight boxes from column p of boxes (12, places) on that may come within `radius` of a box."""
+def near_lanes(own: Box, boxes: Float, g: Index, radius: float) -> int:
+    """Bits of those of an eight of boxes (eights, 96) that may come within `radius` of a box."""
     gap, none = splat(-np.inf), splat(0.0)
     for k in range(3):
         low, high, back, on = own[0][k], own[1][k], own[2][k], own[3][k]
-        gap = higher(load(boxes, k, p) - high + lower(load(boxes, 6 + k, p) - on, none), gap)
-        gap = higher(low - load(boxes, 3 + k, p) + lower(back - load(boxes, 9 + k, p), none), gap)
+        gap = higher(load(boxes, g, k * WIDTH) - high + lower(load(boxes, g, (k + 6) * WIDTH) - on, none), gap)
+        gap = higher(low - load(boxes, g, (k + 3) * WIDTH) + lower(back - load(boxes, g, (k + 9) * WIDTH), none), gap)
     return int(lanes_up_to(gap, radius))
 
 
 @forced_inline
-def box_of(boxes: Float, p: Index) -> Box:
-    """The box in column p."""
-    return (
-        (boxes[0, p], boxes[1, p], boxes[2, p]), (boxes[3, p], boxes[4, p], boxes[5, p]),
-        (boxes[6, p], boxes[7, p], boxes[8, p]), (boxes[9, p], boxes[10, p], boxes[11, p]),
-    )  # fmt: skip
+def box_of(boxes: Float, g: Index, lane: int) -> Box:
+    """One of an eight of boxes."""
+    return _three(boxes, g, lane, 0), _three(boxes, g, lane, 3), _three(boxes, g, lane, 6), _three(boxes, g, lane, 9)
+
+
+@forced_inline
+def _three(boxes: Float, g: Index, lane: int, number: int) -> Vector:
+    """Three of its numbers."""
+    p = np.uint64(lane + number * WIDTH)
+    return boxes[g, p], boxes[g, p + np.uint64(WIDTH)], boxes[g, p + np.uint64(2 * WIDTH)]
 
 
 @block_kernel
@@ -98,66 +93,81 @@ def find_leaves(boxes: Float, radius: float, found: Long) -> int:
     return number
 
 
-@kernel
-def find_faces(
-    a: int, b: int, x: Float, u: Float, spread: Float, tree: Tree, radius: float, found: Long, number: int
+@forced_inline
+def node_box(nodes: Float, node: Index) -> Box:
+    """The box of a node."""
+    return (
+        (nodes[node, 0], nodes[node, 1], nodes[node, 2]), (nodes[node, 3], nodes[node, 4], nodes[node, 5]),
+        (nodes[node, 6], nodes[node, 7], nodes[node, 8]), (nodes[node, 9], nodes[node, 10], nodes[node, 11]),
+    )  # fmt: skip
+
+
+@forced_inline
+def meet_eights(
+    node: Box, own: Float, own_start: Int, boxes: Float, start: Int, a: Index, b: Index, radius: float, hits: Long
 ) -> int:
+    """Into hits (c, 4): eight and lane of each primitive of leaf a that comes near the box `node` of leaf b, an eight
+    of b, and which of that its box comes near; how many there are.
+
+    Written without asking whether any does, since to guess that wrongly takes as long as ten tests.
+    """
+    number = np.uint64(0)
+    for g in range(np.uint64(own_start[a]), np.uint64(own_start[a + 1])):
+        ours = near_lanes(node, own, g, radius)
+        while ours != 0:
+            lane = first_lane(ours)
+            ours &= ours - 1
+            box = box_of(own, g, lane)
+            for q in range(np.uint64(start[b]), np.uint64(start[b + 1])):
+                bits = near_lanes(box, boxes, q, radius)
+                hits[number, 0], hits[number, 1], hits[number, 2], hits[number, 3] = g, lane, q, bits
+                number += np.uint64(bits != 0)
+    return int(number)
+
+
+@forced_inline
+def find_faces(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Long, number: int) -> int:
     """Vertices of leaf a and triangles of leaf b whose boxes come near, into found (c, 2) from `number` on."""
-    nodes, faces, face, vertex, boxes = tree.boxes, tree.faces, tree.face, tree.vertex, tree.face_boxes
-    node, first, stop = nodes.shape[0] // 2 + b, tree.face_start[b], tree.face_start[b + 1]
-    for p in range(np.uint64(tree.vertex_start[a]), np.uint64(tree.vertex_start[a + 1])):
-        v = np.uint64(vertex[p])
-        own, r = (x[0, v], x[1, v], x[2, v]), spread[v]
-        low, high = (own[0] - r, own[1] - r, own[2] - r), (own[0] + r, own[1] + r, own[2] + r)
-        box = low, high, (u[0, v], u[1, v], u[2, v]), (u[0, v], u[1, v], u[2, v])
-        if box_apart(box, nodes, node, radius):
-            continue
-        for q in range(np.uint64(first), np.uint64(stop), np.uint64(WIDTH)):
-            bits = near_lanes(box, boxes, q, radius)
-            while bits != 0:
-                f = np.uint64(face[q + np.uint64(first_lane(bits))])
-                bits &= bits - 1
-                if v != faces[f, 0] and v != faces[f, 1] and v != faces[f, 2]:
-                    if number < found.shape[0]:
-                        found[number, 0], found[number, 1] = np.int64(v), np.int64(f)
-                    number += 1
+    faces, face, vertex, node = tree.faces, tree.face, tree.vertex, node_box(tree.boxes, tree.boxes.shape[0] // 2 + b)
+    met = meet_eights(node, tree.vertex_boxes, tree.vertex_start, tree.face_boxes, tree.face_start, a, b, radius, hits)
+    for h in range(met):
+        v, bits = vertex[hits[h, 0], hits[h, 1]], hits[h, 3]
+        while bits != 0:
+            f = face[hits[h, 2], first_lane(bits)]
+            bits &= bits - 1
+            if number < found.shape[0]:
+                found[number, 0], found[number, 1] = v, f
+            number += int((v != faces[f, 0]) & (v != faces[f, 1]) & (v != faces[f, 2]))
     return number
 
 
-@kernel
-def find_edges(a: int, b: int, tree: Tree, radius: float, found: Long, number: int) -> int:
+@forced_inline
+def find_edges(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Long, number: int) -> int:
     """The same of edges e < o of two leaves, as -1 - e and o."""
-    nodes, edges, edge, boxes = tree.boxes, tree.edges, tree.edge, tree.edge_boxes
-    node, first, stop = nodes.shape[0] // 2 + b, tree.edge_start[b], tree.edge_start[b + 1]
-    for p in range(np.uint64(tree.edge_start[a]), np.uint64(tree.edge_start[a + 1])):
-        own = box_of(boxes, p)
-        if edge[p] < 0 or (a != b and box_apart(own, nodes, node, radius)):
-            continue
-        e = np.int64(edge[p])
-        i, j = edges[np.uint64(e), 0], edges[np.uint64(e), 1]
-        for q in range(np.uint64(first), np.uint64(stop), np.uint64(WIDTH)):
-            bits = near_lanes(own, boxes, q, radius)
-            while bits != 0:
-                o = np.int64(edge[q + np.uint64(first_lane(bits))])
-                bits &= bits - 1
-                k, l = edges[np.uint64(o), 0], edges[np.uint64(o), 1]  # noqa: E741
-                if i != k and i != l and j != k and j != l and (a != b or e < o):
-                    if number < found.shape[0]:
-                        found[number, 0], found[number, 1] = -1 - min(e, o), max(e, o)
-                    number += 1
+    edges, edge, node = tree.edges, tree.edge, node_box(tree.boxes, tree.boxes.shape[0] // 2 + b)
+    met = meet_eights(node, tree.edge_boxes, tree.edge_start, tree.edge_boxes, tree.edge_start, a, b, radius, hits)
+    for h in range(met):
+        e, bits = np.int64(edge[hits[h, 0], hits[h, 1]]), hits[h, 3]
+        i, j = edges[e, 0], edges[e, 1]
+        while bits != 0:
+            o = np.int64(edge[hits[h, 2], first_lane(bits)])
+            bits &= bits - 1
+            k, l = edges[o, 0], edges[o, 1]  # noqa: E741
+            if number < found.shape[0]:
+                found[number, 0], found[number, 1] = -1 - min(e, o), max(e, o)
+            number += int((i != k) & (i != l) & (j != k) & (j != l) & ((a != b) | (e < o)))
     return number
 
 
 @block_kernel
-def find_near(
-    x: Float, u: Float, spread: Float, tree: Tree, radius: float, leaves: Long, count: int, found: Long
-) -> int:
-    """Primitives of `count` pairs of leaves whose boxes come near: see find_faces and find_edges."""
-    number = 0
+def find_near(tree: Tree, radius: float, leaves: Long, count: int, found: Long) -> int:
+    """Primitives of `count` pairs of leaves whose boxes come near: see find_faces and find_edges. One kind after the
+    other, which whoever goes through them need not guess.
+    """
+    number, hits = 0, np.empty((HITS, 4), np.int64)
     for g in range(count):
-        a, b = leaves[g, 0], leaves[g, 1]
-        number = find_faces(a, b, x, u, spread, tree, radius, found, number)
-        if a != b:
-            number = find_faces(b, a, x, u, spread, tree, radius, found, number)
-        number = find_edges(a, b, tree, radius, found, number)
+        for turn in range(1 if leaves[g, 0] == leaves[g, 1] else 2):
+            number = find_faces(leaves[g, turn], leaves[g, 1 - turn], tree, radius, hits, found, number)
+    for g in range(count):
+        number = find_edges(leaves[g, 0], leaves[g, 1], tree, radius, hits, found, number)
     return number

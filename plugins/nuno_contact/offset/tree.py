@@ -28,15 +28,17 @@ class Tree(NamedTuple):
     children 2 k + 1 and 2 k + 2, the leaves are the last M nodes.
 
     boxes  (2 M - 1, 12) lowest and highest place [m], lowest and highest motion [m]; lowest above highest where empty
-    faces  (f, 3), edges (e, 2) vertices
+    faces (f, 3), edges (e, 2), vertices (n, 1)  of which vertices
     face_start, edge_start, vertex_start (M + 1,)  bounds of what each leaf owns in
-    face, edge, vertex  numbers, leaf by leaf; faces and edges are filled up to eights with -1
-    face_boxes, edge_boxes (12, places)  boxes of each, as above
+    face, edge, vertex (eights, 8)  numbers, leaf by leaf, each leaf's filled up to eights with -1
+    face_boxes, edge_boxes, vertex_boxes (eights, 96)  their boxes as above, the eight of them number by number: rows as
+    long as the mesh might drive each other from the cache
     """
 
     boxes: Float
     faces: Int
     edges: Int
+    vertices: Int
     face_start: Int
     face: Int
     edge_start: Int
@@ -45,6 +47,7 @@ class Tree(NamedTuple):
     vertex: Int
     face_boxes: Float
     edge_boxes: Float
+    vertex_boxes: Float
 
 
 def make_tree(x: Float, faces: Int) -> Tree:
@@ -61,10 +64,10 @@ def make_tree(x: Float, faces: Int) -> Tree:
     boxes = np.empty((2 * leaves - 1, 12))
     face_start, face = _in_eights(*_owned(leaf_of, np.arange(len(faces)), leaves))
     edge_start, edge = _in_eights(*_owned(leaf_of.repeat(3), numbers.ravel(), leaves))
-    corner_start, corner = _owned(leaf_of.repeat(3), faces.ravel(), leaves)
-    rooms = (np.empty((12, len(face))), np.empty((12, len(edge))))
-    faces = np.ascontiguousarray(faces, np.int32)
-    return Tree(boxes, faces, edges, face_start, face, edge_start, edge, corner_start, corner, *rooms)
+    vertex_start, vertex = _in_eights(*_owned(leaf_of.repeat(3), faces.ravel(), leaves))
+    rooms = [np.empty((len(eights), 12 * WIDTH)) for eights in (face, edge, vertex)]
+    faces, vertices = np.ascontiguousarray(faces, np.int32), np.arange(len(x), dtype=np.int32)[:, None]
+    return Tree(boxes, faces, edges, vertices, face_start, face, edge_start, edge, vertex_start, vertex, *rooms)
 
 
 def _halves(part: Any, centre: Float) -> tuple[Any, Any]:
@@ -87,12 +90,12 @@ def _owned(leaf: Any, number: Any, leaves: int) -> tuple[Int, Int]:
 
 
 def _in_eights(start: Int, number: Int) -> tuple[Int, Int]:
-    """The same with each leaf's numbers filled up with -1 to a whole number of vectors."""
+    """The same in vectors, each leaf's numbers filled up with -1 to a whole number of them."""
     count = np.diff(start)
-    places = np.concatenate([[0], np.cumsum(-(-count // WIDTH) * WIDTH)])
-    filled = np.full(places[-1], -1, np.int32)
-    filled[np.arange(len(number)) - np.repeat(start[:-1] - places[:-1], count)] = number
-    return places.astype(np.int32), filled
+    eights = np.concatenate([[0], np.cumsum(-(-count // WIDTH))])
+    filled = np.full((eights[-1], WIDTH), -1, np.int32)
+    filled.flat[np.arange(len(number)) - np.repeat(start[:-1] - WIDTH * eights[:-1], count)] = number
+    return eights.astype(np.int32), filled
 
 
 @forced_inline
@@ -108,17 +111,18 @@ def more(a: float, b: float) -> float:
 
 
 @block_kernel
-def fit_boxes(numbers: Int, of: Int, x: Float, motion: Float, spread: Float, boxes: Float) -> None:
-    """Boxes (12, p) of primitives of vertices of[number]; -1 is nowhere."""
-    for p in range(numbers.shape[0]):
+def fit_boxes(eights: Int, of: Int, x: Float, motion: Float, spread: Float, boxes: Float) -> None:
+    """Boxes (g, 96) of eights (g, 8) of primitives of vertices of[number]; -1 is nowhere."""
+    for g in range(eights.shape[0]):
         for axis in range(3):
-            low, high, back, on = np.inf, -np.inf, np.inf, -np.inf
-            if numbers[p] >= 0:
-                for corner in range(of.shape[1]):
-                    v = of[numbers[p], corner]
-                    low, high = less(low, x[axis, v] - spread[v]), more(high, x[axis, v] + spread[v])
-                    back, on = less(back, motion[axis, v]), more(on, motion[axis, v])
-            boxes[axis, p], boxes[3 + axis, p], boxes[6 + axis, p], boxes[9 + axis, p] = low, high, back, on
+            at, along, box = x[axis], motion[axis], boxes[g, axis * WIDTH :]
+            for lane in range(WIDTH):
+                number, low, high, back, on = eights[g, lane], np.inf, -np.inf, np.inf, -np.inf
+                for corner in range(of.shape[1] if number >= 0 else 0):
+                    v = np.uint64(of[number, corner])
+                    low, high = less(low, at[v] - spread[v]), more(high, at[v] + spread[v])
+                    back, on = less(back, along[v]), more(on, along[v])
+                box[lane], box[lane + 3 * WIDTH], box[lane + 6 * WIDTH], box[lane + 9 * WIDTH] = low, high, back, on
 
 
 @block_kernel
@@ -127,13 +131,16 @@ def fit_tree(tree: Tree, x: Float, motion: Float, spread: Float) -> None:
     boxes, face_start, face_boxes = tree.boxes, tree.face_start, tree.face_boxes
     fit_boxes(tree.face, tree.faces, x, motion, spread, face_boxes)
     fit_boxes(tree.edge, tree.edges, x, motion, spread, tree.edge_boxes)
+    fit_boxes(tree.vertex, tree.vertices, x, motion, spread, tree.vertex_boxes)
     leaves = face_start.shape[0] - 1
     for leaf in range(leaves):
         for row in range(12):
             lowest = row % 6 < 3
             value = np.inf if lowest else -np.inf
-            for p in range(face_start[leaf], face_start[leaf + 1]):
-                value = less(value, face_boxes[row, p]) if lowest else more(value, face_boxes[row, p])
+            for g in range(face_start[leaf], face_start[leaf + 1]):
+                for lane in range(WIDTH):
+                    own = face_boxes[g, row * WIDTH + lane]
+                    value = less(value, own) if lowest else more(value, own)
             boxes[leaves - 1 + leaf, row] = value
     for node in range(leaves - 2, -1, -1):
         a, b = 2 * node + 1, 2 * node + 2

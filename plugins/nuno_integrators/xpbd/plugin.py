@@ -118,7 +118,8 @@ class XPBD(Compiled):
         def at_rest(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
             c, others = work.own.constraints, work.own.others
             if others is not None:
-                others = others._replace(forces_on=others.forces_on & p.forces_on)
+                others = others._replace(forces=p.forces, forces_on=others.forces_on & p.forces_on)
+                others = others._replace(bodies=p.bodies, bodies_on=others.bodies_on & p.bodies_on)
             acting = {kernels_of(term).name for term, on in zip(p.forces, p.forces_on, strict=True) if on}
             c = c._replace(on=np.array([kernels_of(kind).name in acting for kind in c.kinds], np.bool_))
             own = work.own._replace(others=others, constraints=c)

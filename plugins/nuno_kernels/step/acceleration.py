@@ -19,6 +19,7 @@ from nuno_schemas.fabric import Bool, Float
 
 add_blocks = each("block", "block, origin, x, v, force")
 place = each("place", "x, v, s")
+look_at = each("look", "x, v")
 add_after = each("after", "x, v, s, a, threads")
 settle_bodies = each("settle", "x, v, s, threads")
 hold_bodies = each("hold", "x, v, s, threads")
@@ -141,6 +142,7 @@ def add_forces(
     all that it calls.
     """
     place(p.bodies, p.bodies_on, x, v, s)
+    look_at(p.bodies, p.bodies_on, x, v)
     own, blocks = Own(p.inverse_mass, p.gravity, p.damping, dt), (x.shape[1] + BLOCK - 1) // BLOCK
     if threads is None:
         for block in range(blocks):

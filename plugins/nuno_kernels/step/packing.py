@@ -64,6 +64,21 @@ def pack(system: System) -> Packed:
     return packed._replace(velocity_matters=python or reads_velocity(packed))
 
 
+def own_terms(packed: Packed) -> Packed:
+    """The same system, of the same types, whose bodies have arrays of their own. A term that is among the forces, too,
+    is one term still: what it finds in one role it reads in the other. What only adds to forces writes nothing.
+    """
+    own = {id(term): own_copy(term) for term in packed.bodies}
+    forces, bodies = (tuple(own.get(id(term), term) for term in terms) for terms in (packed.forces, packed.bodies))
+    return packed._replace(forces=forces, bodies=bodies)
+
+
+def making_lists(packed: Packed) -> tuple[str, ...]:
+    """Names of the terms of which only real steps tell what they cost."""
+    terms = (*packed.forces, *packed.bodies)
+    return tuple(dict.fromkeys(kernels_of(term).name for term in terms if kernels_of(term).lists))
+
+
 def parts(packed: Packed) -> tuple[str, ...]:
     """Names of what a step's forces can be told apart into."""
     felt = [term for term in packed.bodies if kernels_of(term).after is not None]

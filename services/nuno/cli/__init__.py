@@ -30,7 +30,10 @@ COMMANDS = {
         "measurements: speed, integrators, precision, accuracy, compare, stability, peers",
     ),
     "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
-    "gallery": ("nuno_bench.gallery.command", "one page with pictures of all scenes of a kind: dye, knit, wrinkle"),
+    "gallery": (
+        "nuno_bench.gallery.command",
+        "one page with pictures of all scenes of a kind: contact, dye, knit, wrinkle",
+    ),
     "plugins": ("nuno.cli.lists", "which plugins are installed"),
     "scenes": ("nuno.cli.lists", "the scenes that come with nuno"),
     "fabrics": ("nuno.cli.presets", "the fabrics that scenes can name, in measured units, with sources"),

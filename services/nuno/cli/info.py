@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from nuno.crossed import find_nearest, find_spells, spell_rows
 from nuno.recording.gaps import missing, shortcoming
 from nuno.recording.reader import END, Recording, open_recording
 from nuno.report import lines
@@ -30,7 +31,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 def describe(recording: Recording) -> dict[str, Any]:
-    """What `nuno info --json` prints: the file, whether it is complete, counts, what is missing, the report."""
+    """What `nuno info --json` prints: the file, whether it is complete, counts, what is missing, how cloth lies to
+    cloth, the report.
+    """
     end = recording.metadata.get(END, {})
     return {
         "file": str(recording.path),
@@ -45,6 +48,8 @@ def describe(recording: Recording) -> dict[str, Any]:
         "attachments": list(recording.attachments),
         "versions": recording.metadata.get("versions", {}),
         "plugins": list(recording.metadata.get("plugins", {})),
+        "crossings": find_spells(recording),
+        "least_distance": find_nearest(recording),
         "report": recording.report(),
     }
 
@@ -59,4 +64,5 @@ def _rows(recording: Recording) -> list[tuple[str, str]]:
     rows += [("file inside", name) for name in facts["attachments"]]
     rows.append(("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())))
     rows.append(("plugins", ", ".join(facts["plugins"])))
+    rows += spell_rows(facts["crossings"], facts["least_distance"])
     return rows + ([("", ""), *lines(facts["report"])] if facts["report"] else [])

@@ -143,6 +143,14 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
     print(f"total      {time.perf_counter() - started:.1f} s", flush=True)  # before what failed, in a pipe, too
     keep_page(options.view, outcome.services.get("viewer", {}))
     if outcome.problem:
-        print(f"\n{outcome.problem}", file=sys.stderr)
+        _say(outcome.problem)
         return 1
     return 0
+
+
+def _say(problem: str) -> None:
+    """Say what went wrong, in red on a terminal."""
+    from rich.console import Console
+
+    console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+    console.print(f"\n{problem}", style="bold red")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nuno.cloth.arrange import Start, arrange
 from nuno.cloth.join import join_fabrics
 from nuno.cloth.roughness import roughen
 from nuno.cloth.worn import check_worn
@@ -69,8 +70,15 @@ def build_fabric(
     loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None
 ) -> tuple[Fabric, list[Piece]]:
     """All objects as one fabric, and where each lies; see `build_fabrics`. Raises BadInput."""
-    fabrics = build_fabrics(loaded, geometry, poses)
-    return join_fabrics(fabrics, loaded.scene.name), place_pieces(loaded, fabrics)
+    return build_told(loaded, geometry, poses)[:2]
+
+
+def build_told(
+    loaded: Loaded, geometry: Geometry | None, poses: Poses | None
+) -> tuple[Fabric, list[Piece], list[dict[str, Any]]]:
+    """The same, and what operations said that have arranged it: see `nuno.cloth.arrange.Start`. Raises BadInput."""
+    start = build_start(loaded, geometry, poses)
+    return join_fabrics(start.fabrics, loaded.scene.name), place_pieces(loaded, start.fabrics), start.told
 
 
 def place_pieces(loaded: Loaded, fabrics: list[Fabric]) -> list[Piece]:
@@ -81,10 +89,19 @@ def place_pieces(loaded: Loaded, fabrics: list[Fabric]) -> list[Piece]:
 
 
 def build_fabrics(loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None) -> list[Fabric]:
-    """The fabric of each object. Raises BadInput.
+    """The fabric of each object where the scene starts, see `build_start`. Raises BadInput."""
+    return build_start(loaded, geometry, poses).fabrics
 
-    Bodies, with their poses at the start, are built for objects drawn over one, unless they are given.
+
+def build_start(loaded: Loaded, geometry: Geometry | None = None, poses: Poses | None = None) -> Start:
+    """The fabric of each object, and what operations said that have moved them from where models put them.
+
+    Bodies, with their poses at the start, are built for objects drawn over one, unless they are given. Raises BadInput.
     """
+    return arrange(loaded, _build_models(loaded, geometry, poses))
+
+
+def _build_models(loaded: Loaded, geometry: Geometry | None, poses: Poses | None) -> list[Fabric]:
     check_memory(loaded)
     over = [drawn_over(model) for model in loaded.models]
     if geometry is None and loaded.colliders and any(over):

@@ -8,23 +8,20 @@ from typing import Any
 import numpy as np
 
 from nuno.collision.bodies import Bodies, build_bodies
-from nuno.collision.crossings import edges_of, find_crossings
+from nuno.collision.cloth import ClothCheck
 from nuno.collision.distance import penetration
 from nuno.collision.messages import GEOMETRY_QUESTION, POSES_QUESTION, encode_geometry, encode_poses
 from nuno.service import Context, each_message
-from nuno.wire.arrays import BadMessage, decode_arrays, decode_points
+from nuno.wire.arrays import BadMessage, decode_points
 from nuno.wire.bus import Inbox, Message
 from nuno.wire.question import Question
-from nuno.wrong import Wrong, check_array
 from nuno_schemas.bodies import Poses
-from nuno_schemas.fabric import Float, Int
-from nuno_schemas.layout import Bounds
-from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, Header, Penetration
+from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, Header, Penetration, Topic
 
+CLOTH_AND_STATES = Topic("sim/*", "json", "")
+"""By one subscription: a cloth comes before its first state then, and a changed one before the first that it has."""
 KEPT = 16
 """Frames whose poses are kept: more than the simulation runs ahead."""
-MOST_PLACES = 100
-"""Where cloth passes through cloth is told of so many edges at most."""
 
 
 class Collision:
@@ -36,12 +33,8 @@ class Collision:
         self.seconds = 0.0
         self.deepest = self.last = 0.0
         self.cache: dict[int, tuple[Poses, bytes]] = {}
-        self.cloth: tuple[Int, Int] | None = None
-        """Triangles and edges of the cloth, where it is to be looked at."""
-        self.piece, self.meet = np.zeros(0, np.int32), context.loaded.scene.meet()
-        """(n,) number of the object that each vertex is of, and which objects meet."""
-        self.looked = self.crossed = self.crossings = 0
-        """Frames that were looked at, those in which cloth passed through cloth, and the most crossings in one."""
+        self.cloth = ClothCheck(context.loaded) if context.loaded.scene.meets else None
+        """None where cloth passes through cloth."""
 
     def answer(self, question: Question) -> None:
         """The geometry, or the poses of a frame."""
@@ -93,7 +86,7 @@ class Collision:
         depth = np.zeros(len(points))
         if self.bodies is not None:
             depth = penetration(points, self.bodies.geometry, self.poses(header.frame)[0])
-        inside, crossings = depth > 0.0, self.look_for_crossings(points)
+        inside, cloth = depth > 0.0, self.cloth.look(points, header) if self.cloth else {}
         deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(
             frame=header.frame,
@@ -103,51 +96,28 @@ class Collision:
             inside=int(inside.sum()),
             mean=float(depth[inside].mean()) if deepest >= 0 else 0.0,
             seconds=time.perf_counter() - start,
-            **crossings,
+            **cloth,
         )
         self.deepest, self.last = max(self.deepest, report.depth), report.depth
         self.seconds += report.seconds
         self.context.bus.publisher(PENETRATION).put(report.model_dump_json().encode(), header.frame, header.t)
         self.context.acknowledge(header.frame, header.t)
 
-    def look_for_crossings(self, points: Float) -> dict[str, Any]:
-        """What a frame's report says of where cloth passes through cloth. Raises BadMessage for points of another."""
-        if self.cloth is None or not np.isfinite(points).all():
-            return {}
-        if len(points) != len(self.piece):
-            raise BadMessage(f"{len(points)} points of a cloth of {len(self.piece)} vertices")
-        self.looked += 1
-        found = find_crossings(points, *self.cloth)
-        places = found.places[self.meet[self.piece[found.edges[:, 0]], self.piece[found.triangles[:, 0]]]]
-        number = len(places)
-        self.crossed, self.crossings = self.crossed + (number > 0), max(self.crossings, number)
-        return {"crossings": number, "places": places[:MOST_PLACES].tolist()}
-
-    def take_cloth(self, message: Message) -> None:
-        """Look at another cloth from now on: the run's, or what an operation has made of it. Raises BadMessage."""
-        arrays, text = decode_arrays(message.payload)
-        try:
-            faces = arrays["faces"]
-            check_array("faces", faces, np.int32, (None, 3), Bounds(0, text["vertices"] - 1))
-            number = [piece["stop"] - piece["start"] for piece in text["objects"]]
-            self.cloth, self.piece = (faces, edges_of(faces)), np.repeat(np.arange(len(self.meet)), number)
-        except (LookupError, TypeError, ValueError) as error:
-            raise BadMessage(f"a fabric without {error}") from None
-        except Wrong as error:
-            raise BadMessage(f"a fabric of which {error}") from None
-
 
 def main(context: Context) -> None:
     """Serve one run's bodies, and look at its cloth, until asked to finish."""
     scene = context.loaded.scene
-    inbox = Inbox(context.bus, [STATE, FABRIC] if scene.meets else [STATE])
+    inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
     inbox.answer(GEOMETRY_QUESTION)
     inbox.answer(POSES_QUESTION)
 
     def handle(message: Message) -> None:
         try:
-            (collision.take_cloth if message.topic == FABRIC.name else collision.measure)(message)
+            if message.topic == STATE.name:
+                collision.measure(message)
+            elif message.topic == FABRIC.name and collision.cloth is not None:
+                collision.cloth.take(message.payload)
         except BadMessage:
             inbox.refuse(message)
 
@@ -155,6 +125,6 @@ def main(context: Context) -> None:
     found: dict[str, Any] = {"seconds": collision.seconds}
     if scene.bodies:
         found |= {"deepest": collision.deepest, "last_depth": collision.last}
-    if scene.meets:
-        found |= {"looked": collision.looked, "crossed": collision.crossed, "crossings": collision.crossings}
+    if collision.cloth is not None:
+        found["cloth_contact"] = collision.cloth.summary()
     finish.answer_json(context.counts(inbox) | found)

@@ -17,7 +17,16 @@ from nuno.recording.recorded import per_dye
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 
-UNITS = {"balance": "1", "t": "s", "time": "s", "step_seconds": "s", "depth": "m", "mean": "m", "stretch": "1"}
+UNITS = {
+    "balance": "1",
+    "t": "s",
+    "time": "s",
+    "step_seconds": "s",
+    "depth": "m",
+    "mean": "m",
+    "stretch": "1",
+    "distance": "m",
+}
 
 
 def export_npz(source: Recording | Path | str, path: Path, frame: int | None = None) -> Path:

@@ -182,8 +182,8 @@ def open_recording(path: Path | str) -> Recording:
 
 def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
     """frame, t [s], steps, step_seconds, energy_* [J], stretch, and from the collision service depth [m],
-    inside, mean [m]; of a cloth that is dyed mobile_*, fixed_* and supplied_* by dye, balance, and time, that of
-    the dyeing [s]; NaN where one is missing.
+    inside, mean [m], and of cloth that meets cloth crossings and distance [m]; of a cloth that is dyed mobile_*,
+    fixed_* and supplied_* by dye, balance, and time, that of the dyeing [s]; NaN where one is missing.
     """
     rows: dict[int, dict[str, Any]] = {}
     for message in recording.messages(STATUSES):
@@ -198,7 +198,10 @@ def read_series(recording: Recording) -> dict[str, NDArray[Any]]:
         value = recording.json(message.payload)
         rows.setdefault(
             recording.whole(value.get("frame", -1)), {"frame": value.get("frame"), "t": value.get("t")}
-        ).update({name: value.get(name) for name in ("depth", "inside", "mean")})
+        ).update(
+            {name: value.get(name) for name in ("depth", "inside", "mean")}
+            | {name: value[name] for name in ("crossings", "distance") if value.get(name) is not None}
+        )
     names = list(dict.fromkeys(name for row in rows.values() for name in row))
     return {name: _column([rows[frame].get(name) for frame in sorted(rows)]) for name in names}
 

@@ -18,6 +18,7 @@ from nuno.scene.override import apply_override, item_at, number_or_name, overrid
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.operation import arranges
 from nuno_schemas.parts import Choice
 from nuno_schemas.scene import Applied, ClothContact, Scene
 from nuno_schemas.solver import AUTO, Solver
@@ -240,6 +241,11 @@ def choose_operation(
     """An operation that changes cloth, with what its files hold. Raises BadInput."""
     chosen = choose_plugin("nuno.operations", applied, place, file, lines)
     try:
+        if arranges(chosen.plugin):
+            if applied.at > 0.0:
+                value, remedy = f"{applied.at:g} s", "leave it out"
+                raise BadInput("this operation is for the start", field="at", value=value, remedy=remedy)
+            return chosen
         if not hasattr(chosen.plugin, "resolve"):
             raise BadInput("this operation does not change cloth that moves", field="plugin", value=chosen.name)
         return replace(chosen, config=chosen.plugin.resolve(chosen.config, files))
@@ -263,6 +269,11 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
     operations = [
         choose_operation(applied, ("operations", i), file, lines, files) for i, applied in enumerate(scene.operations)
     ]
+    for i, (applied, operation) in enumerate(zip(scene.operations, operations, strict=True)):
+        if applied.object is None and len(scene.objects) != 1 and not arranges(operation.plugin):
+            remedy = nearest("", [part.name for part in scene.objects])
+            unsaid = BadInput("say which object it changes", remedy=remedy)
+            raise located(unsaid, file, lines, dotted(("operations", i, "object")))
     all_chosen += operations
     return Loaded(
         scene,

@@ -17,6 +17,7 @@ from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Chosen, Loaded, choose_operation
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Springs
+from nuno_schemas.operation import arranges
 from nuno_schemas.scene import Applied
 
 NAME = "add"
@@ -60,6 +61,9 @@ def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
         raise BadInput("say which object it changes", NAME, field="object", value=applied.object, remedy=remedy)
     files = SceneFiles(loaded.files.folder, loaded.files.roots)
     chosen = choose_operation(applied, (), NAME, lines, files)
+    if arranges(chosen.plugin):
+        raise BadInput("this operation is for the start, before the first frame", NAME, value=name,
+                       remedy=f"run the scene again with operations: [{{plugin: {name}}}]")  # fmt: skip
     if files.used:
         own = {} if applied.object is None else {"object": applied.object}
         said = chosen.config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
@@ -70,11 +74,14 @@ def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
 def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[Any]:
     """A solver's array for a changed fabric: of old vertices what `values` has, of new ones what `target` begins with.
 
-    source (n,) the vertex that each was, -1 for a new one. An array without an axis of vertices stays as it is.
+    source (n,) the vertex that each was, -1 for a new one. An array of the same shape stays as it is; one that grows by
+    something else than vertices, such as the pairs that may come near, begins anew.
     """
     axes = [i for i, (old, new) in enumerate(zip(values.shape, target.shape, strict=True)) if old != new]
     if not axes:
         return values
+    if target.shape[axes[0]] != len(source):
+        return target
     carried = np.moveaxis(target.copy(), axes[0], 0)
     old = source >= 0
     carried[old] = np.moveaxis(values, axes[0], 0)[source[old]]

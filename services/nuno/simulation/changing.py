@@ -19,7 +19,7 @@ from nuno.stepping.stepped import Stepper
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int, State
-from nuno_schemas.operation import Outcome
+from nuno_schemas.operation import Outcome, arranges
 from nuno_schemas.system import StepReport
 
 
@@ -73,7 +73,8 @@ class Changing(Stepper):
         for i in order[before : self.due(self.frame)]:
             name = scene.operations[i].object or names[0]
             try:
-                self._alter(names.index(name), self.loaded.operations[i])
+                if not arranges(self.loaded.operations[i].plugin):  # otherwise the cloth was built so
+                    self._alter(names.index(name), self.loaded.operations[i])
             except BadInput as error:
                 raise self.loaded.at(f"operations[{i}]", error) from None
             self.applied += 1

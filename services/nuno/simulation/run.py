@@ -22,6 +22,7 @@ from nuno.scene.scene_file import Loaded, load
 from nuno.scene.step import choose_step
 from nuno.simulation.alter import carry
 from nuno.simulation.changing import Changing
+from nuno.simulation.costs import Costs, Stage
 from nuno.simulation.relax import BALANCED, Relaxation, unsettled
 from nuno.stepping.stepped import Stepped, copy_into, hash_of
 from nuno.wire.arrays import decode_points, encode_points
@@ -29,6 +30,7 @@ from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Int, State
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
+from nuno_schemas.operation import arranges
 from nuno_schemas.system import Forces, StepLimit, StepReport, System
 
 REST_SPEED, REST_TIME = 1e-3, 0.1
@@ -37,8 +39,6 @@ longer than a swing stands still where it turns."""
 
 SETTABLE = ("gravity", "damping", "forces")
 """Fields that `set` may change while a run goes on."""
-
-
 RELAXATION = "relaxation"
 """Array of the memory that damping which finds its own strength goes on from."""
 
@@ -56,7 +56,7 @@ class Simulation(Changing):
 
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
-        self.fabric, self.pieces = build.build_fabric(loaded, geometry, poses)
+        self.fabric, self.pieces, self.arranged = build.build_told(loaded, geometry, poses)
         if loaded.scene.until == "balance" and (self.fabric.springs is None or self.fabric.springs.number == 0):
             problem, remedy = "cloth without springs has no tension to be in balance with", "take until: rest"
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
@@ -67,6 +67,7 @@ class Simulation(Changing):
         self.frame = 0
         self.balanced = False
         """Whether a scene until balance has come to it."""
+        self.costs = Costs()
         self.idle = 0
         """Frames that were not stepped, since nothing would have changed."""
         self._still = False
@@ -75,8 +76,8 @@ class Simulation(Changing):
         self.system: System
         self.limit: StepLimit
         self._prepare({})
-        for operation in self.loaded.operations:
-            operation.plugin.compile()
+        for operation in (one.plugin for one in self.loaded.operations if not arranges(one.plugin)):
+            operation.compile()
         self.alter_due()
 
     @classmethod
@@ -91,14 +92,14 @@ class Simulation(Changing):
 
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
         """(Re)build what follows from the scene; `arrays` is memory to keep, of vertices that were `source` before."""
-        integrator = self.loaded.integrator
+        integrator, bodies = self.loaded.integrator, (self.geometry, self.start_poses)
         self._still = False
-        bodies = (self.geometry, self.start_poses)
         self.system = build.build_system(self.loaded, self.fabric, self.pieces, *bodies, self.threads)
         # The limit comes before the solver's memory: both at once would be a run's peak.
         self.limit = self._find_limit()
         self.steps, self.dt = choose_step(self.loaded, self.limit.dt, self.limit.resolved)
         self.memory = integrator.plugin.prepare(integrator.config, self.system, self.state)
+        self.costs.begin(integrator.plugin.making_lists(self.memory))
         # A run that goes on from a checkpoint must come to rest in the same frame.
         self.slow_frames = np.zeros(1, np.int64)
         if self.loaded.scene.until == "rest":
@@ -175,10 +176,12 @@ class Simulation(Changing):
         else:
             # What has any velocity moves: only standing cloth is worth a hash.
             before = self._content() if unmoved and not self.state.v.any() else ""
-            plugin = self.loaded.integrator.plugin
             if self.relaxation is not None:
                 self.system = replace(self.system, damping=self.relaxation.damping)
+            self.costs.before(self.state, self.memory, poses)
+            plugin = self.loaded.integrator.plugin
             report = plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
+            self.costs.after(report)
             # A frame that changes nothing is followed by frames that change nothing.
             timeless = not any(term.in_python for term in self.system.terms)
             self._still = bool(before) and timeless and report.status == "ok" and before == self._content()
@@ -223,12 +226,11 @@ class Simulation(Changing):
         """See `Stepper`."""
         return str(self.loaded.integrator.plugin.about(self.system))
 
-    def shares(self, poses: Poses | None) -> dict[str, float]:
-        """How a step's time divides among its parts, in the present state; the sum is 1."""
-        plugin, pair = self.loaded.integrator.plugin, (poses, poses) if poses else None
-        parts: dict[str, float] = dict(plugin.profile(self.system, self.state, self.memory, pair))
-        total = sum(parts.values()) or 1.0
-        return {name: seconds / total for name, seconds in parts.items()}
+    def divide(self, seconds: float) -> dict[str, float]:
+        """What each part of the steps has cost, of all `seconds` of them."""
+        chosen, pair = self.loaded.integrator, (self.poses, self.poses) if self.poses else None
+        each = chosen.plugin.profile(self.system, self.state, self.memory, pair)
+        return self.costs.divide(each, Stage(chosen, self.system, self.steps, self.dt), seconds)
 
     def measure(self, poses: Poses | None) -> StepReport:
         """The present state's energy and stretch, without a step."""

@@ -168,7 +168,7 @@ class ClothDriver(Driver):
         simulation, fabric = self.simulation, self.simulation.fabric
         parts: dict[str, float] = {}
         if ended in ("done", "stopped") and self.seconds["steps"] > 0.0:
-            parts = {n: share * self.seconds["steps"] for n, share in simulation.shares(simulation.poses).items()}
+            parts = simulation.divide(self.seconds["steps"])
         limit = simulation.limit
         return {
             "step_seconds": parts,
@@ -184,6 +184,7 @@ class ClothDriver(Driver):
             "yarns": measure_yarns(fabric),
             "courses": measure_courses(fabric, simulation.state.x),
             "pressure": self.pressure(),
+            "arranged": simulation.arranged,
             "changes": [
                 change | {"measured": [*change["measured"], simulation.heights(i)]}
                 for i, change in enumerate(simulation.changes)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+from nuno import crossed
 from nuno.process import Terminated
 from nuno.scene.scene_file import Loaded
 from nuno.service import SUPERVISOR, Options
@@ -63,8 +64,7 @@ class Outcome:
     def problem(self) -> str:
         """What went wrong, in words; empty where nothing did."""
         if self.state in ("done", "stopped"):
-            crossed = self.services.get("collision", {}).get("crossed")
-            return f"crossed: cloth passes through cloth in {counted({'frames': crossed})}" if crossed else ""
+            return crossed.problem(self.services.get("collision", {}).get("cloth_contact"))
         return f"{self.state}: {self.error or self.summary.get('message') or 'positions are no longer finite'}"
 
 

@@ -18,6 +18,7 @@ from nuno.viewer import layout
 from nuno.viewer.about import about, about_tension, tension_legend
 from nuno.viewer.bodies import BodiesView
 from nuno.viewer.cloth import Cloth, ReadImage, read_image
+from nuno.viewer.crossings import CrossingsView
 from nuno.viewer.dyed import DyedCloth
 from nuno.wire.arrays import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno_schemas.dye_picture import Picture
@@ -75,6 +76,7 @@ class Bridge:
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
         self._bodies: BodiesView | None = None
+        self._crossings: CrossingsView | None = None
         self._speed = painter.speed if painter is not None else None
         self._dyed_object = painter.object if painter is not None else None
         self._dyed: DyedCloth | None = None
@@ -190,7 +192,8 @@ class Bridge:
         if self._eye is not None:
             dyes = self._dyed.names if self._dyed is not None else []
             legend = any(cloth.tensions for cloth in self._cloths)
-            blueprint = layout.arrange(self._eye, self._bodies is not None, self.live, dyes, self._pictured, legend)
+            bodies, meets = self._bodies is not None, self._crossings is not None
+            blueprint = layout.arrange(self._eye, bodies, self.live, dyes, self._pictured, legend, meets)
             self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _status(self, payload: bytes) -> None:
@@ -223,6 +226,11 @@ class Bridge:
     def _penetration(self, payload: bytes) -> None:
         report = Penetration.model_validate_json(payload)
         self._log("/plots/penetration", rr.Scalars([1000.0 * report.depth, 1000.0 * report.mean]))
+        if report.crossings is not None:
+            if self._crossings is None:
+                self._crossings = CrossingsView(self.recording)
+                self._arrange()
+            self._crossings.log(report)
 
     def _amounts(self, payload: bytes) -> None:
         assert self._dyed is not None

@@ -73,14 +73,17 @@ def fit_eye(points: Float, view: View) -> Eye:
 
 
 def arrange(
-    eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False
-) -> Any:
+    eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False,
+    meets: bool = False,
+) -> Any:  # fmt: skip
     """The blueprint: the scene large on the left, with the `legend` of its links' tension below and the `pictures` of
-    its yarns beside it, if any; curves, log and report on the right.
+    its yarns beside it, if any; curves, log and report on the right. `meets`: cloth meets cloth.
     """
     plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
     if bodies:
         plots.append(curves("Penetration [mm]", "penetration", legend=True))
+    if meets:
+        plots.append(curves("Least distance of cloth from cloth [mm]", "distance"))
     plots.append(curves("Wall time to compute a frame [ms]", "time"))
     amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True) for name in dyes or ()]
     tabs = [*([("Dye", amounts)] if amounts else []), ("Curves", plots)]

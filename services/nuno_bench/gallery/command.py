@@ -8,34 +8,36 @@ import io
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from nuno.ahead import Pace, run_seconds
 from nuno.scene import scene_file
 from nuno.words import roughly
 from nuno_bench import machine, options
-from nuno_bench.gallery import dye, knit, wrinkle
+from nuno_bench.gallery import contact, dye, knit, wrinkle
 from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Kind, Shown, compare
 from nuno_bench.report import page
-from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 
-KINDS: dict[str, Kind] = {"dye": dye.KIND, "knit": knit.KIND, "wrinkle": wrinkle.KIND}
+KINDS: dict[str, Kind] = {"contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "wrinkle": wrinkle.KIND}
 ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("kind", choices=list(KINDS), help="of scenes: dye, the figures of the dye paper; knit, all "
-                        "knits; wrinkle, lines drawn on cloth")  # fmt: skip
+    parser.add_argument("kind", choices=list(KINDS), help="of scenes: contact, cloth that meets cloth; dye, the "
+                        "figures of the dye paper; knit, all knits; wrinkle, lines drawn on cloth")  # fmt: skip
     parser.add_argument("--scenes", metavar="A,B", help="only these, by name (default: all)")
     parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
                         help="where the page goes (default: %(default)s)")  # fmt: skip
+    options.add_shared(parser, "--docs")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run all scenes; 1 where one fails, or does not show what it must."""
-    kind, others = KINDS[args.kind], machine.Others()
+    kind, others, section = KINDS[args.kind], machine.Others(), f"gallery {args.kind}"
+    page.check_section(args.docs, section)
     paths = choose(kind, args.scenes)
     print(f"a frame of each of {len(paths)} scenes is tried, to see how long they take", file=sys.stderr, flush=True)
     pace = Pace({path.stem: run_seconds(scene_file.read(path)) for path in paths})
@@ -51,7 +53,7 @@ def main(args: argparse.Namespace) -> int:
     found = compare(kind.differences, {one.name: one for one in shown if not one.failed})
     for row in found:
         print("  ".join(row))
-    report(kind, shown, found, machine.about(others)).write(args.out / f"{args.kind}.html", None, None, "")
+    report(kind, shown, found, machine.about(others)).write(args.out / f"{args.kind}.html", None, args.docs, section)
     return int(any(one.failed for one in shown) or any(row[-1] == "missed" for row in found))
 
 
@@ -71,15 +73,15 @@ def report(kind: Kind, shown: Sequence[Shown], found: list[list[str]], about: di
     for one in shown:
         own.setdefault(kind.section(one.name), []).append(one)
     lost = [[one.name, f"failed, {one.failed}"] for one in shown if one.failed]
-    measured = [[one.name, what, number(value)] for one in shown for what, value in one.measured.items()]
+    measured = replace(kind.table(shown), caption=kind.measures)
     where = "What these show is where they got to; what must show is not asked of them."
     sections: page.Sections = [
         *((heading, [page.Pictures(_pictures(kind, ones))]) for heading, ones in own.items()),
         ("Failed", [page.Table(("scene", "why"), lost, where)]),
         ("What must show", [page.Table(DIFFERENCE_HEADINGS, found, ASKED)]),
-        ("Measured", [page.Table(("scene", "measure", "value"), measured, kind.measures)]),
+        ("Measured", [measured]),
     ]
-    return page.Report(kind.title, kind.lead, sections, about, {})
+    return page.Report(kind.title, kind.lead, sections, about, {}, [measured])
 
 
 def _pictures(kind: Kind, shown: Sequence[Shown]) -> list[page.Image]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from nuno import api
 from nuno.recording.reader import Recording, open_recording
+from nuno_bench.report.page import Table
 from nuno_bench.report.result import number
 from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import RunFailed
@@ -44,6 +45,12 @@ class Shown:
     failed: str = ""
 
 
+def list_measured(shown: Sequence[Shown]) -> Table:
+    """A row a measure of each scene."""
+    rows = [[one.name, what, number(value)] for one in shown for what, value in one.measured.items()]
+    return Table(("scene", "measure", "value"), rows)
+
+
 @dataclass(frozen=True)
 class Kind:
     """Scenes that are shown on one page.
@@ -52,6 +59,7 @@ class Kind:
     run_scene    runs one to its end, or to where it fails; raises BadInput
     differences  what must show
     measures     a sentence above what was measured
+    table        of what was measured
     section      heading under which a scene's pictures stand, by its name
     apart        label of pictures that stand after the others of a section
     """
@@ -64,6 +72,7 @@ class Kind:
     measures: str
     section: Callable[[str], str] = str
     apart: str = ""
+    table: Callable[[Sequence[Shown]], Table] = list_measured
 
 
 @contextmanager

@@ -10,18 +10,22 @@ FABRICS = ("denim", "interlock", "rib-knit", "polyester", "jacket", "trousers")
 PINS: tuple[list[str], ...] = (["top-corners"], ["top-row"], ["top-left"], ["left-column"], [])
 
 
+def random_fabric(rng: np.random.Generator) -> Any:
+    """The name of a preset, or springs of stiffness 10 to 10,000 N/m."""
+    if rng.random() < 0.5:
+        return str(rng.choice(FABRICS))
+    structural = float(f"{10 ** rng.uniform(1.0, 4.0):.3g}")
+    shear, bending = (float(f"{structural * rng.uniform(low, high):.3g}") for low, high in ((0.05, 0.5), (0, 0.05)))
+    fabric = {"density": round(float(rng.uniform(0.1, 0.4)), 3), "structural": structural, "shear": shear}
+    return fabric | {"bending": bending, "damping_ratio": round(float(rng.uniform(0, 0.1)), 3)}
+
+
 def random_scene(seed: int) -> dict[str, Any]:
     """A scene's data: a preset or springs of stiffness 10 to 10,000 N/m, with or without wind, ball and damping."""
     rng = np.random.default_rng(seed)
     side = int(rng.integers(12, 33))
     width = round(float(rng.uniform(0.3, 1.5)), 3)
-    if rng.random() < 0.5:
-        fabric: Any = str(rng.choice(FABRICS))
-    else:
-        structural = float(f"{10 ** rng.uniform(1.0, 4.0):.3g}")
-        shear, bending = (float(f"{structural * rng.uniform(low, high):.3g}") for low, high in ((0.05, 0.5), (0, 0.05)))
-        fabric = {"density": round(float(rng.uniform(0.1, 0.4)), 3), "structural": structural, "shear": shear}
-        fabric |= {"bending": bending, "damping_ratio": round(float(rng.uniform(0, 0.1)), 3)}
+    fabric = random_fabric(rng)
     pins = PINS[int(rng.integers(len(PINS)))]
     angle = round(float(rng.uniform(-90, 90)), 1)
     model = {"plugin": "sheet", "size": [width, width], "resolution": [side, side], "fabric": fabric, "pin": pins}

@@ -22,6 +22,7 @@ CASES = {
     "closest": "leg.closest:closest",
     "fit": "leg.fit:fits",
     "sdf": "leg.closest:sdf",
+    "contact": "contact:contact",
     "wrinkle": "wrinkle:wrinkle",
     "render": "leg.render:render",
     "dye": "dye:dye",

@@ -1,0 +1,118 @@
+"""The way out: cloth is moved a little at a time until nothing crosses and all keep their gaps.
+
+Each time, what crosses is pushed by STEP of an edge at most, as nuno_contact.untangle.sides says, and what has come
+too near is pushed apart, each vertex by the mean of what its pairs ask of it. What crosses is pushed by a displacement
+that is smoothed over the mesh, and scaled so that it still comes nearest to what was asked: cloth does not move vertex
+by vertex. Where the number of tangled vertices has not fallen for PATIENCE times, the next of WAYS is taken for as
+many.
+
+Not chosen: to smooth over more of the mesh, or to let what takes no part follow as by springs. Both draw what has been
+freed of a crumpled skirt into itself again, and move more of it. Nor steps that never let a new crossing come up, by
+the bounds of nuno_contact.offset.hold: what has to pass through one sheet on its way out of another could not.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from nuno_contact.untangle.cloth import Cloth, Long
+from nuno_contact.untangle.contours import Nodes, find_contours, make_nodes
+from nuno_contact.untangle.search import OVER, Near, find_crossings, find_near_pairs
+from nuno_contact.untangle.sides import Sides, find_sides
+from nuno_schemas.fabric import Bool, Float
+
+STEP = 0.5
+"""Share of the mean edge by which what crosses is pushed at most."""
+WAYS = ((3, False), (3, True), (1, False), (1, True))
+"""How often a push is smoothed, and whether all contours are made shorter, also where they cut."""
+MOST = 5.0
+"""How much a smoothed push is scaled at most."""
+LEAST = 0.25
+"""Of the squares of weights that a pair is moved by: less has one of which hardly anything is free."""
+PATIENCE, SETTLED = 15, 50
+"""How often nothing may get better before something else is tried; and how often, where nothing crosses any more,
+parts of one object are pushed further apart."""
+
+
+class Loosened(NamedTuple):
+    """Displacements (n, 3) [m], how often the cloth was moved, edges (k,) and triangles (k,) that still cross, and
+    pairs that are nearer than they ought to be.
+    """
+
+    moved: Float
+    iterations: int
+    edge: Long
+    face: Long
+    near: Near
+
+
+def loosen(cloth: Cloth, gap: float, most: int) -> Loosened:
+    """Move the cloth at most so many times, from where it crosses, until what was tangled and objects keep a gap [m].
+
+    Of one object parts may stay nearer, as in a sharp fold: they are given up after a while.
+    """
+    moved = np.zeros_like(cloth.begun)
+    ever, fewest, since, clear = np.zeros(len(moved), bool), len(moved) + 1, 0, 0
+    for iteration in range(most + 1):
+        x = cloth.begun + moved
+        edge, face = find_crossings(cloth.tree, x, cloth.piece, cloth.meets)
+        tangled, push = np.zeros(len(x), bool), np.zeros_like(x)
+        if len(edge):
+            nodes = make_nodes(cloth, x, edge, face)
+            sweeps, shorten = WAYS[since // PATIENCE % len(WAYS)]
+            sides = find_sides(cloth, x, nodes, find_contours(cloth, x, nodes), shorten)
+            tangled, count = sides.tangled, int(sides.tangled.sum())
+            fewest, since = (count, 0) if count < fewest else (fewest, since + 1)
+            ever |= tangled
+            push = pushed(cloth, nodes, sides, gap, sweeps)
+        near = find_near_pairs(cloth, x + push, ever, gap)
+        close = near.distance < near.wanted
+        between = cloth.piece[near.pair[:, 0]] != cloth.piece[near.pair[:, 3]]
+        clear = 0 if len(edge) or (close & between).any() else clear + 1
+        if iteration == most or clear > SETTLED or (clear and not close.any()):
+            break
+        moved += push + parted(cloth, near, tangled)
+    return Loosened(moved, iteration, edge, face, near)
+
+
+def pushed(cloth: Cloth, nodes: Nodes, sides: Sides, gap: float, sweeps: int) -> Float:
+    """(n, 3) how far what crosses is to go now [m]."""
+    known, step = sides.wrong >= 0, STEP * cloth.edge
+    is_wrong = nodes.ends == sides.wrong[:, None]
+    depth = np.abs(np.where(is_wrong, nodes.heights, 0.0)).max(axis=1)
+    amount = np.where(known, np.minimum(depth + gap, step), 0.5 * step)
+    ends = np.where(known[:, None], is_wrong.astype(np.float64), nodes.end_shares)
+    weights = np.concatenate([ends, -nodes.corner_shares], axis=1)
+    vertices = np.concatenate([nodes.ends, nodes.corners], axis=1)
+    raw, asked = displaced(cloth, vertices, weights, amount, sides.way)
+    push = raw
+    for _ in range(sweeps):
+        push = cloth.free * 0.5 * (push + cloth.mean @ push)
+    along = math.fsum((raw[asked] * push[asked]).ravel().tolist())
+    own = math.fsum((push[asked] ** 2).ravel().tolist())
+    return min(max(along / own, 1.0), MOST) * push if own > 0.0 else push
+
+
+def parted(cloth: Cloth, near: Near, tangled: Bool) -> Float:
+    """(n, 3) how far what is too near is to go apart [m]; what is tangled does not know where to."""
+    apart = ~tangled[near.pair].any(axis=1)
+    amount = OVER * near.wanted[apart] - near.distance[apart]
+    return displaced(cloth, near.pair[apart], near.weights[apart], amount, near.normal[apart])[0]
+
+
+def displaced(cloth: Cloth, vertices: Long, weights: Float, amount: Float, way: Float) -> tuple[Float, Bool]:
+    """(n, 3) displacements by which the sums of weights (k, c) times vertices (k, c) go by an amount (k,) [m] along a
+    way (k, 3) each, if each were alone: the mean of them at each vertex, by weight. And (n,) where there is any.
+    """
+    n, size = len(cloth.free), np.abs(weights)
+    free = weights * cloth.free[vertices, 0]
+    room = (free * weights).sum(axis=1)
+    scale = amount / np.maximum(room, LEAST)
+    asked = size[:, :, None] * (free * scale[:, None])[:, :, None] * way[:, None, :]
+    total, weight = np.zeros((n, 3)), np.bincount(vertices.ravel(), size.ravel(), n)
+    np.add.at(total, vertices.ravel(), asked.reshape(-1, 3))
+    taken = weight > 1e-12
+    return np.divide(total, weight[:, None], out=np.zeros_like(total), where=taken[:, None]), taken

@@ -1,0 +1,115 @@
+"""The operation `untangle`: cloth that passes through cloth where it starts is moved to where it does so no more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from nuno_contact.untangle.cloth import JITTER, Cloth, Long, make_cloth
+from nuno_contact.untangle.loosen import Loosened, loosen
+from nuno_contact.untangle.search import find_crossings
+from nuno_kernels.meshes.check import place_of
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
+from nuno_schemas.operation import Arranged, Changed, Outcome, Surface
+from nuno_schemas.plugin import Config
+from nuno_schemas.units import quantity
+from nuno_schemas.vectors import norm
+
+Gap = Annotated[float, quantity("m", gt=0)]
+GAP = 1e-3
+"""Of cloth that has no thickness [m]."""
+
+
+class UntangleConfig(Config):
+    """How far apart, and how long to try."""
+
+    gap: Gap | Literal["auto"] = Field(
+        default="auto",
+        description="distance that objects, and what was tangled of one, come to have [m]; auto: the thickness of "
+        f"cloth_contact, {GAP:g} without",
+    )
+    iterations: int = Field(default=1000, ge=1, le=1_000_000, description="how often the cloth is moved at most")
+
+
+class Untangle:
+    """Moves what crosses, and what is next to it; nothing where nothing crosses."""
+
+    name: ClassVar[str] = "untangle"
+    Config: ClassVar[type[BaseModel]] = UntangleConfig
+
+    def apply(self, config: UntangleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
+        """One fabric by itself, where `state` has it; velocities stay. Raises BadInput where it stays tangled."""
+        whole = {fabric.name: np.arange(fabric.number, dtype=np.int32)}
+        made = self.arrange(config, replace(fabric, position=state.x), whole, np.ones((1, 1), np.bool_), None)
+        after = State(made.position, state.v.copy(), state.t)
+        return Outcome(made.facts, changed=Changed(fabric, after, np.arange(fabric.number, dtype=np.int32)))
+
+    def arrange(
+        self, config: UntangleConfig, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, thickness: float | None
+    ) -> Arranged:
+        """See nuno_schemas.operation. Raises BadInput where cloth stays tangled, with how much and where."""
+        x = fabric.position.copy()
+        if not len(fabric.faces):
+            return Arranged(x, facts_of(0, 0, np.zeros_like(x)))
+        cloth = make_cloth(fabric, objects, meet)
+        before = len(find_crossings(cloth.tree, x, cloth.piece, cloth.meets)[0])
+        if not before:
+            return Arranged(x, facts_of(0, 0, np.zeros_like(x)))
+        gap = (thickness or GAP) if config.gap == "auto" else config.gap
+        found = loosen(cloth, gap + 4.0 * JITTER * cloth.edge, config.iterations)
+        # What has hardly gone stays. And the check is of the places themselves: they were moved a little beside them.
+        gone = norm(found.moved) > JITTER * cloth.edge
+        x[gone] += found.moved[gone]
+        edge, face = find_crossings(cloth.tree, x, cloth.piece, cloth.meets)
+        check_loose(cloth, x, edge, face, found.iterations, before, list(objects))
+        check_apart(cloth, x, found, gap, list(objects))
+        return Arranged(x, facts_of(before, found.iterations, x - fabric.position))
+
+
+def facts_of(crossings: int, iterations: int, moved: Float) -> dict[str, float]:
+    """Edges through triangles before, how often the cloth was moved, how many vertices were, and how far [m]."""
+    far = norm(moved)
+    return {
+        "crossings": float(crossings),
+        "iterations": float(iterations),
+        "vertices": float((far > 0.0).sum()),
+        "largest": float(far.max(initial=0.0)),
+        "mean": float(np.cumsum(far)[-1] / len(far)) if len(far) else 0.0,
+    }
+
+
+def check_loose(cloth: Cloth, x: Float, edge: Long, face: Long, iterations: int, before: int, names: list[str]) -> None:
+    """Raises BadInput for edges (k,) that still go through triangles (k,)."""
+    if not len(edge):
+        return
+    ends, corners = cloth.tree.edges[edge], cloth.tree.faces[face]
+    held = (cloth.free[np.concatenate([ends, corners], axis=1), 0] == 0.0).any(axis=1)
+    i, j = ends[0]
+    one, two = names[cloth.piece[i]], names[cloth.piece[corners[0, 0]]]
+    raise BadInput(
+        f"cloth still passes through cloth after {iterations:,} iterations ({len(edge):,} edges through triangles of "
+        f"{before:,}, {int(held.sum()):,} with vertices that are held)",
+        value=f"edge {i}-{j} of {one} through triangle {face[0]} of {two}, {place_of(x[[i, j]].mean(axis=0))}",
+        limit="none",
+        remedy="place the objects so that less of them crosses, hold less of them, or allow more iterations",
+    )  # fmt: skip
+
+
+def check_apart(cloth: Cloth, x: Float, found: Loosened, gap: float, names: list[str]) -> None:
+    """Raises BadInput for objects that could not be brought as far apart as they ought to be."""
+    near = found.near
+    ends = cloth.piece[near.pair[:, [0, 3]]]
+    close = np.flatnonzero((near.distance < near.wanted) & (ends[:, 0] != ends[:, 1]))
+    if len(close):
+        least = close[near.distance[close].argmin()]
+        raise BadInput(
+            f"{names[ends[least, 0]]} and {names[ends[least, 1]]} cannot be brought as far apart as the gap in "
+            f"{found.iterations:,} iterations", field="gap", value=f"{gap:g} m",
+            limit=f"{near.distance[least]:.3g} m, {place_of(x[near.pair[least, 0]])}",
+            remedy="make it smaller, hold less of them, or allow more iterations",
+        )  # fmt: skip

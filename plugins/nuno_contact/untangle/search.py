@@ -1,0 +1,193 @@
+"""What crosses and what is near, by the tree of cloth contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from nuno_contact.offset.proximity import closest, point, unit, weigh
+from nuno_contact.offset.search import HITS, find_leaves, find_near, meet_eights, node_box
+from nuno_contact.offset.tree import Tree, less
+from nuno_contact.untangle.cloth import Cloth, Long, fit
+from nuno_kernels import block_kernel, kernel
+from nuno_kernels.lanes.choose import first_lane
+from nuno_kernels.meshes.check import orient
+from nuno_schemas.fabric import Bool, Float, Int
+
+OVER = 1.05
+"""Pairs that are nearer than this many times their gap are pushed that far apart: so they come to have it."""
+KEPT = 0.5
+"""Share of its distance at the start that a pair may lose which is not to have a gap."""
+
+
+APART, CROSSING, DOUBTFUL = 0, 1, 2
+
+
+@kernel
+def passes_through(x: Float, p: int, q: int, face: Int) -> int:
+    """Whether the edge from vertex p to vertex q goes through a triangle of three others, as far as rounding tells; in
+    one plane it is taken not to.
+    """
+    a, b, c = x[face[0]], x[face[1]], x[face[2]]
+    above, below = orient(a, b, c, x[p]), orient(a, b, c, x[q])
+    if above * below > 0.0 or (above == 0.0 and below == 0.0):
+        return APART
+    u, v, w = orient(x[p], x[q], a, b), orient(x[p], x[q], b, c), orient(x[p], x[q], c, a)
+    if (u < 0.0 or v < 0.0 or w < 0.0) and (u > 0.0 or v > 0.0 or w > 0.0):
+        return APART
+    return DOUBTFUL if above * below * u * v * w == 0.0 else CROSSING
+
+
+def touches(edge: Float, triangle: Float) -> bool:
+    """Whether an edge (2, 3) meets a triangle (3, 3), an end or a side counted, in fractions."""
+    (p, q), corners = (
+        [[Fraction(value) for value in point] for point in points.tolist()] for points in (edge, triangle)
+    )
+
+    def side(*points: list[Fraction]) -> int:
+        u, v, w = ([one - other for one, other in zip(point, points[3], strict=True)] for point in points[:3])
+        found = sum(u[k] * (v[k - 2] * w[k - 1] - v[k - 1] * w[k - 2]) for k in range(3))
+        return (found > 0) - (found < 0)
+
+    ends = {side(*corners, p), side(*corners, q)}
+    turns = {side(p, q, corners[k], corners[(k + 1) % 3]) for k in range(3)}
+    return ends not in ({0}, {1}, {-1}) and not {1, -1} <= turns and turns != {0}
+
+
+@block_kernel
+def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, leaves: Long, count: int, found: Long) -> int:
+    """Edges and the triangles f that they go through, doubtful ones as -1 - f, into found (c, 2) as far as there is
+    room; how many there are.
+    """
+    number, edges, faces, hits, first = 0, tree.edges, tree.faces, np.empty((HITS, 4), np.int64), len(tree.boxes) // 2
+    for g in range(count):
+        for turn in range(1 if leaves[g, 0] == leaves[g, 1] else 2):
+            one, two = leaves[g, turn], leaves[g, 1 - turn]
+            met = meet_eights(
+                node_box(tree.boxes, first + two), tree.edge_boxes, tree.edge_start, tree.face_boxes, tree.face_start,
+                one, two, 0.0, hits,
+            )  # fmt: skip
+            for h in range(met):
+                e, bits = tree.edge[hits[h, 0], hits[h, 1]], hits[h, 3]
+                i, j = edges[e, 0], edges[e, 1]
+                while bits != 0:
+                    f = tree.face[hits[h, 2], first_lane(bits)]
+                    bits &= bits - 1
+                    shared = False
+                    for k in range(3):
+                        shared |= faces[f, k] == i or faces[f, k] == j
+                    if shared or not meets[piece[i], piece[faces[f, 0]]]:
+                        continue
+                    told = passes_through(x, i, j, faces[f])
+                    if told != APART:
+                        if number < found.shape[0]:
+                            found[number, 0], found[number, 1] = e, f if told == CROSSING else -1 - f
+                        number += 1
+    return number
+
+
+def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
+    """Rows (c, 2) that `find` fills and how many, with as much room as it asks for."""
+    rows = np.empty((first, 2), np.int64)
+    if (number := int(find(rows))) > len(rows):
+        rows = np.empty((number, 2), np.int64)
+        find(rows)
+    return rows, number
+
+
+def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool) -> tuple[Long, Long]:
+    """Edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
+    fit(tree, x)
+    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, 0.0, rows), 8 * len(tree.faces))
+    found, number = with_room(lambda rows: find_through(x, tree, piece, meets, leaves, count, rows), len(tree.faces))
+    found, kept = found[:number], np.ones(number, bool)
+    for row in np.flatnonzero(found[:, 1] < 0):
+        found[row, 1] = -1 - found[row, 1]
+        kept[row] = touches(x[tree.edges[found[row, 0]]], x[tree.faces[found[row, 1]]])
+    found = found[kept]
+    order = np.lexsort((found[:, 1], found[:, 0]))
+    return found[order, 0], found[order, 1]
+
+
+class Near(NamedTuple):
+    """Pairs (k, 4) that are nearer to each other than they ought to be, as in nuno_contact.offset.proximity: weights at
+    the closest points, normal from the second primitive to the first, distance and what it ought to be [m].
+    """
+
+    pair: Long
+    weights: Float
+    normal: Float
+    distance: Float
+    wanted: Float
+
+
+@kernel
+def neighbours(ring_start: Long, ring: Long, pair: Long, of_edges: bool) -> bool:
+    """Whether an edge joins the two primitives of a pair."""
+    first = 2 if of_edges else 1
+    for i in range(first):
+        for q in range(ring_start[pair[i]], ring_start[pair[i] + 1]):
+            for j in range(first, 4):
+                if ring[q] == pair[j]:
+                    return True
+    return False
+
+
+@block_kernel
+def measure_near(
+    x: Float, begun: Float, tree: Tree, ring_start: Long, ring: Long, piece: Int, meets: Bool, tangled: Bool,
+    gap: float, found: Long, number: int, pair: Long, weights: Float, normal: Float, size: Float,
+) -> int:  # fmt: skip
+    """Pairs among `number` found that are too near, into pair (c, 4), weights, normal, size (c, 2); how many.
+
+    What was tangled, and what is of two objects, is to have the gap; what else is near has been so from the start.
+    """
+    count, four = 0, np.empty(4, np.int64)
+    for r in range(number):
+        e, f = found[r, 0], found[r, 1]
+        of_edges = e < 0
+        if of_edges:
+            e = -1 - e
+            four[0], four[1], four[2], four[3] = tree.edges[e, 0], tree.edges[e, 1], tree.edges[f, 0], tree.edges[f, 1]
+        else:
+            four[0], four[1], four[2], four[3] = e, tree.faces[f, 0], tree.faces[f, 1], tree.faces[f, 2]
+        i, j, k, l = four[0], four[1], four[2], four[3]  # noqa: E741
+        if not meets[piece[i], piece[l]]:
+            continue
+        here = (point(x, i), point(x, j), point(x, k), point(x, l))
+        w = closest(of_edges, here).weights
+        n, distance = unit(weigh(w, here))
+        if distance >= OVER * gap:
+            continue
+        wanted = gap
+        was = tangled[i] or tangled[j] or tangled[k] or tangled[l]
+        if piece[i] == piece[l] and not (was and not neighbours(ring_start, ring, four, of_edges)):
+            first = (point(begun, i), point(begun, j), point(begun, k), point(begun, l))
+            _, before = unit(weigh(closest(of_edges, first).weights, first))
+            wanted = less(gap, KEPT * before)
+        if distance >= OVER * wanted:
+            continue
+        if count < pair.shape[0]:
+            pair[count] = four
+            weights[count, 0], weights[count, 1], weights[count, 2], weights[count, 3] = w
+            normal[count, 0], normal[count, 1], normal[count, 2] = n
+            size[count, 0], size[count, 1] = distance, wanted
+        count += 1
+    return count
+
+
+def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
+    """Pairs that are nearer than OVER times what they ought to be, of vertices x (n, 3), in order."""
+    tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
+    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, radius, rows), 8 * len(tree.faces))
+    found, number = with_room(lambda rows: find_near(tree, radius, leaves, count, rows), 8 * len(tree.faces))
+    pair, sizes = np.empty((number, 4), np.int64), np.empty((number, 2))
+    weights, normal = np.empty((number, 4)), np.empty((number, 3))
+    kept = measure_near(
+        rows, np.ascontiguousarray(cloth.begun.T), tree, cloth.ring_start, cloth.ring, cloth.piece, cloth.meets,
+        tangled, gap, found, number, pair, weights, normal, sizes,
+    )  # fmt: skip
+    return Near(pair[:kept], weights[:kept], normal[:kept], sizes[:kept, 0], sizes[:kept, 1])

@@ -1,0 +1,74 @@
+"""How near cloth comes to cloth: the least distance of an edge from a triangle that it shares no vertex with.
+
+That is the least distance of vertices from triangles and of edges from edges, but for pairs all of whose surroundings
+share vertices, as a corner of cloth and the triangle next to it. Found apart from the solver's lists, and in another
+way than its closest points: by lines and planes where what is closest is inside of both, and by the ends of edges.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno.collision.pairs import Boxes, Long, Mesh, boxes_of, once, overlap
+from nuno_schemas.fabric import Float
+
+PARALLEL = 1e-12
+"""Square of the sine between two edges up to which their ends will do: that is off by a millionth of their length."""
+
+
+def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> float | None:
+    """The least distance [m] of edges from triangles of a mesh x (n, 3), in pairs by number that share no vertex and do
+    not cross; None for more than `within`.
+    """
+    edge, face = pairs
+    points, edges, faces = (boxes_of(x[part]) for part in (np.arange(len(x))[:, None], mesh.edges, mesh.faces))
+    vertex, below = _near(mesh.edges[edge].ravel().astype(np.int64), points, face.repeat(2), faces, within)
+    one, two = edge.repeat(3), mesh.sides[face].ravel()
+    one, two = _near(np.minimum(one, two), edges, np.maximum(one, two), edges, within)
+    least = min(_above(x[vertex], x[mesh.faces[below]]), _across(x[mesh.edges[one]], x[mesh.edges[two]]))
+    return least if least <= within else None
+
+
+def _near(a: Long, boxes: Boxes, b: Long, others: Boxes, within: float) -> tuple[Long, Long]:
+    """Those of pairs a, b (k,) whose boxes are no farther apart than `within`, each once."""
+    kept = overlap(a, (boxes[0] - within, boxes[1] + within), b, others)
+    return once(a[kept], b[kept], len(others[0]))
+
+
+def _above(p: Float, triangle: Float) -> float:
+    """The least distance of points p (k, 3) from triangles (k, 3, 3) whose inside they are above; inf for none."""
+    a, b, c = (triangle[:, i] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1)
+    inside = size > 0.0
+    for start, end in ((a, b), (b, c), (c, a)):
+        inside &= _dot(np.cross(end - start, p - start), normal) >= 0.0
+    distance = np.abs(_dot(p[inside] - a[inside], normal[inside])) / size[inside]
+    return float(distance.min(initial=np.inf))
+
+
+def _across(one: Float, two: Float) -> float:
+    """The least distance of edges (k, 2, 3) from edges; inf for none."""
+    (p, q), (a, b) = (edge.transpose(1, 0, 2) for edge in (one, two))
+    least = min(float(_beside(*ends).min(initial=np.inf)) for ends in ((p, a, b), (q, a, b), (a, p, q), (b, p, q)))
+    # Where the shortest way between the lines ends inside of both edges: s (q - p) - t (b - a) + p - a is across both.
+    u, v, r = q - p, b - a, p - a
+    uu, uv, vv, ur, vr = _dot(u, u), _dot(u, v), _dot(v, v), _dot(u, r), _dot(v, r)
+    det = uu * vv - uv * uv
+    s, t = uv * vr - vv * ur, uu * vr - uv * ur
+    inside = (det > PARALLEL * uu * vv) & (s > 0.0) & (s < det) & (t > 0.0) & (t < det)
+    way = np.cross(u[inside], v[inside])
+    distance = np.abs(_dot(r[inside], way)) / np.linalg.norm(way, axis=1)
+    return min(least, float(distance.min(initial=np.inf)))
+
+
+def _beside(p: Float, a: Float, b: Float) -> Float:
+    """(k,) distances of points p (k, 3) from edges a b."""
+    along = b - a
+    size = _dot(along, along)
+    share = np.divide(_dot(p - a, along), size, out=np.zeros(len(p)), where=size > 0.0).clip(0.0, 1.0)
+    return np.asarray(np.linalg.norm(p - a - share[:, None] * along, axis=1))
+
+
+def _dot(a: Float, b: Float) -> Float:
+    return np.asarray(np.einsum("ki,ki->k", a, b))

@@ -1,0 +1,111 @@
+"""Pieces of cloth that meet under cloth contact, made by hand: what tests and laws of cloth contact are measured on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from nuno import registry
+from nuno.cloth.join import join_fabrics
+from nuno.scene.files import SceneFiles
+from nuno_bench.problem.irregular import irregular_square, write_obj
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.system import System
+
+G = 9.81
+DOWN = np.array([0.0, -G, 0.0])
+CLOTH = "jacket"
+THICKNESS = 1e-3
+"""Of the contact, unless it is given another [m]."""
+REST = 1.01 * THICKNESS
+"""How far apart pieces begin that are to lie on each other [m]."""
+
+
+def sheet(
+    side: int = 8,
+    size: float = 0.1,
+    at: Float | None = None,
+    v: Float | None = None,
+    pinned: bool = False,
+    name: str = "sheet",
+    irregular: bool = False,
+) -> Fabric:
+    """A level square of cloth, its middle at a place, moving at v: of quads, or of triangles in no order."""
+    fabric = _irregular(side, size) if irregular else _grid(side, size)
+    x = fabric.position - fabric.position.mean(axis=0) + (np.zeros(3) if at is None else at)
+    moving = np.zeros_like(x) + (np.zeros(3) if v is None else v)
+    return replace(fabric, name=name, position=x, velocity=moving, pinned=np.full(len(x), pinned))
+
+
+def _grid(side: int, size: float) -> Fabric:
+    plugin = registry.load("nuno.models", "sheet")
+    config = {"size": [size, size], "resolution": [side, side], "plane": "xz", "fabric": CLOTH}
+    fabric: Fabric = plugin.build(plugin.Config.model_validate(config), SceneFiles(Path(), ()), 0)
+    return fabric
+
+
+def _irregular(side: int, size: float) -> Fabric:
+    plugin = registry.load("nuno.models", "mesh")
+    with TemporaryDirectory(prefix="nuno-") as folder:
+        write_obj(Path(folder) / "sheet.obj", *irregular_square(side, size, side))
+        config = {"file": "sheet.obj", "warp": [1, 0, 0], "fabric": CLOTH}
+        fabric: Fabric = plugin.build(plugin.Config.model_validate(config), SceneFiles(Path(folder), ()), 0)
+    return fabric
+
+
+def pile(*pieces: Fabric, gravity: Float = DOWN, threads: int = 1, contact: bool = True, **settings: Any) -> System:
+    """Pieces under cloth contact of these settings, or without. Raises BadInput as the contact does."""
+    fabric = join_fabrics(list(pieces), "pile")
+    stops = np.cumsum([0, *(piece.number for piece in pieces)])
+    objects = {str(i): np.arange(a, b, dtype=np.int32) for i, (a, b) in enumerate(pairwise(stops))}
+    meet, plugin = np.ones((len(pieces), len(pieces)), bool), registry.load("nuno.cloth_contacts", "offset")
+    config = plugin.Config(**settings)
+    terms = (plugin.prepare(config, fabric, objects, meet, gravity),) if contact else ()
+    return System(fabric, gravity, 0.0, terms, threads)
+
+
+def incline(irregular: bool = False) -> tuple[Fabric, Fabric]:
+    """A held sheet, and one that lies on it and has room to slide towards +x."""
+    lower = sheet(24, 0.3, pinned=True, irregular=irregular)
+    return lower, sheet(8, 0.1, at=np.array([-0.05, REST, 0.003]), irregular=irregular)
+
+
+def tilted(slope: float) -> Float:
+    """Gravity [m/s^2] of a level sheet that stands for one at this slope [rad] down towards +x."""
+    return G * np.array([math.sin(slope), -math.cos(slope), 0.0])
+
+
+def stack(irregular: bool = False) -> list[Fabric]:
+    """Four sheets that lie on a held one, each a little aside."""
+    return [sheet(pinned=k == 0, at=np.array([0.002 * k, REST * k, 0.001 * k]), irregular=irregular) for k in range(5)]
+
+
+def collision(irregular: bool = False) -> tuple[Fabric, Fabric]:
+    """Two free sheets that fly at each other."""
+    other, apart = np.array([0.0, -0.3, 0.0]), np.array([0.003, 0.004, 0.002])
+    return sheet(v=np.array([0.1, 0.5, 0.0]), irregular=irregular), sheet(at=apart, v=other, irregular=irregular)
+
+
+def heap(seed: int, irregular: bool = False) -> list[Fabric]:
+    """Three uneven sheets that fly at each other at up to 16 m/s, one of them held, faster than a step can see."""
+    rng = np.random.default_rng(seed)
+    speeds = [np.array([0.0, (1.0 - k) * rng.uniform(2.0, 8.0), 0.0]) for k in range(3)]
+    places = [np.array([0.0, 0.02 * k, 0.0]) for k in range(3)]
+    pieces = [sheet(at=places[k], v=speeds[k], pinned=k == 1, irregular=irregular) for k in range(3)]
+    for piece in pieces:
+        piece.position[:] += 2e-3 * rng.standard_normal(piece.position.shape)
+    return pieces
+
+
+def swinging(irregular: bool = False) -> list[Fabric]:
+    """Two sheets far apart, held at one side, which swing."""
+    pieces = [sheet(at=np.array([0.0, 0.3 * k, 0.0]), v=np.array([0.3, 0.0, 0.1]), irregular=irregular) for k in (0, 1)]
+    for piece in pieces:
+        piece.pinned[:8] = True
+    return pieces

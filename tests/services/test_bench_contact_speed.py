@@ -1,0 +1,51 @@
+"""What `nuno bench speed contact` times: the same work with and without contact, and queries of growing meshes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nuno.collision.crossings import edges_of, find_crossings
+from nuno_bench.problem.piles import pile
+from nuno_bench.speed import contact
+from nuno_contact.offset.meeting import Meeting
+from nuno_schemas.errors import RunFailed
+
+
+def test_scenes_take_equal_steps_with_and_without() -> None:
+    ratio, note = contact.on_over_off("hanging-sheet", ("objects.0.model.resolution=[8, 8]",), 0.1)
+    assert ratio > 0.0
+    assert note.startswith("6 frames of ")
+    assert "64 vertices, 0 contacts at the end, 0 of " in note
+
+
+def test_a_query_finds_what_lies_on_each_other_and_that_nothing_crosses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many pairs a vertex on a larger mesh, about; exponents are fitted to the times of each repeat."""
+    monkeypatch.setattr(contact, "SIDES", (12, 24))
+    shares = []
+    for side in contact.SIDES:
+        system = pile(*contact.layers(side))
+        (meeting,) = system.terms[-1].data  # type: ignore[misc]
+        assert isinstance(meeting, Meeting)
+        contact.listing(meeting)()
+        both = meeting.piece[meeting.pair[: meeting.number[0]]][:, [0, 3]]
+        shares.append(float((both[:, 0] != both[:, 1]).sum()) / system.fabric.number)
+    assert shares[0] > 4.0
+    assert shares[1] == pytest.approx(shares[0], rel=0.3)
+    times = iter(np.array([1.0, 2.0, 4.0, 8.0] * 2) * 1e-3)
+    monkeypatch.setattr(contact, "seconds", lambda ask: next(times))
+    found = {one.what: one for one in contact.queries(2)}
+    triangles = [4 * (side - 1) ** 2 for side in contact.SIDES]
+    slope = np.log(4.0) / np.log(triangles[1] / triangles[0])
+    assert found["a list of pairs: exponent over the triangles"].samples == pytest.approx((slope, slope))
+    assert found["a list of pairs, 484 triangles"].samples == pytest.approx((1.0, 1.0))
+
+
+def test_layers_that_cross_are_not_timed() -> None:
+    fabric = pile(*contact.layers(8)).fabric
+    edges = edges_of(fabric.faces)
+    contact.look(fabric, edges)
+    fabric.position[64:, 1] -= 1e-3 + contact.GAP * np.linspace(0.0, 2.0, 64)
+    assert len(find_crossings(fabric.position, fabric.faces, edges).edges)
+    with pytest.raises(RunFailed, match="pass through"):
+        contact.look(fabric, edges)
