@@ -67,7 +67,7 @@ def test_what_was_cut_short_is_a_share_of_all_steps_of_vertices(steps: dict[str,
     """
     report = steps | {
         "frames": {"sent": 5}, "counts": {"cloth_contacts": 7, "cut_short": 3}, "idle": 1, "stretch": 0.1,
-        "size": {"vertices": 50}, "crossed_frames": 0, "parts_seconds": {"steps": 8.0},
+        "size": {"vertices": 50}, "cloth_contact": {"crossed": 0}, "parts_seconds": {"steps": 8.0},
     }  # fmt: skip
     found = contact_gallery.measure(report)
     assert found[CUT] == pytest.approx(2000.0) and found[SECONDS] == 2.0

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno.collision.crossings import edges_of, find_crossings
+from nuno.collision.crossings import find_crossings
+from nuno.collision.pairs import mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.contact import command, page, run
@@ -116,7 +117,7 @@ def test_both_checks_see_an_edge_through_a_triangle() -> None:
     oracle = Oracle(both, all_faces)
     for places, expected in ((both, True), (apart, False)):
         assert oracle.crossed(places) is expected
-        assert (len(find_crossings(places, all_faces, edges_of(all_faces)).edges) > 0) is expected
+        assert (len(find_crossings(places, mesh_of(all_faces)).edges) > 0) is expected
 
 
 @pytest.mark.parametrize(
@@ -171,7 +172,7 @@ def test_irregular_squares_are_whole_and_face_up() -> None:
     normal = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])
     assert (normal[:, 1] > 0.0).all()
     assert 0.5 * normal[:, 1].sum() == pytest.approx(0.04)
-    lengths = np.linalg.norm(np.diff(x[edges_of(faces)], axis=1)[:, 0], axis=1)
+    lengths = np.linalg.norm(np.diff(x[mesh_of(faces).edges], axis=1)[:, 0], axis=1)
     assert lengths.min() > 0.3 * 0.025
     assert piles.sheet(irregular=True).mass.sum() == pytest.approx(piles.sheet().mass.sum())
 

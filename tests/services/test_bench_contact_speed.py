@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nuno.collision.crossings import edges_of, find_crossings
+from nuno.collision.crossings import find_crossings
+from nuno.collision.pairs import mesh_of
 from nuno_bench.problem.piles import pile
 from nuno_bench.speed import contact
 from nuno_contact.offset.meeting import Meeting
@@ -43,9 +44,9 @@ def test_a_query_finds_what_lies_on_each_other_and_that_nothing_crosses(monkeypa
 
 def test_layers_that_cross_are_not_timed() -> None:
     fabric = pile(*contact.layers(8)).fabric
-    edges = edges_of(fabric.faces)
-    contact.look(fabric, edges)
+    mesh = mesh_of(fabric.faces)
+    contact.look(fabric, mesh)
     fabric.position[64:, 1] -= 1e-3 + contact.GAP * np.linspace(0.0, 2.0, 64)
-    assert len(find_crossings(fabric.position, fabric.faces, edges).edges)
+    assert len(find_crossings(fabric.position, mesh).edges)
     with pytest.raises(RunFailed, match="pass through"):
-        contact.look(fabric, edges)
+        contact.look(fabric, mesh)

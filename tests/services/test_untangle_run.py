@@ -71,7 +71,7 @@ def test_the_report_tells_what_was_moved(tmp_path: Path) -> None:
     told = whole.report["arranged"]
     assert [(one["operation"], one["object"]) for one in told] == [("untangle", "")]
     assert told[0]["facts"]["crossings"] > 20 and 0.0 < told[0]["facts"]["mean"] < told[0]["facts"]["largest"] < 0.02
-    assert whole.report["crossed_frames"] == 0
+    assert whole.report["cloth_contact"]["crossed"] == 0
     rows = dict(report.lines(whole.report))
     assert "edges went through triangles at the start" in rows["untangle"]
 

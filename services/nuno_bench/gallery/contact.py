@@ -72,7 +72,7 @@ def measure(report: Mapping[str, Any]) -> dict[str, float]:
     return {
         VERTICES: report["size"]["vertices"],
         CONTACTS: counts.get("cloth_contacts", 0),
-        CROSSED: report["crossed_frames"],
+        CROSSED: report["cloth_contact"]["crossed"],
         CUT: 1e6 * counts.get("cut_short", 0) / (max(steps, 1) * report["size"]["vertices"]),
         STRETCH: 100.0 * report["stretch"],
         SECONDS: report["parts_seconds"].get("steps", 0.0) / max(frames, 1),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import Delaunay
 
-from nuno_cloth.models.delaunay import triangulate
 from nuno_schemas.fabric import Float, Int
 
 STRAY = 0.3
@@ -22,7 +22,9 @@ def irregular_square(side: int, size: float, seed: int) -> tuple[Float, Int]:
     grid = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1)
     grid[1:-1, 1:-1] += spacing * rng.uniform(-STRAY, STRAY, (side - 2, side - 2, 2))
     flat = grid.reshape(-1, 2)
-    faces = triangulate(flat)[:, ::-1]
+    faces = Delaunay(flat).simplices.astype(np.int32)
+    (ax, ay), (bx, by) = ((flat[faces[:, k]] - flat[faces[:, 0]]).T for k in (1, 2))
+    faces = np.where((ax * by < ay * bx)[:, None], faces, faces[:, ::-1])
     return np.ascontiguousarray(np.insert(flat, 1, 0.0, axis=1)), np.ascontiguousarray(faces)
 
 

@@ -16,8 +16,6 @@ from nuno_bench.machine import cores
 from nuno_bench.problem.piles import pile, sheet
 from nuno_bench.report.result import Result
 from nuno_bench.speed.timing import seconds
-from nuno_contact.offset.lists import make_list
-from nuno_contact.offset.meeting import Meeting
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
 
@@ -32,8 +30,6 @@ SIDES = (36, 51, 71, 101, 142)
 EDGE, GAP, WAVE, HIGH, ROUGH = 0.01, 1.3e-3, 0.5, 0.05, 1e-5
 """Of the layers: length of an edge, distance along y, length of a wave and its height, and how uneven they are: cloth
 that moves is not flat to the last digit [m]."""
-STRAY = 5e-4
-"""How far a vertex may stray from where it is taken to be, in a list [m]."""
 STEEPEST = 1.15
 """The bar of the exponent."""
 MOST = 3
@@ -124,10 +120,15 @@ def queries(repeats: int) -> list[Result]:
     return results
 
 
-def listing(meeting: Meeting) -> Callable[[], None]:
-    """Makes the list of what may come near within STRAY."""
-    meeting.reference[:3], meeting.motion[:3], meeting.spread[0] = meeting.start, 0.0, STRAY
-    return partial(make_list, meeting)
+def listing(meeting: Any) -> Callable[[], None]:
+    """Begins contact anew, which makes its list and finds what touches."""
+    begin = type(meeting).kernels.find("begin")
+
+    def ask() -> None:
+        meeting.reference[:] = np.nan
+        begin(meeting, meeting.start, 1.0 / 60.0)
+
+    return ask
 
 
 def look(fabric: Fabric, mesh: Mesh) -> None:
