@@ -21,7 +21,7 @@ def outcome(case: str, solver: str = "symplectic_euler") -> Outcome:
     return suite.check(CASES[case], registry.load("nuno.integrators", solver))
 
 
-@pytest.mark.quick(solver=["symplectic_euler"])
+@pytest.mark.full
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_solvers_keep_every_law_of_cloth_contact(solver: str) -> None:
     """On grids and on irregular triangles; bits without contact are not asked of an adaptive method."""
