@@ -25,7 +25,7 @@ to each other, if each may stray by more than they are apart.
 """
 FEW = 0.25
 """Pairs that are near for each vertex up to which more may be: vertices may then stray by more, and plans last."""
-LEAST, MOST = (2.0, 0.1), (8.0, 2.0)
+LEAST, MOST = (2.0, 0.1), (3.0, 1.0)
 """How far vertices may stray over the thickness, at least and at most: in the list's plan, in that of what is near."""
 AHEAD = 3.0
 """They may stray by so many times what is expected of them."""
