@@ -35,6 +35,8 @@ def rows(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     if first := found["first_crossing"]:
         text += f", up to {found['crossings']:,} edges through triangles in one, first in frame {first['frame']}"
         return [("crossings", f"{text} ({first['t']:.4g} s), {passing(first)}")]
+    if not found["thickness"]:
+        return [("crossings", text)]
     thick, least = _millimetres(found["thickness"]), found["least_distance"]
     near = f"never nearer to cloth than {thick}" if least is None else f"down to {_millimetres(least)} from cloth"
     return [("crossings", text), ("distance", f"cloth is {near}; it is {thick} thick")]

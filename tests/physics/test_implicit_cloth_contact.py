@@ -16,11 +16,11 @@ from nuno_cloth.models.mesh import build_elements
 from nuno_cloth.models.triangles import face_areas, find_edges
 from nuno_schemas.fabric import Fabric, Float
 
+pytestmark = pytest.mark.full
 SOLVERS = ("implicit_euler", "tr_bdf2")
 FRAME = 1.0 / 60.0
 
 
-@pytest.mark.full
 def test_nothing_passes_through_in_steps_of_a_frame() -> None:
     """Three uneven sheets at up to 16 m/s to each other, which go 10 cm in a step, and lie on each other after it; at
     most one step of a vertex in a thousand is cut short.
@@ -48,7 +48,6 @@ def test_a_pile_comes_to_rest_and_presses_with_its_weight(solver: str) -> None:
     assert np.abs(found.sum(axis=0)).max() < 1e-12
 
 
-@pytest.mark.full
 def test_a_sheet_sticks_just_if_friction_holds_it() -> None:
     """tan(slope) = mu (1 +- 0.01), in steps of a frame."""
     mu = 0.5

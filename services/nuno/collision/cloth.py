@@ -26,8 +26,8 @@ class ClothCheck:
     def __init__(self, loaded: Loaded) -> None:
         assert loaded.cloth_contact is not None
         self.meet = loaded.scene.meet()
-        self.thickness = float(loaded.cloth_contact.config.thickness)  # type: ignore[attr-defined]
-        """Distances are looked for up to this [m]."""
+        self.thickness = float(getattr(loaded.cloth_contact.config, "thickness", 0.0))
+        """Distances are looked for up to this [m]; 0 of contact that has none."""
         self.mesh: Mesh | None = None
         self.names: list[str] = []
         self.piece = np.zeros(0, np.int64)
