@@ -12,6 +12,8 @@ from nuno.simulation.costs import MOMENTS, Stage
 from nuno.simulation.run import Simulation
 from nuno.stepping.stepped import hash_of
 
+pytestmark = pytest.mark.full
+
 FRAMES = 24
 
 
@@ -34,7 +36,6 @@ def fall(folder: Path, solver: str) -> tuple[Simulation, list[str]]:
     return simulation, [hash_of(simulation.step() and simulation.arrays().values()) for _ in range(FRAMES)]
 
 
-@pytest.mark.quick(solver=["symplectic_euler"])
 @pytest.mark.parametrize("solver", ["symplectic_euler", "dopri5", "implicit_euler", "xpbd"])
 def test_frames_that_are_stepped_again_are_those_of_the_run(solver: str, tmp_path: Path) -> None:
     """To the last bit, with all that contact has in the middle of it; and without contact they are not."""

@@ -12,6 +12,8 @@ from nuno_bench.speed import contact
 from nuno_contact.offset.meeting import Meeting
 from nuno_schemas.errors import RunFailed
 
+pytestmark = pytest.mark.full
+
 
 def test_scenes_take_equal_steps_with_and_without() -> None:
     ratio, note = contact.on_over_off("hanging-sheet", ("objects.0.model.resolution=[8, 8]",), 0.1)

@@ -13,6 +13,8 @@ from nuno_bench.validation.laws import meetings
 from nuno_bench.validation.laws.base import Outcome
 from nuno_schemas.system import System
 
+pytestmark = pytest.mark.full
+
 CASES = {case.name: case for case in meetings.laws}
 SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
 
@@ -21,7 +23,6 @@ def outcome(case: str, solver: str = "symplectic_euler") -> Outcome:
     return suite.check(CASES[case], registry.load("nuno.integrators", solver))
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_solvers_keep_every_law_of_cloth_contact(solver: str) -> None:
     """On grids and on irregular triangles; bits without contact are not asked of an adaptive method."""
