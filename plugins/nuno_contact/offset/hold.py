@@ -189,8 +189,9 @@ def cut_short(m: Meeting, x: Float, v: Float) -> None:
         set_out(m, 0.0 * x, 1.0, m.clock[4])
     if m.number[2] > 0:
         # What is not listed might be met: nothing moves.
-        x[:] = last
-        v[:] = 0.0
+        m.share[:] = 0.0
+        go_partly(m, x, v)
+        return
     if m.step[0] > 0.0 and give_way(m, last, x - last, CLOSEST):
         go_partly(m, x, v)
         if pass_by(m, x, 0.0) == 0:

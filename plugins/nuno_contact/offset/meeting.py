@@ -161,20 +161,27 @@ def beside(faces: Int) -> Int:
     return found.reshape(-1, 3)
 
 
+def rings(edges: Int, n: int) -> tuple[Int, Int]:
+    """(n + 1,) bounds of each vertex' neighbours, and the neighbours, of edges (e, 2)."""
+    both = np.concatenate([edges, edges[:, ::-1]])
+    order = np.lexsort((both[:, 1], both[:, 0]))
+    start = np.searchsorted(both[order, 0], np.arange(n + 1)).astype(np.int32)
+    return start, np.ascontiguousarray(both[order, 1])
+
+
 def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float) -> Meeting:
     """Of a fabric with triangles, without a list."""
     n, places = fabric.number, PER_VERTEX * fabric.number + FEWEST
     tree = make_tree(fabric.position, fabric.faces)
-    both = np.concatenate([tree.edges, tree.edges[:, ::-1]])
-    order = np.lexsort((both[:, 1], both[:, 0]))
+    ring_start, ring = rings(tree.edges, n)
     first_face = np.full(n, -1, np.int32)
     corners = fabric.faces.ravel()
     first_face[corners[::-1]] = np.arange(len(corners))[::-1] // 3
     return Meeting(
         *tree,
         beside=beside(fabric.faces),
-        ring_start=np.searchsorted(both[order, 0], np.arange(n + 1)).astype(np.int32),
-        ring=np.ascontiguousarray(both[order, 1]),
+        ring_start=ring_start,
+        ring=ring,
         first_face=first_face,
         start=np.ascontiguousarray(fabric.position.T),
         piece=piece.astype(np.int32),

@@ -65,13 +65,13 @@ def allow(m: Meeting, which: int, window: float, least: float) -> None:
 
 @block_kernel
 def tighter(spread: Float) -> bool:
-    """Halve how far vertices may stray in the list's plan, as far as what is near allows; False if that is none."""
-    changed = False
+    """Halve the room that the list's plan has beyond that of what is near; False if there was hardly any."""
+    roomy = False
     for i in range(spread.shape[1]):
-        half = max(0.5 * spread[0, i], 1.5 * spread[1, i])
-        changed = changed or half < spread[0, i]
-        spread[0, i] = half
-    return changed
+        room = spread[0, i] - spread[1, i]
+        roomy = roomy or room > 0.1 * spread[1, i]
+        spread[0, i] = spread[1, i] + 0.5 * room
+    return roomy
 
 
 @block_kernel
@@ -114,7 +114,7 @@ def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
         whole, clock[5] = max(2.0 * window, LISTS), scale
         allow(m, 0, whole, LEAST[0])
         for i in range(last.shape[1]):
-            spread[0, i] = scale * spread[0, i] + spread[1, i]
+            spread[0, i] = max(scale * spread[0, i], 0.5 * spread[1, i]) + spread[1, i]
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[1], clock[2] = s, whole

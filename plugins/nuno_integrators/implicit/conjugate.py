@@ -24,6 +24,16 @@ multiply_forces = each("multiply", "block, origin, u, out", linear=True)
 
 
 @block_kernel
+def along(r: Float, d: Float) -> float:
+    """r.d of (3, n) arrays."""
+    total = 0.0
+    for row in range(3):
+        for p in range(r.shape[1]):
+            total += r[row, p] * d[row, p]
+    return total
+
+
+@block_kernel
 def multiply_block(
     block: int, forces: tuple[Any, ...], on: Bool, rows: tuple[Any, ...], inverse_mass: Float, own: Float, u: Float,
     out: Float, sums: Float,

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nuno_integrators.implicit.conjugate import along
 from nuno_integrators.implicit.linear_solve import (
     Counts,
     Solver,
@@ -63,16 +64,6 @@ def missing_force(a: Float, u: Float, vhat: Float, g: float, mass: Float, out: F
         # Not max(): NaN has to come through.
         largest = largest if square <= largest * largest else np.sqrt(square)
     return largest
-
-
-@block_kernel
-def along(r: Float, d: Float) -> float:
-    """r.d of (3, n) arrays."""
-    total = 0.0
-    for row in range(3):
-        for p in range(r.shape[1]):
-            total += r[row, p] * d[row, p]
-    return total
 
 
 @dataclass

@@ -4,37 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_integrators.implicit.conjugate import turn_and_multiply
+from nuno_integrators.implicit.conjugate import along, turn_and_multiply
 from nuno_integrators.implicit.factor import Factor, solve_factored
 from nuno_integrators.implicit.matrix import Linear
-from nuno_kernels import block_kernel
 from nuno_schemas.fabric import Float
 
 MOST = 200
-
-
-@block_kernel
-def inner(a: Float, b: Float) -> float:
-    """a.b of (3, n) arrays, summed in one order."""
-    total = 0.0
-    for row in range(3):
-        for p in range(a.shape[1]):
-            total += a[row, p] * b[row, p]
-    return total
 
 
 def refine(a: Linear, factor: Factor, b: Float, tolerance: float, threads: int | None) -> int:
     """Bring a.x, what the factor alone makes of b (3, n), to A^-1 b: until sqrt(r.z) is `tolerance` of sqrt(b.x). The
     iterations; none, and a.x as it is, where nothing is lacking in the factor.
     """
-    target = tolerance * tolerance * inner(b, a.x)
+    target = tolerance * tolerance * along(b, a.x)
     x, turn, before = a.x.copy(), 0.0, 1.0
     a.p[...], a.z[...] = 0.0, x
     turn_and_multiply(0.0, a, threads)
     np.subtract(b, a.q, out=a.r)
     for iteration in range(MOST):
         solve_factored(factor, a.r, a.z)
-        rz = inner(a.r, a.z)
+        rz = along(a.r, a.z)
         if not rz > target:
             break
         turn = rz / before if iteration else 0.0

@@ -64,8 +64,7 @@ class Simulation(Changing):
         self.find_poses: Callable[[int], Poses | None] = lambda frame: poses
         self.begin_unchanged()
         self.state: State = build.start_state(self.fabric)
-        self.frame = 0
-        self.balanced = False
+        self.frame, self.balanced = 0, False
         """Whether a scene until balance has come to it."""
         self.costs = Costs()
         self.idle = 0
