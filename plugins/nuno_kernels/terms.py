@@ -22,6 +22,7 @@ from numba.extending import overload
 
 from nuno_kernels import FLAGS
 from nuno_kernels.compile.apart import by_address
+from nuno_kernels.compile.reference import by_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -154,6 +155,7 @@ def register(kind: type, **roles: Any) -> None:
     Fields of Kernels by name. A role may be given as "module:function": it is then loaded where a solver first asks
     for it.
     """
+    by_reference(kind)
     kind.kernels = Kernels(**roles)  # type: ignore[attr-defined]
 
 
@@ -194,27 +196,6 @@ def each(role: str, parameters: str, linear: bool = False) -> Any:
         kernels = {f"kernel{k}": by_address(role_of(kind.instance_class, role)) for k, kind in enumerate(kinds)}
         lines = [call.format(k) for k in range(len(kinds)) if kernels[f"kernel{k}"] is not None]
         return _define("each", head, "".join(lines), **kernels)
-
-    return _overloaded(head, build)
-
-
-def each_block(one: Any, parameters: str, linear: bool = False) -> Any:
-    """A function f(terms, on, <parameters>, blocks) for kernels, with `rows` after `on` where it is `linear`: calls
-    one(block, terms, on, <parameters>) for every block, on several threads.
-
-    Threads take no tuple of tuples, so that each term is an argument of its own on the way there.
-    """
-    tuples = ("terms", "rows") if linear else ("terms",)
-    head = f"{', on, '.join(tuples) if linear else 'terms, on'}, {parameters}, blocks"
-
-    def build(kinds: Any) -> Any:
-        apart = {name: "".join(f"{name}{k}, " for k in range(len(kinds))) for name in tuples}
-        joined = ", on, ".join(f"({apart[name]})" for name in tuples) + ("" if linear else ", on")
-        body = f"    for block in prange(blocks):\n        one(block, {joined}, {parameters})"
-        loop = _define("loop", f"{''.join(apart.values())}on, {parameters}, blocks", body, one=one, prange=prange)
-        given = "".join(f"{name}[{k}], " for name in tuples for k in range(len(kinds)))
-        body = f"    loop({given}on, {parameters}, blocks)"
-        return _define("each", head, body, loop=numba.njit(parallel=True, **FLAGS)(loop))
 
     return _overloaded(head, build)
 

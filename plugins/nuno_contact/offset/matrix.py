@@ -24,6 +24,7 @@ from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import Four, between, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.lanes.triples import dot
 from nuno_kernels.step.blocks import PADDING
 from nuno_schemas.fabric import Float, Int
@@ -32,6 +33,7 @@ Six = tuple[float, float, float, float, float, float]
 """xx, yy, zz, xy, xz, yz of a symmetric matrix."""
 
 
+@by_reference
 class Touching(NamedTuple):
     """What the matrix holds of each block's pairs that touch, from the block's first place in Meeting.block_pair on.
 

@@ -30,7 +30,7 @@ def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p:
     """
     here_x, here_v, to_x, to_v = x, v, stages[0], stages[1]
     for step in range(steps):
-        add_forces(here_x, here_v, step / steps, to_x, to_v, dt, p, p.late, p.threads)
+        add_forces(here_x, here_v, step / steps, to_x, to_v, dt, p)
         here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
         commit(here_x, here_v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
     if steps % 2 == 1:

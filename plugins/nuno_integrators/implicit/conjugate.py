@@ -9,16 +9,14 @@ assembled where this one is a product of every force's own rows.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from nuno_integrators.explicit.updates import add
 from nuno_integrators.implicit.matrix import Linear
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.step.blocks import BLOCK, PADDING
-from nuno_kernels.terms import each, each_block, over_blocks
-from nuno_schemas.fabric import Bool, Float
+from nuno_kernels.terms import each, over_blocks
+from nuno_schemas.fabric import Float
 
 multiply_forces = each("multiply", "block, origin, u, out", linear=True)
 
@@ -34,15 +32,13 @@ def along(r: Float, d: Float) -> float:
 
 
 @block_kernel
-def multiply_block(
-    block: int, forces: tuple[Any, ...], on: Bool, rows: tuple[Any, ...], inverse_mass: Float, own: Float, u: Float,
-    out: Float, sums: Float,
-) -> None:  # fmt: skip
-    """out = A u on a block's vertices, 0 where pinned; its part of u.A u into sums."""
+def multiply_block(block: int, a: Linear) -> None:
+    """q = A p on a block's vertices, 0 where pinned; its part of p.A p into sums."""
+    own, u, out, inverse_mass = a.own, a.p, a.q, a.inverse_mass
     origin = block * BLOCK
     width = min(BLOCK, u.shape[1] - origin)
     local = np.zeros((3, width + PADDING))
-    multiply_forces(forces, on, rows, block, origin, u, local)
+    multiply_forces(a.forces, a.forces_on, a.rows, block, origin, u, local)
     total = 0.0
     for c in range(width):
         v = origin + c
@@ -55,28 +51,13 @@ def multiply_block(
             total += x * fx + y * fy + z * fz
         else:
             out[0, v], out[1, v], out[2, v] = 0.0, 0.0, 0.0
-    sums[block] = total
-
-
-multiply_parallel = each_block(multiply_block, "inverse_mass, own, u, out, sums", linear=True)
-
-
-class Vectors(NamedTuple):
-    """The fields of Linear of these names: threads take no tuple of tuples."""
-
-    inverse: Float
-    x: Float
-    r: Float
-    z: Float
-    p: Float
-    q: Float
-    sums: Float
+    a.sums[block] = total
 
 
 @block_kernel
-def descend_block(block: int, a: Vectors, step: float) -> None:
+def descend_block(block: int, a: Linear, step: float) -> None:
     """x += step p, r -= step q, z = A's inverse diagonal blocks times r; the block's part of r.z into sums."""
-    total, (inverse, x, r, z, p, q, sums) = 0.0, a
+    total, inverse, x, r, z, p, q = 0.0, a.inverse, a.x, a.r, a.z, a.p, a.q
     for v in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
         for row in range(3):
             x[row, v] += step * p[row, v]
@@ -87,30 +68,26 @@ def descend_block(block: int, a: Vectors, step: float) -> None:
         zz = inverse[4, v] * rx + inverse[5, v] * ry + inverse[2, v] * rz
         z[0, v], z[1, v], z[2, v] = zx, zy, zz
         total += rx * zx + ry * zy + rz * zz
-    sums[block] = total
+    a.sums[block] = total
 
 
+multiply_blocks = over_blocks(multiply_block, "a")
 descend_blocks = over_blocks(descend_block, "a, step")
 
 
 @block_kernel
 def turn_and_multiply(turn: float, a: Linear, threads: int | None) -> float:
     """Set p = z + turn p and q = A p; returns p.q."""
-    blocks = a.sums.shape[0]
     # Before a product, which reads its neighbours' p.
     add(a.p, a.z, turn, a.p, threads)
-    if threads is None:
-        for block in range(blocks):
-            multiply_block(block, a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums)
-    else:
-        multiply_parallel(a.forces, a.forces_on, a.rows, a.inverse_mass, a.own, a.p, a.q, a.sums, blocks)
+    multiply_blocks(a, a.sums.shape[0], threads)
     return float(a.sums.sum())
 
 
 @kernel
 def descend(a: Linear, step: float, threads: int | None) -> float:
     """Do x += step p, r -= step q, z = M r, with M the inverses of the diagonal blocks; returns r.z."""
-    descend_blocks(Vectors(a.inverse, a.x, a.r, a.z, a.p, a.q, a.sums), step, a.sums.shape[0], threads)
+    descend_blocks(a, step, a.sums.shape[0], threads)
     return float(a.sums.sum())
 
 

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, PADDING, block_count
-from nuno_kernels.terms import each, each_block, role_of
+from nuno_kernels.terms import each, over_blocks, role_of
 from nuno_schemas.fabric import Bool, Float
 
 LOWEST = 1e300
@@ -26,6 +27,7 @@ fill_rows = each("fill", "block, x, before, rate, floor, follow", linear=True)
 sum_diagonal = each("diagonal", "block, origin, out", linear=True)
 
 
+@by_reference
 class Linear(NamedTuple):
     """The matrix A and what solving with it needs.
 
@@ -84,41 +86,25 @@ class Tangent(NamedTuple):
     follow: float
 
 
-class Diagonals(NamedTuple):
-    """The fields of Linear of these names: threads take no tuple of tuples."""
-
-    inverse_mass: Float
-    own: Float
-    inverse: Float
-
-
 @block_kernel
-def fill_block(
-    block: int, forces: tuple[Any, ...], on: Bool, rows: tuple[Any, ...], x: Float, before: Float, tangent: Tangent,
-    diagonals: Diagonals,
-) -> None:  # fmt: skip
+def fill_block(block: int, x: Float, before: Float, tangent: Tangent, a: Linear) -> None:
     """Linearise a block's forces at x (3, n) and invert its diagonal blocks."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     diagonal = np.zeros((6, high - low + PADDING))
-    fill_rows(forces, on, rows, block, x, before, tangent.rate, tangent.floor, tangent.follow)
-    sum_diagonal(forces, on, rows, block, low, diagonal)
+    fill_rows(a.forces, a.forces_on, a.rows, block, x, before, tangent.rate, tangent.floor, tangent.follow)
+    sum_diagonal(a.forces, a.forces_on, a.rows, block, low, diagonal)
     for v in range(low, high):
-        if diagonals.inverse_mass[v] > 0.0:
-            invert(diagonals.own, diagonals.inverse, v, diagonal, v - low)
+        if a.inverse_mass[v] > 0.0:
+            invert(a.own, a.inverse, v, diagonal, v - low)
 
 
-fill_parallel = each_block(fill_block, "x, before, tangent, diagonals", linear=True)
+fill_each = over_blocks(fill_block, "x, before, tangent, a")
 
 
 @block_kernel
 def fill_blocks(x: Float, before: Float, tangent: Tangent, a: Linear, threads: int | None) -> None:
     """`fill_block` for all blocks, on one thread or several."""
-    diagonals = Diagonals(a.inverse_mass, a.own, a.inverse)
-    if threads is None:
-        for block in range(a.sums.shape[0]):
-            fill_block(block, a.forces, a.forces_on, a.rows, x, before, tangent, diagonals)
-    else:
-        fill_parallel(a.forces, a.forces_on, a.rows, x, before, tangent, diagonals, a.sums.shape[0])
+    fill_each(x, before, tangent, a, a.sums.shape[0], threads)
 
 
 def fill(

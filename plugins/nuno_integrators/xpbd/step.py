@@ -8,7 +8,7 @@ import numpy as np
 
 from nuno_kernels import block_kernel, kernel, shared_source
 from nuno_kernels.forces.constraints import Constraints, clear, forget, sweep
-from nuno_kernels.step.acceleration import Extra, Own, Packed, commit, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import Displaced, each, over_blocks
 from nuno_schemas.fabric import Float
@@ -18,14 +18,14 @@ project = each("project", "moved, s, held, threads")
 
 
 @block_kernel
-def predict_block(block: int, v: Float, u: Float, a: Float | None, mobility: Float, own: Own) -> None:
+def predict_block(block: int, v: Float, u: Float, a: Float | None, mobility: Float, p: Packed, dt: float) -> None:
     """Displacement u without constraints, and mobility h^2 / (m (1 + h damping)), on a block's vertices.
 
     `a` (3, n) holds gravity and explicit forces, or is None. Pinned vertices move at their velocity.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, u.shape[1])
-    inverse_mass, gravity, dt = own.inverse_mass, own.gravity, own.dt
-    kept = 1.0 / (1.0 + dt * own.damping)
+    inverse_mass, gravity = p.inverse_mass, p.gravity
+    kept = 1.0 / (1.0 + dt * p.damping)
     for i in range(np.uint64(low), np.uint64(high)):
         mobility[0, i] = dt * dt * kept * inverse_mass[i]
     for row in range(3):
@@ -46,14 +46,14 @@ def arrive_block(block: int, x: Float, v: Float, u: Float, inverse_step: float) 
             v[row, i] = u[row, i] * inverse_step
 
 
-predict_blocks = over_blocks(predict_block, "v, u, a, mobility, own")
+predict_blocks = over_blocks(predict_block, "v, u, a, mobility, p, dt")
 arrive_blocks = over_blocks(arrive_block, "x, v, u, inverse_step")
 
 
 @kernel
-def predict(v: Float, u: Float, a: Float | None, mobility: Float, own: Own, threads: int | None) -> None:
+def predict(v: Float, u: Float, a: Float | None, mobility: Float, p: Packed, dt: float) -> None:
     """Fill u (3, n) and mobility (1, n)."""
-    predict_blocks(v, u, a, mobility, own, (u.shape[1] + BLOCK - 1) // BLOCK, threads)
+    predict_blocks(v, u, a, mobility, p, dt, (u.shape[1] + BLOCK - 1) // BLOCK, p.threads)
 
 
 @kernel
@@ -93,10 +93,9 @@ def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Pa
     """`steps` steps of x, v (3, n); stages (4, 3, n) is scratch."""
     c, inverse_step = own.constraints, 1.0 / dt
     moved = Displaced(x, stages[0], stages[1], stages[2], own.mobility, inverse_step)
-    acting = Own(p.inverse_mass, p.gravity, p.damping, dt)
     for step in range(steps):
         evaluate_others(x, v, step / steps, stages[3], own.others, extra)
-        predict(v, moved.u, felt(stages[3], own.others), own.mobility, acting, p.threads)
+        predict(v, moved.u, felt(stages[3], own.others), own.mobility, p, dt)
         end = (step + 1) / steps
         carry(p.bodies, p.bodies_on, moved, end)
         forget(c.kinds, c.on)

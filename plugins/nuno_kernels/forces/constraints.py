@@ -32,12 +32,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from nuno_kernels import block_kernel, kernel
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.forces.springs import listed_difference, run_constant, run_difference
 from nuno_kernels.lanes.choose import where_not_zero
 from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, gather, load, read, root, store, write
 from nuno_kernels.lanes.triples import dot, load_triple, minus, plus, read_triple, times
 from nuno_kernels.step.blocks import Long
-from nuno_kernels.terms import Displaced, each, each_block, register
+from nuno_kernels.terms import Displaced, each, over_blocks, register
 from nuno_schemas.fabric import Bool, Float, Int
 
 
@@ -74,6 +75,7 @@ class SpringBatches(NamedTuple):
     kept: Float | None
 
 
+@by_reference
 class Constraints(NamedTuple):
     """A system's constraints: (colours + 1,) bounds over the batches, the batches of each kind, and which kinds act."""
 
@@ -176,13 +178,13 @@ sweep_each = each("sweep", "batch, moved")
 forget = each("forget", "")
 
 
-@kernel
-def solve_batch(place: int, kinds: Any, on: Bool, first: int, moved: Displaced) -> None:
+@block_kernel
+def solve_batch(place: int, constraints: Constraints, first: int, moved: Displaced) -> None:
     """Solve all of a batch, so many after the first."""
-    sweep_each(kinds, on, first + place, moved)
+    sweep_each(constraints.kinds, constraints.on, first + place, moved)
 
 
-solve_colour = each_block(solve_batch, "first, moved")
+solve_batches = over_blocks(solve_batch, "constraints, first, moved")
 
 
 @kernel
@@ -191,10 +193,6 @@ def sweep(moved: Displaced, constraints: Constraints, threads: int | None) -> No
 
     Batches of one colour share no vertex, and may have threads.
     """
-    colour, kinds, on = constraints.colour, constraints.kinds, constraints.on
-    if threads is None:
-        for batch in range(colour[-1]):
-            sweep_each(kinds, on, batch, moved)
-    else:
-        for c in range(colour.shape[0] - 1):
-            solve_colour(kinds, on, colour[c], moved, colour[c + 1] - colour[c])
+    colour = constraints.colour
+    for c in range(colour.shape[0] - 1):
+        solve_batches(constraints, colour[c], moved, colour[c + 1] - colour[c], threads)

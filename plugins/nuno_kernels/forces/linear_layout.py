@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.lanes.simd import WIDTH, Lanes
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_schemas.fabric import Float, Int
@@ -20,6 +21,7 @@ Rows = tuple[Lanes, ...]
 """So many rows of eight springs or hinges."""
 
 
+@by_reference
 class LinearRuns(NamedTuple):
     """Runs of springs or hinges: their tasks, each with the column of its first element, and (4 or 9, c) rows."""
 
@@ -29,6 +31,7 @@ class LinearRuns(NamedTuple):
     rows: Float
 
 
+@by_reference
 class LinearLists(NamedTuple):
     """Listed springs or hinges: their indices and (4 or 9, p) rows."""
 

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, shared_source
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.lanes.simd import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING
-from nuno_kernels.terms import each, each_block, over_blocks
+from nuno_kernels.terms import each, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
 add_blocks = each("block", "block, origin, x, v, force")
@@ -30,6 +31,7 @@ Extra = Callable[[Float, Float, float, Float], None] | None
 """Forces written in Python, None where there are none: extra(x, v, s, a) adds newtons to a (3, n)."""
 
 
+@by_reference
 class Packed(NamedTuple):
     """A system in the layout of the kernels.
 
@@ -61,17 +63,6 @@ class Packed(NamedTuple):
     frozen_damping: float = 0.0
 
 
-class Own(NamedTuple):
-    """What acts on each vertex by itself, the fields of Packed of these names, and the step [s]. Threads take no
-    Packed, which holds tuples of terms.
-    """
-
-    inverse_mass: Float
-    gravity: Float
-    damping: float
-    dt: float
-
-
 @block_kernel
 def finish_block(block: int, v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float) -> None:
     """Turn a block's forces into accelerations, in place; pinned vertices get none."""
@@ -85,80 +76,64 @@ def finish_block(block: int, v: Float, a: Float, inverse_mass: Float, gravity: F
 
 
 @block_kernel
-def step_block(block: int, x: Float, v: Float, force: Float, own: Own, to_x: Float, to_v: Float) -> None:
+def step_block(block: int, x: Float, v: Float, force: Float, p: Packed, dt: float, to_x: Float, to_v: Float) -> None:
     """A step of symplectic Euler from x, v (3, n) and a block's forces (3, w), with the bits of `finish_block`
     and `add_twice`, but in one pass.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    inverse_mass, gravity, damping, dt = own.inverse_mass, own.gravity, own.damping, own.dt
+    inverse_mass, gravity, damping = p.inverse_mass, p.gravity, p.damping
     for row in range(3):
         g = gravity[row]
-        for p in range(np.uint64(low), np.uint64(high)):
-            w = inverse_mass[p]
-            free = g - damping * v[row, p]
-            a = w * force[row, p - np.uint64(low)] + (free if w > 0.0 else 0.0)
-            moved = v[row, p] + dt * a
-            to_v[row, p] = moved
-            to_x[row, p] = x[row, p] + dt * moved
+        for i in range(np.uint64(low), np.uint64(high)):
+            w = inverse_mass[i]
+            free = g - damping * v[row, i]
+            a = w * force[row, i - np.uint64(low)] + (free if w > 0.0 else 0.0)
+            moved = v[row, i] + dt * a
+            to_v[row, i] = moved
+            to_x[row, i] = x[row, i] + dt * moved
 
 
 @block_kernel
-def force_block(
-    block: int, forces: tuple[Any, ...], on: Bool, own: Own, late: bool | None, x: Float, v: Float, to_x: Float,
-    to_v: Float,
-) -> None:  # fmt: skip
+def force_block(block: int, p: Packed, dt: float, x: Float, v: Float, to_x: Float, to_v: Float) -> None:
     """Forces on a block's vertices, summed in the core's cache: a step of symplectic Euler into to_x, to_v (3, n),
-    or, where dt is 0, accelerations into to_x, newtons if `late`. One function for both: each kind would compile all
+    or, where dt is 0, accelerations into to_x, newtons if p.late. One function for both: each kind would compile all
     forces anew.
     """
     origin = block * BLOCK
     width = min(BLOCK, x.shape[1] - origin)
     force = np.zeros((3, width + PADDING))
-    add_blocks(forces, on, block, origin, x, v, force)
-    if own.dt != 0.0:
-        step_block(block, x, v, force, own, to_x, to_v)
+    add_blocks(p.forces, p.forces_on, block, origin, x, v, force)
+    if dt != 0.0:
+        step_block(block, x, v, force, p, dt, to_x, to_v)
     else:
         for q in range(0, width, WIDTH):
             m = min(WIDTH, width - q)
             for row in range(3):
                 write(to_x, row, origin + q, m, load(force, row, q))
-        if late is None:
-            finish_block(block, v, to_x, own.inverse_mass, own.gravity, own.damping)
+        if p.late is None:
+            finish_block(block, v, to_x, p.inverse_mass, p.gravity, p.damping)
 
 
 finish_blocks = over_blocks(finish_block, "v, a, inverse_mass, gravity, damping")
-force_parallel = each_block(force_block, "own, late, x, v, to_x, to_v")
+force_blocks = over_blocks(force_block, "p, dt, x, v, to_x, to_v")
 
 
 @block_kernel
-def add_forces(
-    x: Float, v: Float, s: float, to_x: Float, to_v: Float, dt: float, p: Packed, late: bool | None, threads: int | None
-) -> None:
-    """Forces [N] at fraction s of the frame into to_x (3, n), or accelerations unless `late`, or, where dt is not 0,
-    a whole step into to_x and to_v.
-
-    `late` and `threads` are p's: numba prunes by what is an argument. Puts carried vertices in their place first.
-    The loop over blocks stands here, not in a function of its own: every level of calls is optimised once more with
-    all that it calls.
+def add_forces(x: Float, v: Float, s: float, to_x: Float, to_v: Float, dt: float, p: Packed) -> None:
+    """Forces [N] at fraction s of the frame into to_x (3, n), or accelerations unless p.late, or, where dt is not 0,
+    a whole step into to_x and to_v. Puts carried vertices in their place first.
     """
     place(p.bodies, p.bodies_on, x, v, s)
     look_at(p.bodies, p.bodies_on, x, v)
-    own, blocks = Own(p.inverse_mass, p.gravity, p.damping, dt), (x.shape[1] + BLOCK - 1) // BLOCK
-    if threads is None:
-        for block in range(blocks):
-            force_block(block, p.forces, p.forces_on, own, late, x, v, to_x, to_v)
-    else:
-        force_parallel(p.forces, p.forces_on, own, late, x, v, to_x, to_v, blocks)
-    add_after(p.bodies, p.bodies_on, x, v, s, to_x, threads)
+    force_blocks(p, dt, x, v, to_x, to_v, (x.shape[1] + BLOCK - 1) // BLOCK, p.threads)
+    add_after(p.bodies, p.bodies_on, x, v, s, to_x, p.threads)
 
 
 @block_kernel
-def finish(
-    v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float, late: bool | None, threads: int | None
-) -> None:
+def finish(v: Float, a: Float, p: Packed) -> None:
     """Forces in a (3, n) become accelerations [m/s^2] where they did not at once."""
-    if late is not None:
-        finish_blocks(v, a, inverse_mass, gravity, damping, (a.shape[1] + BLOCK - 1) // BLOCK, threads)
+    if p.late is not None:
+        finish_blocks(v, a, p.inverse_mass, p.gravity, p.damping, (a.shape[1] + BLOCK - 1) // BLOCK, p.threads)
 
 
 @shared_source
@@ -167,10 +142,10 @@ def evaluate(x: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) ->
 
     `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
     """
-    add_forces(x, v, s, a, a, 0.0, p, p.late, p.threads)
+    add_forces(x, v, s, a, a, 0.0, p)
     if extra is not None:
         extra(x, v, s, a)
-    finish(v, a, p.inverse_mass, p.gravity, p.damping, p.late, p.threads)
+    finish(v, a, p)
 
 
 @block_kernel
