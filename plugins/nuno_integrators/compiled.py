@@ -123,7 +123,7 @@ class Compiled(ABC):
         packed = _set_poses(work.packed, poses)
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t + steps * dt)
-        call_each(packed, "begin", work.x, steps * dt)
+        call_each(packed, "begin", work.x, steps * dt, packed.threads)
         if steps == 0:
             self.compile(work, packed, extra)
         started = time.perf_counter()

@@ -61,6 +61,6 @@ def _held(x: Float, total: Float, packed: Packed, poses: Poses) -> Float:
     held = np.array(total.T, order="C")
     for term in holding:
         role_of(type(term), "interval")(term, poses, poses)
-        role_of(type(term), "begin")(term, x, 0.0)
+        role_of(type(term), "begin")(term, x, 0.0, packed.threads)
         role_of(type(term), "unbalance")(term, x, held)
     return np.ascontiguousarray(held.T)

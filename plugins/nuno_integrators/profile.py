@@ -40,7 +40,7 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
     place, speed = x.copy(), v.copy()
 
     def run(variant: Packed, force: Extra, steps: int) -> float:
-        call_each(variant, "begin", place, steps * BRIEF)
+        call_each(variant, "begin", place, steps * BRIEF, variant.threads)
         began = time.perf_counter()
         loop(place, speed, stages, steps, BRIEF, variant, force)
         return (time.perf_counter() - began) / steps

@@ -88,9 +88,9 @@ class Kernels:
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
                                                    nuno_kernels.forces.constraint_packing
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
-    begin(term, x, span)                           before an interval's first step; it lasts `span` [s]
+    begin(term, x, span, threads)                  before an interval's first step; it lasts `span` [s]
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
-    bound(term, x, d, s) -> bool                   shortens a way d (3, n) that Newton's method is to go from x towards
+    bound(term, x, d, s, threads) -> bool          shortens a way d (3, n) that Newton's method is to go from x towards
                                                    fraction s, in place; whether it did
     foresee(term, x, d, out) -> bool               adds to out (3, n) what forces that begin on a way d (3, n) from x
                                                    bring to a linear step's right side; whether they are others than

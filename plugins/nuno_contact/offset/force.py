@@ -48,6 +48,7 @@ from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot, minus
 from nuno_kernels.step.blocks import PADDING
+from nuno_kernels.step.rows import copy_rows
 from nuno_schemas.fabric import Float, Int
 
 STEEPEST = 0.25
@@ -175,7 +176,7 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
             count += 1 if x[row, i] == last[row, i] or mass[i] == 0.0 else 0
     m.fresh[0] = count == 3 * x.shape[1]
     if m.step[0] > 0.0:
-        m.velocity[:] = v
+        copy_rows(v, m.velocity)
     if not m.fresh[0] and m.number[5] != m.number[4]:
         share_out(m.pair, m.near, m.number[1], m.block_start, m.block_pair)
         m.number[5] = m.number[4]

@@ -32,6 +32,7 @@ from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot
+from nuno_kernels.step.rows import all_finite, copy_rows, same_rows, sum_rows
 from nuno_schemas.fabric import Float
 
 CLOSEST, FLOOR = 0.02, 0.001
@@ -93,7 +94,8 @@ def pass_by(m: Meeting, x: Float, way: float) -> int:
 def all_close(m: Meeting) -> None:
     """Note all that is near as close."""
     m.number[6] = m.number[1]
-    m.close[: m.number[1]] = m.near[: m.number[1]]
+    for q in range(m.number[1]):
+        m.close[q] = m.near[q]
 
 
 @forced_inline
@@ -140,32 +142,24 @@ def shorten(m: Meeting, x: Float) -> None:
                     share[v], again = allowed, True
 
 
-@block_kernel
-def copy_rows(x: Float, to: Float) -> None:
-    """Copy x (3, n); numba's own assignment goes through a third array, in case the two overlap."""
-    for row in range(3):
-        for i in range(x.shape[1]):
-            to[row, i] = x[row, i]
-
-
 @kernel
 def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
     last, reference, motion, clock, spread = m.last, m.reference[3:], m.motion[3:], m.clock, m.spread[1]
     way = s - clock[0]
     m.tally[3] += 1
-    if s > clock[3] + clock[4] or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
-        if not np.isfinite(x).all():
+    if s > clock[3] + clock[4] or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
+        if not all_finite(x):
             return
         # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
         gone = clock[0] - clock[3]
         if gone > 0.0:
-            plan(m, last - reference, gone)
-        if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
-            plan(m, x - last, way)
+            plan(m, sum_rows(last, -1.0, reference), gone, threads)
+        if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
+            plan(m, sum_rows(x, -1.0, last), way, threads)
     dt = way * m.span[0]
     if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0:
-        cut_short(m, x, v)
+        cut_short(m, x, v, threads)
         all_close(m)
     copy_rows(x, last)
     clock[0] = s
@@ -175,7 +169,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
 
 
 @block_kernel
-def cut_short(m: Meeting, x: Float, v: Float) -> None:
+def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
     """Shorten vertices' ways to x, in place, and their velocities v (3, n) as much."""
     last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
     for i in range(x.shape[1]):
@@ -186,13 +180,13 @@ def cut_short(m: Meeting, x: Float, v: Float) -> None:
         # One that stays behind strays by its way: whatever could be met by that is listed.
         for i in range(x.shape[1]):
             spread[i] = max(spread[i], share[i])
-        set_out(m, 0.0 * x, 1.0, m.clock[4])
+        set_out(m, m.nothing, 1.0, m.clock[4], threads)
     if m.number[2] > 0:
         # What is not listed might be met: nothing moves.
         m.share[:] = 0.0
         go_partly(m, x, v)
         return
-    if m.step[0] > 0.0 and give_way(m, last, x - last, CLOSEST):
+    if m.step[0] > 0.0 and give_way(m, last, sum_rows(x, -1.0, last), CLOSEST):
         go_partly(m, x, v)
         if pass_by(m, x, 0.0) == 0:
             return
@@ -212,38 +206,28 @@ def go_partly(m: Meeting, x: Float, v: Float) -> None:
                 v[row, i] *= share[i]
 
 
-@block_kernel
-def same_rows(a: Float, b: Float) -> bool:
-    """Whether two arrays hold the same numbers; NaN is none."""
-    for row in range(a.shape[0]):
-        for i in range(a.shape[1]):
-            if a[row, i] != b[row, i]:
-                return False
-    return True
-
-
 @kernel
-def begin_apart(m: Meeting, x: Float, span: float) -> None:
+def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
     """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
     clock, m.span[0] = m.clock, span
     clock[1], clock[3], clock[0] = clock[1] - clock[0], clock[3] - clock[0], 0.0
     if np.isnan(m.reference[0, 0]) or not same_rows(m.last, x):
-        if not np.isfinite(x).all():
+        if not all_finite(x):
             return
-        m.last[:] = x
+        copy_rows(x, m.last)
         clock[4], clock[2], clock[5], clock[6] = WINDOW, LISTS, 1.0, LEAST[1]
         clock[1], clock[3] = -2.0 * clock[2], 0.0
         m.unrest[:] = 0.0
         m.anchored[:] = False
         m.number[0] = 0
-        plan(m, 0.0 * x, 1.0)
+        plan(m, m.nothing, 1.0, threads)
     elif not (
         same_rows(m.listed[:6], m.reference)
         and same_rows(m.listed[6:12], m.motion)
         and same_rows(m.listed[12:], m.spread)
     ):
-        make_list(m)
-        choose_near(m)
+        make_list(m, threads)
+        choose_near(m, threads)
     renew_planes(m)
     all_close(m)
     find_touching(m)

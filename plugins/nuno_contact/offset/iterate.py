@@ -18,6 +18,7 @@ from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way
 from nuno_contact.offset.plan import MOST, WINDOW, allow, learn, set_out, strays
 from nuno_kernels import block_kernel
+from nuno_kernels.step.rows import all_finite, sum_rows
 from nuno_schemas.fabric import Float
 
 FREEZE, REFREEZE = 4, 10
@@ -31,18 +32,18 @@ STOP = 0.25
 
 
 @block_kernel
-def restrain(m: Meeting, y: Float, d: Float, s: float) -> bool:
+def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> bool:
     """Shorten d (3, n), which leads from iterate y (3, n) to another for fraction s of the interval; whether it was."""
-    if not np.isfinite(d).all():
+    if not all_finite(d):
         return False
     lists = m.number[4]
-    cover(m, y + d, s)
+    cover(m, sum_rows(y, 1.0, d), s, threads)
     shortened = m.number[2] > 0
     for _ in range(SHORTER):
         if m.number[2] == 0:
             break
         d *= 0.25
-        cover(m, y + d, s)
+        cover(m, sum_rows(y, 1.0, d), s, threads)
     m.expected[:] = False
     if not give_way(m, y, d, STOP) and not shortened:
         m.calm[0] += 1
@@ -77,20 +78,20 @@ def freeze(m: Meeting, y: Float) -> None:
 
 
 @block_kernel
-def cover(m: Meeting, end: Float, s: float) -> None:
+def cover(m: Meeting, end: Float, s: float, threads: int | None) -> None:
     """Have lists for a step from `last` to `end` (3, n) and what is around that."""
     clock, last, spread = m.clock, m.last, m.spread[1]
     reference, motion = m.reference[3:], m.motion[3:]
-    if s <= clock[3] + clock[4] and not strays(end, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
+    if s <= clock[3] + clock[4] and not strays(end, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
         return
     way, gone = s - clock[0], clock[0] - clock[3]
     if gone > 0.0:
-        learn(m, 1, gone, gone / clock[4])
+        learn(last, reference, motion, m.unrest[1], gone, gone / clock[4])
     window = max(way, WINDOW)
-    allow(m, 1, window, clock[6])
+    allow(m, spread, m.unrest[1], window, clock[6], MOST[1])
     for i in range(end.shape[1]):
         a, b, c = end[0, i] - last[0, i], end[1, i] - last[1, i], end[2, i] - last[2, i]
         spread[i] = max(spread[i], min(MOST[1] * m.law[0], np.sqrt(a * a + b * b + c * c)))
     left_out = m.tally[4]
-    set_out(m, end - last, way, window)
+    set_out(m, sum_rows(end, -1.0, last), way, window, threads)
     m.tally[4] = left_out  # which counts those of steps that count

@@ -8,15 +8,22 @@ import numpy as np
 
 from nuno_contact.offset.meeting import EDGES, Meeting, tree_of
 from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
-from nuno_contact.offset.search import find_leaves, find_near
-from nuno_contact.offset.tree import Tree, fit_tree, less
+from nuno_contact.offset.search import find_near, near_leaves
+from nuno_contact.offset.tree import fit_tree, less
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.bodies.poses import Index, Vector
 from nuno_kernels.step.blocks import BLOCK, Long
+from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float, Int
 
 MIDDLES = (0.5, 0.5, -0.5, -0.5), (1.0, -1.0 / 3.0, -1.0 / 3.0, -1.0 / 3.0)
 """Weights of the way between the middles of two edges, and of a vertex and a triangle."""
+SCATTER = 0x9E3779B97F4A7C15 - (1 << 64)
+"""The golden ratio of 64 bits, as a signed number (Knuth, vol. 3, 6.4)."""
+EMPTY = -(1 << 63)
+PARTS = 16
+"""Parts in which lists are made: as many whatever the threads, so that what is found keeps its order."""
 
 
 @block_kernel
@@ -73,10 +80,12 @@ def vertices_of(m: Meeting, e: int, f: int) -> tuple[int, int, int, int]:
 
 
 @block_kernel
-def enlist(m: Meeting, ways: Float, found: Long, count: int) -> None:
-    """List those of `count` primitives found that do not stay apart."""
-    pair, of, key, normal, thickness, edges = m.pair, m.of, m.key, m.normal, m.law[0], m.edges.shape[0]
-    kept, at = 0, 0
+def keep_near(m: Meeting, found: Long, normal: Float, count: int) -> int:
+    """Of `count` primitives found (c, 2) keep those that do not stay apart, in place and in their order, with the
+    planes (c, 3) across their closest points; how many.
+    """
+    ways, thickness = m.ways, m.law[0]
+    kept, number = 0, 0
     # Neighbours in the cloth, most of what is found, are kept apart across the line between their middles. All are
     # looked at without asking, since to guess wrongly takes longer.
     for c in range(count):
@@ -94,46 +103,76 @@ def enlist(m: Meeting, ways: Float, found: Long, count: int) -> None:
         n, _ = unit(weigh(closest(e < 0, here).weights, here))
         if gap_along(e < 0, n, ways, i, j, k, l) > thickness:
             continue
-        if at < pair.shape[0]:
-            pair[at, 0], pair[at, 1], pair[at, 2], pair[at, 3] = i, j, k, l
-            of[at], m.reach[at] = -1 if e < 0 else f, -1.0
-            key[at] = (1 + e) * edges - 1 - f if e < 0 else e * m.faces.shape[0] + f
-            normal[at, 0], normal[at, 1], normal[at, 2] = n
-        at += 1
-    m.number[0], m.number[2] = min(at, pair.shape[0]), max(0, at - pair.shape[0])
+        found[number, 0], found[number, 1] = e, f
+        normal[number, 0], normal[number, 1], normal[number, 2] = n
+        number += 1
+    return number
 
 
 @block_kernel
-def search(m: Meeting, tree: Tree) -> None:
+def search_part(part: int, m: Meeting, leaves: Long, found: Long, normal: Float, number: Long) -> None:
+    """Find the pairs of a part of the pairs of leaves; found (PARTS r, 2), normal (PARTS r, 3) have room for r in each.
+
+    Into number (PARTS,) how many, or, below 0, for how many more there is no room.
+    """
+    room, count = found.shape[0] // PARTS, leaves.shape[0]
+    mine, across = found[part * room : (part + 1) * room], normal[part * room : (part + 1) * room]
+    met = find_near(tree_of(m), m.law[0], leaves[part * count // PARTS : (part + 1) * count // PARTS], mine)
+    number[part] = room - met if met > room else keep_near(m, mine, across, met)
+
+
+@block_kernel
+def enlist_part(part: int, m: Meeting, found: Long, normal: Float, number: Long) -> None:
+    """Put what a part has found into the list, behind what those before it have, as far as there are places."""
+    first, room, edges, faces = 0, found.shape[0] // PARTS, m.edges.shape[0], m.faces.shape[0]
+    for before in range(part):
+        first += number[before]
+    for c in range(number[part]):
+        at, of = first + c, part * room + c
+        if at < m.pair.shape[0]:
+            e, f = found[of, 0], found[of, 1]
+            m.pair[at, 0], m.pair[at, 1], m.pair[at, 2], m.pair[at, 3] = vertices_of(m, e, f)
+            m.of[at], m.reach[at] = -1 if e < 0 else f, -1.0
+            m.key[at] = (1 + e) * edges - 1 - f if e < 0 else e * faces + f
+            for row in range(3):
+                m.normal[at, row] = normal[of, row]
+
+
+search_parts = over_blocks(search_part, "m, leaves, found, normal, number")
+enlist_parts = over_blocks(enlist_part, "m, found, normal, number")
+
+
+@block_kernel
+def search(m: Meeting, threads: int | None) -> None:
     """List the pairs by the tree, which is fitted already, as m.ways are."""
-    radius = m.law[0]
-    leaves, count = np.empty((8 * m.faces.shape[0], 2), np.int64), 0
-    count = find_leaves(tree.boxes, radius, leaves)
-    if count > leaves.shape[0]:
-        leaves = np.empty((count, 2), np.int64)
-        find_leaves(tree.boxes, radius, leaves)
-    found = np.empty((8 * m.faces.shape[0], 2), np.int64)
-    number = find_near(tree, radius, leaves, count, found)
-    if number > found.shape[0]:
-        found = np.empty((number, 2), np.int64)
-        find_near(tree, radius, leaves, count, found)
-    enlist(m, m.ways, found, number)
+    leaves, number, room = near_leaves(m.boxes, m.law[0]), np.empty(PARTS, np.int64), 8 * m.faces.shape[0] // PARTS
+    lacking = 1
+    while lacking > 0:
+        found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
+        search_parts(m, leaves, found, normal, number, PARTS, threads)
+        lacking, total = 0, 0
+        for part in range(PARTS):
+            lacking, total = max(lacking, -number[part]), total + number[part]
+        room += lacking
+    enlist_parts(m, found, normal, number, PARTS, threads)
+    m.number[0], m.number[2] = min(total, m.pair.shape[0]), max(0, total - m.pair.shape[0])
 
 
 @block_kernel
-def choose_near(m: Meeting) -> None:
-    """Choose the listed pairs that may come near in the near plan; the others touch nothing, and lose their anchors."""
+def choose_part(part: int, m: Meeting, number: Long) -> None:
+    """Choose of a part of the listed pairs; their numbers into m.near from the part's first on, and how many."""
     pair, of, normal, anchored, near, thickness, ways = m.pair, m.of, m.normal, m.anchored, m.near, m.law[0], m.ways
-    lay_out(m.reference[3:], m.motion[3:], m.spread[1], ways)
-    kept, number = 0, 0
+    first, end = part * m.number[0] // PARTS, (part + 1) * m.number[0] // PARTS
+    kept = first
     # Without asking for each, since to guess wrongly takes longer than to look.
-    for p in range(m.number[0]):
+    for p in range(first, end):
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         apart = gap_along(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), ways, i, j, k, l) > thickness
         anchored[p] &= not apart
         near[kept] = p
         kept += 0 if apart else 1
-    for q in range(kept):
+    chosen = first
+    for q in range(first, kept):
         p = near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
@@ -144,10 +183,29 @@ def choose_near(m: Meeting) -> None:
         normal[p, 0], normal[p, 1], normal[p, 2] = n
         if m.reach[p] < 0.0:
             measure(m, p)
-        near[number] = p
-        number += 1
-    m.number[1], m.number[4] = number, m.number[4] + 1
-    note(m, 1)
+        near[chosen] = p
+        chosen += 1
+    number[part] = chosen - first
+
+
+choose_parts = over_blocks(choose_part, "m, number")
+
+
+@block_kernel
+def choose_near(m: Meeting, threads: int | None) -> None:
+    """Choose the listed pairs that may come near in the near plan; the others touch nothing, and lose their anchors."""
+    lay_out(m.reference[3:], m.motion[3:], m.spread[1], m.ways)
+    number, at = np.empty(PARTS, np.int64), 0
+    choose_parts(m, number, PARTS, threads)
+    for part in range(PARTS):
+        first = part * m.number[0] // PARTS
+        for q in range(first, first + number[part]):
+            m.near[at] = m.near[q]
+            at += 1
+    m.number[1], m.number[4] = at, m.number[4] + 1
+    copy_rows(m.reference[3:], m.listed[3:6])
+    copy_rows(m.motion[3:], m.listed[9:12])
+    copy_rows(m.spread[1:], m.listed[13:])
 
 
 @block_kernel
@@ -181,47 +239,49 @@ def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int) -> N
 
 
 @block_kernel
-def keep_anchors(m: Meeting, old: int, keys: Long, anchors: Float) -> None:
-    """Give pairs the anchors that they had: keys (k,) and weights (k, 4) of those anchored in a list of `old` pairs."""
-    order = np.argsort(keys)
-    in_order, anchored, key = keys[order], m.anchored, m.key
-    anchored[: max(old, m.number[0])] = False
-    if keys.shape[0] == 0:
-        return
-    for p in range(m.number[0]):
-        at = np.searchsorted(in_order, key[p])
-        if at < keys.shape[0] and in_order[at] == key[p]:
-            anchored[p] = True
-            m.anchor[p] = anchors[order[at]]
-
-
-@block_kernel
-def note(m: Meeting, which: int) -> None:
-    """Note in m.listed what a plan's list is made for."""
-    listed, reference, motion, spread = m.listed, m.reference, m.motion, m.spread
-    for i in range(spread.shape[1]):
-        for row in range(3 * which, 3 * which + 3):
-            listed[row, i], listed[6 + row, i] = reference[row, i], motion[row, i]
-        listed[12 + which, i] = spread[which, i]
-
-
-@block_kernel
-def make_list(m: Meeting) -> None:
+def make_list(m: Meeting, threads: int | None) -> None:
     """List the pairs for the present plan; anchors are left alone."""
     x, u, spread = m.reference[:3], m.motion[:3], m.spread[0]
-    tree = tree_of(m)
-    fit_tree(tree, x, u, spread)
+    fit_tree(tree_of(m), x, u, spread)
     lay_out(x, u, spread, m.ways)
-    note(m, 0)
-    search(m, tree)
+    copy_rows(x, m.listed[:3])
+    copy_rows(u, m.listed[6:9])
+    copy_rows(m.spread[:1], m.listed[12:13])
+    search(m, threads)
     m.number[3] += 1
 
 
+@forced_inline
+def slot(key: int, table: Long) -> int:
+    """Where a key stands in a table of keys, a power of two long, or would (Knuth, vol. 3, 6.4: linear probing)."""
+    at = (key * SCATTER >> 32) & (table.shape[0] - 1)
+    while table[at] != EMPTY and table[at] != key:
+        at = (at + 1) & (table.shape[0] - 1)
+    return int(at)
+
+
 @block_kernel
-def renew_list(m: Meeting) -> None:
+def renew_list(m: Meeting, threads: int | None) -> None:
     """The same, anchors going with their pairs."""
-    old = m.number[0]
-    held = np.flatnonzero(m.anchored[:old])
-    keys, anchors = m.key[held], m.anchor[held]
-    make_list(m)
-    keep_anchors(m, old, keys, anchors)
+    held, size = 0, 64
+    for p in range(m.number[0]):
+        held += 1 if m.anchored[p] else 0
+    while size < 2 * held:
+        size *= 2
+    table, anchors = np.empty(size, np.int64), np.empty((size, 4))
+    for at in range(size):
+        table[at] = EMPTY
+    for p in range(m.number[0]):
+        if m.anchored[p]:
+            at = slot(m.key[p], table)
+            table[at] = m.key[p]
+            for corner in range(4):
+                anchors[at, corner] = m.anchor[p, corner]
+            m.anchored[p] = False
+    make_list(m, threads)
+    for p in range(m.number[0] if held > 0 else 0):
+        at = slot(m.key[p], table)
+        m.anchored[p] = table[at] != EMPTY
+        if m.anchored[p]:
+            for corner in range(4):
+                m.anchor[p, corner] = anchors[at, corner]

@@ -115,7 +115,7 @@ class Meeting(NamedTuple):
     listed: Float
     """(14, n) references, motions and spreads that the lists were made for"""
     nothing: Float
-    """(n,) zeros"""
+    """(3, n) zeros"""
     ways: Float
     """(n, 8) scratch: see nuno_contact.offset.lists.lay_out"""
     step: Float
@@ -217,7 +217,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         clock=np.zeros(7),
         span=np.zeros(1),
         listed=np.zeros((14, n)),
-        nothing=np.zeros(n),
+        nothing=np.zeros((3, n)),
         ways=np.zeros((n, 8)),
         step=np.zeros(1),
         velocity=np.zeros((3, n)),

@@ -13,6 +13,7 @@ import numpy as np
 from nuno_contact.offset.lists import choose_near, renew_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_kernels import block_kernel
+from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.fabric import Float
 
 WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 64.0, 4.0
@@ -45,9 +46,10 @@ def strays(x: Float, reference: Float, motion: Float, share: float, most: Float,
 
 
 @block_kernel
-def learn(m: Meeting, which: int, gone: float, share: float) -> None:
-    """How much each vertex of `last` has strayed from a plan since it was made, `gone` of the interval ago."""
-    x, reference, motion, unrest = m.last, m.reference[3 * which :], m.motion[3 * which :], m.unrest[which]
+def learn(x: Float, reference: Float, motion: Float, unrest: Float, gone: float, share: float) -> None:
+    """Into unrest (n,) how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval
+    ago, and of which a share is over.
+    """
     for i in range(x.shape[1]):
         a = x[0, i] - reference[0, i] - share * motion[0, i]
         b = x[1, i] - reference[1, i] - share * motion[1, i]
@@ -56,11 +58,11 @@ def learn(m: Meeting, which: int, gone: float, share: float) -> None:
 
 
 @block_kernel
-def allow(m: Meeting, which: int, window: float, least: float) -> None:
-    """How far each vertex may stray in a plan of so long a window, `least` thicknesses at least."""
-    spread, unrest, h = m.spread[which], m.unrest[which], m.law[0]
+def allow(m: Meeting, spread: Float, unrest: Float, window: float, least: float, most: float) -> None:
+    """Into spread (n,) how far each vertex may stray in a plan of so long a window: thicknesses at least and most."""
+    h = m.law[0]
     for i in range(spread.shape[0]):
-        spread[i] = min(max(AHEAD * window * window * unrest[i], least * h), MOST[which] * h)
+        spread[i] = min(max(AHEAD * window * window * unrest[i], least * h), most * h)
 
 
 @block_kernel
@@ -75,7 +77,7 @@ def tighter(spread: Float) -> bool:
 
 
 @block_kernel
-def plan(m: Meeting, u: Float, way: float) -> None:
+def plan(m: Meeting, u: Float, way: float, threads: int | None) -> None:
     """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, about as long as before."""
     clock = m.clock
     gone = clock[0] - clock[3]
@@ -83,16 +85,16 @@ def plan(m: Meeting, u: Float, way: float) -> None:
     window = clock[4] * (1.5 if share > 1.0 else 0.75 if share < 0.5 else 1.0)
     window = max(way, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
-        learn(m, 1, gone, share)
+        learn(m.last, m.reference[3:], m.motion[3:], m.unrest[1], gone, share)
     crowd = m.number[1] / m.last.shape[1]
     clock[6] = clock[6] * 0.7 if crowd > FEW else 1.2 * clock[6] if crowd < 0.5 * FEW else clock[6]
     clock[6] = min(MOST[1], max(LEAST[1], clock[6]))
-    allow(m, 1, window, clock[6])
-    set_out(m, u, way, window)
+    allow(m, m.spread[1], m.unrest[1], window, clock[6], MOST[1])
+    set_out(m, u, way, window, threads)
 
 
 @block_kernel
-def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
+def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None) -> None:
     """Choose what is near for a window, in which vertices may stray as far as m.spread[1] says. The list is made anew
     unless it holds for all of that.
     """
@@ -105,21 +107,21 @@ def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
     clock[3], clock[4] = s, window
     begun, end = (s - clock[1]) / clock[2], (s + window - clock[1]) / clock[2]
     if end > 1.0 or strays(last, reference[:3], motion[:3], begun, spread[0], spread[1]) or strays(
-        last + near, reference[:3], motion[:3], end, spread[0], spread[1]
+        sum_rows(last, 1.0, near), reference[:3], motion[:3], end, spread[0], spread[1]
     ):  # fmt: skip
         if s > clock[1]:
-            learn(m, 0, s - clock[1], begun)
+            learn(last, reference, motion, m.unrest[0], s - clock[1], begun)
         scale, pairs = clock[5], m.number[0] / last.shape[1]
         scale = scale * 0.7 if pairs > CROWDED else min(1.0, 1.2 * scale) if pairs < 0.5 * CROWDED else scale
         whole, clock[5] = max(2.0 * window, LISTS), scale
-        allow(m, 0, whole, LEAST[0])
+        allow(m, spread[0], m.unrest[0], whole, LEAST[0], MOST[0])
         for i in range(last.shape[1]):
             spread[0, i] = max(scale * spread[0, i], 0.5 * spread[1, i]) + spread[1, i]
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[1], clock[2] = s, whole
-        renew_list(m)
+        renew_list(m, threads)
         while m.number[2] > 0 and tighter(spread):
-            renew_list(m)
+            renew_list(m, threads)
         m.tally[4] += m.number[2]
-    choose_near(m)
+    choose_near(m, threads)

@@ -81,7 +81,7 @@ def check_start(fabric: Fabric, piece: Int, meet: Bool) -> None:
 def check_gaps(m: Meeting, pieces: list[str]) -> None:
     """Raises BadInput for objects that start nearer to each other than the thickness."""
     m.reference[:3] = m.start
-    make_list(m)
+    make_list(m, None)
     number = int(m.number[0])
     for p in range(number):
         measure(m, p)

@@ -93,6 +93,17 @@ def find_leaves(boxes: Float, radius: float, found: Long) -> int:
     return number
 
 
+@block_kernel
+def near_leaves(boxes: Float, radius: float) -> Long:
+    """(p, 2) pairs of leaves that may come near."""
+    found = np.empty((4 * boxes.shape[0], 2), np.int64)
+    number = find_leaves(boxes, radius, found)
+    if number > found.shape[0]:
+        found = np.empty((number, 2), np.int64)
+        find_leaves(boxes, radius, found)
+    return found[:number]
+
+
 @forced_inline
 def node_box(nodes: Float, node: Index) -> Box:
     """The box of a node."""
@@ -160,14 +171,14 @@ def find_edges(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Lon
 
 
 @block_kernel
-def find_near(tree: Tree, radius: float, leaves: Long, count: int, found: Long) -> int:
-    """Primitives of `count` pairs of leaves whose boxes come near: see find_faces and find_edges. One kind after the
+def find_near(tree: Tree, radius: float, leaves: Long, found: Long) -> int:
+    """Primitives of pairs (p, 2) of leaves whose boxes come near: see find_faces and find_edges. One kind after the
     other, which whoever goes through them need not guess.
     """
     number, hits = 0, np.empty((HITS, 4), np.int64)
-    for g in range(count):
+    for g in range(leaves.shape[0]):
         for turn in range(1 if leaves[g, 0] == leaves[g, 1] else 2):
             number = find_faces(leaves[g, turn], leaves[g, 1 - turn], tree, radius, hits, found, number)
-    for g in range(count):
+    for g in range(leaves.shape[0]):
         number = find_edges(leaves[g, 0], leaves[g, 1], tree, radius, hits, found, number)
     return number

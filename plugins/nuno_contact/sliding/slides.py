@@ -21,11 +21,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from nuno_contact.sliding.vertex import slide, slow_down
-from nuno_kernels import block_kernel, forced_inline, kernel, parallel_kernel
+from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import pose_frame, to_frame, turn_out, write_interval
 from nuno_kernels.meshes.closest_point import closest
 from nuno_kernels.meshes.tree import Tree, make_room
@@ -180,7 +179,7 @@ def slow_slides(s: Slides, x: Float, v: Float, threads: int | None) -> None:
     slow_blocks(x, v, s, s.tally.shape[0], threads)
 
 
-@kernel
+@block_kernel
 def find_block_room(block: int, x: Float, s: Slides) -> None:
     """`find_room` for the vertices of one block."""
     room, tree, frames = make_room(), tree_of(s), s.frames
@@ -198,15 +197,17 @@ def find_block_room(block: int, x: Float, s: Slides) -> None:
             clear[i] = left
 
 
-@parallel_kernel
-def find_room(s: Slides, x: Float, span: float) -> None:
+find_rooms = over_blocks(find_block_room, "x, s")
+
+
+@kernel
+def find_room(s: Slides, x: Float, span: float, threads: int | None) -> None:
     """Take vertices x (3, n) as they are at the start of the interval for the start of their next movement.
 
     One that has not gone on from where it was, as after a jump, is looked up anew.
     """
     pose_slides(0.0, s)
-    for block in prange(s.tally.shape[0]):
-        find_block_room(block, x, s)
+    find_rooms(x, s, s.tally.shape[0], threads)
 
 
 def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:

@@ -10,6 +10,7 @@ from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add_twice
 from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate
+from nuno_kernels.step.rows import copy_rows
 from nuno_schemas.fabric import Float
 
 
@@ -34,8 +35,8 @@ def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p:
         here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
         commit(here_x, here_v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
     if steps % 2 == 1:
-        x[...] = here_x
-        v[...] = here_v
+        copy_rows(here_x, x)
+        copy_rows(here_v, v)
 
 
 class SymplecticEuler(Explicit):

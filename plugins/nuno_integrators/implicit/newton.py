@@ -126,7 +126,7 @@ def solve_stage(
         if not _solve_newton(st, packed, extra, g, s, slow):
             st.v[...] = guess
             return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
-        shortened = any(call_each(packed, "bound", st.x, st.solver.linear.x, s))
+        shortened = any(call_each(packed, "bound", st.x, st.solver.linear.x, s, packed.threads))
         if shortened and st.solver.direct:
             st.solver.direct, st.solver.hindered = False, True
             st.v[...] = guess
@@ -145,7 +145,7 @@ def solve_stage(
 def _begin_apart(st: Stage, packed: Packed, xhat: Float, g: float, s: float, start: Float) -> None:
     """Take the first guess only as far from the start as cloth does not meet."""
     d = st.x - start
-    if any(call_each(packed, "bound", start, d, s)):
+    if any(call_each(packed, "bound", start, d, s, packed.threads)):
         np.add(start, d, out=st.x)
         np.subtract(st.x, xhat, out=st.v)
         st.v /= g

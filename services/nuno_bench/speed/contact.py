@@ -126,7 +126,7 @@ def listing(meeting: Any) -> Callable[[], None]:
 
     def ask() -> None:
         meeting.reference[:] = np.nan
-        begin(meeting, meeting.start, 1.0 / 60.0)
+        begin(meeting, meeting.start, 1.0 / 60.0, None)
 
     return ask
 
