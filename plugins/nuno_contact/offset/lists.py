@@ -145,7 +145,7 @@ enlist_parts = over_blocks(enlist_part, "m, found, normal, number")
 @block_kernel
 def search(m: Meeting, threads: int | None) -> None:
     """List the pairs by the tree, which is fitted already, as m.ways are."""
-    leaves, number, room = near_leaves(m.boxes, m.law[0]), np.empty(PARTS, np.int64), 8 * m.faces.shape[0] // PARTS
+    leaves, number, room = near_leaves(m.boxes, m.law[0]), np.empty(PARTS, np.int64), 24 * m.faces.shape[0] // PARTS
     lacking = 1
     while lacking > 0:
         found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
