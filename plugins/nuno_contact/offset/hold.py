@@ -31,7 +31,9 @@ from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.lanes.triples import dot
+from nuno_kernels.lanes.choose import higher, lane
+from nuno_kernels.lanes.simd import WIDTH, splat
+from nuno_kernels.lanes.triples import dot, read_triple
 from nuno_kernels.step.rows import all_finite, copy_rows, same_rows, sum_rows
 from nuno_schemas.fabric import Float
 
@@ -49,9 +51,12 @@ def nearest(reach: float, distance: float) -> float:
 @block_kernel
 def farthest_way(v: Float, dt: float) -> float:
     """How far the fastest vertex goes in dt [s] at v (3, n) [m]."""
-    most = 0.0
-    for i in range(v.shape[1]):
-        most = max(most, v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
+    fastest, most = splat(0.0), 0.0
+    for i in range(0, v.shape[1], WIDTH):
+        own = read_triple(v, 0, i, min(WIDTH, v.shape[1] - i))
+        fastest = higher(dot(own, own), fastest)
+    for k in range(WIDTH):
+        most = max(most, lane(fastest, k))
     return dt * math.sqrt(most)
 
 
@@ -154,11 +159,11 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
         # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
         gone = clock[0] - clock[3]
         if gone > 0.0:
-            plan(m, sum_rows(last, -1.0, reference), gone, threads)
+            plan(m, sum_rows(last, -1.0, reference), gone, way, threads)
         if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
-            plan(m, sum_rows(x, -1.0, last), way, threads)
+            plan(m, sum_rows(x, -1.0, last), way, way, threads)
     dt = way * m.span[0]
-    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0:
+    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[1] > 0 else 0.0) > 0:
         cut_short(m, x, v, threads)
         all_close(m)
     copy_rows(x, last)
@@ -220,7 +225,7 @@ def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
         m.unrest[:] = 0.0
         m.anchored[:] = False
         m.number[0] = 0
-        plan(m, m.nothing, 1.0, threads)
+        plan(m, m.nothing, 1.0, 0.0, threads)
     elif not (
         same_rows(m.listed[:6], m.reference)
         and same_rows(m.listed[6:12], m.motion)

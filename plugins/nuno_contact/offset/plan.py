@@ -77,12 +77,16 @@ def tighter(spread: Float) -> bool:
 
 
 @block_kernel
-def plan(m: Meeting, u: Float, way: float, threads: int | None) -> None:
-    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, about as long as before."""
+def plan(m: Meeting, u: Float, way: float, step: float, threads: int | None) -> None:
+    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer than
+    before where the last plan was lived out and it takes less to look at what is near in all of its steps than to
+    choose that, for shorter where it takes more, or where vertices soon strayed.
+    """
     clock = m.clock
     gone = clock[0] - clock[3]
     share = gone / clock[4]
-    window = clock[4] * (1.5 if share > 1.0 else 0.75 if share < 0.5 else 1.0)
+    longer = 1.25 if m.number[1] * clock[4] <= m.number[0] * step else 0.8
+    window = clock[4] * (longer if gone + step > clock[4] else 0.75 if share < 0.5 else 1.0)
     window = max(way, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m.last, m.reference[3:], m.motion[3:], m.unrest[1], gone, share)

@@ -10,6 +10,7 @@ What a kernel itself makes of such a class is numba's tuple, as ever.
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any, TypeVar
 
 from numba import types
@@ -27,7 +28,9 @@ class Reference(types.Type):  # type: ignore[misc]
 
     def __init__(self, held: types.NamedTuple) -> None:
         self.held, self.instance_class, self.types = held, held.instance_class, held.types
-        super().__init__(f"Reference({held})")
+        # Short: it is a part of the names of all that is compiled for it.
+        told = hashlib.blake2b(str(held).encode(), digest_size=8).hexdigest()
+        super().__init__(f"{held.instance_class.__qualname__}@{told}")
 
 
 @register_model(Reference)
