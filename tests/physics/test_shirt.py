@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import ipctk
 import numpy as np
 import pytest
 
@@ -114,6 +115,14 @@ def test_a_shirt_is_a_tube_with_four_holes(body: Body) -> None:
     middle = corners.mean(axis=1)
     outwards = (normal * middle * [1.0, 0.0, 1.0]).sum(axis=1)[middle[:, 1] < 1.1]
     assert (outwards > 0.0).mean() > 0.98
+
+
+@pytest.mark.parametrize("around", [40, 64])
+def test_it_does_not_start_in_itself(body: Body, around: int) -> None:
+    """Below the arms, where there is more cloth than room, it folds: no edge goes through a triangle, by ipctk."""
+    fabric = shirt(body, around=around)
+    mesh = ipctk.CollisionMesh(fabric.position, find_edges(fabric.faces).pairs, fabric.faces)
+    assert not ipctk.has_intersections(mesh, fabric.position)
 
 
 def test_at_rest_it_lies_flat(body: Body) -> None:

@@ -2,7 +2,7 @@
 
 Below the underarms the shirt is rings about the trunk, and beyond them rings about the arms: each is the convex hull of
 the body's section, set off by as much as the ring is longer, so that it has its length at rest and is clear. The yoke
-between is harmonic, and then everything is drawn together by its springs and put out of the body in turn.
+between is harmonic, and then everything is drawn together by its springs, straightened and put out of the body in turn.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nuno_cloth.models.shirt_pattern import Cut, Sewn
+from nuno_cloth.models.triangles import Edges
 from nuno_cloth.models.wearer import Arm, Wearer
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
@@ -33,6 +34,10 @@ ROUNDS = 240
 """How often springs draw the shirt together and it is put out of the body."""
 MOMENTUM = 0.95
 """Share of what the shirt moved the last time by which it goes on each time."""
+BENT = 0.2, 0.015
+"""What bending is at first and besides, which ends at the second: springs alone would crumple the cloth below the arms,
+where there is too much of it, until it goes through itself.
+"""
 
 
 @dataclass(frozen=True)
@@ -52,21 +57,27 @@ class Fit:
         return float(np.sqrt(depth**2 - self.deep**2))
 
 
-def dress(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, pairs: Int, clearance: float) -> Float:
-    """(n, 3) start of a sewn shirt whose springs are `pairs` (s, 2), no point nearer to the body than `clearance` [m].
+def dress(wearer: Wearer, cut: Cut, fit: Fit, sewn: Sewn, edges: Edges, clearance: float) -> Float:
+    """(n, 3) start of a sewn shirt whose edges are its springs, no point nearer to the body than `clearance` [m].
 
     Raises BadInput, with the place and how deep, for a shirt that would start inside of the body.
     """
+    pairs = edges.pairs
     x, placed = _lay(wearer, cut, fit, sewn, clearance)
     for k in range(3):
         x[:, k] = solve_harmonic(sewn.flat + 1e-3 * sewn.front[:, None] * [0.0, 0.0, 1.0], sewn.faces, placed, x[:, k])
     tree = build_tree(wearer.x, wearer.faces)
     rest = np.linalg.norm(sewn.flat[pairs[:, 1]] - sewn.flat[pairs[:, 0]], axis=1)
     share = 1.0 / np.bincount(pairs.reshape(-1), minlength=len(x))[:, None]
+    inside = np.ones((len(x), 1))
+    inside[pairs[edges.count == 1]] = 0.0
     face, before = None, x
     for turn in range(ROUNDS + 1):
         if turn:
-            x, before = x + MOMENTUM * (x - before) + share * _pull(x, pairs, rest), x
+            bent = BENT[0] * (1.0 - turn / ROUNDS) + BENT[1]
+            curve = inside * share * _pull(x, pairs, 0.0 * rest)
+            move = share * (_pull(x, pairs, rest) - 4.0 * bent * inside * _pull(curve, pairs, 0.0 * rest))
+            x, before = x + MOMENTUM * (x - before) + move, x
         found = closest_points(tree, x, face)
         face, near = found.face, found.distance < clearance
         way = np.where(found.distance < 0.0, -1.0, 1.0)[:, None] * (x - found.point)

@@ -93,7 +93,7 @@ class Shirt:
         mass = np.bincount(sewn.faces.reshape(-1), share, len(sewn.flat)).astype(np.float64)
         down = np.array([0.0, 1.0, 0.0])
         springs, hinges = build_elements(material, sewn.flat, sewn.faces, edges, mass, down, folded=True)
-        position = dress(wearer, cut, fit, sewn, edges.pairs, config.over.clearance)
+        position = dress(wearer, cut, fit, sewn, edges, config.over.clearance)
         return Fabric(
             name=self.name,
             position=position,
