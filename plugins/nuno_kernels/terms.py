@@ -150,7 +150,7 @@ class Kernels:
 
 
 def register(kind: type, **roles: Any) -> None:
-    """Tell kernels of a type of term, a NamedTuple of arrays and numbers (not of tuples: threads take none).
+    """Tell kernels of a type of term, a NamedTuple of arrays and numbers, which kernels are given by reference.
 
     Fields of Kernels by name. A role may be given as "module:function": it is then loaded where a solver first asks
     for it.

@@ -12,12 +12,26 @@ from numba.core.runtime import _nrt_python, rtsys
 
 from nuno_kernels import FLAGS, block_kernel, kernel
 from nuno_kernels.compile.borrowed import Borrowing
+from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 
 
 class Pair(NamedTuple):
     first: Float
     second: Float
+
+
+@by_reference
+class Lent(NamedTuple):
+    """The same by reference, with what else a term may hold."""
+
+    first: Float
+    second: Float
+    scale: float = 2.0
+    on: bool = True
+    none: None = None
+    inner: tuple[Any, ...] = ()
 
 
 @kernel
@@ -54,11 +68,12 @@ def call_all(pair: Pair, out: Float) -> float:
     return total
 
 
-def test_references_are_as_before_and_nothing_leaks() -> None:
-    pair, out = Pair(np.arange(8.0), np.arange(5.0)), np.zeros(4)
+@pytest.mark.parametrize("kind", [Pair, Lent])
+def test_references_are_as_before_and_nothing_leaks(kind: Any) -> None:
+    pair, out = kind(np.arange(8.0), np.arange(5.0)), np.zeros(4)
     assert call_all(pair, out) == 0.0
     np.testing.assert_array_equal(out, 200.0 * np.arange(4.0))
-    counts = [sys.getrefcount(one) for one in (*pair, out)]
+    counts = [sys.getrefcount(one) for one in (*pair[:2], out)]
     _nrt_python.memsys_enable_stats()
     before = rtsys.get_allocation_stats()
     for _ in range(10):
@@ -66,7 +81,7 @@ def test_references_are_as_before_and_nothing_leaks() -> None:
     after = rtsys.get_allocation_stats()
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free
     assert after.alloc - before.alloc == after.free - before.free
-    assert [sys.getrefcount(one) for one in (*pair, out)] == counts
+    assert [sys.getrefcount(one) for one in (*pair[:2], out)] == counts
     np.testing.assert_array_equal(pair.first, np.arange(8.0))
 
 
@@ -77,3 +92,40 @@ def test_only_what_makes_or_hands_back_arrays_counts(function: Any, counts: bool
     fresh.compile((numba.typeof(Pair(np.zeros(8), np.zeros(5))), numba.typeof(np.zeros(4))))
     (code,) = fresh.inspect_llvm().values()
     assert ("call void @NRT_" in code) == counts
+
+
+@block_kernel
+def read_all(place: int, lent: Lent, out: Float) -> None:
+    inner = lent.inner[0]
+    if lent.on and lent.none is None:
+        out[place] = lent.scale * lent.first[place] + inner.scale * inner.second[place]
+
+
+read_blocks = over_blocks(read_all, "lent, out")
+
+
+@kernel
+def read_over(lent: Lent, out: Float, threads: int | None) -> None:
+    read_blocks(lent, out, out.shape[0], threads)
+
+
+@pytest.mark.parametrize("threads", [None, 2])
+@pytest.mark.parametrize("on", [False, True])
+def test_by_reference_all_is_there(on: bool, threads: int | None) -> None:
+    """Numbers, what is None and what is within, also where threads read it."""
+    first, second = np.random.default_rng(2).random((2, 50))
+    out = np.zeros(50)
+    read_over(Lent(first, second, 3.0, on, None, (Lent(second, first, 5.0),)), out, threads)
+    np.testing.assert_array_equal(out, 3.0 * first + 5.0 * first if on else np.zeros(50))
+
+
+def test_by_reference_is_one_argument() -> None:
+    """Two arrays of one dimension are fourteen numbers, and three more for the array besides."""
+    arguments = {}
+    for kind in (Pair, Lent):
+        fresh = numba.njit(pipeline_class=Borrowing, no_cpython_wrapper=True, **FLAGS)(borrow.py_func)
+        fresh.compile((numba.typeof(kind(np.zeros(8), np.zeros(5))), numba.typeof(np.zeros(4))))
+        ((made,),) = [list(fresh.overloads.values())]
+        library = made.library.get_function(made.fndesc.llvm_func_name)
+        arguments[kind] = len(list(library.arguments))
+    assert arguments[Pair] - arguments[Lent] == 13

@@ -43,7 +43,14 @@ class _Model(models.PrimitiveModel):  # type: ignore[misc]
 def _unbox(own: Reference, value: Any, c: Any) -> Any:
     native = c.unbox(own.held, value)
     place = cgutils.alloca_once_value(c.builder, native.value)
-    return NativeValue(place, is_error=native.is_error, cleanup=native.cleanup)
+
+    def give_back() -> None:
+        if native.cleanup is not None:
+            native.cleanup()
+        # Which numba does itself for what it hands on as a tuple.
+        c.context.nrt.decref(c.builder, own.held, native.value)
+
+    return NativeValue(place, is_error=native.is_error, cleanup=give_back)
 
 
 @infer_getattr
