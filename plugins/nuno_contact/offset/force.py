@@ -44,7 +44,7 @@ from nuno_contact.offset.proximity import (
     unit,
     weigh,
 )
-from nuno_kernels import block_kernel, forced_inline, kernel
+from nuno_kernels import forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot, minus
 from nuno_kernels.step.blocks import PADDING
@@ -186,8 +186,8 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
 def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the forces [N] of the block's pairs to its vertices."""
     pair, of, reach, normal, weights, mesh = m.pair, m.of, m.reach, m.normal, m.weights, faces_of(m)
-    stiffness, damping, anchor, anchored, mu, fresh, step = (
-        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.law[1], m.fresh[0], m.step[0]
+    stiffness, damping, eased, anchor, anchored, mu, fresh, step = (
+        m.pair_stiffness, m.pair_damping, m.eased, m.anchor, m.anchored, m.law[1], m.fresh[0], m.step[0]
     )  # fmt: skip
     start, chosen = (m.touch_start, m.touch_pair) if fresh else (m.block_start, m.block_pair)
     width, frozen = force.shape[1] - PADDING, m.frozen[0]
@@ -204,7 +204,8 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
             at = kept_touch(m, p, corners) if frozen else touch(x, i, of[p], corners, reach[p], mesh)
             if not at.distance < h:
                 continue
-        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], damping[p], mu, anchored[p],
+        c = damping[p] * (eased[p] if fresh or anchored[p] else 1.0)
+        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], c, mu, anchored[p],
                          (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step)  # fmt: skip
         for corner in range(4):
             local = pair[p, corner] - origin
@@ -236,52 +237,3 @@ def rub(
     size = math.sqrt(fx * fx + fy * fy + fz * fz)
     share = mu * n / size if size > mu * n else 1.0
     return share * fx + n * at.normal[0], share * fy + n * at.normal[1], share * fz + n * at.normal[2]
-
-
-@block_kernel
-def find_touching(m: Meeting) -> None:
-    """Which close pairs touch at `last`, where, and the planes across them; others have no anchor."""
-    pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
-    close, touching, weights, gap, number = m.close, m.touching, m.weights, m.distance, 0
-    for q in range(m.number[6]):
-        p = close[q]
-        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-        corners, h = corners_of(x, i, j, k, l), reach[p]
-        low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
-        if low - high > h:
-            anchored[p] = False
-            continue
-        at = touch(x, i, of[p], corners, reach[p], mesh)
-        normal[p, 0], normal[p, 1], normal[p, 2] = at.normal
-        if at.distance < h:
-            touching[number], gap[p] = p, at.distance
-            number += 1
-            for corner in range(4):
-                weights[p, corner] = at.weights[corner]
-        else:
-            anchored[p] = False
-    m.tally[0] = number
-    share_out(pair, touching, number, m.touch_start, m.touch_pair)
-
-
-@block_kernel
-def drag_anchors(m: Meeting, v: Float) -> None:
-    """Set the anchors of pairs that touch at `last` and move at v (3, n), or drag them along."""
-    pair, reach, normal, anchor, anchored, weights = m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights
-    stiffness, damping, mu, x, touching, gap = (
-        m.pair_stiffness, m.pair_damping, m.law[1], m.last, m.touching, m.distance
-    )  # fmt: skip
-    for q in range(m.tally[0]):
-        p = touching[q]
-        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-        w, n = (weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), (normal[p, 0], normal[p, 1], normal[p, 2])
-        share = 0.0
-        if anchored[p]:
-            a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
-            _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
-            u = weigh(w, corners_of(v, i, j, k, l))
-            limit = mu * press(stiffness[p], damping[p], reach[p], Touch(w, n, gap[p]), u)
-            share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
-        anchored[p] = True
-        for corner in range(4):
-            anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]

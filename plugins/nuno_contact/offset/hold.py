@@ -22,12 +22,13 @@ import math
 import numpy as np
 
 from nuno_contact.offset.brake import BRAKED, brake
-from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
+from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way, on_the_way, part
-from nuno_contact.offset.plan import LEAST, LISTS, WINDOW, plan, set_out, strays
+from nuno_contact.offset.plan import GROWTH, LEAST, LISTS, WINDOW, plan, set_out, strays
 from nuno_contact.offset.proximity import between, closest, unit, weigh
+from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
@@ -167,7 +168,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
         cut_short(m, x, v, threads)
         all_close(m)
     copy_rows(x, last)
-    clock[0] = s
+    clock[0], clock[7] = s, dt
     find_touching(m)
     drag_anchors(m, v)
     brake(m, v, dt)
@@ -220,7 +221,8 @@ def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
         if not all_finite(x):
             return
         copy_rows(x, m.last)
-        clock[4], clock[2], clock[5], clock[6] = WINDOW, LISTS, 1.0, LEAST[1]
+        clock[4], clock[2], clock[5], clock[6], clock[7] = WINDOW, LISTS, 1.0, LEAST[1], 0.0
+        clock[8], clock[9] = np.inf, GROWTH
         clock[1], clock[3] = -2.0 * clock[2], 0.0
         m.unrest[:] = 0.0
         m.anchored[:] = False

@@ -68,6 +68,8 @@ class Meeting(NamedTuple):
     """(P,) k of a pair [N/m]: half of what the weakest of its vertices can bear, or EDGES of that"""
     pair_damping: Float
     """(P,) c = 2 zeta sqrt(k m / 2) [N s/m], m the mass of the lightest"""
+    eased: Float
+    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.touching.ease"""
     normal: Float
     """(P, 3) of a plane that keeps the pair apart at `last`"""
     near: Int
@@ -107,9 +109,10 @@ class Meeting(NamedTuple):
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     clock: Float
-    """(7,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
+    """(10,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
     what is near; the share of what the list's plan allows at most; how many thicknesses that of what is near allows
-    at least: part of the state"""
+    at least; how long the last step was [s]; what the last window cost, and by what the next is longer: part of the
+    state"""
     span: Float
     """(1,) of the interval [s]"""
     listed: Float
@@ -134,6 +137,8 @@ class Meeting(NamedTuple):
     kept: Bool
     share: Float
     """(n,) scratch: of a step, how much of it each vertex makes"""
+    rate: Float
+    """(n,) scratch: of damping, see nuno_contact.offset.touching.ease [1/s]"""
     tally: NDArray[np.int64]
     """(5,) pairs that touch after the last step; steps of vertices cut short so far, and of held ones; steps so far;
     pairs that found no place in a list so far"""
@@ -195,6 +200,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         reach=np.zeros(places),
         pair_stiffness=np.zeros(places),
         pair_damping=np.zeros(places),
+        eased=np.zeros(places),
         normal=np.zeros((places, 3)),
         near=np.zeros(places, np.int32),
         number=np.zeros(7, np.int64),
@@ -214,7 +220,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         last=np.zeros((3, n)),
         spread=np.zeros((2, n)),
         unrest=np.zeros((2, n)),
-        clock=np.zeros(7),
+        clock=np.zeros(10),
         span=np.zeros(1),
         listed=np.zeros((14, n)),
         nothing=np.zeros((3, n)),
@@ -228,5 +234,6 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         kept_normal=np.zeros((places, 3)),
         kept=np.zeros(places, np.bool_),
         share=np.ones(n),
+        rate=np.zeros(n),
         tally=np.zeros(5, np.int64),
     )

@@ -28,6 +28,8 @@ FEW = 0.25
 """Pairs that are near for each vertex up to which more may be: vertices may then stray by more, and plans last."""
 LEAST, MOST = (2.0, 0.1), (3.0, 1.0)
 """How far vertices may stray over the thickness, at least and at most: in the list's plan, in that of what is near."""
+GROWTH = 1.25
+"""By so much the window of what is near gets longer or shorter."""
 AHEAD = 3.0
 """They may stray by so many times what is expected of them."""
 
@@ -78,15 +80,18 @@ def tighter(spread: Float) -> bool:
 
 @block_kernel
 def plan(m: Meeting, u: Float, way: float, step: float, threads: int | None) -> None:
-    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer than
-    before where the last plan was lived out and it takes less to look at what is near in all of its steps than to
-    choose that, for shorter where it takes more, or where vertices soon strayed.
+    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer
+    and longer where the last plan was lived out, as long as each step costs less by it; else for shorter.
     """
     clock = m.clock
     gone = clock[0] - clock[3]
     share = gone / clock[4]
-    longer = 1.25 if m.number[1] * clock[4] <= m.number[0] * step else 0.8
-    window = clock[4] * (longer if gone + step > clock[4] else 0.75 if share < 0.5 else 1.0)
+    # Of a step: its share of choosing from the list, and to look at what was chosen.
+    cost = m.number[0] * step / clock[4] + m.number[1]
+    if cost > clock[8]:
+        clock[9] = 1.0 / clock[9]
+    clock[8] = cost
+    window = clock[4] * (clock[9] if gone + step > clock[4] else 0.75 if share < 0.5 else 1.0)
     window = max(way, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m.last, m.reference[3:], m.motion[3:], m.unrest[1], gone, share)
