@@ -132,6 +132,10 @@ class Meeting(NamedTuple):
     """(P, 4), kept_normal (P, 3) at the closest points; kept (P,) which pairs count"""
     kept_normal: Float
     kept: Bool
+    pulled: Float
+    """(P, 3) scratch of xpbd: the force [N] of pairs that are kept, at kept_weights"""
+    swept: NDArray[np.int64]
+    """(1,) scratch of xpbd: sweeps over pairs in this step so far"""
     share: Float
     """(n,) scratch: of a step, how much of it each vertex makes"""
     tally: NDArray[np.int64]
@@ -227,6 +231,8 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         kept_weights=np.zeros((places, 4)),
         kept_normal=np.zeros((places, 3)),
         kept=np.zeros(places, np.bool_),
+        pulled=np.zeros((places, 3)),
+        swept=np.zeros(1, np.int64),
         share=np.ones(n),
         tally=np.zeros(5, np.int64),
     )
