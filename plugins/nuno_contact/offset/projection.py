@@ -87,7 +87,8 @@ def solve_pair(m: Meeting, p: int, moved: Displaced) -> None:
     at = touch(y, i, m.of[p], there, h, faces_of(m))
     low, high = between(m.of[p] < 0, at.normal, here)
     if not low > high:
-        at = encounter(m.of[p] < 0, here, there, BRAKED * h)
+        met = encounter(m.of[p] < 0, here, there, BRAKED * h)
+        at = met if met.distance < math.inf else at
     w, n = at.weights, at.normal
     both = (
         w[0] * w[0] * mobility[0, i] + w[1] * w[1] * mobility[0, j]
@@ -151,7 +152,8 @@ def press_back(k: float, c: float, h: float, d: float, s: float, both: float) ->
 @block_kernel
 def encounter(of_edges: bool, here: Corners, there: Corners, stop: float) -> Touch:
     """How a pair touches that goes straight from one place to another and comes as near as `stop` [m] on its way, or
-    half as near as it was; its distance is that at the end across the plane of contact, negative beyond it.
+    half as near as it was; its distance is that at the end across the plane of contact, negative beyond it, and
+    infinite where it never comes so near.
     """
     go = (minus(there[0], here[0]), minus(there[1], here[1]), minus(there[2], here[2]), minus(there[3], here[3]))
     share = 0.0
