@@ -43,7 +43,7 @@ from nuno_kernels.lanes.triples import dot, minus
 from nuno_kernels.terms import Displaced
 from nuno_schemas.fabric import Float, Int
 
-SWEEPS = 4
+SWEEPS = 8
 """Over all pairs that may touch, for each sweep over the springs."""
 TURNS = 32
 """Steps of conservative advancement at most."""
