@@ -277,10 +277,13 @@ def drag_anchors(m: Meeting, v: Float) -> None:
         share = 0.0
         if anchored[p]:
             a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
-            _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
-            u = weigh(w, corners_of(v, i, j, k, l))
-            limit = mu * press(stiffness[p], damping[p], reach[p], Touch(w, n, gap[p]), u)
-            share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
+            if m.swept[0] > 0 and m.kept[p]:
+                share = m.pulled[p, 3]
+            else:
+                _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
+                u = weigh(w, corners_of(v, i, j, k, l))
+                limit = mu * press(stiffness[p], damping[p], reach[p], Touch(w, n, gap[p]), u)
+                share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
         anchored[p] = True
         for corner in range(4):
             anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]

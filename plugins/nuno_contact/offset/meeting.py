@@ -133,7 +133,8 @@ class Meeting(NamedTuple):
     kept_normal: Float
     kept: Bool
     pulled: Float
-    """(P, 3) scratch of xpbd: the force [N] of pairs that are kept, at kept_weights"""
+    """(P, 4) scratch of xpbd: the force [N] of pairs that are kept, at kept_weights, and mu N of those that slide;
+    infinite where they stick"""
     swept: NDArray[np.int64]
     """(1,) scratch of xpbd: sweeps over pairs in this step so far"""
     share: Float
@@ -231,7 +232,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         kept_weights=np.zeros((places, 4)),
         kept_normal=np.zeros((places, 3)),
         kept=np.zeros(places, np.bool_),
-        pulled=np.zeros((places, 3)),
+        pulled=np.zeros((places, 4)),
         swept=np.zeros(1, np.int64),
         share=np.ones(n),
         tally=np.zeros(5, np.int64),

@@ -113,6 +113,7 @@ def solve_pair(m: Meeting, p: int, moved: Displaced) -> None:
     )  # fmt: skip
     size, most = math.sqrt(dot(f, f)), m.law[1] * pressed
     share = most / size if size > most else 1.0
+    m.pulled[p, 3] = share
     for row in range(3):
         m.pulled[p, row] = share * f[row] + pressed * n[row]
     for corner in range(4):
