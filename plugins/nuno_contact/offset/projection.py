@@ -65,24 +65,27 @@ def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads:
         for q in range(m.number[1]):
             m.kept[near[q]] = False
     for _ in range(SWEEPS):
-        last = m.number[1] - 1
+        last, forth, touching = m.number[1] - 1, m.swept[0] % 2 == 0, False
         for q in range(last + 1):
-            solve_pair(m, near[q if m.swept[0] % 2 == 0 else last - q], moved)
+            touching |= solve_pair(m, near[q if forth else last - q], moved)
         m.swept[0] += 1
+        if not touching:
+            break
 
 
 @block_kernel
-def solve_pair(m: Meeting, p: int, moved: Displaced) -> None:
-    """Find a pair's force anew, and move its vertices by it."""
+def solve_pair(m: Meeting, p: int, moved: Displaced) -> bool:
+    """Find a pair's force anew, and move its vertices by it; whether it has one, or had."""
     x, u, y, mobility, inverse_step, pair = moved.x, moved.u, moved.y, moved.mobility, moved.inverse_step, m.pair
     i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-    if m.kept[p]:
+    had = m.kept[p]
+    if had:
         m.kept[p] = False
         add(m, p, moved, -1.0)
     h, there, n = m.reach[p], corners_of(y, i, j, k, l), (m.normal[p, 0], m.normal[p, 1], m.normal[p, 2])
     low, high = between(m.of[p] < 0, n, there)
     if low - high >= h:
-        return
+        return had
     here = corners_of(x, i, j, k, l)
     at = touch(y, i, m.of[p], there, h, faces_of(m))
     low, high = between(m.of[p] < 0, at.normal, here)
@@ -95,7 +98,7 @@ def solve_pair(m: Meeting, p: int, moved: Displaced) -> None:
         + w[2] * w[2] * mobility[0, k] + w[3] * w[3] * mobility[0, l]
     )  # fmt: skip
     if not (at.distance < h and both > 0.0):
-        return
+        return had
     stiff, rate, gone = m.pair_stiffness[p], m.pair_damping[p] * inverse_step, weigh(w, corners_of(u, i, j, k, l))
     ramp = min(1.0, (h - at.distance) / (RAMP * h))
     pressed = press_back(stiff, ramp * rate, h, at.distance, dot(n, gone), both)
@@ -120,6 +123,7 @@ def solve_pair(m: Meeting, p: int, moved: Displaced) -> None:
         m.kept_weights[p, corner] = w[corner]
     m.kept[p] = True
     add(m, p, moved, 1.0)
+    return True
 
 
 @forced_inline
