@@ -143,8 +143,8 @@ def test_an_undamped_bounce_gains_no_energy() -> None:
 
 
 def test_nothing_passes_through_in_long_steps() -> None:
-    """Three uneven sheets at up to 16 m/s to each other, which go 7 cm in a step: cut short are fewer than one step of a
-    vertex in fifty.
+    """Of three uneven sheets at up to 16 m/s to each other, which go 7 cm in a step, by ipctk; at most one step of a
+    vertex in fifty is cut short.
     """
     pile = heap("xpbd", 1, dt=1.0 / 240.0)
     for _ in range(30):

@@ -1,28 +1,31 @@
 """Contacts as compliant constraints of an XPBD step, one pair after another in the list's order.
 
-The force of a pair (nuno_contact.offset.force) acts on the weighted way r = sum w_i x_i between its closest points. Where
-the pair were alone, backward Euler has
+A pair's force (nuno_contact.offset.force) acts on the way between its closest points, r = sum w_i x_i. Where the pair
+were alone, backward Euler has
 
     d' = d + W N',    W = sum w_i^2 mobility_i,    mobility = h^2 / m'  (nuno_kernels.forces.constraints),
-    N' = N(d') - c / h (s + W N'),
+    N' = N(d') - c / h (s + W N')  and not negative,
 
 d the distance along the normal and s the way gone along it in the step, both without the pair's force. The law N is of
-three pieces, each of which is solved in one go: a line, a hyperbola (a quadratic equation) and a line. Friction is
-solved as against bodies (nuno_contact.penalty.projection): F' = F / (1 + (k + c / h) W), and |F'| <= mu N'. So a
-constraint is the inequality of XPBD (Macklin, Mueller & Chentanez 2016) with the compliance 1 / k of the same law that
-explicit and implicit methods have: it is met as that law says, and never attracts.
+three pieces, each solved in one go: a line, a hyperbola (a quadratic equation) and a line. Friction is solved as
+against bodies (nuno_contact.penalty.projection): F' = F / (1 + (k + c / h) W), and |F'| <= mu N'. This is the
+inequality constraint of XPBD (Macklin, Mueller & Chentanez 2016) with the compliance of the force law, so that the
+limit of short steps is what explicit and implicit methods have.
 
-What W leaves softer than a quarter of the thickness h, or than where the pair was before, is met there without
-compliance, as in an inelastic encounter: what nuno_contact.offset.brake is for other methods.
+What would still be nearer than a quarter of the thickness, and nearer than before the step, is stopped there without
+compliance, as in an inelastic encounter: what nuno_contact.offset.brake is to other methods.
 
 Each pair's force is kept and taken back before it is found anew, so that the limit of repeated sweeps is the step
 itself. It acts where the pair is closest at the end of the way without it; of a pair that has passed through itself
 by then, where it first comes near on that way: each step of conservative advancement (Mirtich 1996) goes as far as a
 plane across the closest points allows.
 
-One thread does it, in the list's order, or against it every other sweep, so that the bits are the same whatever the
-threads. Not chosen: colours, as springs have, since pairs change from step to step, and a vertex in a fold has more
-pairs than there are vertices in between.
+How much of its anchor's way a pair that slides keeps follows from the force that it asked for and the one that it got,
+not from the law's at the step's end: sweeps that have not converged leave them a little apart, and what sticks crept.
+
+One thread does it, forth and back through the list, so that the bits are the same whatever the threads. Not chosen:
+colours, as springs have, since pairs change from step to step; the tensions of the last step as a start, which would
+have to be part of the state.
 """
 
 from __future__ import annotations
@@ -38,10 +41,9 @@ from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import on_the_way
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot, minus
 from nuno_kernels.terms import Displaced
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Float
 
 SWEEPS = 8
 """Over all pairs that may touch, for each sweep over the springs."""
@@ -78,7 +80,7 @@ def solve_pair(m: Meeting, p: int, moved: Displaced) -> bool:
     """Find a pair's force anew, and move its vertices by it; whether it has one, or had."""
     x, u, y, mobility, inverse_step, pair = moved.x, moved.u, moved.y, moved.mobility, moved.inverse_step, m.pair
     i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-    had = m.kept[p]
+    had = bool(m.kept[p])
     if had:
         m.kept[p] = False
         add(m, p, moved, -1.0)
