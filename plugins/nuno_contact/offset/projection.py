@@ -46,7 +46,9 @@ from nuno_kernels.terms import Displaced
 from nuno_schemas.fabric import Float
 
 SWEEPS = 8
-"""Over all pairs that may touch, for each sweep over the springs."""
+"""Over all pairs that may touch, at most, for each sweep over the springs."""
+SETTLED = 1e-4
+"""Share of the thickness; they end with one in which no pair moves what it is of by more, over that before."""
 TURNS = 32
 """Steps of conservative advancement at most."""
 
@@ -66,28 +68,58 @@ def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads:
         cover(m, y, s)
         for q in range(m.number[1]):
             m.kept[near[q]] = False
+    gather(m, y)
     for _ in range(SWEEPS):
-        last, forth, touching = m.number[1] - 1, m.swept[0] % 2 == 0, False
+        last, forth, most = m.number[6] - 1, m.swept[0] % 2 == 0, 0.0
         for q in range(last + 1):
-            touching |= solve_pair(m, near[q if forth else last - q], moved)
+            most = max(most, solve_pair(m, m.close[q if forth else last - q], moved))
         m.swept[0] += 1
-        if not touching:
+        if most < SETTLED * m.law[0]:
             break
 
 
 @block_kernel
-def solve_pair(m: Meeting, p: int, moved: Displaced) -> bool:
-    """Find a pair's force anew, and move its vertices by it; whether it has one, or had."""
+def gather(m: Meeting, y: Float) -> None:
+    """Note as close the near pairs that touch at y (3, n), or may while others are solved for."""
+    pair, of, reach, normal, near, close, number = m.pair, m.of, m.reach, m.normal, m.near, m.close, 0
+    for q in range(m.number[1]):
+        p = near[q]
+        there = corners_of(y, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
+        low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
+        close[number] = p
+        number += 1 if m.kept[p] or low - high < 2.0 * reach[p] else 0
+    m.number[6] = number
+
+
+@block_kernel
+def solve_pair(m: Meeting, p: int, moved: Displaced) -> float:
+    """Find a pair's force anew, and move its vertices by it; how much farther or less than before [m]."""
+    had, x, y, z = bool(m.kept[p]), 0.0, 0.0, 0.0
+    if had:
+        x, y, z = m.pulled[p, 0], m.pulled[p, 1], m.pulled[p, 2]
+        add(m, p, moved, -1.0)
+    m.kept[p] = find_force(m, p, moved)
+    if m.kept[p]:
+        x, y, z = x - m.pulled[p, 0], y - m.pulled[p, 1], z - m.pulled[p, 2]
+        add(m, p, moved, 1.0)
+    elif not had:
+        return 0.0
+    both = 0.0
+    for corner in range(4):
+        w = m.kept_weights[p, corner]
+        both += w * w * moved.mobility[0, m.pair[p, corner]]
+    return both * math.sqrt(x * x + y * y + z * z)
+
+
+@block_kernel
+def find_force(m: Meeting, p: int, moved: Displaced) -> bool:
+    """The force of a pair that has none, into m.pulled and m.kept_weights; whether it has any."""
     x, u, y, mobility, inverse_step, pair = moved.x, moved.u, moved.y, moved.mobility, moved.inverse_step, m.pair
     i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-    had = bool(m.kept[p])
-    if had:
-        m.kept[p] = False
-        add(m, p, moved, -1.0)
     h, there, n = m.reach[p], corners_of(y, i, j, k, l), (m.normal[p, 0], m.normal[p, 1], m.normal[p, 2])
     low, high = between(m.of[p] < 0, n, there)
     if low - high >= h:
-        return had
+        return False
     here = corners_of(x, i, j, k, l)
     at = touch(y, i, m.of[p], there, h, faces_of(m))
     low, high = between(m.of[p] < 0, at.normal, here)
@@ -100,7 +132,7 @@ def solve_pair(m: Meeting, p: int, moved: Displaced) -> bool:
         + w[2] * w[2] * mobility[0, k] + w[3] * w[3] * mobility[0, l]
     )  # fmt: skip
     if not (at.distance < h and both > 0.0):
-        return had
+        return False
     stiff, rate, gone = m.pair_stiffness[p], m.pair_damping[p] * inverse_step, weigh(w, corners_of(u, i, j, k, l))
     ramp = min(1.0, (h - at.distance) / (RAMP * h))
     pressed = press_back(stiff, ramp * rate, h, at.distance, dot(n, gone), both)
@@ -123,8 +155,6 @@ def solve_pair(m: Meeting, p: int, moved: Displaced) -> bool:
         m.pulled[p, row] = share * f[row] + pressed * n[row]
     for corner in range(4):
         m.kept_weights[p, corner] = w[corner]
-    m.kept[p] = True
-    add(m, p, moved, 1.0)
     return True
 
 
