@@ -72,7 +72,8 @@ class Kernels:
                                                    without stays out of factors: what it couples changes
 
     carry(term, moved, s)                          of xpbd: puts displacements of carried vertices into `Displaced`
-    project(term, moved, s, held, threads)         of xpbd: solves for a body; see nuno_contact.penalty.projection
+    project(term, moved, s, held, threads)         of xpbd: solves for what cloth meets, bodies or cloth; see
+                                                   nuno_contact.penalty.projection, nuno_contact.offset.projection
     sweep(batches, batch, moved)                   of batches of constraints: solves those of one batch, in place in the
                                                    displacements; see nuno_kernels.forces.constraints
     forget(batches)                                of batches of constraints: begins a step without forces

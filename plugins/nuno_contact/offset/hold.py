@@ -171,7 +171,9 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     clock[0], clock[7] = s, dt
     find_touching(m)
     drag_anchors(m, v)
-    brake(m, v, dt)
+    if m.swept[0] == 0:
+        brake(m, v, dt)
+    m.swept[0] = 0
 
 
 @block_kernel

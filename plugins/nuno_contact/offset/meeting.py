@@ -135,6 +135,11 @@ class Meeting(NamedTuple):
     """(P, 4), kept_normal (P, 3) at the closest points; kept (P,) which pairs count"""
     kept_normal: Float
     kept: Bool
+    pulled: Float
+    """(P, 4) scratch of xpbd: the force [N] of pairs that are kept, at kept_weights, and mu N of those that slide;
+    infinite where they stick"""
+    swept: NDArray[np.int64]
+    """(1,) scratch of xpbd: sweeps over pairs in this step so far"""
     share: Float
     """(n,) scratch: of a step, how much of it each vertex makes"""
     rate: Float
@@ -233,6 +238,8 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         kept_weights=np.zeros((places, 4)),
         kept_normal=np.zeros((places, 3)),
         kept=np.zeros(places, np.bool_),
+        pulled=np.zeros((places, 4)),
+        swept=np.zeros(1, np.int64),
         share=np.ones(n),
         rate=np.zeros(n),
         tally=np.zeros(5, np.int64),

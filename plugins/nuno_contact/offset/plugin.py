@@ -15,6 +15,7 @@ from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.lists import make_list, measure
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
 from nuno_contact.offset.meeting import Meeting, make_meeting
+from nuno_contact.offset.projection import project
 from nuno_contact.offset.tree import make_tree
 from nuno_contact.reaction import spring_stiffness
 from nuno_contact.untangle.search import find_crossings
@@ -104,6 +105,11 @@ def take_step(m: Meeting, rate: float) -> None:
     m.step[0], m.calm[0], m.frozen[0] = 1.0 / rate, 0, False
 
 
+def no_batches(m: Meeting, vertices: int) -> tuple[()]:
+    """Its constraints are none that could be laid out beforehand; see nuno_contact.offset.projection."""
+    return ()
+
+
 def count_meetings(m: Meeting) -> dict[str, int]:
     """Counts for a step's report."""
     return {
@@ -129,6 +135,8 @@ register(
     fill=fill_pairs,
     diagonal=add_diagonal,
     multiply=multiply_pairs,
+    constraints=no_batches,
+    project=project,
     energy=measure_pairs,
     counts=count_meetings,
 )

@@ -36,7 +36,7 @@ def find_touching(m: Meeting) -> None:
         else:
             anchored[p] = False
     m.tally[0] = number
-    ease(m, m.clock[7] if m.step[0] == 0.0 else 0.0)
+    ease(m, m.clock[7] if m.step[0] == 0.0 and m.swept[0] == 0 else 0.0)
     share_out(pair, touching, number, m.touch_start, m.touch_pair)
 
 
@@ -79,10 +79,13 @@ def drag_anchors(m: Meeting, v: Float) -> None:
         share = 0.0
         if anchored[p]:
             a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
-            _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
-            u = weigh(w, corners_of(v, i, j, k, l))
-            limit = mu * press(stiffness[p], eased[p] * damping[p], reach[p], Touch(w, n, gap[p]), u)
-            share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
+            if m.swept[0] > 0 and m.kept[p]:
+                share = m.pulled[p, 3]
+            else:
+                _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
+                u = weigh(w, corners_of(v, i, j, k, l))
+                limit = mu * press(stiffness[p], eased[p] * damping[p], reach[p], Touch(w, n, gap[p]), u)
+                share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
         anchored[p] = True
         for corner in range(4):
             anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]

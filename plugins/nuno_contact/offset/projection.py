@@ -1,0 +1,209 @@
+"""Contacts as compliant constraints of an XPBD step, one pair after another in the list's order.
+
+A pair's force (nuno_contact.offset.force) acts on the way between its closest points, r = sum w_i x_i. Where the pair
+were alone, backward Euler has
+
+    d' = d + W N',    W = sum w_i^2 mobility_i,    mobility = h^2 / m'  (nuno_kernels.forces.constraints),
+    N' = N(d') - c / h (s + W N')  and not negative,
+
+d the distance along the normal and s the way gone along it in the step, both without the pair's force. The law N is of
+three pieces, each solved in one go: a line, a hyperbola (a quadratic equation) and a line. Friction is solved as
+against bodies (nuno_contact.penalty.projection): F' = F / (1 + (k + c / h) W), and |F'| <= mu N'. This is the
+inequality constraint of XPBD (Macklin, Mueller & Chentanez 2016) with the compliance of the force law, so that the
+limit of short steps is what explicit and implicit methods have.
+
+What would still be nearer than a quarter of the thickness, and nearer than before the step, is stopped there without
+compliance, as in an inelastic encounter: what nuno_contact.offset.brake is to other methods.
+
+Each pair's force is kept and taken back before it is found anew, so that the limit of repeated sweeps is the step
+itself. It acts where the pair is closest at the end of the way without it; of a pair that has passed through itself
+by then, where it first comes near on that way: each step of conservative advancement (Mirtich 1996) goes as far as a
+plane across the closest points allows.
+
+How much of its anchor's way a pair that slides keeps follows from the force that it asked for and the one that it got,
+not from the law's at the step's end: sweeps that have not converged leave them a little apart, and what sticks crept.
+
+One thread does it, forth and back through the list, so that the bits are the same whatever the threads. Not chosen:
+colours, as springs have, since pairs change from step to step; the tensions of the last step as a start, which would
+have to be part of the state.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nuno_contact.offset.brake import BRAKED
+from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of, faces_of, touch
+from nuno_contact.offset.iterate import cover
+from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.parting import on_the_way
+from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
+from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.lanes.triples import dot, minus
+from nuno_kernels.terms import Displaced
+from nuno_schemas.fabric import Float
+
+SWEEPS = 8
+"""Over all pairs that may touch, at most, for each sweep over the springs."""
+SETTLED = 1e-4
+"""Share of the thickness; they end with one in which no pair moves what it is of by more, over that before."""
+TURNS = 32
+"""Steps of conservative advancement at most."""
+
+
+@block_kernel
+def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
+    """Solve all contacts of cloth with cloth for a step that ends at fraction s, in place in `moved`."""
+    x, u, y, near = moved.x, moved.u, moved.y, m.near
+    finite = True
+    for row in range(3):
+        for i in range(x.shape[1]):
+            y[row, i] = x[row, i] + u[row, i]
+            finite = finite and np.isfinite(y[row, i])
+    if not finite:
+        return
+    if m.swept[0] == 0:
+        cover(m, y, s, threads)
+        for q in range(m.number[1]):
+            m.kept[near[q]] = False
+    gather(m, y)
+    for _ in range(SWEEPS):
+        last, forth, most = m.number[6] - 1, m.swept[0] % 2 == 0, 0.0
+        for q in range(last + 1):
+            most = max(most, solve_pair(m, m.close[q if forth else last - q], moved))
+        m.swept[0] += 1
+        if most < SETTLED * m.law[0]:
+            break
+
+
+@block_kernel
+def gather(m: Meeting, y: Float) -> None:
+    """Note as close the near pairs that touch at y (3, n), or may while others are solved for."""
+    pair, of, reach, normal, near, close, number = m.pair, m.of, m.reach, m.normal, m.near, m.close, 0
+    for q in range(m.number[1]):
+        p = near[q]
+        there = corners_of(y, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
+        low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
+        close[number] = p
+        number += 1 if m.kept[p] or low - high < 2.0 * reach[p] else 0
+    m.number[6] = number
+
+
+@block_kernel
+def solve_pair(m: Meeting, p: int, moved: Displaced) -> float:
+    """Find a pair's force anew, and move its vertices by it; how much farther or less than before [m]."""
+    had, x, y, z = bool(m.kept[p]), 0.0, 0.0, 0.0
+    if had:
+        x, y, z = m.pulled[p, 0], m.pulled[p, 1], m.pulled[p, 2]
+        add(m, p, moved, -1.0)
+    m.kept[p] = find_force(m, p, moved)
+    if m.kept[p]:
+        x, y, z = x - m.pulled[p, 0], y - m.pulled[p, 1], z - m.pulled[p, 2]
+        add(m, p, moved, 1.0)
+    elif not had:
+        return 0.0
+    both = 0.0
+    for corner in range(4):
+        w = m.kept_weights[p, corner]
+        both += w * w * moved.mobility[0, m.pair[p, corner]]
+    return both * math.sqrt(x * x + y * y + z * z)
+
+
+@block_kernel
+def find_force(m: Meeting, p: int, moved: Displaced) -> bool:
+    """The force of a pair that has none, into m.pulled and m.kept_weights; whether it has any."""
+    x, u, y, mobility, inverse_step, pair = moved.x, moved.u, moved.y, moved.mobility, moved.inverse_step, m.pair
+    i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+    h, there, n = m.reach[p], corners_of(y, i, j, k, l), (m.normal[p, 0], m.normal[p, 1], m.normal[p, 2])
+    low, high = between(m.of[p] < 0, n, there)
+    if low - high >= h:
+        return False
+    here = corners_of(x, i, j, k, l)
+    at = touch(y, i, m.of[p], there, h, faces_of(m))
+    low, high = between(m.of[p] < 0, at.normal, here)
+    if not low > high:
+        met = encounter(m.of[p] < 0, here, there, BRAKED * h)
+        at = met if met.distance < math.inf else at
+    w, n = at.weights, at.normal
+    both = (
+        w[0] * w[0] * mobility[0, i] + w[1] * w[1] * mobility[0, j]
+        + w[2] * w[2] * mobility[0, k] + w[3] * w[3] * mobility[0, l]
+    )  # fmt: skip
+    if not (at.distance < h and both > 0.0):
+        return False
+    stiff, rate, gone = m.pair_stiffness[p], m.pair_damping[p] * inverse_step, weigh(w, corners_of(u, i, j, k, l))
+    ramp = min(1.0, (h - at.distance) / (RAMP * h))
+    pressed = press_back(stiff, ramp * rate, h, at.distance, dot(n, gone), both)
+    if at.distance + both * pressed < BRAKED * h:
+        before = weigh(closest(m.of[p] < 0, here).weights, here)
+        floor = min(BRAKED * h, math.sqrt(dot(before, before)))
+        pressed = max(pressed, (floor - at.distance) / both)
+    t = across(gone, n)
+    e = t
+    if m.anchored[p]:
+        e = across(weigh((m.anchor[p, 0], m.anchor[p, 1], m.anchor[p, 2], m.anchor[p, 3]), there), n)
+    share = -1.0 / (1.0 + (stiff + rate) * both)
+    f = (
+        share * (stiff * e[0] + rate * t[0]), share * (stiff * e[1] + rate * t[1]), share * (stiff * e[2] + rate * t[2])
+    )  # fmt: skip
+    size, most = math.sqrt(dot(f, f)), m.law[1] * pressed
+    share = most / size if size > most else 1.0
+    m.pulled[p, 3] = share
+    for row in range(3):
+        m.pulled[p, row] = share * f[row] + pressed * n[row]
+    for corner in range(4):
+        m.kept_weights[p, corner] = w[corner]
+    return True
+
+
+@forced_inline
+def add(m: Meeting, p: int, moved: Displaced, sign: float) -> None:
+    """Move a pair's vertices by its force, or back by it."""
+    u, y, mobility = moved.u, moved.y, moved.mobility
+    for corner in range(4):
+        v = m.pair[p, corner]
+        scale = sign * m.kept_weights[p, corner] * mobility[0, v]
+        for row in range(3):
+            way = scale * m.pulled[p, row]
+            u[row, v] += way
+            y[row, v] += way
+
+
+@forced_inline
+def press_back(k: float, c: float, h: float, d: float, s: float, both: float) -> float:
+    """N' [N] for a distance d and a way s [m] without it, k and c / h [N/m], and W [m/N]."""
+    damped = 1.0 + c * both
+    pressed = (k * (h - d) - c * s) / (damped + k * both)
+    if d + both * pressed < 0.5 * h:
+        b = damped * d - c * both * s
+        end = (b + math.sqrt(b * b + damped * k * h * h * both)) / (2.0 * damped)
+        pressed = (end - d) / both
+        if end < STEEPEST * h:
+            steep = 0.25 * k / (STEEPEST * STEEPEST)
+            pressed = (steep * (2.0 * STEEPEST * h - d) - c * s) / (damped + steep * both)
+    return max(0.0, pressed)
+
+
+@block_kernel
+def encounter(of_edges: bool, here: Corners, there: Corners, stop: float) -> Touch:
+    """How a pair touches that goes straight from one place to another and comes as near as `stop` [m] on its way, or
+    half as near as it was; its distance is that at the end across the plane of contact, negative beyond it, and
+    infinite where it never comes so near.
+    """
+    go = (minus(there[0], here[0]), minus(there[1], here[1]), minus(there[2], here[2]), minus(there[3], here[3]))
+    share = 0.0
+    for turn in range(TURNS):
+        now = on_the_way(here, there, (share, share, share, share))
+        w = closest(of_edges, now).weights
+        n, distance = unit(weigh(w, now))
+        if turn == 0:
+            stop = min(stop, 0.5 * distance)
+        low, high = between(of_edges, n, go)
+        if (high - low) * (1.0 - share) <= distance - stop:
+            return Touch(w, n, math.inf)
+        if distance <= 1.001 * stop:
+            break
+        share += (distance - stop) / (high - low)
+    return Touch(w, n, dot(n, weigh(w, there)))
