@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.lists import share_out
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import (
@@ -167,14 +168,19 @@ def corners_of(x: Float, i: int, j: int, k: int, l: int) -> Corners:  # noqa: E7
 @kernel
 def is_fresh(m: Meeting, x: Float, v: Float) -> None:
     """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for those that are
-    carried, which have gone ahead by a step; share out to blocks what is near where they are not.
+    carried, which have gone ahead by a step; share out to blocks what is near where they are not. Put bodies behind
+    them, where there are any.
     """
     last, mass, count = m.last, m.mass, 0
     for row in range(3):
         for i in range(x.shape[1]):
             count += 1 if x[row, i] == last[row, i] or mass[i] == 0.0 else 0
     m.fresh[0] = count == 3 * x.shape[1]
-    if m.step[0] > 0.0:
+    if m.local.shape[0] > 0:
+        copy_part(x, m.whole, 0, x.shape[1])
+        copy_part(v, m.whole_velocity, 0, x.shape[1])
+        m.velocity[:] = m.whole_velocity
+    elif m.step[0] > 0.0:
         m.velocity[:] = v
     if not m.fresh[0] and m.number[5] != m.number[4]:
         share_out(m.pair, m.near, m.number[1], m.block_start, m.block_pair)
@@ -184,9 +190,11 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
 @kernel
 def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the forces [N] of the block's pairs to its vertices."""
+    if m.local.shape[0] > 0:
+        x, v = m.whole, m.whole_velocity
     pair, of, reach, normal, weights, mesh = m.pair, m.of, m.reach, m.normal, m.weights, faces_of(m)
     stiffness, damping, anchor, anchored, mu, fresh, step = (
-        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.law[1], m.fresh[0], m.step[0]
+        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.pair_friction, m.fresh[0], m.step[0]
     )  # fmt: skip
     start, chosen = (m.touch_start, m.touch_pair) if fresh else (m.block_start, m.block_pair)
     width, frozen = force.shape[1] - PADDING, m.frozen[0]
@@ -203,7 +211,7 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
             at = kept_touch(m, p, corners) if frozen else touch(x, i, of[p], corners, reach[p], mesh)
             if not at.distance < h:
                 continue
-        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], damping[p], mu, anchored[p],
+        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], damping[p], mu[p], anchored[p],
                          (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step)  # fmt: skip
         for corner in range(4):
             local = pair[p, corner] - origin
@@ -268,7 +276,7 @@ def drag_anchors(m: Meeting, v: Float) -> None:
     """Set the anchors of pairs that touch at `last` and move at v (3, n), or drag them along."""
     pair, reach, normal, anchor, anchored, weights = m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights
     stiffness, damping, mu, x, touching, gap = (
-        m.pair_stiffness, m.pair_damping, m.law[1], m.last, m.touching, m.distance
+        m.pair_stiffness, m.pair_damping, m.pair_friction, m.last, m.touching, m.distance
     )  # fmt: skip
     for q in range(m.tally[0]):
         p = touching[q]
@@ -279,7 +287,7 @@ def drag_anchors(m: Meeting, v: Float) -> None:
             a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
             _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
             u = weigh(w, corners_of(v, i, j, k, l))
-            limit = mu * press(stiffness[p], damping[p], reach[p], Touch(w, n, gap[p]), u)
+            limit = mu[p] * press(stiffness[p], damping[p], reach[p], Touch(w, n, gap[p]), u)
             share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
         anchored[p] = True
         for corner in range(4):

@@ -21,6 +21,7 @@ import math
 
 import numpy as np
 
+from nuno_contact.offset.bodies import copy_part, find_behind, pose_solids
 from nuno_contact.offset.brake import BRAKED, brake
 from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
 from nuno_contact.offset.lists import choose_near, make_list
@@ -151,6 +152,23 @@ def copy_rows(x: Float, to: Float) -> None:
 @kernel
 def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
+    if m.local.shape[0] == 0:
+        hold_whole(m, x, v, s)
+        return
+    n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
+    pose_solids(m, s, goal, velocity)
+    copy_part(x, goal, 0, n)
+    copy_part(v, velocity, 0, n)
+    m.behind[:] = False
+    hold_whole(m, goal, velocity, s)
+    copy_part(goal, x, 0, n)
+    copy_part(velocity, v, 0, n)
+    copy_part(m.last, m.whole, n, goal.shape[1])
+
+
+@block_kernel
+def hold_whole(m: Meeting, x: Float, v: Float, s: float) -> None:
+    """The same of cloth and bodies."""
     last, reference, motion, clock, spread = m.last, m.reference[3:], m.motion[3:], m.clock, m.spread[1]
     way = s - clock[0]
     m.tally[3] += 1
@@ -165,7 +183,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
             plan(m, x - last, way)
     dt = way * m.span[0]
     if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0:
-        cut_short(m, x, v)
+        cut_short(m, x, v, dt)
         all_close(m)
     copy_rows(x, last)
     clock[0] = s
@@ -175,8 +193,8 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
 
 
 @block_kernel
-def cut_short(m: Meeting, x: Float, v: Float) -> None:
-    """Shorten vertices' ways to x, in place, and their velocities v (3, n) as much."""
+def cut_short(m: Meeting, x: Float, v: Float, dt: float) -> None:
+    """Shorten vertices' ways to x in a step of dt [s], in place, and their velocities v (3, n) as much."""
     last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
     for i in range(x.shape[1]):
         a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
@@ -190,31 +208,38 @@ def cut_short(m: Meeting, x: Float, v: Float) -> None:
     if m.number[2] > 0:
         # What is not listed might be met: nothing moves.
         m.share[:] = 0.0
-        go_partly(m, x, v)
+        go_partly(m, x, v, dt)
         return
     if m.step[0] > 0.0 and give_way(m, last, x - last, CLOSEST):
-        go_partly(m, x, v)
+        go_partly(m, x, v, dt)
         if pass_by(m, x, 0.0) == 0:
             return
     shorten(m, x)
-    go_partly(m, x, v)
+    go_partly(m, x, v, dt)
 
 
 @block_kernel
-def go_partly(m: Meeting, x: Float, v: Float) -> None:
-    """Take the shares of ways to x and of velocities v (3, n), in place, and count them."""
-    last, share = m.last, m.share
+def go_partly(m: Meeting, x: Float, v: Float, dt: float) -> None:
+    """Take the shares of ways to x and of velocities v (3, n), in place, and count them. Bodies, which nothing slows
+    down, will catch up in a step as long.
+    """
+    last, share, cloth = m.last, m.share, x.shape[1] - m.local.shape[0]
     for i in range(x.shape[1]):
         if share[i] < 1.0:
             m.tally[1 if m.mass[i] > 0.0 else 2] += 1
+            if i >= cloth:
+                m.behind[i - cloth] = True
             for row in range(3):
+                if i >= cloth:
+                    v[row, i] += (1.0 - share[i]) * (x[row, i] - last[row, i]) / dt
                 x[row, i] = last[row, i] + share[i] * (x[row, i] - last[row, i])
-                v[row, i] *= share[i]
+                if i < cloth:
+                    v[row, i] *= share[i]
 
 
 @block_kernel
 def same_rows(a: Float, b: Float) -> bool:
-    """Whether two arrays hold the same numbers; NaN is none."""
+    """Whether another array holds the numbers of a; NaN is none."""
     for row in range(a.shape[0]):
         for i in range(a.shape[1]):
             if a[row, i] != b[row, i]:
@@ -225,9 +250,22 @@ def same_rows(a: Float, b: Float) -> bool:
 @kernel
 def begin_apart(m: Meeting, x: Float, span: float) -> None:
     """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
+    n, goal = x.shape[1], x
+    if m.local.shape[0] > 0:
+        goal = m.goal
+        pose_solids(m, 0.0, goal, m.whole_velocity)
+        copy_part(x, goal, 0, n)
+    begin_whole(m, goal, same_rows(x, m.last), span)
+    if m.local.shape[0] > 0:
+        find_behind(m, n)
+
+
+@block_kernel
+def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float) -> None:
+    """The same of cloth and bodies, whose cloth is where it was left or not."""
     clock, m.span[0] = m.clock, span
     clock[1], clock[3], clock[0] = clock[1] - clock[0], clock[3] - clock[0], 0.0
-    if np.isnan(m.reference[0, 0]) or not same_rows(m.last, x):
+    if np.isnan(m.reference[0, 0]) or not goes_on:
         if not np.isfinite(x).all():
             return
         m.last[:] = x

@@ -19,9 +19,20 @@ MIDDLES = (0.5, 0.5, -0.5, -0.5), (1.0, -1.0 / 3.0, -1.0 / 3.0, -1.0 / 3.0)
 """Weights of the way between the middles of two edges, and of a vertex and a triangle."""
 
 
+@forced_inline
+def share_of(m: Meeting, i: int, l: int, of_edges: bool) -> float:  # noqa: E741
+    """The share of the stiffness that a pair of cloth and a body has, by the first of each primitive's vertices: a
+    piece of cloth has as many of a fine body's vertices below it, and edges as many across it, as that is finer.
+    """
+    first = m.size.shape[0] - m.local.shape[0]
+    cloth, body = (m.size[i], m.size[l]) if i < first else (m.size[l], m.size[i])
+    finer: float = less(1.0, body / cloth)
+    return finer if of_edges else 1.0 if i < first else finer * finer
+
+
 @block_kernel
 def measure(m: Meeting, p: int) -> None:
-    """From where on a listed pair pushes, how stiffly and how damped; not at all where all of it is held."""
+    """From where on a listed pair pushes, how stiffly, how damped and how rough; not at all where all of it is held."""
     s, i, j, k, l = m.start, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
     begun = (point(s, i), point(s, j), point(s, k), point(s, l))
     _, before = unit(weigh(closest(m.of[p] < 0, begun).weights, begun))
@@ -30,8 +41,13 @@ def measure(m: Meeting, p: int) -> None:
         if m.mass[v] > 0.0:
             least, mass = less(least, m.stiffness[v]), less(mass, m.mass[v])
     stiffness = 0.0 if mass == np.inf else 0.5 * least * (EDGES if m.of[p] < 0 else 1.0)
-    m.reach[p], m.pair_stiffness[p] = less(m.law[0], before), stiffness
-    m.pair_damping[p] = 0.0 if mass == np.inf else 2.0 * m.law[2] * math.sqrt(0.5 * stiffness * mass)
+    mu, damping = m.law[1], m.law[2]
+    body = max(m.piece[i], m.piece[l]) - (m.meets.shape[0] - m.body_law.shape[0])
+    if body >= 0:
+        mu, damping = m.body_law[body, 0], m.body_law[body, 1]
+        stiffness *= share_of(m, i, l, m.of[p] < 0)
+    m.reach[p], m.pair_stiffness[p], m.pair_friction[p] = less(m.law[0], before), stiffness, mu
+    m.pair_damping[p] = 0.0 if mass == np.inf else 2.0 * damping * math.sqrt(0.5 * stiffness * mass)
 
 
 @block_kernel
@@ -107,11 +123,11 @@ def enlist(m: Meeting, ways: Float, found: Long, count: int) -> None:
 def search(m: Meeting, tree: Tree) -> None:
     """List the pairs by the tree, which is fitted already, as m.ways are."""
     radius = m.law[0]
-    leaves, count = np.empty((8 * m.faces.shape[0], 2), np.int64), 0
-    count = find_leaves(tree.boxes, radius, leaves)
+    bodies, leaves = m.local.shape[0] > 0, np.empty((8 * m.faces.shape[0], 2), np.int64)
+    count = find_leaves(tree.boxes, radius, bodies, leaves)
     if count > leaves.shape[0]:
         leaves = np.empty((count, 2), np.int64)
-        find_leaves(tree.boxes, radius, leaves)
+        find_leaves(tree.boxes, radius, bodies, leaves)
     found = np.empty((8 * m.faces.shape[0], 2), np.int64)
     number = find_near(tree, radius, leaves, count, found)
     if number > found.shape[0]:

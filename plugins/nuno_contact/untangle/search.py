@@ -98,10 +98,10 @@ def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
     return rows, number
 
 
-def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool) -> tuple[Long, Long]:
+def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool, bodies: bool = False) -> tuple[Long, Long]:
     """Edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
     fit(tree, x)
-    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, 0.0, rows), 8 * len(tree.faces))
+    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, 0.0, bodies, rows), 8 * len(tree.faces))
     found, number = with_room(lambda rows: find_through(x, tree, piece, meets, leaves, count, rows), len(tree.faces))
     found, kept = found[:number], np.ones(number, bool)
     for row in np.flatnonzero(found[:, 1] < 0):
@@ -182,7 +182,7 @@ def measure_near(
 def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
     """Pairs that are nearer than OVER times what they ought to be, of vertices x (n, 3), in order."""
     tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
-    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, radius, rows), 8 * len(tree.faces))
+    leaves, count = with_room(lambda rows: find_leaves(tree.boxes, radius, False, rows), 8 * len(tree.faces))
     found, number = with_room(lambda rows: find_near(tree, radius, leaves, count, rows), 8 * len(tree.faces))
     pair, sizes = np.empty((number, 4), np.int64), np.empty((number, 2))
     weights, normal = np.empty((number, 4)), np.empty((number, 3))
