@@ -14,6 +14,7 @@ Kernels of cloth contact see cloth of n vertices, or, where there are bodies, ar
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +30,8 @@ from nuno_schemas.vectors import norm
 if TYPE_CHECKING:
     from nuno_contact.offset.meeting import Meeting
 
+CATCH_UP = 1.0
+"""A vertex that is behind its body follows by so much faster than that at most [m/s]."""
 SAME = 1e-9
 """A vertex is behind its body if it is farther from where that has it [m] than rounding explains."""
 
@@ -128,6 +131,36 @@ def place_solids(m: Meeting, x: Float, v: Float, s: float) -> None:
     for b in range(m.local.shape[0]):
         for row in range(3):
             whole[row, n + b] = last[row, n + b] if m.behind[b] else goal[row, n + b]
+
+
+@kernel
+def limit_ways(m: Meeting, n: int, dt: float) -> None:
+    """Let the bodies' vertices go from `last` to m.goal in a step of dt [s] no farther than they may follow."""
+    goal, last, v = m.goal, m.last, m.whole_velocity
+    for i in range(n, goal.shape[1]):
+        a, b, c = goal[0, i] - last[0, i], goal[1, i] - last[1, i], goal[2, i] - last[2, i]
+        speed = math.sqrt(v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
+        way, most = math.sqrt(a * a + b * b + c * c), dt * (speed + CATCH_UP)
+        if way > most:
+            for row in range(3):
+                goal[row, i] = last[row, i] + most / way * (goal[row, i] - last[row, i])
+
+
+@kernel
+def catch_up(m: Meeting, n: int, dt: float) -> None:
+    """Velocities at which those that are behind will follow in a step of dt [s]."""
+    goal, last, v = m.goal, m.last, m.whole_velocity
+    for b in range(m.local.shape[0]):
+        if not m.behind[b]:
+            continue
+        i = n + b
+        x, y, z = (
+            v[0, i] + (goal[0, i] - last[0, i]) / dt, v[1, i] + (goal[1, i] - last[1, i]) / dt,
+            v[2, i] + (goal[2, i] - last[2, i]) / dt,
+        )  # fmt: skip
+        speed = math.sqrt(v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
+        share = min(1.0, (speed + CATCH_UP) / math.sqrt(x * x + y * y + z * z))
+        v[0, i], v[1, i], v[2, i] = share * x, share * y, share * z
 
 
 @kernel

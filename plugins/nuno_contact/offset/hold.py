@@ -21,13 +21,12 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.bodies import copy_part, find_behind, pose_solids
-from nuno_contact.offset.brake import BRAKED, brake
+from nuno_contact.offset.bodies import catch_up, copy_part, find_behind, limit_ways, pose_solids
+from nuno_contact.offset.brake import BRAKED, SWEEPS, brake, push_on
 from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
-from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way, on_the_way, part
-from nuno_contact.offset.plan import LEAST, LISTS, WINDOW, plan, set_out, strays
+from nuno_contact.offset.plan import plan, set_out, strays
 from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
@@ -55,6 +54,12 @@ def farthest_way(v: Float, dt: float) -> float:
     return dt * math.sqrt(most)
 
 
+@forced_inline
+def is_thorough(m: Meeting) -> bool:
+    """Whether all planes are tried before a step is cut short: of long steps, and of bodies, which go far in one."""
+    return bool(m.step[0] > 0.0) or m.local.shape[0] > 0
+
+
 @block_kernel
 def pass_by(m: Meeting, x: Float, way: float) -> int:
     """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
@@ -63,7 +68,7 @@ def pass_by(m: Meeting, x: Float, way: float) -> int:
     m.close.
     """
     pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
-    fails, number = 0, 0
+    fails, number, thorough = 0, 0, is_thorough(m)
     for q in range(m.number[1]):
         p = near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
@@ -81,7 +86,7 @@ def pass_by(m: Meeting, x: Float, way: float) -> int:
         normal[p, 0], normal[p, 1], normal[p, 2] = n
         low, high = between(of_edges, n, there)
         gap = low - high
-        if m.step[0] > 0.0 and gap < nearest(reach[p], distance):
+        if thorough and gap < nearest(reach[p], distance):
             n, gap = part(of_edges, here, there, nearest(reach[p], distance))
             if gap >= nearest(reach[p], distance):
                 normal[p, 0], normal[p, 1], normal[p, 2] = n
@@ -152,49 +157,72 @@ def copy_rows(x: Float, to: Float) -> None:
 @kernel
 def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
+    dt = (s - m.clock[0]) * m.span[0]
     if m.local.shape[0] == 0:
-        hold_whole(m, x, v, s)
+        if hold_whole(m, x, v, s):
+            brake(m, v, dt, SWEEPS[0])
         return
     n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
     pose_solids(m, s, goal, velocity)
+    limit_ways(m, n, dt)
     copy_part(x, goal, 0, n)
     copy_part(v, velocity, 0, n)
-    m.behind[:] = False
-    hold_whole(m, goal, velocity, s)
-    copy_part(goal, x, 0, n)
-    copy_part(velocity, v, 0, n)
-    copy_part(m.last, m.whole, n, goal.shape[1])
+    if hold_whole(m, goal, velocity, s):
+        copy_part(goal, x, 0, n)
+        pose_solids(m, s, goal, velocity)
+        find_behind(m, n)
+        catch_up(m, n, dt)
+        brake(m, velocity, dt, SWEEPS[1])
+        copy_part(velocity, v, 0, n)
 
 
 @block_kernel
-def hold_whole(m: Meeting, x: Float, v: Float, s: float) -> None:
-    """The same of cloth and bodies."""
+def list_for(m: Meeting, x: Float, s: float) -> bool:
+    """Have lists for a step from `last` to x (3, n), which ends at fraction s; False where x is not finite.
+
+    Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
+    """
     last, reference, motion, clock, spread = m.last, m.reference[3:], m.motion[3:], m.clock, m.spread[1]
     way = s - clock[0]
-    m.tally[3] += 1
-    if s > clock[3] + clock[4] or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
+    ahead = way if m.local.shape[0] > 0 else 0.0
+    if s + ahead > clock[3] + clock[4] or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
         if not np.isfinite(x).all():
-            return
+            return False
         # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
         gone = clock[0] - clock[3]
         if gone > 0.0:
             plan(m, last - reference, gone)
         if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
             plan(m, x - last, way)
-    dt = way * m.span[0]
-    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0:
-        cut_short(m, x, v, dt)
-        all_close(m)
-    copy_rows(x, last)
-    clock[0] = s
-    find_touching(m)
-    drag_anchors(m, v)
-    brake(m, v, dt)
+    return True
 
 
 @block_kernel
-def cut_short(m: Meeting, x: Float, v: Float, dt: float) -> None:
-    """Shorten vertices' ways to x in a step of dt [s], in place, and their velocities v (3, n) as much."""
+def hold_whole(m: Meeting, x: Float, v: Float, s: float) -> bool:
+    """The same of cloth and bodies; False, and nothing done, where something is lost."""
+    m.tally[3] += 1
+    dt = (s - m.clock[0]) * m.span[0]
+    if not list_for(m, x, s):
+        return False
+    met = m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0
+    if met and m.local.shape[0] > 0 and m.number[2] == 0:
+        push_on(m, x, v, dt)
+        if not list_for(m, x, s):
+            return False
+        met = m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0
+    if met:
+        cut_short(m, x, v)
+        all_close(m)
+    copy_rows(x, m.last)
+    m.clock[0] = s
+    find_touching(m)
+    drag_anchors(m, v)
+    return True
+
+
+@block_kernel
+def cut_short(m: Meeting, x: Float, v: Float) -> None:
+    """Shorten vertices' ways to x, in place, and their velocities v (3, n) as much."""
     last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
     for i in range(x.shape[1]):
         a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
@@ -208,90 +236,24 @@ def cut_short(m: Meeting, x: Float, v: Float, dt: float) -> None:
     if m.number[2] > 0:
         # What is not listed might be met: nothing moves.
         m.share[:] = 0.0
-        go_partly(m, x, v, dt)
+        go_partly(m, x, v)
         return
-    if m.step[0] > 0.0 and give_way(m, last, x - last, CLOSEST):
-        go_partly(m, x, v, dt)
+    if is_thorough(m) and give_way(m, last, x - last, CLOSEST):
+        go_partly(m, x, v)
         if pass_by(m, x, 0.0) == 0:
             return
     shorten(m, x)
-    go_partly(m, x, v, dt)
+    go_partly(m, x, v)
 
 
 @block_kernel
-def go_partly(m: Meeting, x: Float, v: Float, dt: float) -> None:
-    """Take the shares of ways to x and of velocities v (3, n), in place, and count them. Bodies, which nothing slows
-    down, will catch up in a step as long.
-    """
+def go_partly(m: Meeting, x: Float, v: Float) -> None:
+    """Take the shares of ways to x and, but for bodies, of velocities v (3, n), in place, and count them."""
     last, share, cloth = m.last, m.share, x.shape[1] - m.local.shape[0]
     for i in range(x.shape[1]):
         if share[i] < 1.0:
             m.tally[1 if m.mass[i] > 0.0 else 2] += 1
-            if i >= cloth:
-                m.behind[i - cloth] = True
             for row in range(3):
-                if i >= cloth:
-                    v[row, i] += (1.0 - share[i]) * (x[row, i] - last[row, i]) / dt
                 x[row, i] = last[row, i] + share[i] * (x[row, i] - last[row, i])
                 if i < cloth:
                     v[row, i] *= share[i]
-
-
-@block_kernel
-def same_rows(a: Float, b: Float) -> bool:
-    """Whether another array holds the numbers of a; NaN is none."""
-    for row in range(a.shape[0]):
-        for i in range(a.shape[1]):
-            if a[row, i] != b[row, i]:
-                return False
-    return True
-
-
-@kernel
-def begin_apart(m: Meeting, x: Float, span: float) -> None:
-    """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
-    n, goal = x.shape[1], x
-    if m.local.shape[0] > 0:
-        goal = m.goal
-        pose_solids(m, 0.0, goal, m.whole_velocity)
-        copy_part(x, goal, 0, n)
-    begin_whole(m, goal, same_rows(x, m.last), span)
-    if m.local.shape[0] > 0:
-        find_behind(m, n)
-
-
-@block_kernel
-def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float) -> None:
-    """The same of cloth and bodies, whose cloth is where it was left or not."""
-    clock, m.span[0] = m.clock, span
-    clock[1], clock[3], clock[0] = clock[1] - clock[0], clock[3] - clock[0], 0.0
-    if np.isnan(m.reference[0, 0]) or not goes_on:
-        if not np.isfinite(x).all():
-            return
-        m.last[:] = x
-        clock[4], clock[2], clock[5], clock[6] = WINDOW, LISTS, 1.0, LEAST[1]
-        clock[1], clock[3] = -2.0 * clock[2], 0.0
-        m.unrest[:] = 0.0
-        m.anchored[:] = False
-        m.number[0] = 0
-        plan(m, 0.0 * x, 1.0)
-    elif not (
-        same_rows(m.listed[:6], m.reference)
-        and same_rows(m.listed[6:12], m.motion)
-        and same_rows(m.listed[12:], m.spread)
-    ):
-        make_list(m)
-        choose_near(m)
-    renew_planes(m)
-    all_close(m)
-    find_touching(m)
-
-
-@block_kernel
-def renew_planes(m: Meeting) -> None:
-    """Give each near pair the plane across its closest points at `last`."""
-    for q in range(m.number[1]):
-        p = m.near[q]
-        corners = corners_of(m.last, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3])
-        n, _ = unit(weigh(closest(m.of[p] < 0, corners).weights, corners))
-        m.normal[p, 0], m.normal[p, 1], m.normal[p, 2] = n

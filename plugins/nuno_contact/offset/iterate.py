@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from nuno_contact.offset.begin import same_rows
 from nuno_contact.offset.bodies import copy_part, pose_solids
 from nuno_contact.offset.force import corners_of, faces_of, touch
-from nuno_contact.offset.hold import same_rows
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way
 from nuno_contact.offset.plan import MOST, WINDOW, allow, learn, set_out, strays

@@ -81,7 +81,7 @@ def plan(m: Meeting, u: Float, way: float) -> None:
     gone = clock[0] - clock[3]
     share = gone / clock[4]
     window = clock[4] * (1.5 if share > 1.0 else 0.75 if share < 0.5 else 1.0)
-    window = max(way, min(LONGEST, max(SHORTEST, window)))
+    window = max(way * (2.0 if m.local.shape[0] > 0 else 1.0), min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m, 1, gone, share)
     crowd = m.number[1] / m.last.shape[1]
@@ -119,6 +119,13 @@ def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[1], clock[2] = s, whole
         renew_list(m)
+        while m.number[2] > 0 and m.local.shape[0] > 0 and whole > window:
+            # Bodies are taken to go through what they will push: for less time it is less.
+            share = max(0.5, window / whole)
+            whole *= share
+            motion[:3] *= share
+            clock[2] = whole
+            renew_list(m)
         while m.number[2] > 0 and tighter(spread):
             renew_list(m)
         m.tally[4] += m.number[2]

@@ -8,10 +8,11 @@ from typing import Annotated, Any, ClassVar, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_contact.offset.begin import begin_apart
 from nuno_contact.offset.bodies import make_solids, place_solids, set_solid_poses
 from nuno_contact.offset.energy import measure_pairs
 from nuno_contact.offset.force import add_pairs, is_fresh
-from nuno_contact.offset.hold import begin_apart, hold_apart
+from nuno_contact.offset.hold import hold_apart
 from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
 from nuno_contact.offset.meeting import Meeting, make_meeting
