@@ -133,6 +133,12 @@ def place_solids(m: Meeting, x: Float, v: Float, s: float) -> None:
             whole[row, n + b] = last[row, n + b] if m.behind[b] else goal[row, n + b]
 
 
+def is_waiting(m: Meeting) -> bool:
+    """Whether an iterate has bodies' vertices that are not at m.goal."""
+    first = m.goal.shape[1] - len(m.local)
+    return bool(len(m.local)) and float(np.abs(m.goal[:, first:] - m.whole[:, first:]).max()) > SAME
+
+
 @kernel
 def limit_ways(m: Meeting, n: int, dt: float) -> None:
     """Let the bodies' vertices go from `last` to m.goal in a step of dt [s] no farther than they may follow."""

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_contact.offset.begin import begin_apart
-from nuno_contact.offset.bodies import make_solids, place_solids, set_solid_poses
+from nuno_contact.offset.bodies import is_waiting, make_solids, place_solids, set_solid_poses
 from nuno_contact.offset.energy import measure_pairs
 from nuno_contact.offset.force import add_pairs, is_fresh
 from nuno_contact.offset.hold import hold_apart
@@ -80,6 +80,7 @@ register(
     begin=begin_apart,
     approach=take_step,
     bound=restrain,
+    waits=is_waiting,
     foresee=foresee,
     rows=make_touching,
     fill=fill_pairs,
