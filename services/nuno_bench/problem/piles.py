@@ -64,7 +64,7 @@ def pile(
     *pieces: Fabric, gravity: Float = DOWN, threads: int = 1, contact: bool = True,
     bodies: tuple[Geometry, Poses] | None = None, **settings: Any,
 ) -> System:  # fmt: skip
-    """Pieces under cloth contact of these settings, with bodies or without, or under none. Raises BadInput as it does."""
+    """Pieces under cloth contact of these settings, with bodies or without, or under none. Raises BadInput."""
     fabric = join_fabrics(list(pieces), "pile")
     stops = np.cumsum([0, *(piece.number for piece in pieces)])
     objects = {str(i): np.arange(a, b, dtype=np.int32) for i, (a, b) in enumerate(pairwise(stops))}
