@@ -52,7 +52,7 @@ def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float) -> None:
         m.unrest[:] = 0.0
         m.anchored[:] = False
         m.number[0] = 0
-        plan(m, 0.0 * x, 1.0)
+        plan(m, 0.0 * x, 1.0, 0.0)
     elif not (
         same_rows(m.listed[:6], m.reference)
         and same_rows(m.listed[6:12], m.motion)

@@ -191,9 +191,9 @@ def list_for(m: Meeting, x: Float, s: float) -> bool:
         # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
         gone = clock[0] - clock[3]
         if gone > 0.0:
-            plan(m, last - reference, gone)
+            plan(m, last - reference, gone, ahead)
         if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing):
-            plan(m, x - last, way)
+            plan(m, x - last, way, ahead)
     return True
 
 
@@ -202,15 +202,18 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float) -> bool:
     """The same of cloth and bodies; False, and nothing done, where something is lost."""
     m.tally[3] += 1
     dt = (s - m.clock[0]) * m.span[0]
-    if not list_for(m, x, s):
-        return False
-    met = m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0
-    if met and m.local.shape[0] > 0 and m.number[2] == 0:
-        push_on(m, x, v, dt)
+    # Bodies push on with the lists that there are, and where others find more to be met, with those.
+    for _ in range(3 if m.local.shape[0] > 0 else 0):
+        if m.number[2] == 0 and pass_by(m, x, farthest_way(v, dt)) > 0:
+            push_on(m, x, v, dt)
+        lists = m.number[4]
         if not list_for(m, x, s):
             return False
-        met = m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0
-    if met:
+        if m.number[4] == lists:
+            break
+    if m.local.shape[0] == 0 and not list_for(m, x, s):
+        return False
+    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt)) > 0:
         cut_short(m, x, v)
         all_close(m)
     copy_rows(x, m.last)

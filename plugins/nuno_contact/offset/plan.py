@@ -75,13 +75,15 @@ def tighter(spread: Float) -> bool:
 
 
 @block_kernel
-def plan(m: Meeting, u: Float, way: float) -> None:
-    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, about as long as before."""
+def plan(m: Meeting, u: Float, way: float, ahead: float) -> None:
+    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, about as long as before; a plan
+    is used up where two steps of `ahead` go beyond its end.
+    """
     clock = m.clock
     gone = clock[0] - clock[3]
-    share = gone / clock[4]
-    window = clock[4] * (1.5 if share > 1.0 else 0.75 if share < 0.5 else 1.0)
-    window = max(way * (2.0 if m.local.shape[0] > 0 else 1.0), min(LONGEST, max(SHORTEST, window)))
+    share, used = gone / clock[4], (gone + 2.0 * ahead) / clock[4]
+    window = clock[4] * (1.5 if used > 1.0 else 0.75 if used < 0.5 else 1.0)
+    window = max(way + 1.5 * ahead, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m, 1, gone, share)
     crowd = m.number[1] / m.last.shape[1]
