@@ -2,10 +2,10 @@
 
 They go where their body's frame carries them, each in a straight line within a step, and have a part in lists, planes
 and forces like any other vertex. Pairs of two bodies are not looked at. One that cloth does not let pass, since it is
-held between bodies or pins, is cut short as cloth is: it stays behind its body, pushes with the speed at which it would
-catch up in the next step, and is where its body is again as soon as cloth lets it. So what is promised of cloth and the
-vertices in here holds whatever bodies do, and of the bodies themselves wherever none of their vertices is behind, which
-is counted.
+held between bodies or pins, is cut short as cloth is: it stays behind its body, follows by CATCH_UP faster than that at
+most, and is where its body is again as soon as cloth lets it. To catch up at once would throw cloth about. So what is
+promised of cloth and the vertices in here holds whatever bodies do, and of the bodies themselves wherever none of their
+vertices is behind, which is counted.
 
 A fine body under coarse cloth has many vertices below each triangle. They share what one could bear: see size_of.
 
@@ -157,7 +157,7 @@ def catch_up(m: Meeting, n: int, dt: float) -> None:
     """Velocities at which those that are behind will follow in a step of dt [s]."""
     goal, last, v = m.goal, m.last, m.whole_velocity
     for b in range(m.local.shape[0]):
-        if not m.behind[b]:
+        if not m.behind[b] or dt == 0.0:
             continue
         i = n + b
         x, y, z = (
