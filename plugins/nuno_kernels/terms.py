@@ -93,6 +93,7 @@ class Kernels:
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
     bound(term, x, d, s, threads) -> bool          shortens a way d (3, n) that Newton's method is to go from x towards
                                                    fraction s, in place; whether it did
+    waits(term) -> bool                            whether what `bound` moves along has not come to its end
     foresee(term, x, d, out) -> bool               adds to out (3, n) what forces that begin on a way d (3, n) from x
                                                    bring to a linear step's right side; whether they are others than
                                                    before
@@ -135,6 +136,7 @@ class Kernels:
     interval: Any = None
     approach: Any = None
     bound: Any = None
+    waits: Any = None
     foresee: Any = None
     unbalance: Any = None
     counts: Any = None

@@ -1,4 +1,4 @@
-"""Make the meshes of funnel, knot, scarf and sphere: python scenes/contact/make_meshes.py
+"""Make the meshes of funnel, knot, scarf, sphere and star: python scenes/contact/make_meshes.py
 
 funnel.obj      a cone with a tube below it, rounded at its corners: cloth is kept out of it by its vertices, and an
                 edge between two of them would cut a sharp corner
@@ -6,6 +6,7 @@ knot-left.obj   the ribbons of a loose reef knot. Each is a bight: its ends lie 
 knot-right.obj  round the ends of the other. The left one goes over the other's bight, under its legs and over its
                 ends; turned by half a turn about y it is the right one
 table.obj       the top of a table, for sphere.yaml: sliding contact, by which nothing sinks in, is with meshes
+star.obj        a star with blades for edges, of twenty triangles larger than those of the cloth that falls on it
 scarf.obj       a scarf one turn and a half round a dancer's neck, rising by more than its width each turn
 
 Ribbons and scarf stand on edge, so that they are bent and not stretched; where they rise and sink they are cut askew.
@@ -34,6 +35,9 @@ BOTTOM, TUBE, CONE, SLOPE = 0.32, 0.08, 0.33, np.radians(45.0)
 
 TABLE = (1.5, 0.03)
 """Its sides and thickness [m]; its top is at y = 0."""
+
+STAR, NOTCH, RIDGE, POINTS = 0.22, 0.085, 0.06, 5
+"""Radii of its points and of the notches between them, half of its thickness in the middle [m], and how many points."""
 
 RIBBON, LIFT = 0.016, 0.0115
 """Width of a ribbon, and how far its middle line rises and sinks [m]."""
@@ -85,6 +89,16 @@ def make_table() -> Mesh:
     sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     faces = [triangle for a, b, c, d in sides for triangle in ([a, b, c], [a, c, d])]
     return corners * [TABLE[0], TABLE[1], TABLE[0]], np.array(faces)
+
+
+def make_star() -> Mesh:
+    """Upright, about the z axis, one point up."""
+    angle = np.pi / POINTS * np.arange(2 * POINTS)
+    radius = np.where(np.arange(2 * POINTS) % 2 == 0, STAR, NOTCH)
+    rim = np.stack([radius * np.sin(angle), radius * np.cos(angle), 0.0 * angle], axis=1)
+    here, after, middle = np.arange(2 * POINTS), (np.arange(2 * POINTS) + 1) % (2 * POINTS), 2 * POINTS + 0 * angle
+    faces = [np.stack([middle, after, here], axis=1), np.stack([middle + 1, here, after], axis=1)]
+    return np.concatenate([rim, [[0.0, 0.0, RIDGE], [0.0, 0.0, -RIDGE]]]), np.concatenate(faces).astype(int)
 
 
 def follow(places: Points, step: float) -> Points:
@@ -148,4 +162,5 @@ if __name__ == "__main__":
     write("knot-right.obj", (points * [-1.0, 1.0, -1.0], faces))
     write("funnel.obj", make_funnel())
     write("table.obj", make_table())
+    write("star.obj", make_star())
     write("scarf.obj", make_scarf(6))

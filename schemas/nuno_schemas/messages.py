@@ -83,7 +83,9 @@ class Penetration(BaseModel):
     """Mean depth of those inside [m]."""
     seconds: float
     crossings: int | None = None
-    """Edges of cloth that pass through triangles of cloth; None where that was not looked for."""
+    """Edges of cloth that pass through triangles of cloth, or of bodies that are met as cloth is, and edges of those
+    through triangles of cloth; None where that was not looked for.
+    """
     places: list[tuple[float, float, float]] = []
     """Where the first of them do [m]."""
     objects: list[tuple[str, str]] = []

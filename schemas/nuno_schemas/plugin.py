@@ -104,10 +104,12 @@ class ClothContact(Plugin, Protocol):
     """
 
     def prepare(
-        self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_], gravity: Float
-    ) -> Term:
+        self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: NDArray[np.bool_], gravity: Float,
+        bodies: Geometry | None = None, poses: Poses | None = None,
+    ) -> Term:  # fmt: skip
         """The term of all cloth, which has faces; `objects` are the vertices (k,) of each by name, and meet (o, o) says
-        which of them, in that order, meet each other and themselves.
+        which of them, in that order, meet each other and themselves. The bodies, on the frames of all, are those that
+        the scene wants to be met as cloth is, and poses where they are at the start; not given where it names none.
         """
         ...
 

@@ -65,6 +65,11 @@ class ClothContact(Choice):
     allow: list[tuple[Name, Name]] = Field(
         default_factory=list, description="objects that may pass through each other, in pairs; one through itself, too"
     )
+    bodies: list[Name] = Field(
+        default_factory=list,
+        description="bodies of triangles that cloth meets as it meets cloth, and never passes through with any edge; "
+        "with a body's own friction and damping, and in the place of its contact",
+    )
 
 
 class Record(Part):
@@ -151,6 +156,7 @@ class Scene(Part):
         if isinstance(self.cloth_contact, ClothContact):
             pairs = enumerate(self.cloth_contact.allow)
             named += [(name, ("cloth_contact", "allow", i, k)) for i, pair in pairs for k, name in enumerate(pair)]
+            self._check_met(self.cloth_contact.bodies)
         for name, place in named:
             if name not in names:
                 problem = "no object has this name; {known}"
@@ -161,6 +167,20 @@ class Scene(Part):
                 problem = "the scene ends before, at {end} s; lengthen it, or apply this earlier"
                 raise PydanticCustomError("too_late", problem, context)
         return self
+
+    def _check_met(self, names: list[str]) -> None:
+        """That bodies which cloth meets as it meets cloth are there, each once, and without a contact of their own."""
+        known = {body.name: body for body in self.bodies}
+        for i, name in enumerate(names):
+            place = ("cloth_contact", "bodies", i)
+            if name not in known:
+                context = {"known": nearest(name, list(known)), "inside": place}
+                raise PydanticCustomError("no_body", "no body has this name; {known}", context)
+            if name in names[:i]:
+                raise PydanticCustomError("same_body", "this body is named twice", {"inside": place})
+            if known[name].contact is not None:
+                problem = "this body has a contact of its own; leave that out, or the body out here"
+                raise PydanticCustomError("two_contacts", problem, {"inside": place})
 
     @model_validator(mode="after")
     def _dye_alone(self) -> Scene:
@@ -208,6 +228,12 @@ class Scene(Part):
             a, b = names.index(one), names.index(other)
             found[a, b] = found[b, a] = False
         return found
+
+    @property
+    def met_bodies(self) -> list[int]:
+        """Numbers of the bodies that cloth meets as it meets cloth."""
+        names = self.cloth_contact.bodies if self.meets and isinstance(self.cloth_contact, ClothContact) else ()
+        return [i for i, body in enumerate(self.bodies) if body.name in names]
 
     @property
     def step_undecided(self) -> bool:

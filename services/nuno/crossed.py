@@ -1,4 +1,6 @@
-"""What is said of cloth that passes through cloth, and of how near it comes: in reports, of recordings, at the end."""
+"""What is said of cloth that passes through cloth or bodies, and of how near it comes to cloth: in reports, of
+recordings, at the end.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,14 @@ def problem(found: Mapping[str, Any] | None) -> str:
     if found is None or not (first := found["first_crossing"]):
         return ""
     where = f"first in frame {first['frame']} ({first['t']:.4g} s), {passing(first)}"
-    return f"crossed: cloth passes through cloth in {_frames(found['crossed'])}, {where}"
+    return f"crossed: cloth passes through {_what(found)} in {_frames(found['crossed'])}, {where}"
 
 
 def rows(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     """The same as rows of a report."""
     if found is None:
         return []
-    text = f"cloth passes through cloth in {found['crossed']:,} of {_frames(found['looked'])}"
+    text = f"cloth passes through {_what(found)} in {found['crossed']:,} of {_frames(found['looked'])}"
     if first := found["first_crossing"]:
         text += f", up to {found['crossings']:,} edges through triangles in one, first in frame {first['frame']}"
         return [("crossings", f"{text} ({first['t']:.4g} s), {passing(first)}")]
@@ -86,6 +88,11 @@ def spell_rows(spells: list[dict[str, Any]], nearest: Mapping[str, Any] | None) 
         text = f"{_millimetres(nearest['distance'])}, in frame {nearest['frame']} ({nearest['t']:.4g} s)"
         lines.append(("cloth nearest to cloth", text))
     return lines
+
+
+def _what(found: Mapping[str, Any]) -> str:
+    """What cloth is not to pass through."""
+    return " or ".join(["cloth", *found.get("bodies", ())])
 
 
 def _frames(number: int) -> str:

@@ -16,14 +16,17 @@ from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes.triples import dot
+from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.fabric import Float
 
-BRAKED, SWEEPS = 0.25, 4
-"""What would come nearer than this share of the thickness in the next step is slowed down, in so many sweeps."""
+BRAKED, SWEEPS = 0.25, (4, 32)
+"""What would come nearer than this share of the thickness in the next step is slowed down, in so many sweeps; in the
+second number where there are bodies, which do not give way, and have many vertices below a triangle of cloth.
+"""
 
 
 @block_kernel
-def brake(m: Meeting, v: Float, dt: float) -> None:
+def brake(m: Meeting, v: Float, dt: float, sweeps: int) -> None:
     """Slow down what would come nearer in the next step, of dt [s], than forces can answer: in v (3, n)."""
     pair, of, reach, normal, mass, last, close = m.pair, m.of, m.reach, m.normal, m.mass, m.last, m.close
     fast, number = np.empty(m.number[6], np.int32), 0
@@ -35,7 +38,7 @@ def brake(m: Meeting, v: Float, dt: float) -> None:
         if low - high < BRAKED * reach[p]:
             fast[number] = p
             number += 1
-    for _ in range(SWEEPS if number > 0 else 0):
+    for _ in range(sweeps if number > 0 else 0):
         for q in range(number):
             p = fast[q]
             i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
@@ -54,6 +57,24 @@ def brake(m: Meeting, v: Float, dt: float) -> None:
                         change = w[corner] / mass[i] * lacking / (mobility * dt)
                         for row in range(3):
                             v[row, i] += change * n[row]
+
+
+@block_kernel
+def push_on(m: Meeting, x: Float, v: Float, dt: float) -> None:
+    """Have bodies push cloth before them in a step of dt [s] from `last` to x (3, n), in place, that they would meet it
+    in all the same: what forces have done to it in the step is known now.
+    """
+    mean = sum_rows(x, -1.0, m.last)
+    for row in range(3):
+        for i in range(x.shape[1]):
+            mean[row, i] /= dt
+    before = mean.copy()
+    brake(m, mean, dt, SWEEPS[1])
+    for i in range(x.shape[1] - m.local.shape[0]):
+        for row in range(3):
+            if mean[row, i] != before[row, i]:
+                x[row, i] = m.last[row, i] + dt * mean[row, i]
+                v[row, i] += mean[row, i] - before[row, i]
 
 
 @forced_inline

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.force import STEEPEST, across, corners_of, faces_of, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import weigh
@@ -24,7 +25,10 @@ def stored(k: float, h: float, distance: float) -> float:
 
 @kernel
 def measure_pairs(m: Meeting, x: Float) -> float:
-    """Energy [J] of all contacts at x (3, n), that of friction's springs included."""
+    """Energy [J] of all contacts at x (3, n), that of friction's springs included, with bodies as they are."""
+    if m.local.shape[0] > 0:
+        copy_part(x, m.whole, 0, x.shape[1])
+        x = m.whole
     pair, of, reach, stiffness, mesh, total = m.pair, m.of, m.reach, m.pair_stiffness, faces_of(m), 0.0
     for q in range(m.number[1]):
         p = m.near[q]

@@ -29,7 +29,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from nuno_contact.offset.lists import share_out
+from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import (
     AT_A,
@@ -44,10 +44,10 @@ from nuno_contact.offset.proximity import (
     unit,
     weigh,
 )
-from nuno_kernels import forced_inline, kernel
+from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.triples import dot, minus
-from nuno_kernels.step.blocks import PADDING
+from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.step.rows import copy_rows
 from nuno_schemas.fabric import Float, Int
 
@@ -165,17 +165,52 @@ def corners_of(x: Float, i: int, j: int, k: int, l: int) -> Corners:  # noqa: E7
     return point(x, i), point(x, j), point(x, k), point(x, l)
 
 
+@block_kernel
+def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int) -> None:
+    """Which of `number` chosen pairs each block of vertices has a part in, in their order: bounds of each block's, and
+    the pairs.
+    """
+    blocks = start.shape[0] - 1
+    start[:] = 0
+    for fill in range(2):
+        for q in range(number):
+            p = chosen[q]
+            for corner in range(4):
+                block = pair[p, corner] // BLOCK
+                seen = False
+                for other in range(corner):
+                    seen = seen or pair[p, other] // BLOCK == block
+                if not seen:
+                    if fill == 1:
+                        shared[start[block]] = p
+                    start[block] += 1
+        if fill == 0:
+            total = 0
+            for block in range(blocks):
+                count = start[block]
+                start[block] = total
+                total += count
+    for block in range(blocks, 0, -1):
+        start[block] = start[block - 1]
+    start[0] = 0
+
+
 @kernel
 def is_fresh(m: Meeting, x: Float, v: Float) -> None:
     """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for those that are
-    carried, which have gone ahead by a step; share out to blocks what is near where they are not.
+    carried, which have gone ahead by a step; share out to blocks what is near where they are not. Put bodies behind
+    them, where there are any.
     """
     last, mass, count = m.last, m.mass, 0
     for row in range(3):
         for i in range(x.shape[1]):
             count += 1 if x[row, i] == last[row, i] or mass[i] == 0.0 else 0
     m.fresh[0] = count == 3 * x.shape[1]
-    if m.step[0] > 0.0:
+    if m.local.shape[0] > 0:
+        copy_part(x, m.whole, 0, x.shape[1])
+        copy_part(v, m.whole_velocity, 0, x.shape[1])
+        copy_rows(m.whole_velocity, m.velocity)
+    elif m.step[0] > 0.0:
         copy_rows(v, m.velocity)
     if not m.fresh[0] and m.number[5] != m.number[4]:
         share_out(m.pair, m.near, m.number[1], m.block_start, m.block_pair)
@@ -185,9 +220,11 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
 @kernel
 def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the forces [N] of the block's pairs to its vertices."""
+    if m.local.shape[0] > 0:
+        x, v = m.whole, m.whole_velocity
     pair, of, reach, normal, weights, mesh = m.pair, m.of, m.reach, m.normal, m.weights, faces_of(m)
     stiffness, damping, eased, anchor, anchored, mu, fresh, step = (
-        m.pair_stiffness, m.pair_damping, m.eased, m.anchor, m.anchored, m.law[1], m.fresh[0], m.step[0]
+        m.pair_stiffness, m.pair_damping, m.eased, m.anchor, m.anchored, m.pair_friction, m.fresh[0], m.step[0]
     )  # fmt: skip
     start, chosen = (m.touch_start, m.touch_pair) if fresh else (m.block_start, m.block_pair)
     width, frozen = force.shape[1] - PADDING, m.frozen[0]
@@ -205,7 +242,7 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
             if not at.distance < h:
                 continue
         c = damping[p] * (eased[p] if fresh or anchored[p] else 1.0)
-        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], c, mu, anchored[p],
+        fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], c, mu[p], anchored[p],
                          (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step)  # fmt: skip
         for corner in range(4):
             local = pair[p, corner] - origin

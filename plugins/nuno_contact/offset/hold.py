@@ -21,12 +21,12 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.brake import BRAKED, brake
+from nuno_contact.offset.bodies import catch_up, copy_part, find_behind, limit_ways, pose_solids
+from nuno_contact.offset.brake import BRAKED, SWEEPS, brake, push_on
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way, on_the_way, part
-from nuno_contact.offset.plan import GROWTH, LEAST, LISTS, WINDOW, plan, set_out, strays
+from nuno_contact.offset.plan import plan, set_out, strays
 from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_contact.offset.tree import more
@@ -35,7 +35,7 @@ from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import higher, lane
 from nuno_kernels.lanes.simd import WIDTH, splat
 from nuno_kernels.lanes.triples import dot, read_triple
-from nuno_kernels.step.rows import all_finite, copy_rows, same_rows, sum_rows
+from nuno_kernels.step.rows import all_finite, copy_rows, sum_rows
 from nuno_schemas.fabric import Float
 
 CLOSEST, FLOOR = 0.02, 0.001
@@ -61,6 +61,12 @@ def farthest_way(v: Float, dt: float) -> float:
     return dt * math.sqrt(most)
 
 
+@forced_inline
+def is_thorough(m: Meeting) -> bool:
+    """Whether all planes are tried before a step is cut short: of long steps, and of bodies, which go far in one."""
+    return bool(m.step[0] > 0.0) or m.local.shape[0] > 0
+
+
 @block_kernel
 def pass_by(m: Meeting, x: Float, way: float) -> int:
     """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
@@ -69,7 +75,7 @@ def pass_by(m: Meeting, x: Float, way: float) -> int:
     m.close.
     """
     pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
-    fails, number = 0, 0
+    fails, number, thorough = 0, 0, is_thorough(m)
     for q in range(m.number[1]):
         p = near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
@@ -87,7 +93,7 @@ def pass_by(m: Meeting, x: Float, way: float) -> int:
         normal[p, 0], normal[p, 1], normal[p, 2] = n
         low, high = between(of_edges, n, there)
         gap = low - high
-        if m.step[0] > 0.0 and gap < nearest(reach[p], distance):
+        if thorough and gap < nearest(reach[p], distance):
             n, gap = part(of_edges, here, there, nearest(reach[p], distance))
             if gap >= nearest(reach[p], distance):
                 normal[p, 0], normal[p, 1], normal[p, 2] = n
@@ -151,29 +157,72 @@ def shorten(m: Meeting, x: Float) -> None:
 @kernel
 def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
+    dt = (s - m.clock[0]) * m.span[0]
+    if m.local.shape[0] == 0:
+        if hold_whole(m, x, v, s, threads) and m.swept[0] == 0:
+            brake(m, v, dt, SWEEPS[0])
+        m.swept[0] = 0
+        return
+    n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
+    pose_solids(m, s, goal, velocity)
+    limit_ways(m, n, dt)
+    copy_part(x, goal, 0, n)
+    copy_part(v, velocity, 0, n)
+    if hold_whole(m, goal, velocity, s, threads):
+        copy_part(goal, x, 0, n)
+        pose_solids(m, s, goal, velocity)
+        find_behind(m, n)
+        catch_up(m, n, dt)
+        brake(m, velocity, dt, SWEEPS[1])
+        copy_part(velocity, v, 0, n)
+    m.swept[0] = 0
+
+
+@block_kernel
+def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
+    """Have lists for a step from `last` to x (3, n), which ends at fraction s; False where x is not finite.
+
+    Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
+    """
     last, reference, motion, clock, spread = m.last, m.reference[3:], m.motion[3:], m.clock, m.spread[1]
     way = s - clock[0]
-    m.tally[3] += 1
-    if s > clock[3] + clock[4] or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
+    ahead = way if m.local.shape[0] > 0 else 0.0
+    if s + ahead > clock[3] + clock[4] or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
         if not all_finite(x):
-            return
+            return False
         # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
         gone = clock[0] - clock[3]
         if gone > 0.0:
-            plan(m, sum_rows(last, -1.0, reference), gone, way, threads)
+            plan(m, sum_rows(last, -1.0, reference), gone, way, ahead, threads)
         if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
-            plan(m, sum_rows(x, -1.0, last), way, way, threads)
-    dt = way * m.span[0]
+            plan(m, sum_rows(x, -1.0, last), way, way, ahead, threads)
+    return True
+
+
+@block_kernel
+def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> bool:
+    """The same of cloth and bodies; False, and nothing done, where something is lost."""
+    m.tally[3] += 1
+    dt = (s - m.clock[0]) * m.span[0]
+    # Bodies push on with the lists that there are, and where others find more to be met, with those.
+    for _ in range(3 if m.local.shape[0] > 0 else 0):
+        if m.number[2] == 0 and pass_by(m, x, farthest_way(v, dt)) > 0:
+            push_on(m, x, v, dt)
+        lists = m.number[4]
+        if not list_for(m, x, s, threads):
+            return False
+        if m.number[4] == lists:
+            break
+    if m.local.shape[0] == 0 and not list_for(m, x, s, threads):
+        return False
     if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[1] > 0 else 0.0) > 0:
         cut_short(m, x, v, threads)
         all_close(m)
-    copy_rows(x, last)
-    clock[0], clock[7] = s, dt
+    copy_rows(x, m.last)
+    m.clock[0], m.clock[7] = s, dt
     find_touching(m)
     drag_anchors(m, v)
-    if m.swept[0] == 0:
-        brake(m, v, dt)
-    m.swept[0] = 0
+    return True
 
 
 @block_kernel
@@ -194,7 +243,7 @@ def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
         m.share[:] = 0.0
         go_partly(m, x, v)
         return
-    if m.step[0] > 0.0 and give_way(m, last, sum_rows(x, -1.0, last), CLOSEST):
+    if is_thorough(m) and give_way(m, last, sum_rows(x, -1.0, last), CLOSEST):
         go_partly(m, x, v)
         if pass_by(m, x, 0.0) == 0:
             return
@@ -204,49 +253,12 @@ def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
 
 @block_kernel
 def go_partly(m: Meeting, x: Float, v: Float) -> None:
-    """Take the shares of ways to x and of velocities v (3, n), in place, and count them."""
-    last, share = m.last, m.share
+    """Take the shares of ways to x and, but for bodies, of velocities v (3, n), in place, and count them."""
+    last, share, cloth = m.last, m.share, x.shape[1] - m.local.shape[0]
     for i in range(x.shape[1]):
         if share[i] < 1.0:
             m.tally[1 if m.mass[i] > 0.0 else 2] += 1
             for row in range(3):
                 x[row, i] = last[row, i] + share[i] * (x[row, i] - last[row, i])
-                v[row, i] *= share[i]
-
-
-@kernel
-def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
-    """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
-    clock, m.span[0] = m.clock, span
-    clock[1], clock[3], clock[0] = clock[1] - clock[0], clock[3] - clock[0], 0.0
-    if np.isnan(m.reference[0, 0]) or not same_rows(m.last, x):
-        if not all_finite(x):
-            return
-        copy_rows(x, m.last)
-        clock[4], clock[2], clock[5], clock[6], clock[7] = WINDOW, LISTS, 1.0, LEAST[1], 0.0
-        clock[8], clock[9] = np.inf, GROWTH
-        clock[1], clock[3] = -2.0 * clock[2], 0.0
-        m.unrest[:] = 0.0
-        m.anchored[:] = False
-        m.number[0] = 0
-        plan(m, m.nothing, 1.0, 0.0, threads)
-    elif not (
-        same_rows(m.listed[:6], m.reference)
-        and same_rows(m.listed[6:12], m.motion)
-        and same_rows(m.listed[12:], m.spread)
-    ):
-        make_list(m, threads)
-        choose_near(m, threads)
-    renew_planes(m)
-    all_close(m)
-    find_touching(m)
-
-
-@block_kernel
-def renew_planes(m: Meeting) -> None:
-    """Give each near pair the plane across its closest points at `last`."""
-    for q in range(m.number[1]):
-        p = m.near[q]
-        corners = corners_of(m.last, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3])
-        n, _ = unit(weigh(closest(m.of[p] < 0, corners).weights, corners))
-        m.normal[p, 0], m.normal[p, 1], m.normal[p, 2] = n
+                if i < cloth:
+                    v[row, i] *= share[i]

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from nuno_contact.offset.bodies import copy_part, pose_solids
 from nuno_contact.offset.force import corners_of, faces_of, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way
 from nuno_contact.offset.plan import MOST, WINDOW, allow, learn, set_out, strays
 from nuno_kernels import block_kernel
-from nuno_kernels.step.rows import all_finite, sum_rows
+from nuno_kernels.step.rows import all_finite, same_rows, sum_rows
 from nuno_schemas.fabric import Float
 
 FREEZE, REFREEZE = 4, 10
@@ -33,9 +34,33 @@ STOP = 0.25
 
 @block_kernel
 def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> bool:
-    """Shorten d (3, n), which leads from iterate y (3, n) to another for fraction s of the interval; whether it was."""
+    """Shorten d (3, n), which leads from iterate y (3, n) to another for fraction s of the interval; whether it was.
+    Bodies go on to where they are at that time, as far as cloth lets them.
+    """
     if not all_finite(d):
         return False
+    if m.local.shape[0] == 0:
+        return restrain_whole(m, y, d, s, threads)
+    n, whole, way, goal = y.shape[1], m.whole, m.way, m.goal
+    pose_solids(m, s, goal, m.whole_velocity)
+    if same_rows(y, m.last):
+        copy_part(m.last, whole, n, way.shape[1])
+    copy_part(y, whole, 0, n)
+    copy_part(d, way, 0, n)
+    for i in range(n, way.shape[1]):
+        for row in range(3):
+            way[row, i] = goal[row, i] - whole[row, i]
+    shortened = restrain_whole(m, whole, way, s, threads)
+    copy_part(way, d, 0, n)
+    for i in range(n, way.shape[1]):
+        for row in range(3):
+            whole[row, i] += way[row, i]
+    return shortened
+
+
+@block_kernel
+def restrain_whole(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> bool:
+    """The same of cloth and bodies."""
     lists = m.number[4]
     cover(m, sum_rows(y, 1.0, d), s, threads)
     shortened = m.number[2] > 0

@@ -12,10 +12,10 @@ from nuno_contact.offset.search import find_near, near_leaves
 from nuno_contact.offset.tree import fit_tree, less
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.bodies.poses import Index, Vector
-from nuno_kernels.step.blocks import BLOCK, Long
+from nuno_kernels.step.blocks import Long
 from nuno_kernels.step.rows import copy_rows
 from nuno_kernels.terms import over_blocks
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Float
 
 MIDDLES = (0.5, 0.5, -0.5, -0.5), (1.0, -1.0 / 3.0, -1.0 / 3.0, -1.0 / 3.0)
 """Weights of the way between the middles of two edges, and of a vertex and a triangle."""
@@ -26,9 +26,20 @@ PARTS = 16
 """Parts in which lists are made: as many whatever the threads, so that what is found keeps its order."""
 
 
+@forced_inline
+def share_of(m: Meeting, i: int, l: int, of_edges: bool) -> float:  # noqa: E741
+    """The share of the stiffness that a pair of cloth and a body has, by the first of each primitive's vertices: a
+    piece of cloth has as many of a fine body's vertices below it, and edges as many across it, as that is finer.
+    """
+    first = m.size.shape[0] - m.local.shape[0]
+    cloth, body = (m.size[i], m.size[l]) if i < first else (m.size[l], m.size[i])
+    finer: float = less(1.0, body / cloth)
+    return finer if of_edges else 1.0 if i < first else finer * finer
+
+
 @block_kernel
 def measure(m: Meeting, p: int) -> None:
-    """From where on a listed pair pushes, how stiffly and how damped; not at all where all of it is held."""
+    """From where on a listed pair pushes, how stiffly, how damped and how rough; not at all where all of it is held."""
     s, i, j, k, l = m.start, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
     begun = (point(s, i), point(s, j), point(s, k), point(s, l))
     _, before = unit(weigh(closest(m.of[p] < 0, begun).weights, begun))
@@ -37,8 +48,13 @@ def measure(m: Meeting, p: int) -> None:
         if m.mass[v] > 0.0:
             least, mass = less(least, m.stiffness[v]), less(mass, m.mass[v])
     stiffness = 0.0 if mass == np.inf else 0.5 * least * (EDGES if m.of[p] < 0 else 1.0)
-    m.reach[p], m.pair_stiffness[p] = less(m.law[0], before), stiffness
-    m.pair_damping[p] = 0.0 if mass == np.inf else 2.0 * m.law[2] * math.sqrt(0.5 * stiffness * mass)
+    mu, damping = m.law[1], m.law[2]
+    body = max(m.piece[i], m.piece[l]) - (m.meets.shape[0] - m.body_law.shape[0])
+    if body >= 0:
+        mu, damping = m.body_law[body, 0], m.body_law[body, 1]
+        stiffness *= share_of(m, i, l, m.of[p] < 0)
+    m.reach[p], m.pair_stiffness[p], m.pair_friction[p] = less(m.law[0], before), stiffness, mu
+    m.pair_damping[p] = 0.0 if mass == np.inf else 2.0 * damping * math.sqrt(0.5 * stiffness * mass)
 
 
 @block_kernel
@@ -145,7 +161,8 @@ enlist_parts = over_blocks(enlist_part, "m, found, normal, number")
 @block_kernel
 def search(m: Meeting, threads: int | None) -> None:
     """List the pairs by the tree, which is fitted already, as m.ways are."""
-    leaves, number, room = near_leaves(m.boxes, m.law[0]), np.empty(PARTS, np.int64), 24 * m.faces.shape[0] // PARTS
+    leaves = near_leaves(m.boxes, m.law[0], m.local.shape[0] > 0)
+    number, room = np.empty(PARTS, np.int64), 24 * m.faces.shape[0] // PARTS
     lacking = 1
     while lacking > 0:
         found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
@@ -206,36 +223,6 @@ def choose_near(m: Meeting, threads: int | None) -> None:
     copy_rows(m.reference[3:], m.listed[3:6])
     copy_rows(m.motion[3:], m.listed[9:12])
     copy_rows(m.spread[1:], m.listed[13:])
-
-
-@block_kernel
-def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int) -> None:
-    """Which of `number` chosen pairs each block of vertices has a part in, in their order: bounds of each block's, and
-    the pairs.
-    """
-    blocks = start.shape[0] - 1
-    start[:] = 0
-    for fill in range(2):
-        for q in range(number):
-            p = chosen[q]
-            for corner in range(4):
-                block = pair[p, corner] // BLOCK
-                seen = False
-                for other in range(corner):
-                    seen = seen or pair[p, other] // BLOCK == block
-                if not seen:
-                    if fill == 1:
-                        shared[start[block]] = p
-                    start[block] += 1
-        if fill == 0:
-            total = 0
-            for block in range(blocks):
-                count = start[block]
-                start[block] = total
-                total += count
-    for block in range(blocks, 0, -1):
-        start[block] = start[block - 1]
-    start[0] = 0
 
 
 @block_kernel

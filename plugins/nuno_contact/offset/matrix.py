@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, kept_touch, press, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import Four, between, unit, weigh
@@ -98,6 +99,14 @@ def foresee(m: Meeting, x: Float, d: Float, out: Float) -> bool:
     pair, of, reach, stiffness, expected, mesh, changed = (
         m.pair, m.of, m.reach, m.pair_stiffness, m.expected, faces_of(m), False
     )  # fmt: skip
+    n = x.shape[1]
+    if m.local.shape[0] > 0:
+        copy_part(x, m.whole, 0, n)
+        copy_part(d, m.way, 0, n)
+        for i in range(n, m.way.shape[1]):
+            for row in range(3):
+                m.way[row, i] = m.goal[row, i] - m.whole[row, i]
+        x, d = m.whole, m.way
     for q in range(m.number[1]):
         p = m.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
@@ -107,7 +116,7 @@ def foresee(m: Meeting, x: Float, d: Float, out: Float) -> bool:
         if here.distance >= h and here.distance < np.inf and here.distance + closing < h:
             waits, pull = True, stiffness[p] * (h - here.distance)
             for corner in range(4):
-                for row in range(3):
+                for row in range(3 if pair[p, corner] < n else 0):
                     out[row, pair[p, corner]] += here.weights[corner] * pull * here.normal[row]
         changed = changed or waits != expected[p]
         expected[p] = waits
@@ -119,9 +128,11 @@ def fill_pairs(
     m: Meeting, rows: Touching, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
 ) -> None:
     """Linearise the block's pairs at x (3, n), whose forces were found last, with dv/dx = `rate` [1/s]."""
+    if m.local.shape[0] > 0:
+        x = m.whole
     pair, of, reach, normal, mesh, v = m.pair, m.of, m.reach, m.normal, faces_of(m), m.velocity
     stiffness, damping, anchor, anchored, mu, step = (
-        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.law[1], m.step[0]
+        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.pair_friction, m.step[0]
     )  # fmt: skip
     expected, at = m.expected, m.block_start[block]
     for q in range(m.block_start[block], m.block_start[block + 1]):
@@ -148,8 +159,8 @@ def fill_pairs(
             e = across(weigh((anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), corners), n)
             pull = (pull[0] + ks * e[0], pull[1] + ks * e[1], pull[2] + ks * e[2])
         t, size = unit(pull)
-        if size > mu * pressed:
-            tangent *= mu * pressed / size
+        if size > mu[p] * pressed:
+            tangent *= mu[p] * pressed / size
             slid = tangent
         write_row(rows, at, p, here.weights, spread_out(steep, tangent, slid, n, t))
         at += 1
@@ -170,15 +181,22 @@ def add_diagonal(m: Meeting, rows: Touching, block: int, origin: int, out: Float
                     out[row, local] += square * stiff[q, row]
 
 
+@forced_inline
+def way_of(u: Float, i: int, n: int) -> Vector:
+    """Column i of u (3, n), 0 of those behind it."""
+    return (u[0, i], u[1, i], u[2, i]) if i < n else (0.0, 0.0, 0.0)
+
+
 @kernel
 def multiply_pairs(m: Meeting, rows: Touching, block: int, origin: int, u: Float, out: Float) -> None:
-    """Add the product with u (3, n) to out (3, w), whose last columns take what is of other blocks."""
+    """Add the product with u (3, n) to out (3, w), whose last columns take what is of other blocks. Bodies stay."""
     pair, which, weight, s = m.pair, rows.which, rows.weight, rows.stiff
-    width = out.shape[1] - PADDING
+    width, n = out.shape[1] - PADDING, u.shape[1]
     for q in range(m.block_start[block], m.block_start[block] + rows.number[block]):
         p = which[q]
         w = (weight[q, 0], weight[q, 1], weight[q, 2], weight[q, 3])
-        x, y, z = weigh(w, corners_of(u, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]))
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        x, y, z = weigh(w, (way_of(u, i, n), way_of(u, j, n), way_of(u, k, n), way_of(u, l, n)))
         fx = s[q, 0] * x + s[q, 3] * y + s[q, 4] * z
         fy = s[q, 3] * x + s[q, 1] * y + s[q, 5] * z
         fz = s[q, 4] * x + s[q, 5] * y + s[q, 2] * z

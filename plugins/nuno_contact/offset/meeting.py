@@ -7,19 +7,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_contact.offset.bodies import Solids, size_of
 from nuno_contact.offset.tree import Tree, make_tree
 from nuno_kernels import forced_inline
 from nuno_kernels.step.blocks import block_count
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 
-PER_VERTEX, FEWEST = 64, 32768
-"""Most pairs that are listed for each vertex, and besides."""
+PER_VERTEX, OF_BODIES, FEWEST = 64, 16, 32768
+"""Most pairs that are listed for each vertex of cloth, of bodies, and besides."""
 EDGES = 0.25
 """Share of the stiffness that two edges have: see nuno_contact.offset.force."""
 
 
 class Meeting(NamedTuple):
-    """Cloth of n vertices, e edges and f triangles, and P places for pairs.
+    """Cloth, and bodies behind it, of n vertices, e edges and f triangles, and P places for pairs.
 
     boxes ... vertex_boxes are the tree's (nuno_contact.offset.tree).
     """
@@ -49,11 +50,11 @@ class Meeting(NamedTuple):
     piece: Int
     """(n,) the object that a vertex is of"""
     meets: Bool
-    """(o, o) which objects meet each other"""
+    """(o, o) which objects and bodies meet each other"""
     stiffness: Float
     """(n,) what a vertex can bear [N/m]"""
     mass: Float
-    """(n,) [kg], 0 for those that are held or carried"""
+    """(n,) [kg], 0 for those that are held or carried, and for bodies"""
     law: Float
     """(3,) thickness [m], Coulomb coefficient, damping as a ratio of critical"""
     pair: Int
@@ -70,6 +71,8 @@ class Meeting(NamedTuple):
     """(P,) c = 2 zeta sqrt(k m / 2) [N s/m], m the mass of the lightest"""
     eased: Float
     """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.touching.ease"""
+    pair_friction: Float
+    """(P,) Coulomb coefficient of a pair"""
     normal: Float
     """(P, 3) of a plane that keeps the pair apart at `last`"""
     near: Int
@@ -144,6 +147,28 @@ class Meeting(NamedTuple):
     """(n,) scratch: of a step, how much of it each vertex makes"""
     rate: Float
     """(n,) scratch: of damping, see nuno_contact.offset.touching.ease [1/s]"""
+    local: Float
+    """(b, 3) where the bodies' vertices are in their frames [m], the last b of n; frame (b,) of which frame"""
+    frame: Int
+    body_law: Float
+    """(bodies, 2) Coulomb coefficient, and damping as a ratio of critical"""
+    size: Float
+    """(n,) see nuno_contact.offset.bodies.size_of [m]"""
+    rotation0: Float
+    """and the rest as nuno_kernels.bodies.poses has it"""
+    origin0: Float
+    spin: Float
+    shift: Float
+    frames: Float
+    whole: Float
+    """Of a meeting with bodies: (3, n) where forces are found, and whole_velocity (3, n)"""
+    whole_velocity: Float
+    goal: Float
+    """(3, n) scratch: where a step leads to, bodies' vertices where their bodies are"""
+    way: Float
+    """(3, n) scratch of an implicit method: the way to its next iterate"""
+    behind: Bool
+    """(b,) which of the bodies' vertices are behind their bodies at `last`"""
     tally: NDArray[np.int64]
     """(5,) pairs that touch after the last step; steps of vertices cut short so far, and of held ones; steps so far;
     pairs that found no place in a list so far"""
@@ -179,25 +204,29 @@ def rings(edges: Int, n: int) -> tuple[Int, Int]:
     return start, np.ascontiguousarray(both[order, 1])
 
 
-def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float) -> Meeting:
-    """Of a fabric with triangles, without a list."""
-    n, places = fabric.number, PER_VERTEX * fabric.number + FEWEST
-    tree = make_tree(fabric.position, fabric.faces)
+def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float, solids: Solids) -> Meeting:
+    """Of a fabric with triangles and bodies, without a list; the pieces (n,) are of both."""
+    b = len(solids.x)
+    n, places = fabric.number + b, PER_VERTEX * fabric.number + OF_BODIES * b + FEWEST
+    x = np.concatenate([fabric.position, solids.x])
+    faces = np.concatenate([fabric.faces, solids.faces + np.int32(fabric.number)])
+    tree = make_tree(x, faces, len(fabric.faces))
+    wide = n if b else 0
     ring_start, ring = rings(tree.edges, n)
     first_face = np.full(n, -1, np.int32)
-    corners = fabric.faces.ravel()
+    corners = faces.ravel()
     first_face[corners[::-1]] = np.arange(len(corners))[::-1] // 3
     return Meeting(
         *tree,
-        beside=beside(fabric.faces),
+        beside=beside(faces),
         ring_start=ring_start,
         ring=ring,
         first_face=first_face,
-        start=np.ascontiguousarray(fabric.position.T),
+        start=np.ascontiguousarray(x.T),
         piece=piece.astype(np.int32),
         meets=meets,
-        stiffness=stiffness,
-        mass=np.where(fabric.pinned, 0.0, fabric.mass),
+        stiffness=np.concatenate([stiffness, np.zeros(b)]),
+        mass=np.concatenate([np.where(fabric.pinned, 0.0, fabric.mass), np.zeros(b)]),
         law=law,
         pair=np.zeros((places, 4), np.int32),
         of=np.zeros(places, np.int32),
@@ -206,6 +235,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         pair_stiffness=np.zeros(places),
         pair_damping=np.zeros(places),
         eased=np.zeros(places),
+        pair_friction=np.zeros(places),
         normal=np.zeros((places, 3)),
         near=np.zeros(places, np.int32),
         number=np.zeros(7, np.int64),
@@ -242,5 +272,19 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         swept=np.zeros(1, np.int64),
         share=np.ones(n),
         rate=np.zeros(n),
+        local=np.array(solids.local, np.float64, order="C"),
+        frame=np.array(solids.frame, np.int32),
+        body_law=np.array(solids.law, np.float64, order="C"),
+        size=size_of(x, faces),
+        rotation0=np.tile(np.eye(3).ravel(), (solids.frames, 1)),
+        origin0=np.zeros((solids.frames, 3)),
+        spin=np.zeros((solids.frames, 3)),
+        shift=np.zeros((solids.frames, 3)),
+        frames=np.zeros((solids.frames, 18)),
+        whole=np.zeros((3, wide)),
+        whole_velocity=np.zeros((3, wide)),
+        goal=np.zeros((3, wide)),
+        way=np.zeros((3, wide)),
+        behind=np.zeros(b, np.bool_),
         tally=np.zeros(5, np.int64),
     )

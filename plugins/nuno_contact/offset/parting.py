@@ -80,9 +80,10 @@ def give_way(m: Meeting, y: Float, d: Float, stop: float) -> bool:
     at the other's end, or, where both come nearer, between them in proportion. A side that goes away does not stop the
     other where it is now, so that layers that fall together go on together; and as shares only get smaller, each
     pair's demand can be met whatever the others do. After SWEEPS over all pairs what is left is left, and so are
-    vertices that are held.
+    cloth that is held; bodies are not.
     """
     pair, of, reach, normal, share, near = m.pair, m.of, m.reach, m.normal, m.share, m.near
+    cloth = share.shape[0] - m.local.shape[0]
     share[:] = 1.0
     hindered = False
     for _ in range(SWEEPS):
@@ -114,7 +115,7 @@ def give_way(m: Meeting, y: Float, d: Float, stop: float) -> bool:
             )
             for corner in range(4):
                 v = pair[p, corner]
-                if m.mass[v] == 0.0:
+                if m.mass[v] == 0.0 and v < cloth:
                     continue
                 upper = corner == 0 or (of_edges and corner == 1)
                 least = level if upper else room - level

@@ -79,20 +79,21 @@ def tighter(spread: Float) -> bool:
 
 
 @block_kernel
-def plan(m: Meeting, u: Float, way: float, step: float, threads: int | None) -> None:
+def plan(m: Meeting, u: Float, way: float, step: float, ahead: float, threads: int | None) -> None:
     """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer
-    and longer where the last plan was lived out, as long as each step costs less by it; else for shorter.
+    and longer where the last plan was lived out, as long as each step costs less by it; else for shorter. One that is
+    to hold for a step `ahead` is used up where another goes beyond its end.
     """
     clock = m.clock
     gone = clock[0] - clock[3]
-    share = gone / clock[4]
+    share, used = gone / clock[4], (gone + step + ahead) / clock[4]
     # Of a step: its share of choosing from the list, and to look at what was chosen.
     cost = m.number[0] * step / clock[4] + m.number[1]
     if cost > clock[8]:
         clock[9] = 1.0 / clock[9]
     clock[8] = cost
-    window = clock[4] * (clock[9] if gone + step > clock[4] else 0.75 if share < 0.5 else 1.0)
-    window = max(way, min(LONGEST, max(SHORTEST, window)))
+    window = clock[4] * (clock[9] if used > 1.0 else 0.75 if used < 0.5 else 1.0)
+    window = max(way + 1.5 * ahead, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m.last, m.reference[3:], m.motion[3:], m.unrest[1], gone, share)
     crowd = m.number[1] / m.last.shape[1]
@@ -130,6 +131,15 @@ def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[1], clock[2] = s, whole
         renew_list(m, threads)
+        while m.number[2] > 0 and m.local.shape[0] > 0 and whole > window:
+            # Bodies are taken to go through what they will push: for less time it is less.
+            shorter = max(0.5, window / whole)
+            whole *= shorter
+            clock[2] = whole
+            for row in range(3):
+                for i in range(last.shape[1]):
+                    motion[row, i] *= shorter
+            renew_list(m, threads)
         while m.number[2] > 0 and tighter(spread):
             renew_list(m, threads)
         m.tally[4] += m.number[2]

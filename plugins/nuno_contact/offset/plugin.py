@@ -8,20 +8,19 @@ from typing import Annotated, Any, ClassVar, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_contact.offset.begin import begin_apart
+from nuno_contact.offset.bodies import is_waiting, make_solids, place_solids, set_solid_poses
 from nuno_contact.offset.energy import measure_pairs
 from nuno_contact.offset.force import add_pairs, is_fresh
-from nuno_contact.offset.hold import begin_apart, hold_apart
+from nuno_contact.offset.hold import hold_apart
 from nuno_contact.offset.iterate import restrain
-from nuno_contact.offset.lists import make_list, measure
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
 from nuno_contact.offset.meeting import Meeting, make_meeting
 from nuno_contact.offset.projection import project
-from nuno_contact.offset.tree import make_tree
+from nuno_contact.offset.start import check_gaps, check_outside, check_start, check_thickness
 from nuno_contact.reaction import spring_stiffness
-from nuno_contact.untangle.search import find_crossings
-from nuno_kernels.meshes.check import place_of
 from nuno_kernels.terms import register
-from nuno_schemas.errors import BadInput
+from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import Term
@@ -54,52 +53,6 @@ def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
     return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * spring_stiffness(fabric)))
 
 
-def check_thickness(fabric: Fabric, thickness: float) -> None:
-    """Raises BadInput for cloth that is thicker than its edges are long."""
-    x, faces = fabric.position, fabric.faces
-    shortest = float(norm(x[faces] - x[np.roll(faces, -1, axis=1)]).min())
-    if thickness > shortest:
-        raise BadInput(
-            "cloth is thicker than its shortest edge is long", field="thickness", value=f"{thickness:g} m",
-            limit=f"{shortest:.3g} m", remedy="make it thinner, or the mesh coarser",
-        )  # fmt: skip
-
-
-def check_start(fabric: Fabric, piece: Int, meet: Bool) -> None:
-    """Raises BadInput for cloth that passes through cloth as it starts; pieces that do not meet may."""
-    x, tree = fabric.position, make_tree(fabric.position, fabric.faces)
-    edge, face = find_crossings(tree, x, piece, meet)
-    if len(edge):
-        i, j = tree.edges[edge[0]]
-        raise BadInput(
-            f"cloth passes through cloth where it starts ({len(edge):,} edges through triangles)",
-            value=f"edge {i}-{j} through triangle {face[0]}, {place_of(x[[i, j]].mean(axis=0))}",
-            limit="a start in which nothing meets",
-            remedy="add operations: [{plugin: untangle}], move the objects apart, or leave cloth_contact out",
-        )
-
-
-def check_gaps(m: Meeting, pieces: list[str]) -> None:
-    """Raises BadInput for objects that start nearer to each other than the thickness."""
-    m.reference[:3] = m.start
-    make_list(m, None)
-    number = int(m.number[0])
-    for p in range(number):
-        measure(m, p)
-    near = m.reach[:number] < m.law[0]
-    both = m.piece[m.pair[:number]][:, [0, 3]]
-    if len(close := np.flatnonzero(near & (both[:, 0] != both[:, 1]))):
-        least = close[m.reach[close].argmin()]
-        names = " and ".join(pieces[i] for i in both[least])
-        raise BadInput(
-            f"{names} start nearer to each other than the thickness", field="thickness", value=f"{m.law[0]:g} m",
-            limit=f"{m.reach[least]:.3g} m, {place_of(m.start[:, m.pair[least, 0]])}",
-            remedy="move them apart, or make it thinner",
-        )  # fmt: skip
-    m.reference[:] = np.nan
-    m.number[:] = 0
-
-
 def take_step(m: Meeting, rate: float) -> None:
     """Have forces act as at the end of steps of 1 / rate [s]; see Meeting.step."""
     m.step[0], m.calm[0], m.frozen[0] = 1.0 / rate, 0, False
@@ -112,7 +65,8 @@ def no_batches(m: Meeting, vertices: int) -> tuple[()]:
 
 def count_meetings(m: Meeting) -> dict[str, int]:
     """Counts for a step's report."""
-    return {
+    behind = {"body_vertices_behind": int(m.behind.sum())} if len(m.local) else {}
+    return behind | {
         "cloth_contacts": int(m.tally[0]), "cut_short": int(m.tally[1]), "held_cut_short": int(m.tally[2]),
         "pairs_left_out": int(m.tally[4]),
     }  # fmt: skip
@@ -124,12 +78,15 @@ register(
     memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock"),
     lists=True,
     reads_velocity=lambda term: True,
+    place=place_solids,
+    interval=set_solid_poses,
     look=is_fresh,
     block=add_pairs,
     hold=hold_apart,
     begin=begin_apart,
     approach=take_step,
     bound=restrain,
+    waits=is_waiting,
     foresee=foresee,
     rows=make_touching,
     fill=fill_pairs,
@@ -148,19 +105,32 @@ class Offset:
     name: ClassVar[str] = "offset"
     Config: ClassVar[type[BaseModel]] = OffsetConfig
 
-    def prepare(self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, gravity: Float) -> Term:
-        """The term. Raises BadInput for a start in which cloth meets, and for cloth thicker than its edges."""
-        settings = cast(OffsetConfig, config)
+    def prepare(
+        self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, gravity: Float,
+        bodies: Geometry | None = None, poses: Poses | None = None,
+    ) -> Term:  # fmt: skip
+        """The term. Raises BadInput for a start in which cloth meets cloth or a body, for cloth thicker than its edges,
+        and for bodies that are not of triangles.
+        """
+        settings, solids = cast(OffsetConfig, config), make_solids(bodies, poses)
         h, piece = float(settings.thickness), np.zeros(fabric.number, np.int32)
         for number, vertices in enumerate(objects.values()):
             piece[vertices] = number
         check_thickness(fabric, h)
-        check_start(fabric, piece, meet)
         stiffness = auto_stiffness(fabric, gravity, h)
         law = np.array([h, settings.friction, settings.damping])
         free = ~fabric.pinned
         most = AT_ONCE * (stiffness / fabric.mass)[free].max(initial=0.0)
-        term = make_meeting(fabric, piece, meet, stiffness, law)
-        if len(objects) > 1:
-            check_gaps(term, list(objects))
-        return Term("cloth_contact", (term,), float(most), 2.0 * settings.damping * float(np.sqrt(most)))
+        pieces, cloth = [*objects, *solids.names], len(objects)
+        meets = np.ones((len(pieces), len(pieces)), bool)
+        meets[:cloth, :cloth], meets[cloth:, cloth:] = meet, False
+        piece = np.concatenate([piece, cloth + solids.body])
+        term = make_meeting(fabric, piece, meets, stiffness, law, solids)
+        check_start(term, pieces, cloth)
+        if bodies is not None and poses is not None:
+            check_outside(fabric, bodies, solids)
+            set_solid_poses(term, poses, poses)
+        if len(pieces) > 1:
+            check_gaps(term, pieces)
+        damping = max(settings.damping, float(solids.law[:, 1].max(initial=0.0)))
+        return Term("cloth_contact", (term,), float(most), 2.0 * damping * float(np.sqrt(most)))

@@ -34,6 +34,7 @@ import math
 
 import numpy as np
 
+from nuno_contact.offset.bodies import copy_part, limit_ways, pose_solids
 from nuno_contact.offset.brake import BRAKED
 from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of, faces_of, touch
 from nuno_contact.offset.iterate import cover
@@ -42,6 +43,7 @@ from nuno_contact.offset.parting import on_the_way
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes.triples import dot, minus
+from nuno_kernels.step.rows import all_finite, copy_rows
 from nuno_kernels.terms import Displaced
 from nuno_schemas.fabric import Float
 
@@ -55,14 +57,33 @@ TURNS = 32
 
 @block_kernel
 def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
-    """Solve all contacts of cloth with cloth for a step that ends at fraction s, in place in `moved`."""
+    """Solve all contacts of cloth for a step that ends at fraction s, in place in `moved`."""
+    if m.local.shape[0] == 0:
+        project_whole(m, moved, s, threads)
+        return
+    n, all_of = moved.x.shape[1], m.goal.shape
+    x, u, y, mobility = np.empty(all_of), np.empty(all_of), np.empty(all_of), np.zeros((1, all_of[1]))
+    copy_part(moved.x, x, 0, n)
+    copy_part(moved.u, u, 0, n)
+    copy_rows(moved.mobility, mobility)
+    pose_solids(m, s, m.goal, m.whole_velocity)
+    limit_ways(m, n, 1.0 / moved.inverse_step)
+    copy_part(m.last, x, n, all_of[1])
+    for row in range(3):
+        for i in range(n, all_of[1]):
+            u[row, i] = m.goal[row, i] - x[row, i]
+    project_whole(m, Displaced(x, u, y, y, mobility, moved.inverse_step), s, threads)
+    copy_part(u, moved.u, 0, n)
+
+
+@block_kernel
+def project_whole(m: Meeting, moved: Displaced, s: float, threads: int | None) -> None:
+    """The same of cloth and bodies, which go their way."""
     x, u, y, near = moved.x, moved.u, moved.y, m.near
-    finite = True
     for row in range(3):
         for i in range(x.shape[1]):
             y[row, i] = x[row, i] + u[row, i]
-            finite = finite and np.isfinite(y[row, i])
-    if not finite:
+    if not all_finite(y):
         return
     if m.swept[0] == 0:
         cover(m, y, s, threads)
@@ -148,7 +169,7 @@ def find_force(m: Meeting, p: int, moved: Displaced) -> bool:
     f = (
         share * (stiff * e[0] + rate * t[0]), share * (stiff * e[1] + rate * t[1]), share * (stiff * e[2] + rate * t[2])
     )  # fmt: skip
-    size, most = math.sqrt(dot(f, f)), m.law[1] * pressed
+    size, most = math.sqrt(dot(f, f)), m.pair_friction[p] * pressed
     share = most / size if size > most else 1.0
     m.pulled[p, 3] = share
     for row in range(3):

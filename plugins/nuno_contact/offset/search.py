@@ -65,12 +65,17 @@ def _three(boxes: Float, g: Index, lane: int, number: int) -> Vector:
 
 
 @block_kernel
-def find_leaves(boxes: Float, radius: float, found: Long) -> int:
-    """Pairs (p, 2) of leaves that may come near, as far as there is room; how many there are."""
+def find_leaves(boxes: Float, radius: float, bodies: bool, found: Long) -> int:
+    """Pairs (p, 2) of leaves that may come near, as far as there is room; how many there are. Of a tree with `bodies`
+    none are both of those.
+    """
     waiting = np.empty((DEPTH, 2), np.int64)
     inner = boxes.shape[0] // 2
     waiting[0, 0], waiting[0, 1] = 0, 0
     top, number = 1, 0
+    if bodies:
+        waiting[0, 0], waiting[0, 1], waiting[1, 0], waiting[1, 1] = 1, 1, 1, 2
+        top = 2
     while top > 0:
         top -= 1
         a, b = waiting[top, 0], waiting[top, 1]
@@ -94,13 +99,13 @@ def find_leaves(boxes: Float, radius: float, found: Long) -> int:
 
 
 @block_kernel
-def near_leaves(boxes: Float, radius: float) -> Long:
-    """(p, 2) pairs of leaves that may come near."""
+def near_leaves(boxes: Float, radius: float, bodies: bool) -> Long:
+    """(p, 2) pairs of leaves that may come near; see find_leaves."""
     found = np.empty((4 * boxes.shape[0], 2), np.int64)
-    number = find_leaves(boxes, radius, found)
+    number = find_leaves(boxes, radius, bodies, found)
     if number > found.shape[0]:
         found = np.empty((number, 2), np.int64)
-        find_leaves(boxes, radius, found)
+        find_leaves(boxes, radius, bodies, found)
     return found[:number]
 
 

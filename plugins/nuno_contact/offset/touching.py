@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, touch
-from nuno_contact.offset.lists import share_out
+from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, share_out, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.proximity import between, unit, weigh
 from nuno_kernels import block_kernel
@@ -70,7 +69,7 @@ def drag_anchors(m: Meeting, v: Float) -> None:
         m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights, m.eased
     )  # fmt: skip
     stiffness, damping, mu, x, touching, gap = (
-        m.pair_stiffness, m.pair_damping, m.law[1], m.last, m.touching, m.distance
+        m.pair_stiffness, m.pair_damping, m.pair_friction, m.last, m.touching, m.distance
     )  # fmt: skip
     for q in range(m.tally[0]):
         p = touching[q]
@@ -84,7 +83,7 @@ def drag_anchors(m: Meeting, v: Float) -> None:
             else:
                 _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
                 u = weigh(w, corners_of(v, i, j, k, l))
-                limit = mu * press(stiffness[p], eased[p] * damping[p], reach[p], Touch(w, n, gap[p]), u)
+                limit = mu[p] * press(stiffness[p], eased[p] * damping[p], reach[p], Touch(w, n, gap[p]), u)
                 share = 1.0 if stiffness[p] * size <= limit else limit / (stiffness[p] * size)
         anchored[p] = True
         for corner in range(4):

@@ -1,7 +1,8 @@
 """A tree of boxes over a moving cloth's triangles, made once and refitted; each box also holds how its vertices move.
 
 Triangles are cut at medians along the widest axis of their centroids at the start, so that a leaf is a patch of
-neighbours and stays one however the cloth folds: a sheet hardly stretches. Each vertex and each edge is owned by the
+neighbours and stays one however the cloth folds: a sheet hardly stretches. Bodies, where there are any, are the second
+half of the tree. Each vertex and each edge is owned by the
 first leaf that has it, so that a pair of primitives is looked at once.
 
 Not chosen: a grid of cells, whose size suits one length of edges; boxes rebuilt by place, which separate folds that
@@ -50,11 +51,13 @@ class Tree(NamedTuple):
     vertex_boxes: Float
 
 
-def make_tree(x: Float, faces: Int) -> Tree:
-    """The tree of triangles faces (f, 3) between vertices x (n, 3)."""
+def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> Tree:
+    """The tree of triangles faces (f, 3) between vertices x (n, 3); those after the first `of_cloth` are of bodies."""
     numbers, edges = edge_numbers(faces)
     centre = x[faces].mean(axis=1)
     parts: list[Any] = [np.arange(len(faces))]
+    if of_cloth is not None and of_cloth < len(faces):
+        parts = [parts[0][:of_cloth], parts[0][of_cloth:]]
     while max(map(len, parts)) > LEAF:
         parts = [half for part in parts for half in _halves(part, centre)]
     leaves = len(parts)

@@ -58,12 +58,12 @@ def touches(edge: Float, triangle: Float) -> bool:
 
 
 @block_kernel
-def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, found: Long) -> int:
+def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, bodies: bool, found: Long) -> int:
     """Edges and the triangles f that they go through, doubtful ones as -1 - f, into found (c, 2) as far as there is
     room; how many there are.
     """
     number, edges, faces, hits, first = 0, tree.edges, tree.faces, np.empty((HITS, 4), np.int64), len(tree.boxes) // 2
-    leaves = near_leaves(tree.boxes, 0.0)
+    leaves = near_leaves(tree.boxes, 0.0, bodies)
     for g in range(len(leaves)):
         for turn in range(1 if leaves[g, 0] == leaves[g, 1] else 2):
             one, two = leaves[g, turn], leaves[g, 1 - turn]
@@ -99,10 +99,10 @@ def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
     return rows, number
 
 
-def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool) -> tuple[Long, Long]:
+def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool, bodies: bool = False) -> tuple[Long, Long]:
     """Edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
     fit(tree, x)
-    found, number = with_room(lambda rows: find_through(x, tree, piece, meets, rows), len(tree.faces))
+    found, number = with_room(lambda rows: find_through(x, tree, piece, meets, bodies, rows), len(tree.faces))
     found, kept = found[:number], np.ones(number, bool)
     for row in np.flatnonzero(found[:, 1] < 0):
         found[row, 1] = -1 - found[row, 1]
@@ -182,7 +182,7 @@ def measure_near(
 def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
     """Pairs that are nearer than OVER times what they ought to be, of vertices x (n, 3), in order."""
     tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
-    leaves = near_leaves(tree.boxes, radius)
+    leaves = near_leaves(tree.boxes, radius, False)
     found, number = with_room(lambda rows: find_near(tree, radius, leaves, rows), 8 * len(tree.faces))
     pair, sizes = np.empty((number, 4), np.int64), np.empty((number, 2))
     weights, normal = np.empty((number, 4)), np.empty((number, 3))

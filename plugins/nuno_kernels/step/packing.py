@@ -100,8 +100,10 @@ def silence(packed: Packed, *names: str) -> Packed:
 
 
 def silence_bodies(packed: Packed) -> Packed:
-    """The same system, of the same types, in which no body carries, meets or holds vertices."""
-    alone = [kernels_of(term).interval is None for term in packed.bodies]
+    """The same system, of the same types, in which no body carries, meets or holds vertices. Cloth contact, which adds
+    to forces, acts without bodies too: those that it has stay where they are.
+    """
+    alone = [kernels_of(term).interval is None or kernels_of(term).block is not None for term in packed.bodies]
     return packed._replace(bodies_on=packed.bodies_on & np.array(alone, np.bool_))
 
 

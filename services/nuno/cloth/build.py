@@ -207,19 +207,28 @@ def build_system(
     for i, force in enumerate(loaded.forces):
         terms.append(_prepared(loaded, f"forces[{i}]", force, fabric, loaded.scene.seed + 1000 + i))
     fields = {body.name: of.field for body, of in zip(loaded.scene.bodies, loaded.contacts, strict=True)}
-    for contact, bodies in group_contacts(loaded):
-        if geometry is not None and len((own := geometry.of_bodies(bodies)).kind):
+    for contact, numbers in group_contacts(loaded):
+        if geometry is not None and len((own := geometry.of_bodies(numbers)).kind):
             terms.append(_prepared(loaded, contact.field, contact, fabric, own, gravity, fields=fields))
+    met = loaded.scene.met_bodies
+    if met and not len(fabric.faces):
+        problem, remedy = "only cloth of triangles meets bodies as it meets cloth", "leave bodies out here"
+        raise loaded.at("cloth_contact.bodies", BadInput(problem, remedy=remedy))
     if (meeting := loaded.cloth_contact) is not None and len(fabric.faces):
         objects = {piece.name: np.arange(piece.start, piece.stop, dtype=np.int32) for piece in pieces}
-        terms.append(_prepared(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity))
+        bodies = [] if geometry is None or not met else [geometry.of_bodies(met), poses]
+        terms.append(_prepared(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity, *bodies))
     return System(fabric, gravity, _start_damping(loaded.scene), tuple(terms), threads, carried)
 
 
 def group_contacts(loaded: Loaded) -> list[tuple[Chosen, list[int]]]:
-    """The contacts of a scene, each with the numbers of the bodies that it is with: alike ones are one."""
+    """The contacts of a scene, each with the numbers of the bodies that it is with: alike ones are one. Bodies that
+    cloth meets as it meets cloth are in none.
+    """
     groups: list[tuple[Chosen, list[int]]] = []
     for i, contact in enumerate(loaded.contacts):
+        if i in loaded.scene.met_bodies:
+            continue
         alike = (own for one, own in groups if (one.name, one.config) == (contact.name, contact.config))
         if (own := next(alike, None)) is None:
             groups.append((contact, own := []))

@@ -1,4 +1,6 @@
-"""How cloth lies to cloth in published frames: where it passes through, and how near it comes."""
+"""How cloth lies to cloth in published frames: where it passes through, and how near it comes; and where it passes
+through bodies that it is not to.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from nuno.collision.bodies import Bodies
 from nuno.collision.clearance import least_distance
-from nuno.collision.crossings import find_crossings
+from nuno.collision.crossings import Crossings, find_crossings
 from nuno.collision.pairs import Mesh, mesh_of, near_pairs
+from nuno.collision.surfaces import NO_SURFACES, surface
 from nuno.scene.scene_file import Loaded
 from nuno.wire.arrays import BadMessage, decode_arrays
 from nuno.wrong import Wrong, check_array
+from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float
 from nuno_schemas.layout import Bounds
 from nuno_schemas.messages import Header
@@ -21,10 +26,18 @@ MOST_PLACES = 100
 
 
 class ClothCheck:
-    """The cloth of one run, where it meets cloth, and what was found of it so far."""
+    """The cloth of one run, where it meets cloth and bodies as it meets cloth, and what was found of it so far."""
 
-    def __init__(self, loaded: Loaded) -> None:
+    def __init__(self, loaded: Loaded, bodies: Bodies | None) -> None:
         assert loaded.cloth_contact is not None
+        numbers = loaded.scene.met_bodies if bodies is not None else []
+        self.bodies = [loaded.scene.bodies[i].name for i in numbers]
+        """Names of the bodies."""
+        each = [surface(bodies.geometry.of_bodies([i])) for i in numbers] if bodies is not None else []
+        self.surface = surface(bodies.geometry.of_bodies(numbers)) if bodies is not None and numbers else NO_SURFACES
+        self.solid = mesh_of(self.surface.faces)
+        self.body = np.repeat(np.arange(len(each)), [len(one.vertices) for one in each])
+        """(v,) number of the body that each of their vertices is of."""
         self.meet = loaded.scene.meet()
         self.thickness = float(getattr(loaded.cloth_contact.config, "thickness", 0.0))
         """Distances are looked for up to this [m]; 0 of contact that has none."""
@@ -46,15 +59,17 @@ class ClothCheck:
             faces = arrays["faces"]
             check_array("faces", faces, np.int32, (None, 3), Bounds(0, text["vertices"] - 1))
             number = [piece["stop"] - piece["start"] for piece in text["objects"]]
-            self.names = [str(piece["name"]) for piece in text["objects"]]
+            self.names = [*(str(piece["name"]) for piece in text["objects"]), *self.bodies]
             self.mesh, self.piece = mesh_of(faces), np.repeat(np.arange(len(self.meet)), number)
         except (LookupError, TypeError, ValueError) as error:
             raise BadMessage(f"a fabric without {error}") from None
         except Wrong as error:
             raise BadMessage(f"a fabric of which {error}") from None
 
-    def look(self, points: Float, header: Header) -> dict[str, Any]:
-        """What a frame's report says of points (n, 3). Raises BadMessage for points of another cloth."""
+    def look(self, points: Float, header: Header, poses: Poses | None = None) -> dict[str, Any]:
+        """What a frame's report says of points (n, 3), with bodies where they are then. Raises BadMessage for points of
+        another cloth.
+        """
         if self.mesh is None or not np.isfinite(points).all():
             return {}
         if len(points) != len(self.piece):
@@ -64,20 +79,37 @@ class ClothCheck:
         one, other = self.piece[self.mesh.edges[edge, 0]], self.piece[self.mesh.faces[face, 0]]
         meeting = self.meet[one, other]
         pairs = edge[meeting], face[meeting]
-        found = find_crossings(points, self.mesh, pairs)
-        number = len(found.places)
-        distance = 0.0 if number else least_distance(points, self.mesh, pairs, self.thickness)
+        found = [find_crossings(points, self.mesh, pairs)]
+        distance = 0.0 if len(found[0].places) else least_distance(points, self.mesh, pairs, self.thickness)
+        if poses is not None and self.bodies:
+            found += self._through_bodies(points, poses)
+        edges, triangles, crossed = (
+            np.concatenate([getattr(one, name) for one in found]) for name in ("edges", "triangles", "places")
+        )
+        number, piece = len(crossed), np.concatenate([self.piece, len(self.meet) + self.body])
         if distance is not None:
             self.least = distance if self.least is None else min(self.least, distance)
-        places = found.places[:MOST_PLACES].tolist()
+        places = crossed[:MOST_PLACES].tolist()
         objects = [
             (self.names[a], self.names[b])
-            for a, b in self.piece[np.stack([found.edges[:, 0], found.triangles[:, 0]], axis=1)[:MOST_PLACES]].tolist()
+            for a, b in piece[np.stack([edges[:, 0], triangles[:, 0]], axis=1)[:MOST_PLACES]].tolist()
         ]
         if number:
             self.crossed, self.most = self.crossed + 1, max(self.most, number)
             self.first = self.first or {"frame": header.frame, "t": header.t, "place": places[0], "objects": objects[0]}
         return {"crossings": number, "places": places, "objects": objects, "distance": distance}
+
+    def _through_bodies(self, points: Float, poses: Poses) -> list[Crossings]:
+        """Where edges of cloth go through triangles of bodies, and edges of bodies through triangles of cloth; vertices
+        of bodies are numbered behind the cloth's.
+        """
+        assert self.mesh is not None
+        x, n = np.concatenate([points, self.surface.at(poses)]), len(points)
+        faces, edges, none = self.solid.faces + n, self.solid.edges + n, np.zeros((0, 3), np.int64)
+        return [
+            find_crossings(x, Mesh(faces, self.mesh.edges, none)),
+            find_crossings(x, Mesh(self.mesh.faces, edges, none)),
+        ]
 
     def summary(self) -> dict[str, Any]:
         """What the report says of a run."""
@@ -88,4 +120,5 @@ class ClothCheck:
             "first_crossing": self.first,
             "least_distance": self.least,
             "thickness": self.thickness,
+            "bodies": self.bodies,
         }

@@ -33,7 +33,7 @@ class Collision:
         self.seconds = 0.0
         self.deepest = self.last = 0.0
         self.cache: dict[int, tuple[Poses, bytes]] = {}
-        self.cloth = ClothCheck(context.loaded) if context.loaded.scene.meets else None
+        self.cloth = ClothCheck(context.loaded, bodies) if context.loaded.scene.meets else None
         """None where cloth passes through cloth."""
 
     def answer(self, question: Question) -> None:
@@ -83,10 +83,10 @@ class Collision:
         points = decode_points(message.payload)
         self.publish(header)
         start = time.perf_counter()
-        depth = np.zeros(len(points))
-        if self.bodies is not None:
-            depth = penetration(points, self.bodies.geometry, self.poses(header.frame)[0])
-        inside, cloth = depth > 0.0, self.cloth.look(points, header) if self.cloth else {}
+        depth, poses = np.zeros(len(points)), self.poses(header.frame)[0] if self.bodies is not None else None
+        if self.bodies is not None and poses is not None:
+            depth = penetration(points, self.bodies.geometry, poses)
+        inside, cloth = depth > 0.0, self.cloth.look(points, header, poses) if self.cloth else {}
         deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(
             frame=header.frame,

@@ -15,6 +15,7 @@ from nuno import registry
 from nuno.cloth.join import join_fabrics
 from nuno.scene.files import SceneFiles
 from nuno_bench.problem.irregular import irregular_square, write_obj
+from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.system import System
 
@@ -59,14 +60,17 @@ def _irregular(side: int, size: float) -> Fabric:
     return fabric
 
 
-def pile(*pieces: Fabric, gravity: Float = DOWN, threads: int = 1, contact: bool = True, **settings: Any) -> System:
-    """Pieces under cloth contact of these settings, or without. Raises BadInput as the contact does."""
+def pile(
+    *pieces: Fabric, gravity: Float = DOWN, threads: int = 1, contact: bool = True,
+    bodies: tuple[Geometry, Poses] | None = None, **settings: Any,
+) -> System:  # fmt: skip
+    """Pieces under cloth contact of these settings, with bodies or without, or under none. Raises BadInput."""
     fabric = join_fabrics(list(pieces), "pile")
     stops = np.cumsum([0, *(piece.number for piece in pieces)])
     objects = {str(i): np.arange(a, b, dtype=np.int32) for i, (a, b) in enumerate(pairwise(stops))}
     meet, plugin = np.ones((len(pieces), len(pieces)), bool), registry.load("nuno.cloth_contacts", "offset")
     config = plugin.Config(**settings)
-    terms = (plugin.prepare(config, fabric, objects, meet, gravity),) if contact else ()
+    terms = (plugin.prepare(config, fabric, objects, meet, gravity, *(bodies or ())),) if contact else ()
     return System(fabric, gravity, 0.0, terms, threads)
 
 

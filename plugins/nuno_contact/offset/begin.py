@@ -1,0 +1,68 @@
+"""How an interval begins: cloth contact goes on with its lists, or anew where cloth is not where it was left."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_contact.offset.bodies import copy_part, find_behind, pose_solids
+from nuno_contact.offset.force import corners_of
+from nuno_contact.offset.hold import all_close
+from nuno_contact.offset.lists import choose_near, make_list
+from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.plan import GROWTH, LEAST, LISTS, WINDOW, plan
+from nuno_contact.offset.proximity import closest, unit, weigh
+from nuno_contact.offset.touching import find_touching
+from nuno_kernels import block_kernel, kernel
+from nuno_kernels.step.rows import all_finite, copy_rows, same_rows
+from nuno_schemas.fabric import Float
+
+
+@kernel
+def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
+    """Before an interval's first step from x (3, n): go on with the lists, or begin anew where x is another state."""
+    n, goal = x.shape[1], x
+    if m.local.shape[0] > 0:
+        goal = m.goal
+        pose_solids(m, 0.0, goal, m.whole_velocity)
+        copy_part(x, goal, 0, n)
+    begin_whole(m, goal, same_rows(x, m.last), span, threads)
+    if m.local.shape[0] > 0:
+        find_behind(m, n)
+
+
+@block_kernel
+def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int | None) -> None:
+    """The same of cloth and bodies, whose cloth is where it was left or not."""
+    clock, m.span[0] = m.clock, span
+    clock[1], clock[3], clock[0] = clock[1] - clock[0], clock[3] - clock[0], 0.0
+    if np.isnan(m.reference[0, 0]) or not goes_on:
+        if not all_finite(x):
+            return
+        copy_rows(x, m.last)
+        clock[4], clock[2], clock[5], clock[6], clock[7] = WINDOW, LISTS, 1.0, LEAST[1], 0.0
+        clock[8], clock[9] = np.inf, GROWTH
+        clock[1], clock[3] = -2.0 * clock[2], 0.0
+        m.unrest[:] = 0.0
+        m.anchored[:] = False
+        m.number[0] = 0
+        plan(m, m.nothing, 1.0, 0.0, 0.0, threads)
+    elif not (
+        same_rows(m.listed[:6], m.reference)
+        and same_rows(m.listed[6:12], m.motion)
+        and same_rows(m.listed[12:], m.spread)
+    ):
+        make_list(m, threads)
+        choose_near(m, threads)
+    renew_planes(m)
+    all_close(m)
+    find_touching(m)
+
+
+@block_kernel
+def renew_planes(m: Meeting) -> None:
+    """Give each near pair the plane across its closest points at `last`."""
+    for q in range(m.number[1]):
+        p = m.near[q]
+        corners = corners_of(m.last, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3])
+        n, _ = unit(weigh(closest(m.of[p] < 0, corners).weights, corners))
+        m.normal[p, 0], m.normal[p, 1], m.normal[p, 2] = n

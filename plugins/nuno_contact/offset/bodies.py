@@ -1,0 +1,181 @@
+"""Bodies of triangles that cloth meets as it meets cloth: vertices without mass behind the cloth's own.
+
+They go where their body's frame carries them, each in a straight line within a step, and have a part in lists, planes
+and forces like any other vertex. Pairs of two bodies are not looked at. One that cloth does not let pass, since it is
+held between bodies or pins, is cut short as cloth is: it stays behind its body, follows by CATCH_UP faster than that at
+most, and is where its body is again as soon as cloth lets it. To catch up at once would throw cloth about. So what is
+promised of cloth and the vertices in here holds whatever bodies do, and of the bodies themselves wherever none of their
+vertices is behind, which is counted.
+
+A fine body under coarse cloth has many vertices below each triangle. They share what one could bear: see size_of.
+
+Kernels of cloth contact see cloth of n vertices, or, where there are bodies, arrays of this module that hold n and b.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from nuno_kernels import block_kernel, kernel
+from nuno_kernels.bodies.poses import pose_frame, write_interval
+from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import norm
+
+if TYPE_CHECKING:
+    from nuno_contact.offset.meeting import Meeting
+
+CATCH_UP = 1.0
+"""A vertex that is behind its body follows by so much faster than that at most [m/s]."""
+SAME = 1e-9
+"""A vertex is behind its body if it is farther from where that has it [m] than rounding explains."""
+
+
+class Solids(NamedTuple):
+    """Bodies by name: x (b, 3) where their vertices start [m], local (b, 3) in their frames (b,) of f, the number of
+    the body (b,) that each is of, faces (t, 3), law (bodies, 2) friction and damping of each.
+    """
+
+    names: Sequence[str]
+    x: Float
+    local: Float
+    frame: Int
+    body: Int
+    faces: Int
+    law: Float
+    frames: int
+
+
+def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
+    """Of bodies as they are at the start, if any. Raises BadInput for one that is not of triangles."""
+    if geometry is None or poses is None:
+        none = np.zeros((0, 3))
+        number, faces = np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
+        return Solids((), none, none, number, number, faces, np.zeros((0, 2)), 0)
+    rotation = rotation_matrices(poses.rotation)
+    parts: list[tuple[Float, Float, Int, Int, Int]] = []
+    count = 0
+    for primitive, kind in enumerate(geometry.kind.tolist()):
+        frame, body = int(geometry.frame[primitive]), int(geometry.body[primitive])
+        if kind not in OF_TRIANGLES:
+            raise BadInput(
+                "cloth contact meets bodies of triangles", field="bodies", value=geometry.bodies[body],
+                remedy="leave it out here, or give it a mesh as collider",
+            )  # fmt: skip
+        x, triangles = geometry.mesh(primitive)
+        # Added up by hand: the bits of products of matrices differ between machines.
+        turned = x[:, :1] * rotation[frame][:, 0] + x[:, 1:2] * rotation[frame][:, 1] + x[:, 2:] * rotation[frame][:, 2]
+        of = np.full(len(x), frame, np.int32), np.full(len(x), body, np.int32)
+        parts.append((turned + poses.translation[frame], x, *of, triangles + np.int32(count)))
+        count += len(x)
+    places, local, frames, bodies, faces = (np.concatenate(part) for part in zip(*parts, strict=True))
+    law = np.stack([geometry.friction, geometry.damping], axis=1)
+    return Solids(geometry.bodies, places, local, frames, bodies, faces, law, len(geometry.frames))
+
+
+def size_of(x: Float, faces: Int) -> Float:
+    """(n,) width of a square of what each vertex x (n, 3) stands for, a third of its triangles faces (f, 3) [m]."""
+    a, b, c = (x[faces[:, k]] for k in range(3))
+    area = norm(np.cross(b - a, c - a)) / 6.0
+    return np.asarray(np.sqrt(np.bincount(faces.ravel(), np.repeat(area, 3), len(x))))
+
+
+def set_solid_poses(m: Meeting, start: Poses, end: Poses) -> None:
+    """Write the interval into a meeting that has bodies."""
+    if len(m.local):
+        write_interval(m, start, end)
+
+
+@block_kernel
+def pose_solids(m: Meeting, s: float, x: Float, v: Float) -> None:
+    """Put the bodies' vertices in x, v (3, n + b) where they are at fraction s of the interval."""
+    frames, local, of_frame = m.frames, m.local, m.frame
+    for f in range(frames.shape[0]):
+        pose_frame(s, f, m.rotation0, m.origin0, m.spin, m.shift, frames)
+    first = x.shape[1] - local.shape[0]
+    for b in range(local.shape[0]):
+        p, own, at = first + b, frames[of_frame[b]], local[b]
+        rx = own[0] * at[0] + own[1] * at[1] + own[2] * at[2]
+        ry = own[3] * at[0] + own[4] * at[1] + own[5] * at[2]
+        rz = own[6] * at[0] + own[7] * at[1] + own[8] * at[2]
+        x[0, p], x[1, p], x[2, p] = own[9] + rx, own[10] + ry, own[11] + rz
+        v[0, p] = own[12] + (own[16] * rz - own[17] * ry)
+        v[1, p] = own[13] + (own[17] * rx - own[15] * rz)
+        v[2, p] = own[14] + (own[15] * ry - own[16] * rx)
+
+
+@block_kernel
+def copy_part(x: Float, to: Float, start: int, stop: int) -> None:
+    """Copy some columns of x, by number, to another array."""
+    for row in range(3):
+        for i in range(start, stop):
+            to[row, i] = x[row, i]
+
+
+@kernel
+def place_solids(m: Meeting, x: Float, v: Float, s: float) -> None:
+    """Have the bodies' vertices for forces at fraction s: those that are not behind where their bodies are. In an
+    implicit step they are where the iterate has them.
+    """
+    if m.local.shape[0] == 0:
+        return
+    n, whole, goal, last = x.shape[1], m.whole, m.goal, m.last
+    pose_solids(m, s, goal, m.whole_velocity)
+    if m.step[0] > 0.0:
+        return
+    for b in range(m.local.shape[0]):
+        for row in range(3):
+            whole[row, n + b] = last[row, n + b] if m.behind[b] else goal[row, n + b]
+
+
+def is_waiting(m: Meeting) -> bool:
+    """Whether an iterate has bodies' vertices that are not at m.goal."""
+    first = m.goal.shape[1] - len(m.local)
+    return bool(len(m.local)) and float(np.abs(m.goal[:, first:] - m.whole[:, first:]).max()) > SAME
+
+
+@kernel
+def limit_ways(m: Meeting, n: int, dt: float) -> None:
+    """Let the bodies' vertices go from `last` to m.goal in a step of dt [s] no farther than they may follow."""
+    goal, last, v = m.goal, m.last, m.whole_velocity
+    for i in range(n, goal.shape[1]):
+        a, b, c = goal[0, i] - last[0, i], goal[1, i] - last[1, i], goal[2, i] - last[2, i]
+        speed = math.sqrt(v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
+        way, most = math.sqrt(a * a + b * b + c * c), dt * (speed + CATCH_UP)
+        if way > most:
+            for row in range(3):
+                goal[row, i] = last[row, i] + most / way * (goal[row, i] - last[row, i])
+
+
+@kernel
+def catch_up(m: Meeting, n: int, dt: float) -> None:
+    """Velocities at which those that are behind will follow in a step of dt [s]."""
+    goal, last, v = m.goal, m.last, m.whole_velocity
+    for b in range(m.local.shape[0]):
+        if not m.behind[b] or dt == 0.0:
+            continue
+        i = n + b
+        x, y, z = (
+            v[0, i] + (goal[0, i] - last[0, i]) / dt, v[1, i] + (goal[1, i] - last[1, i]) / dt,
+            v[2, i] + (goal[2, i] - last[2, i]) / dt,
+        )  # fmt: skip
+        speed = math.sqrt(v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
+        share = min(1.0, (speed + CATCH_UP) / math.sqrt(x * x + y * y + z * z))
+        v[0, i], v[1, i], v[2, i] = share * x, share * y, share * z
+
+
+@kernel
+def find_behind(m: Meeting, n: int) -> None:
+    """Which of the bodies' vertices are behind m.goal at `last`, from where forces are then found, too."""
+    goal, last, whole = m.goal, m.last, m.whole
+    for b in range(m.local.shape[0]):
+        way = 0.0
+        for row in range(3):
+            way = max(way, abs(goal[row, n + b] - last[row, n + b]))
+            whole[row, n + b] = last[row, n + b]
+        m.behind[b] = way > SAME

@@ -1,0 +1,98 @@
+"""What cloth contact refuses: starts in which cloth meets cloth or bodies, and cloth that is too thick for its mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from nuno_contact.offset.bodies import Solids
+from nuno_contact.offset.lists import make_list, measure
+from nuno_contact.offset.meeting import Meeting, tree_of
+from nuno_contact.untangle.search import find_crossings
+from nuno_kernels.meshes.check import place_of
+from nuno_kernels.meshes.closest_point import closest_points
+from nuno_kernels.meshes.tree import build_tree
+from nuno_schemas.bodies import MESH, Geometry
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Fabric
+from nuno_schemas.vectors import norm
+
+
+def check_thickness(fabric: Fabric, thickness: float) -> None:
+    """Raises BadInput for cloth that is thicker than its edges are long."""
+    x, faces = fabric.position, fabric.faces
+    shortest = float(norm(x[faces] - x[np.roll(faces, -1, axis=1)]).min())
+    if thickness > shortest:
+        raise BadInput(
+            "cloth is thicker than its shortest edge is long", field="thickness", value=f"{thickness:g} m",
+            limit=f"{shortest:.3g} m", remedy="make it thinner, or the mesh coarser",
+        )  # fmt: skip
+
+
+def check_start(m: Meeting, pieces: Sequence[str], objects: int) -> None:
+    """Raises BadInput for cloth that passes through cloth or a body as it starts, of which pieces after so many objects
+    are; pieces that do not meet may.
+    """
+    x = np.ascontiguousarray(m.start.T)
+    edge, face = find_crossings(tree_of(m), x, m.piece, m.meets, objects < len(pieces))
+    if not len(edge):
+        return
+    both = m.piece[m.edges[edge, 0]], m.piece[m.faces[face, 0]]
+    of_cloth = np.flatnonzero((both[0] < objects) & (both[1] < objects))
+    first = int(of_cloth[0]) if len(of_cloth) else 0
+    i, j = m.edges[edge[first]]
+    place = place_of(x[[i, j]].mean(axis=0))
+    if len(of_cloth):
+        raise BadInput(
+            f"cloth passes through cloth where it starts ({len(of_cloth):,} edges through triangles)",
+            value=f"edge {i}-{j} through triangle {face[first]}, {place}", limit="a start in which nothing meets",
+            remedy="add operations: [{plugin: untangle}], move the objects apart, or leave cloth_contact out",
+        )  # fmt: skip
+    one, other = sorted((int(both[0][first]), int(both[1][first])))
+    raise BadInput(
+        f"{pieces[one]} passes through {pieces[other]} where it starts ({len(edge):,} edges through triangles)",
+        field="bodies", value=place, limit="a start in which nothing meets",
+        remedy=f"place or size {pieces[one]}, or move the body, otherwise, or leave {pieces[other]} out here",
+    )  # fmt: skip
+
+
+def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
+    """Raises BadInput for cloth that starts inside of a closed mesh."""
+    count = 0
+    for primitive, kind in enumerate(geometry.kind.tolist()):
+        own, faces = geometry.mesh(primitive)
+        x = solids.x[count : count + len(own)]
+        count += len(own)
+        if kind != MESH:
+            continue
+        distance = np.asarray(closest_points(build_tree(x, faces), fabric.position).distance)
+        if len(inside := np.flatnonzero(distance < 0.0)):
+            name, deepest = geometry.bodies[int(geometry.body[primitive])], int(distance.argmin())
+            raise BadInput(
+                f"cloth starts inside of {name} ({len(inside):,} of {fabric.number:,} vertices)", field="bodies",
+                value=f"vertex {deepest}, {-1e3 * distance[deepest]:.3g} mm deep, "
+                + place_of(fabric.position[deepest]),
+                remedy=f"place or size the cloth, or move the body, otherwise, or leave {name} out here",
+            )  # fmt: skip
+
+
+def check_gaps(m: Meeting, pieces: Sequence[str]) -> None:
+    """Raises BadInput for objects and bodies that start nearer to each other than the thickness."""
+    m.reference[:3] = m.start
+    make_list(m, None)
+    number = int(m.number[0])
+    for p in range(number):
+        measure(m, p)
+    near = m.reach[:number] < m.law[0]
+    both = m.piece[m.pair[:number]][:, [0, 3]]
+    if len(close := np.flatnonzero(near & (both[:, 0] != both[:, 1]))):
+        least = close[m.reach[close].argmin()]
+        names = " and ".join(pieces[i] for i in sorted(both[least].tolist()))
+        raise BadInput(
+            f"{names} start nearer to each other than the thickness", field="thickness", value=f"{m.law[0]:g} m",
+            limit=f"{m.reach[least]:.3g} m, {place_of(m.start[:, m.pair[least, 0]])}",
+            remedy="move them apart, or make it thinner",
+        )  # fmt: skip
+    m.reference[:] = np.nan
+    m.number[:] = 0

@@ -1,0 +1,199 @@
+"""Cloth meets bodies of triangles as it meets cloth: no edge passes through, whatever moves; weight, friction, bits."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_meshes import box, sphere
+from met_bodies import Met, Motion, Shape, still
+from sheets import sheet
+
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+
+SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler", "tr_bdf2")
+ASIDE = np.array([0.002, 0.0, 0.001])
+"""So that nothing lies above anything exactly."""
+BALL, CUBE = sphere(16, 0.03), box((0.04, 0.04, 0.04))
+
+
+def above(height: float, side: int = 8, size: float = 0.1, speed: float = 0.0, **settings: Any) -> Any:
+    """A level sheet at a height [m] that falls at a speed [m/s]."""
+    return sheet(side, size, at=ASIDE + np.array([0.0, height, 0.0]), v=np.array([0.0, -speed, 0.0]), **settings)
+
+
+def run(met: Met, frames: int, steps: int) -> None:
+    """Step; nothing passes through at any frame's end, and in all but one at most no vertex is behind its body."""
+    late = 0
+    for _ in range(frames):
+        met.go(steps)
+        assert not met.crossed
+        late += met.behind > 0
+    assert late <= 1 and met.meeting.tally[4] == 0
+
+
+@pytest.mark.parametrize("shape", [BALL, CUBE], ids=["ball", "cube"])
+def test_a_coarse_sheet_lies_on_a_body_without_an_edge_through_it(shape: Shape) -> None:
+    """Edges of 14 mm over a ball whose edges are 6 mm, and over the corners of a cube; without, edges pass through."""
+    met = Met(above(0.04), shapes=[shape])
+    run(met, 20, 100)
+    assert met.meeting.tally[0] > 5
+    x = met.state.x
+    assert x[:, 1].min() < 0.01 and np.linalg.norm(x.mean(axis=0)) < 0.05
+
+
+def test_what_contact_of_vertices_lets_through_is_seen() -> None:
+    """The judge: the same sheet, laid over the cube so that its vertices are outside, has edges through it."""
+    met = Met(above(0.04), shapes=[CUBE])
+    met.state.x[:, 1] = 0.021 - 1.5 * np.maximum(0.0, np.abs(met.state.x[:, 0]) - 0.0195)
+    assert (np.abs(met.state.x) > 0.02).any(axis=1).all()
+    assert met.crossed
+
+
+def spinning(t: float) -> tuple[float, Float]:
+    """6 rad/s about a level axis."""
+    return 6.0 * t, np.zeros(3)
+
+
+def rising(t: float) -> tuple[float, Float]:
+    """10 m/s upwards, turning."""
+    return 3.0 * t, np.array([0.0, 10.0 * t, 0.0])
+
+
+@pytest.mark.quick(solver=["symplectic_euler"])
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_bodies_that_move_push_cloth_before_them(solver: str) -> None:
+    """A cube whose edges turn under a sheet, and a ball that hits one at 10 m/s, at 2 mm a step of 1 mm's thickness."""
+    run(Met(above(0.04, 12, 0.15), shapes=[box((0.05, 0.05, 0.05))], motions=[spinning], solver=solver), 15, 50)
+    hit = Met(above(0.03), shapes=[sphere(12, 0.02)], motions=[rising], solver=solver)
+    run(hit, 4, 50)
+    assert hit.state.v[:, 1].mean() == pytest.approx(10.0, abs=2.0)
+
+
+def test_a_sheet_presses_on_a_body_with_its_weight() -> None:
+    """At rest on a table of two triangles that is larger, and on one of many: m g within 1 %."""
+    coarse = box((0.3, 0.02, 0.3))
+    for shape in (coarse, fine_table(0.3, 24)):
+        met = Met(above(0.01 + 1.01e-3), shapes=[shape], damping=1.0, rough=0.3)
+        for _ in range(8):
+            met.go(500)
+            met.state.v *= 0.5
+        poses = met.poses(met.state.t)
+        found = met.solver.forces(met.system, met.state, met.memory, (poses, poses)).parts["cloth_contact"]
+        assert found[:, 1].sum() == pytest.approx(9.81 * met.fabric.mass.sum(), rel=0.01)
+
+
+def fine_table(size: float, side: int) -> Shape:
+    """A flat box of 2 cm whose top is of many triangles, finer than cloth above it."""
+    along = size * (np.arange(side + 1) / side - 0.5)
+    x = np.stack([*np.meshgrid(along, [0.01], along, indexing="ij")], axis=-1).reshape(-1, 3)
+    number = np.arange(len(x)).reshape(side + 1, side + 1)
+    a, b, c, d = number[:-1, :-1].ravel(), number[:-1, 1:].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel()
+    top = np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
+    rim = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
+    after, foot = np.roll(rim, -1), len(x)
+    sides = np.stack([rim, np.full(len(rim), foot), after], axis=1)
+    return np.concatenate([x, [[0.0, -0.01, 0.0]]]), np.concatenate([top, sides]).astype(np.int32)
+
+
+@pytest.mark.parametrize("side", [None, pytest.param(24, marks=pytest.mark.full)], ids=["coarse", "fine"])
+def test_a_sheet_slides_on_a_body_as_coulomb_says(side: int | None) -> None:
+    """With g (sin - mu cos) of the body's friction, not of the cloth's, within 1 %; and sticks where that holds it."""
+    mu, slope = 0.2, math.radians(30.0)
+    shape = box((0.6, 0.02, 0.6)) if side is None else fine_table(0.6, 2 * side)
+    gravity = 9.81 * np.array([math.sin(slope), -math.cos(slope), 0.0])
+    met = Met(above(0.01 + 1.01e-3), shapes=[shape], gravity=gravity, rough=mu, friction=5.0)
+    met.go(300)
+    before = met.state.v[:, 0].mean()
+    met.go(700)
+    gained = (met.state.v[:, 0].mean() - before) / (700 * met.dt)
+    assert gained == pytest.approx(9.81 * (math.sin(slope) - mu * math.cos(slope)), rel=0.01)
+    met = Met(above(0.01 + 1.01e-3), shapes=[shape], gravity=gravity, rough=1.01 * math.tan(slope), friction=0.0)
+    met.go(1500)
+    place = met.state.x.mean(axis=0)
+    met.go(1500)
+    assert np.abs(met.state.x.mean(axis=0) - place).max() < 1e-6
+
+
+def closing(speed: float, side: float) -> Motion:
+    """Towards the middle from above or below."""
+    return lambda t: (0.0, np.array([0.004 * side, side * (0.03 - speed * min(t, 0.2)), 0.0]))
+
+
+def test_cloth_that_bodies_crush_is_counted_and_nothing_blows_up() -> None:
+    """Two cubes go 1 cm into each other with a sheet between: their vertices stay behind, and are counted."""
+    met = Met(above(0.0), shapes=[box((0.05, 0.05, 0.05))] * 2, motions=[closing(0.05, 1.0), closing(0.05, -1.0)])
+    counted, fastest = 0, 0.0
+    for _ in range(25):
+        report = met.go(50)
+        counted = max(counted, report.counts["body_vertices_behind"])
+        fastest = max(fastest, float(np.abs(met.state.v).max()))
+        # Of cloth nothing passes through cloth, and no plane that keeps it off the vertices that are behind is lost.
+        assert (met.behind == 0) <= (not met.crossed)
+    assert counted > 0 and met.meeting.tally[2] > 0
+    assert fastest < 20.0
+
+
+def test_bodies_that_part_again_set_cloth_free() -> None:
+    """What stayed behind is where its body is once that has turned back."""
+    there_and_back = [
+        lambda t, side=side: (0.0, np.array([0.004 * side, side * (0.0235 + 0.05 * abs(t - 0.1)), 0.0]))
+        for side in (1.0, -1.0)
+    ]
+    met = Met(above(0.0), shapes=[box((0.05, 0.05, 0.05))] * 2, motions=there_and_back)
+    behind = [(met.go(50), met.behind)[1] for _ in range(30)]
+    assert max(behind) > 0 and behind[-1] == 0 and not met.crossed
+
+
+def test_one_thread_and_several_and_a_resumed_run_have_the_same_bits() -> None:
+    """In the middle of contact with a body that turns."""
+
+    def begun(threads: int = 1) -> Met:
+        sheet_above = above(0.024, 65, 0.2, speed=0.6)
+        return Met(sheet_above, shapes=[CUBE], motions=[spinning], threads=threads, thickness=5e-4, dt=5e-5)
+
+    ends = []
+    for threads in (1, 2):
+        met = begun(threads)
+        for _ in range(4):
+            met.go(40)
+        ends.append(met.state.x.tobytes() + met.state.v.tobytes())
+    assert met.meeting.tally[0] > 0
+    cut, on = begun(), begun()
+    for _ in range(2):
+        cut.go(40)
+    on.state.x[...], on.state.v[...], on.state.t = cut.state.x, cut.state.v, cut.state.t
+    for name, values in cut.memory.arrays.items():
+        on.memory.arrays[name] = values.copy()
+    for _ in range(2):
+        on.go(40)
+    ends.append(on.state.x.tobytes() + on.state.v.tobytes())
+    assert ends[0] == ends[1] == ends[2]
+
+
+def test_cloth_that_never_comes_near_a_body_keeps_its_bits() -> None:
+    """As without one, to the last bit."""
+    ends = []
+    for shapes in ([], [CUBE]):
+        met = Met(above(1.0), shapes=shapes) if shapes else Met(above(1.0), shapes=[CUBE], contact=False)
+        met.go(200)
+        ends.append(met.state.x.tobytes() + met.state.v.tobytes())
+    assert ends[0] == ends[1]
+
+
+def test_a_start_in_or_through_a_body_is_refused() -> None:
+    def refused(*pieces: Any, shapes: list[Shape], **settings: Any) -> BadInput:
+        with pytest.raises(BadInput) as caught:
+            Met(*pieces, shapes=shapes, motions=[still], **settings)
+        return caught.value
+
+    through = refused(above(0.0), shapes=[CUBE])
+    assert "0 passes through body 0 where it starts" in through.problem and through.field == "bodies"
+    within = refused(above(0.0, size=0.02), shapes=[CUBE])
+    assert "64 of 64" in within.problem and "starts inside of body 0" in within.problem
+    assert refused(above(0.0205), shapes=[CUBE]).field == "thickness"
+    speared = refused(above(0.0, 2, 0.1), shapes=[(CUBE[0] * [0.1, 1.0, 0.1], CUBE[1])])
+    assert "passes through body 0" in speared.problem
