@@ -13,7 +13,9 @@ def _nuno(solver: str, given: str, *steps: str) -> Kind:
     """`steps` are what `dt` may be: auto, or a number of steps a frame."""
     settings: dict[str, Setting] = {}
     for step in steps:
-        name, dt = ("dt auto", "auto") if step == "auto" else (f"{step} steps a frame", repr(1 / RATE / int(step)))
+        name, dt = (
+            (f"{given}dt auto", "auto") if step == "auto" else (f"{given}{step} a frame", repr(1 / RATE / int(step)))
+        )
         settings[name] = {"solver": f"plugin: {solver}, {given}dt: {dt}"}
     return Kind(f"nuno-{solver}", "", "nuno_bench.peers.contact.ours", "Solver", settings, SPRINGS)
 
@@ -29,7 +31,7 @@ def _newton(made: str, settings: dict[str, Setting], posed: str) -> Kind:
 
 KINDS = (
     _nuno("symplectic_euler", "", "auto"),
-    _nuno("implicit_euler", "residual: 1e-2, ", "1", "4"),
+    _nuno("implicit_euler", "residual: 1e-1, ", "1"),
     _newton("VBD", _at(10, 4, "as cloth_twist") | _at(10, 10, "as cloth_hanging") | _at(20, 10, "as poker_cards"),
             "Neo-Hookean triangles of the cloth's Lame constants, folds on their edges; self-contact within the "
             "thickness, its stiffness and buffers as in the example cloth_twist. A frame is a graph of kernels."),
