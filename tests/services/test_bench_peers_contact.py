@@ -61,32 +61,37 @@ def test_ipctk_and_ours_answer_alike() -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "made", "setting", "steps"),
+    ("module", "made", "setting", "steps", "kept"),
     [
-        ("ours", "Solver", {"solver": "plugin: symplectic_euler, dt: 0.0002777777777777778"}, 60),
-        pytest.param("newton", "VBD", {"substeps": 10, "iterations": 4}, 10, marks=pytest.mark.full),
-        pytest.param("newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, marks=pytest.mark.full),
+        ("ours", "Solver", {"solver": "plugin: symplectic_euler, dt: 0.0002777777777777778"}, 60, 1.0),
+        pytest.param("newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
+        pytest.param("newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
     ],
 )
 def test_cloth_falls_freely_until_it_meets_anything(
-    module: str, made: str, setting: dict[str, object], steps: int
+    module: str, made: str, setting: dict[str, object], steps: int, kept: float
 ) -> None:
-    """After m steps of h both kinds of Euler have fallen by g h^2 m (m + 1) / 2, and have published each frame."""
+    """A step of both kinds of Euler goes h (v + g h), of which Style3D keeps 0.998 as velocity; frames come in order.
+
+    Velocities are differences of positions in single precision, whose rounding by 3e-8 m adds up to 1.4e-5 m in 30.
+    """
     if module != "ours":
         pytest.importorskip(module, reason=f"the peer engine {module} is not installed")
     pile, h = five_sheets(), 1 / 60 / steps
-    engine = getattr(importlib.import_module(f"nuno_bench.peers.contact.{module}"), made)(pile, **setting)
-    frames = engine.advance(3 / 60)
+    frames = getattr(importlib.import_module(f"nuno_bench.peers.contact.{module}"), made)(pile, **setting).advance(0.05)
     assert len(frames) == 3
-    for number, x in enumerate(frames, 1):
-        fallen = pile.gravity * h * h * (steps * number) * (steps * number + 1) / 2
-        np.testing.assert_allclose(x - pile.x, np.broadcast_to(fallen, x.shape), rtol=0, atol=2e-5)
+    v, fallen = np.zeros(3), np.zeros(3)
+    for x in frames:
+        for _ in range(steps):
+            v = v + pile.gravity * h
+            fallen, v = fallen + v * h, kept * v
+        np.testing.assert_allclose(x - pile.x, np.broadcast_to(fallen, x.shape), rtol=0, atol=1.4e-5)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("made", ["VBD", "Style3D"])
 def test_newton_has_the_masses_and_the_bending_of_the_cloth(made: str) -> None:
-    """Bent to a cylinder along rows, folds store half of rigidity times curvature squared per area."""
+    """Bent to a cylinder across rows a fold of angle curvature x width stores rigidity curvature^2 / 2 per area."""
     pytest.importorskip("newton", reason="the peer engine newton is not installed")
     module = importlib.import_module("nuno_bench.peers.contact.newton")
     pile = five_sheets()
@@ -102,7 +107,7 @@ def test_newton_has_the_masses_and_the_bending_of_the_cloth(made: str) -> None:
     stiffness = k * length if made == "VBD" else k * 3.0 * length**2 / area
     across = inner & (np.abs(along[:, 0]) < 1e-9)  # folds of a cylinder whose axis is along z
     width = area[across] / length[across]
-    assert 0.5 * (stiffness[across] / (length[across] * width)) == pytest.approx(0.5 * module.BEND, rel=1e-5)
+    assert stiffness[across] * width / length[across] == pytest.approx(module.BEND, rel=1e-5)
     assert not k[~inner].any() and len(x) == sum(side * side for side in SIDES)
 
 

@@ -92,7 +92,10 @@ class _Newton:
 
 
 class VBD(_Newton):
-    """Triangles by vertex block descent, with self-contact; a frame is a graph of kernels, as in the examples."""
+    """Triangles by vertex block descent, with self-contact.
+
+    A frame is a graph of kernels, as in the examples; its steps are even in number, so that it ends where it began.
+    """
 
     def _build(self, builder: Any, pile: Pile, mesh: dict[str, Any]) -> None:
         builder.add_cloth_mesh(**mesh, tri_ke=SHEAR, tri_ka=SHEAR, tri_kd=0.0)

@@ -19,6 +19,6 @@ class Solver(Nuno):
 
     def advance(self, seconds: float) -> Float:
         frames = np.array([x.copy() for x in self.frames(seconds)])
-        cut = self.simulation.present().report.counts["cut_short"]
-        self.remark = f"{cut:,} steps of vertices cut short, of {frames[..., 0].size:,} a step a frame"
+        cut, steps = self.simulation.present().report.counts["cut_short"], self.simulation.steps
+        self.remark = f"{cut:,} of {steps * frames[..., 0].size:,} steps of vertices cut short"
         return frames

@@ -23,7 +23,7 @@ LEAD = (
     f"A second of the scene contact/five-sheets: squares of {SIDES[0]} x {SIDES[0]} to {SIDES[-1]} x {SIDES[-1]} "
     f"vertices fall on a ball and on each other. All engines have one mesh, {DENSITY:g} kg/m2, {STRETCH:g} N/m in "
     f"tension, {SHEAR:g} N/m in shear, {1e6 * BEND:g} uN m in bending, no air, {1e3 * THICKNESS:g} mm of thickness and "
-    f"a friction of {FRICTION:g}, in double precision or their own, each in a process of its own, on the processor."
+    f"a friction of {FRICTION:g}, each in a process of its own, on the processor."
 )
 JUDGED = (
     "Crossed: published frames, of 60, in which ipctk finds an edge that goes through a triangle. Stretch: the most of "
