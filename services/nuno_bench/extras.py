@@ -10,10 +10,10 @@ INSTALL = {
     "matplotlib": "nuno[bench]",
     "mujoco": "nuno[peers]",
     "newton": "nuno[peers]",
+    "ipctk": "nuno[peers]",
     "rtree": "nuno[peers]",
     "igl": "nuno[peers]",
     "open3d": "open3d",
-    "ipctk": "ipctk",
 }
 """What pip takes for each; Open3D is no extra of ours, since it holds other packages back."""
 

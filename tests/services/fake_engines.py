@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 
+from nuno_bench.peers.contact.problem import Pile
 from nuno_bench.peers.problem import Sheet
 from nuno_schemas.fabric import Float
 
@@ -61,3 +62,18 @@ class Diverge(Still):
 class Refuse(Still):
     def advance(self, seconds: float) -> Float:
         raise RuntimeError("unstable at step 7")
+
+
+class Sinks:
+    """Frames of a pile whose last vertex is `depth` [m] lower in the second than where it starts."""
+
+    def __init__(self, pile: Pile, depth: float) -> None:
+        self.pile, self.depth, self.remark = pile, depth, ""
+
+    def reset(self) -> None:
+        pass
+
+    def advance(self, seconds: float) -> Float:
+        frames = np.stack([self.pile.x, self.pile.x])
+        frames[1, -1, 1] -= self.depth
+        return frames

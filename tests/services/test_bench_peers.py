@@ -9,6 +9,9 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +22,7 @@ from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page
+from nuno_bench.peers.choose import choose
 from nuno_bench.peers.problem import Score, Sheet, judge
 from nuno_bench.peers.process import Point, measure
 from nuno_bench.peers.python import NumPy, stiff_sheet
@@ -42,6 +46,10 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
 def fake(made: str, *settings: dict[str, float], package: str = "") -> Kind:
     named = {str(setting): setting for setting in settings}
     return Kind(f"fake-{made.lower()}", package, "fake_engines", made, named, f"{made} <is> given.")
+
+
+def against(sheet: Sheet, exact: Float) -> Callable[[Float], Score]:
+    return partial(judge, sheet, exact=exact)
 
 
 def test_arrays_given_to_engines_have_the_accelerations_of_our_kernels(sheet: Sheet) -> None:
@@ -79,7 +87,7 @@ def test_engines_that_step_as_numpy_does_end_where_it_does(sheet: Sheet, module:
 
 
 def test_engine_in_a_process_of_its_own_gives_its_score(sheet: Sheet, fakes: None) -> None:
-    point = measure(fake("Still", {"shift": 2e-3}), "{'shift': 0.002}", sheet, sheet.x + 0.0, 3, 60.0)
+    point = measure(fake("Still", {"shift": 2e-3}), "{'shift': 0.002}", sheet, against(sheet, sheet.x), 3, 60.0)
     assert point.failure == ""
     assert len(point.seconds) == 3
     assert min(point.seconds) >= 0.01
@@ -101,13 +109,13 @@ def test_engine_in_a_process_of_its_own_gives_its_score(sheet: Sheet, fakes: Non
 def test_engine_that_breaks_is_a_mark_with_its_reason(
     sheet: Sheet, fakes: None, made: str, setting: dict[str, float], limit: float, reason: str
 ) -> None:
-    point = measure(fake(made, setting), str(setting), sheet, sheet.x, 1, limit)
+    point = measure(fake(made, setting), str(setting), sheet, against(sheet, sheet.x), 1, limit)
     assert point.score is None
     assert reason in point.failure
 
 
 def test_engine_that_breaks_while_it_repeats_keeps_what_it_has(sheet: Sheet, fakes: None) -> None:
-    point = measure(fake("Crash", {"after": 3.0}), "{'after': 3.0}", sheet, 1.001 * sheet.x, 5, 60.0)
+    point = measure(fake("Crash", {"after": 3.0}), "{'after': 3.0}", sheet, against(sheet, 1.001 * sheet.x), 5, 60.0)
     assert len(point.seconds) == 2
     assert point.score is not None
     assert point.failure == ""
@@ -132,7 +140,7 @@ def test_fastest_that_is_accurate_is_best_of_its_kind() -> None:
     kinds = [Kind(name, "", "", "", {}, "") for name in ("nuno-a", "other", "never")]
     found = peer_page.Found(kinds, points, (), 1.0)
     assert [row[-1] for row in peer_page.settings(found).rows] == ["not accurate", "best of its kind"] * 2 + ["failed"]
-    assert peer_page.notes(found).rows == [["never", "", "not done after 9 s"]]
+    assert peer_page.notes(found.points).rows == [["never", "", "not done after 9 s"]]
     assert "10 times faster" in " ".join(peer_page.verdicts(found))
     assert "Accurate and done at no setting shown: never." in peer_page.verdicts(found)
 
@@ -161,7 +169,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, Path]:
     argv = ["bench", "peers", "--repeats", "2", "--out", str(folder), "--docs", str(docs)]
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
         patch.setenv("PYTHONPATH", HERE)
-        patch.setattr(peers, "KINDS", kinds)
+        patch.setitem(peers.SCENES, "sheet", replace(peers.SCENES["sheet"], kinds=kinds))
         patch.setattr(peers, "stiff_sheet", lambda: small)
         patch.setattr(peers, "Nuno", lambda sheet, solver: Stretched(sheet))
         code = main(argv)
@@ -211,12 +219,12 @@ def test_no_repeats_and_no_time_are_refused(option: str, value: str, capsys: pyt
 
 
 def test_names_choose_engines_or_one_way_of_theirs() -> None:
-    assert [kind.name for kind in peers.choose("mujoco,newton-vbd")] == [
+    assert [kind.name for kind in choose(KINDS, "mujoco,newton-vbd")] == [
         "mujoco-edges",
         "mujoco-tendons",
         "newton-vbd",
     ]
-    assert peers.choose("") == list(KINDS)
+    assert choose(KINDS, "") == list(KINDS)
 
 
 def test_every_setting_has_a_label_of_its_own() -> None:

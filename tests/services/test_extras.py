@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 
 from nuno.cli import main
-from nuno_bench.peers import command as peers
+from nuno_bench.peers.choose import choose, leave_out
+from nuno_bench.peers.table import KINDS
 from nuno_bench.report.result import Result
 from nuno_bench.speed import command as speed
 
-EXTRAS = ("matplotlib", "imageio_ffmpeg", "mujoco", "newton", "igl", "rtree", "open3d", "dask", "distributed")
+EXTRAS = ("matplotlib", "imageio_ffmpeg", "mujoco", "newton", "ipctk", "igl", "rtree", "open3d", "dask", "distributed")
 
 
 @pytest.fixture
@@ -27,6 +28,7 @@ def bare(monkeypatch: pytest.MonkeyPatch) -> None:
     ("command", "packages", "extra"),
     [
         ("bench peers", "matplotlib", "bench"),
+        ("bench peers contact", "ipctk", "peers"),
         ("bench precision net", "matplotlib", "bench"),
         ("bench stability net", "matplotlib", "bench"),
         ("bench integrators skirt-paper", "matplotlib", "bench"),
@@ -52,7 +54,7 @@ def test_a_named_peer_that_is_missing_is_refused(monkeypatch: pytest.MonkeyPatch
 
 
 def test_peers_that_are_missing_are_named_before_anything_is_measured(bare: None, capsys: Any) -> None:
-    told = peers.leave_out(peers.choose(None), None)
+    told = leave_out(choose(KINDS, None), None)
     assert capsys.readouterr().err.splitlines() == told
     assert "(pip install 'nuno[peers]')" in told[0]
     assert [("mujoco-edges" in text, "newton-vbd" in text) for text in told] == [(True, False), (False, True)]

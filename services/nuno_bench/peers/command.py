@@ -1,29 +1,59 @@
-"""`nuno bench peers`: the stiff sheet in other engines and in ours, in the same run: error beside time."""
+"""`nuno bench peers`: the same cloth in other engines and in ours, in the same run: what comes of it beside time."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import ModuleType
+from typing import Any
 
 from nuno_bench import extras, machine, options
-from nuno_bench.peers import page as shown
-from nuno_bench.peers.problem import REFERENCE, SECONDS
-from nuno_bench.peers.process import measure
+from nuno_bench.peers import page as sheet_page
+from nuno_bench.peers.choose import choose, groups, leave_out
+from nuno_bench.peers.contact import page as contact_page
+from nuno_bench.peers.contact import table as contact_table
+from nuno_bench.peers.contact.ours import Solver
+from nuno_bench.peers.contact.problem import five_sheets, look
+from nuno_bench.peers.contact.queries import ask
+from nuno_bench.peers.problem import REFERENCE, SECONDS, judge
+from nuno_bench.peers.process import Point, S, measure
 from nuno_bench.peers.python import Nuno, stiff_sheet
 from nuno_bench.peers.table import KINDS, Kind
 from nuno_bench.report import page, plots
+from nuno_schemas.fabric import Float
 
-GROUPS = {
-    name: [kind for kind in KINDS if kind.name.partition("-")[0] == name] for name in ("nuno", "mujoco", "newton")
-}
-"""What a name of --only may stand for as a whole."""
+
+@dataclass(frozen=True)
+class Scene:
+    """What engines are compared on.
+
+    says     what is compared
+    section  of the documentation
+    kinds    of engines
+    require  raises BadInput where something is missing that it cannot be without
+    measure  kinds, what is left out, repeats, limit [s]: all that is found
+    page     module that shows that: `tables`, `verdicts`, `report`
+    """
+
+    says: str
+    section: str
+    kinds: Sequence[Kind]
+    require: Callable[[], None]
+    measure: Callable[[list[Kind], list[str], int, float], Any]
+    page: ModuleType
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    names = ", ".join([*GROUPS, *(kind.name for kind in KINDS)])
-    parser.add_argument("--only", metavar="NAME,NAME", help=f"which of {names} (default: all installed)")
+    told = "; ".join(f"{name}: {scene.says}" for name, scene in SCENES.items())
+    parser.add_argument(
+        "scene", nargs="?", choices=list(SCENES), default="sheet", help=f"{told} (default: %(default)s)"
+    )
+    names = "; ".join(f"{name}: {', '.join(groups(scene.kinds))}" for name, scene in SCENES.items())
+    parser.add_argument("--only", metavar="NAME,NAME", help=f"which engines (default: all installed); {names}")
     options.add_repeats(parser, 3, "seconds to simulate at each setting")
     limit = "wall time of a setting, start and all; no repeats after a third of it"
     options.add_seconds(parser, "--limit", 200.0, limit)
@@ -31,56 +61,62 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run every setting, print the table, write page and JSON. A peer that breaks is a finding."""
-    plots.require_matplotlib()
-    kinds = choose(args.only)
+    """Run every setting, print the tables, write page and JSON. A peer that breaks is a finding."""
+    scene = SCENES[args.scene]
+    scene.require()
+    kinds = choose(scene.kinds, args.only)
     left_out = leave_out(kinds, args.only)
-    page.check_section(args.docs, "peers")
+    page.check_section(args.docs, scene.section)
     others = machine.Others()
-    found = measure_all(kinds, left_out, args.repeats, args.limit)
+    found = scene.measure(kinds, left_out, args.repeats, args.limit)
     used = [kind.package for kind in kinds if kind.package and not kind.missing]
-    print(shown.settings(found).text())
-    for text in [*map(": ".join, shown.notes(found).rows), *shown.verdicts(found), *found.left_out]:
+    for table in page.nonempty(scene.page.tables(found)):
+        print(table.text() if isinstance(table, page.Table) else table)
+    for text in [*map(": ".join, sheet_page.notes(found.points).rows), *scene.page.verdicts(found), *left_out]:
         print(text)
-    report = shown.report(found, machine.about(others, peers=shown.versions(used)))
-    report.write_beside(args.out / "peers", args.docs, "peers")
+    report = scene.page.report(found, machine.about(others, peers=sheet_page.versions(used)))
+    report.write_beside(args.out / scene.section.replace(" ", "-"), args.docs, scene.section)
     return 0
 
 
-def choose(only: str | None) -> list[Kind]:
-    """Kinds by their names, or by the engine's. Raises BadInput for any other name."""
-    known = {kind.name: [kind] for kind in KINDS} | GROUPS
-    names = options.names_of(only)
-    options.require_known(names, known, "peer", "--only")
-    chosen = [kind for name in names for kind in known[name]]
-    return [kind for kind in KINDS if not names or kind in chosen]
+def points_of(
+    kinds: Sequence[Kind], posed: object, score: Callable[[Float], S], repeats: int, limit: float
+) -> Iterator[Point[S]]:
+    """Of every kind that is installed, at all of its settings."""
+    for kind in kinds:
+        for name in () if kind.missing else kind.settings:
+            print(f"{kind.name}, {name} ...", file=sys.stderr)
+            yield measure(kind, name, posed, score, repeats, limit)
 
 
-def leave_out(kinds: Sequence[Kind], only: str | None) -> list[str]:
-    """Which are not installed and how they are, a sentence for each package, said before anything runs.
-
-    Raises BadInput where the user asked for one by name.
-    """
-    lacking: dict[str, list[str]] = {}
-    for kind in (kind for kind in kinds if kind.missing):
-        lacking.setdefault(kind.package, []).append(kind.name)
-        if only:
-            extras.require(f"{only} needs", kind.package, "--only")
-    told = [f"left out, {', '.join(names)}: {extras.missing(package)}" for package, names in lacking.items()]
-    for text in told:
-        print(text, file=sys.stderr)
-    return told
-
-
-def measure_all(kinds: list[Kind], left_out: list[str], repeats: int, limit: float) -> shown.Found:
-    """Points of every kind that is installed, against the converged run of ours."""
+def measure_sheet(kinds: list[Kind], left_out: list[str], repeats: int, limit: float) -> sheet_page.Found:
+    """Against the converged run of ours."""
     sheet = stiff_sheet()
     print("the converged run ...", file=sys.stderr)
     converged, begin = Nuno(sheet, REFERENCE), time.perf_counter()
     exact = converged.advance(SECONDS)
-    taken, points = time.perf_counter() - begin, []
-    for kind in kinds:
-        for name in () if kind.missing else kind.settings:
-            print(f"{kind.name}, {name} ...", file=sys.stderr)
-            points.append(measure(kind, name, sheet, exact, repeats, limit))
-    return shown.Found(kinds, points, left_out, taken)
+    taken, score = time.perf_counter() - begin, partial(judge, sheet, exact=exact)
+    return sheet_page.Found(kinds, list(points_of(kinds, sheet, score, repeats, limit)), left_out, taken)
+
+
+def measure_contact(kinds: list[Kind], left_out: list[str], repeats: int, limit: float) -> contact_page.Found:
+    """By the frames of every engine; and questions about ours."""
+    pile = five_sheets()
+    points = list(points_of(kinds, pile, partial(look, pile), repeats, limit))
+    answers = []
+    if any(kind.name == "ipctk" for kind in kinds):
+        print("questions to ipctk ...", file=sys.stderr)
+        answers = ask(pile, Solver(pile, "plugin: symplectic_euler, dt: auto").advance(SECONDS), repeats)
+    return contact_page.Found(kinds, points, left_out, answers)
+
+
+def require_oracle() -> None:
+    extras.require("cloth is looked at by", "ipctk")
+
+
+SCENES = {
+    "sheet": Scene("the stiff sheet, its error beside time", "peers", KINDS, plots.require_matplotlib, measure_sheet,
+                   sheet_page),
+    "contact": Scene("cloth that falls on cloth, its crossings beside time", "peers contact", contact_table.KINDS,
+                     require_oracle, measure_contact, contact_page),
+}  # fmt: skip

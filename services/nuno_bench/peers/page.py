@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 
-from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN
+from nuno_bench.peers.problem import CENTRE, REFERENCE, SCENE, STRAIN, Score
 from nuno_bench.peers.process import Point
 from nuno_bench.peers.table import Kind
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table
@@ -40,20 +41,20 @@ class Found:
     """All points, what is left out and why, and the wall time of the converged run [s]."""
 
     kinds: Sequence[Kind]
-    points: Sequence[Point]
+    points: Sequence[Point[Score]]
     left_out: Sequence[str]
     exact_seconds: float
 
-    def of(self, kind: Kind) -> list[Point]:
+    def of(self, kind: Kind) -> list[Point[Score]]:
         """The points of a kind, from coarse to fine."""
         return [point for point in self.points if point.kind == kind.name]
 
 
-def accurate(point: Point) -> bool:
+def accurate(point: Point[Score]) -> bool:
     return point.score is not None and point.score.accurate
 
 
-def best(points: Iterable[Point]) -> Point | None:
+def best(points: Iterable[Point[Score]]) -> Point[Score] | None:
     """The fastest that is accurate."""
     return min((point for point in points if accurate(point)), key=lambda point: point.median, default=None)
 
@@ -64,7 +65,7 @@ def settings(found: Found) -> Table:
     return Table(HEADINGS, [_row(point, any(point is each for each in chosen)) for point in found.points], JUDGED)
 
 
-def _row(point: Point, chosen: bool) -> list[str]:
+def _row(point: Point[Score], chosen: bool) -> list[str]:
     start, score = number(round(point.start, 2)) if point.start is not None else "", point.score
     if score is None:
         return [point.kind, point.setting, "", "", "", "", "", start, "failed"]
@@ -73,9 +74,14 @@ def _row(point: Point, chosen: bool) -> list[str]:
     return [point.kind, point.setting, *map(number, figures), spread_of(point.seconds), start, verdict]
 
 
-def notes(found: Found) -> Table:
+def tables(found: Found) -> list[Table]:
+    """What is shown on the screen."""
+    return [settings(found)]
+
+
+def notes(points: Sequence[Point[Any]]) -> Table:
     """Why a point failed, and what an engine says of its run."""
-    told = [[point.kind, point.setting, point.failure or point.remark] for point in found.points]
+    told = [[point.kind, point.setting, point.failure or point.remark] for point in points]
     rows = [row for row in told if row[-1]]
     return Table(("peer", "setting", "note"), rows, "Failures, and what engines say.", prose=True)
 
@@ -128,7 +134,7 @@ def report(found: Found, about: Mapping[str, str]) -> Report:
         "accuracy": judged | {"reference_seconds": found.exact_seconds}, "points": points,
         "left_out": found.left_out, "posed": {kind.name: kind.posed for kind in found.kinds},
     }  # fmt: skip
-    table, said_of = settings(found), notes(found)
+    table, said_of = settings(found), notes(found.points)
     sections: Sections = [
         ("", [said, figure]),
         ("All settings", [table]),

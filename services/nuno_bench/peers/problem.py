@@ -45,7 +45,7 @@ class Sheet:
 
 
 class Peer(Protocol):
-    """An engine with the sheet in it; it is made as `cls(sheet, **setting)`.
+    """An engine with what is posed in it; it is made as `cls(posed, **setting)`.
 
     remark is what a user should know of the last run, e.g. that something did not converge.
     """
@@ -56,7 +56,9 @@ class Peer(Protocol):
         """Back to the start; in no time that is measured."""
 
     def advance(self, seconds: float) -> Float:
-        """Positions (n, 3) [m] after this time. Raises RuntimeError where the engine breaks down."""
+        """Positions [m]: (n, 3) after this time, or (frames, n, 3) of all frames until then, as what judges them takes
+        them. Raises RuntimeError where the engine breaks down.
+        """
 
 
 @dataclass(frozen=True)

@@ -7,23 +7,25 @@ import multiprocessing
 import os
 import signal
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from nuno_bench.peers.problem import SECONDS, Peer, Score, Sheet, judge
+from nuno_bench.peers.problem import SECONDS, Peer
 from nuno_bench.peers.table import Kind, Setting
 from nuno_schemas.fabric import Float
 
+S = TypeVar("S")
 ENOUGH = 1 / 3
 """Of a setting's limit, after which its seconds are not repeated."""
 
 
 @dataclass(frozen=True)
-class Point:
-    """One engine at one setting.
+class Point(Generic[S]):
+    """One engine at one setting, with a score of the kind S.
 
     start     from a fresh process to the first step: imports, the model, compiling [s]
     seconds   wall times of the simulated second, one per repeat [s]
@@ -35,7 +37,7 @@ class Point:
     setting: str
     start: float | None = None
     seconds: tuple[float, ...] = ()
-    score: Score | None = None
+    score: S | None = None
     failure: str = ""
     remark: str = ""
 
@@ -44,11 +46,14 @@ class Point:
         return float(np.median(self.seconds)) if self.seconds else float("nan")
 
 
-def measure(kind: Kind, name: str, sheet: Sheet, exact: Float, repeats: int, limit: float) -> Point:
-    """Run its setting of this name in a process of its own, ended after `limit` [s]."""
+def measure(kind: Kind, name: str, posed: object, judge: Callable[[Float], S], repeats: int, limit: float) -> Point[S]:
+    """Run its setting of this name in a process of its own, ended after `limit` [s].
+
+    `posed` is what the engine is made with, and `judge` scores what it advances to.
+    """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
-    asked = (kind.module, kind.made, kind.settings[name], sheet, repeats, limit)
+    asked = (kind.module, kind.made, kind.settings[name], posed, repeats, limit)
     child = context.Process(target=work, args=(theirs, *asked), daemon=True)
     child.start()
     theirs.close()
@@ -71,13 +76,13 @@ def measure(kind: Kind, name: str, sheet: Sheet, exact: Float, repeats: int, lim
         return Point(kind.name, name, start, failure=failure)
     # What broke while it repeated itself has been measured all the same.
     remark = f"a repeat: {failure}" if failure else done[0]["remark"]
-    point = Point(kind.name, name, start, tuple(line["seconds"] for line in done), remark=remark)
+    point = Point[S](kind.name, name, start, tuple(line["seconds"] for line in done), remark=remark)
     if not np.isfinite(x := done[0]["x"]).all():
         return Point(**vars(point) | {"failure": "positions are no longer finite"})
-    return Point(**vars(point) | {"score": judge(sheet, x, exact)})
+    return Point(**vars(point) | {"score": judge(x)})
 
 
-def work(tell: Connection, module: str, made: str, setting: Setting, sheet: Sheet, repeats: int, limit: float) -> None:
+def work(tell: Connection, module: str, made: str, setting: Setting, posed: object, repeats: int, limit: float) -> None:
     """The process: make the engine, one short run that compiles, then the repeats; what is found is sent as it comes.
 
     Engines write lines of their own, which go nowhere.
@@ -87,7 +92,7 @@ def work(tell: Connection, module: str, made: str, setting: Setting, sheet: Shee
     os.dup2(nowhere, 2)
     signal.alarm(int(limit) + 1)  # it ends by itself where whoever should end it was killed
     try:
-        peer: Peer = getattr(importlib.import_module(module), made)(sheet, **setting)
+        peer: Peer = getattr(importlib.import_module(module), made)(posed, **setting)
         peer.advance(1 / 60)
         tell.send({"start": time.perf_counter() - began})
         spent = 0.0

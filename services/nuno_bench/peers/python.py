@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,26 +29,34 @@ def stiff_sheet(*overrides: str) -> Sheet:
 class Nuno:
     """Our kernels and solvers, without services: `solver` as a scene has it, and `accuracy` where it is auto.
 
-    What `auto` tries before it decides is part of the start. The sheet is the scene's own, with `overrides`.
+    What `auto` tries before it decides is part of the start. What is posed is the scene's own, with `overrides`.
     """
 
-    def __init__(self, sheet: Sheet | None, solver: str, accuracy: str = "", overrides: Sequence[str] = ()) -> None:
+    scene = SCENE
+
+    def __init__(self, posed: object, solver: str, accuracy: str = "", overrides: Sequence[str] = ()) -> None:
         chosen = [f"solver={{{solver}}}", *[f"accuracy={accuracy}"] * bool(accuracy), *overrides]
-        self.loaded = decide(scene_file.read(scene_file.find(SCENE), chosen))
+        self.loaded = decide(scene_file.read(scene_file.find(self.scene), chosen))
         self.remark = "" if not accuracy else f"took {self.loaded.integrator.plugin.name}"
         self.reset()
 
     def reset(self) -> None:
-        self.simulation = Simulation(self.loaded, None, None, cores())
-        self.simulation.measure(None)
+        self.simulation = Simulation.with_bodies(self.loaded, cores())
+        self.simulation.present()
 
     def advance(self, seconds: float) -> Float:
+        for _ in self.frames(seconds):
+            pass
+        return self.simulation.state.x
+
+    def frames(self, seconds: float) -> Iterator[Float]:
+        """Positions (n, 3) [m] after each frame of this time, of which the next takes the place."""
         simulation = self.simulation
         while simulation.t < seconds - 1e-9:
-            report = simulation.advance(None, None).report
+            report = simulation.step().report
             if report.status != "ok":
                 raise RuntimeError(f"{report.status}: {report.message}")
-        return simulation.state.x
+            yield simulation.state.x
 
 
 class _Sliced:

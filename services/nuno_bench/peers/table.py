@@ -14,11 +14,11 @@ EXACT = "The sheet's own springs, dampers, masses, drag and pins"
 
 @dataclass(frozen=True)
 class Kind:
-    """One way to step the sheet.
+    """One way to step what is posed.
 
     name      as it is shown, and as --only takes it
     package   what is imported, "" for what always is there
-    module    of the class `made`, which is made as `made(sheet, **setting)`
+    module    of the class `made`, which is made as `made(posed, **setting)`
     settings  by what they are shown as, from coarse to fine
     posed     what the engine is given, and where that is not the same material
     """

@@ -1,0 +1,143 @@
+"""What `nuno bench peers contact` found, as values for a page, the screen, the documentation and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from nuno_bench.peers.contact.problem import BEND, DENSITY, FRICTION, SHEAR, SIDES, STRETCH, THICKNESS, Seen
+from nuno_bench.peers.contact.queries import ASKED, EVERY, FIRST, Answer
+from nuno_bench.peers.page import notes
+from nuno_bench.peers.process import Point
+from nuno_bench.peers.table import Kind
+from nuno_bench.report.page import Part, Report, Sections, Table
+from nuno_bench.report.result import number, spread_of
+
+HEADINGS = (
+    "peer", "setting", "crossed", "stretch [%]", "height [mm]", "time [s]", "min - max", "start [s]", "times ours",
+    "verdict",
+)  # fmt: skip
+QUERIES = ("question", "of ours", "time [ms]", "min - max", "of ipctk", "time [ms]", "min - max", "times ours")
+LEAD = (
+    f"A second of the scene contact/five-sheets: squares of {SIDES[0]} x {SIDES[0]} to {SIDES[-1]} x {SIDES[-1]} "
+    f"vertices fall on a ball and on each other. All engines have one mesh, {DENSITY:g} kg/m2, {STRETCH:g} N/m in "
+    f"tension, {SHEAR:g} N/m in shear, {1e6 * BEND:g} uN m in bending, no air, {1e3 * THICKNESS:g} mm of thickness and "
+    f"a friction of {FRICTION:g}, each in a process of its own, on the processor."
+)
+JUDGED = (
+    "Crossed: published frames, of 60, in which ipctk finds an edge that goes through a triangle. Stretch: the most of "
+    "any edge in any frame. Height: of the centre of mass at the end. Time: the median over the repeats of the "
+    "simulated second. Start, from a fresh process to the end of the first frame with all that is compiled, is in no "
+    "time. Times ours: over that of our fastest with no more frames crossed; the bar is met where it is above 1. A "
+    "setting is not repeated once it has used a third of its limit."
+)
+ASKING = (
+    f"The same questions about every {EVERY}th frame of our first run, from the {FIRST}th on, on average a frame: "
+    "repeats in turns, in one process, with all cores. Our list is made for many steps of a solver: it holds more than "
+    "the pairs that are near. ipctk's are by its own defaults."
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """All points, what is left out and why, and what ipctk and ours take to answer questions."""
+
+    kinds: Sequence[Kind]
+    points: Sequence[Point[Seen]]
+    left_out: Sequence[str]
+    answers: Sequence[Answer]
+
+    def own(self) -> list[Point[Seen]]:
+        return [point for point in self.points if point.score is not None and point.kind.startswith("nuno-")]
+
+
+def best(points: Iterable[Point[Seen]], most: int) -> Point[Seen] | None:
+    """The fastest of those that have a score, with no more frames crossed."""
+    kept = (point for point in points if point.score is not None and len(point.score.crossed) <= most)
+    return min(kept, key=lambda point: point.median, default=None)
+
+
+def ratio(found: Found, point: Point[Seen]) -> float | None:
+    """How many times as long another engine takes as our fastest with no more frames crossed.
+
+    None for ours, for what has no score, and where none of ours has as few; that one is faster is not said then.
+    """
+    if point.score is None or point.kind.startswith("nuno-"):
+        return None
+    own = best(found.own(), len(point.score.crossed))
+    return point.median / own.median if own is not None else None
+
+
+def settings(found: Found) -> Table:
+    """One row of text per point."""
+    return Table(HEADINGS, [_row(found, point) for point in found.points], JUDGED)
+
+
+def _row(found: Found, point: Point[Seen]) -> list[str]:
+    start, seen = number(round(point.start, 2)) if point.start is not None else "", point.score
+    if seen is None:
+        return [point.kind, point.setting, "", "", "", "", "", start, "", "failed"]
+    figures = (len(seen.crossed), 100 * seen.stretch, 1e3 * seen.height, point.median)
+    times, verdict = ratio(found, point), ""
+    if not point.kind.startswith("nuno-") and found.own():
+        verdict = "bar met" if times is not None and times > 1.0 else "missed"
+    shown = number(times) if times is not None else ""
+    return [point.kind, point.setting, *map(number, figures), spread_of(point.seconds), start, shown, verdict]
+
+
+def tables(found: Found) -> list[Table]:
+    """What is shown on the screen."""
+    return [settings(found), queries(found)]
+
+
+def verdicts(found: Found) -> list[str]:
+    """Our fastest with the fewest frames crossed, and of each other kind the same beside it."""
+    texts = []
+    for kind in found.kinds:
+        points = [point for point in found.points if point.kind == kind.name and point.score is not None]
+        if not points:
+            continue
+        fewest = min(len(point.score.crossed) for point in points if point.score is not None)
+        if (one := best(points, fewest)) is None:
+            continue
+        times = ratio(found, one)
+        beside = f", {number(times)} times as long as ours" if times is not None else ""
+        passed = f"cloth through cloth in {fewest} of {one.score.frames} frames" if one.score else ""
+        texts.append(f"{one.kind} ({one.setting}): {number(one.median)} s{beside}, {passed}.")
+    return texts
+
+
+def queries(found: Found) -> Table:
+    """One row of text per question."""
+    rows = [
+        [one.question, ASKED[one.question][0], number(median(one.ours)), spread_of(one.ours),
+         ASKED[one.question][1], number(median(one.theirs)), spread_of(one.theirs),
+         number(median(one.theirs) / median(one.ours))]
+        for one in found.answers
+    ]  # fmt: skip
+    return Table(QUERIES, rows, ASKING)
+
+
+def report(found: Found, about: Mapping[str, str]) -> Report:
+    """The page, the data and the documentation's section."""
+    given = [[kind.name, kind.posed] for kind in found.kinds]
+    posed = Table(("peer", "what it is given"), given, "Material and method.", prose=True)
+    table, asked, said_of, said = settings(found), queries(found), notes(found.points), " ".join(verdicts(found))
+    data = {
+        "points": [vars(p) | {"median": p.median if p.seconds else None} for p in found.points],
+        "answers": found.answers, "left_out": found.left_out, "posed": {kind.name: kind.posed for kind in found.kinds},
+    }  # fmt: skip
+    sections: Sections = [
+        ("", [said]),
+        ("All settings", [table]),
+        ("Questions that ipc-toolkit answers, too", [asked]),
+        ("Notes", [said_of]),
+        ("What each is given", [posed]),
+        ("Left out", found.left_out),
+    ]
+    brief: list[Part] = [
+        " ".join([said, *(f"{text}." for text in found.left_out)]),
+        LEAD, table, JUDGED, asked, ASKING if asked.rows else "", said_of, posed,
+    ]  # fmt: skip
+    return Report("Cloth that meets cloth in other engines", LEAD, sections, about, data, brief)
