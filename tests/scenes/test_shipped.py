@@ -72,7 +72,7 @@ def test_waist_follows_its_frame(name: str) -> None:
 
 
 FOLDER = scene_file.shipped()["skirt-walk"].parent
-MESHES = tuple(f"contact/{name}.obj" for name in ("funnel", "knot-left", "knot-right", "scarf", "table"))
+MESHES = tuple(f"contact/{name}.obj" for name in ("funnel", "knot-left", "knot-right", "scarf", "star", "table"))
 SCRIPTS = {
     "make_walk.py": ("walk.bvh",), "make_pattern.py": ("seigaiha.png",), "make_net.py": ("pendulum.npz",),
     "contact/make_cards.py": ("contact/cards.yaml",), "contact/make_meshes.py": MESHES,

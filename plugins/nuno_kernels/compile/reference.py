@@ -32,6 +32,11 @@ class Reference(types.Type):  # type: ignore[misc]
         told = hashlib.blake2b(str(held).encode(), digest_size=8).hexdigest()
         super().__init__(f"{held.instance_class.__qualname__}@{told}")
 
+    @property
+    def key(self) -> Any:
+        """What tells it from others: the class itself, for another may have its name and fields."""
+        return self.held
+
 
 @register_model(Reference)
 class _Model(models.PrimitiveModel):  # type: ignore[misc]
