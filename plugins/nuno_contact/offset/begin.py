@@ -9,7 +9,7 @@ from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.hold import all_close
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
-from nuno_contact.offset.plan import GROWTH, LEAST, LISTS, WINDOW, plan
+from nuno_contact.offset.plan import LEAST, LISTS, WINDOW, plan
 from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_contact.offset.touching import find_touching
 from nuno_kernels import block_kernel, kernel
@@ -40,7 +40,6 @@ def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int |
             return
         copy_rows(x, m.last)
         clock[4], clock[2], clock[5], clock[6], clock[7] = WINDOW, LISTS, 1.0, LEAST[1], 0.0
-        clock[8], clock[9] = np.inf, GROWTH
         clock[1], clock[3] = -2.0 * clock[2], 0.0
         m.unrest[:] = 0.0
         m.anchored[:] = False

@@ -112,10 +112,9 @@ class Meeting(NamedTuple):
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     clock: Float
-    """(10,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
+    """(8,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
     what is near; the share of what the list's plan allows at most; how many thicknesses that of what is near allows
-    at least; how long the last step was [s]; what the last window cost, and by what the next is longer: part of the
-    state"""
+    at least; how long the last step was [s]: part of the state"""
     span: Float
     """(1,) of the interval [s]"""
     listed: Float
@@ -255,7 +254,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         last=np.zeros((3, n)),
         spread=np.zeros((2, n)),
         unrest=np.zeros((2, n)),
-        clock=np.zeros(10),
+        clock=np.zeros(8),
         span=np.zeros(1),
         listed=np.zeros((14, n)),
         nothing=np.zeros((3, n)),

@@ -16,7 +16,7 @@ from nuno_kernels import block_kernel
 from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.fabric import Float
 
-WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 64.0, 4.0
+WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 24.0, 4.0
 """Of an interval: for how long what is near is chosen at first, at least and at most."""
 LISTS = 0.6
 """Of an interval: for how long the list is made at least; else for two windows of what is near."""
@@ -80,19 +80,15 @@ def tighter(spread: Float) -> bool:
 
 @block_kernel
 def plan(m: Meeting, u: Float, way: float, step: float, ahead: float, threads: int | None) -> None:
-    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer
-    and longer where the last plan was lived out, as long as each step costs less by it; else for shorter. One that is
-    to hold for a step `ahead` is used up where another goes beyond its end.
+    """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer than
+    before where the last plan was lived out and a step costs less by what is near than by its share of choosing that,
+    else for shorter. One that is to hold for a step `ahead` is used up where another goes beyond its end.
     """
     clock = m.clock
     gone = clock[0] - clock[3]
     share, used = gone / clock[4], (gone + step + ahead) / clock[4]
-    # Of a step: its share of choosing from the list, and to look at what was chosen.
-    cost = m.number[0] * step / clock[4] + m.number[1]
-    if cost > clock[8]:
-        clock[9] = 1.0 / clock[9]
-    clock[8] = cost
-    window = clock[4] * (clock[9] if used > 1.0 else 0.75 if used < 0.5 else 1.0)
+    longer = GROWTH if m.number[1] * clock[4] <= m.number[0] * step else 1.0 / GROWTH
+    window = clock[4] * (longer if used > 1.0 else 0.75 if used < 0.5 else 1.0)
     window = max(way + 1.5 * ahead, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m.last, m.reference[3:], m.motion[3:], m.unrest[1], gone, share)
