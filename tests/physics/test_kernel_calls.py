@@ -120,7 +120,7 @@ def test_by_reference_all_is_there(on: bool, threads: int | None) -> None:
 
 
 def test_by_reference_is_one_argument() -> None:
-    """Two arrays of one dimension are fourteen numbers, and three more for the array besides."""
+    """In the place of the fourteen numbers that two arrays of one dimension are."""
     arguments = {}
     for kind in (Pair, Lent):
         fresh = numba.njit(pipeline_class=Borrowing, no_cpython_wrapper=True, **FLAGS)(borrow.py_func)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.bodies.poses import pose_frame, write_interval
+from nuno_kernels.bodies.poses import carry, pose_frame, write_interval
 from nuno_schemas.bodies import OF_TRIANGLES, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -99,14 +99,7 @@ def pose_solids(m: Meeting, s: float, x: Float, v: Float) -> None:
         pose_frame(s, f, m.rotation0, m.origin0, m.spin, m.shift, frames)
     first = x.shape[1] - local.shape[0]
     for b in range(local.shape[0]):
-        p, own, at = first + b, frames[of_frame[b]], local[b]
-        rx = own[0] * at[0] + own[1] * at[1] + own[2] * at[2]
-        ry = own[3] * at[0] + own[4] * at[1] + own[5] * at[2]
-        rz = own[6] * at[0] + own[7] * at[1] + own[8] * at[2]
-        x[0, p], x[1, p], x[2, p] = own[9] + rx, own[10] + ry, own[11] + rz
-        v[0, p] = own[12] + (own[16] * rz - own[17] * ry)
-        v[1, p] = own[13] + (own[17] * rx - own[15] * rz)
-        v[2, p] = own[14] + (own[15] * ry - own[16] * rx)
+        carry(local, b, frames, of_frame[b], x, v, first + b)
 
 
 @block_kernel

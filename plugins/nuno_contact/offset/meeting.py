@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.offset.bodies import Solids, size_of
-from nuno_contact.offset.tree import Tree, make_tree
+from nuno_contact.offset.tree import Tree, beside, make_tree, rings
 from nuno_kernels import forced_inline
 from nuno_kernels.step.blocks import block_count
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -138,8 +138,8 @@ class Meeting(NamedTuple):
     kept_normal: Float
     kept: Bool
     pulled: Float
-    """(P, 4) scratch of xpbd: the force [N] of pairs that are kept, at kept_weights, and mu N of those that slide;
-    infinite where they stick"""
+    """(P, 4) scratch of xpbd: the force [N] of pairs that are kept, at kept_weights, and the share of its friction
+    that each gets, 1 where it sticks"""
     swept: NDArray[np.int64]
     """(1,) scratch of xpbd: sweeps over pairs in this step so far"""
     share: Float
@@ -182,25 +182,52 @@ def tree_of(m: Meeting) -> Tree:
     )  # fmt: skip
 
 
-def beside(faces: Int) -> Int:
-    """(f, 3) number of the triangle across each edge of faces (f, 3), -1 for none; of several the lowest."""
-    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).astype(np.int64)
-    span = int(faces.max(initial=0)) + 1
-    keys = (ends[..., 0] * span + ends[..., 1]).ravel()
-    order = np.argsort(keys, kind="stable")
-    same = keys[order][1:] == keys[order][:-1]
-    found = np.full(keys.shape, -1, np.int32)
-    found[order[:-1][same]] = order[1:][same] // 3
-    found[order[1:][same]] = order[:-1][same] // 3
-    return found.reshape(-1, 3)
+def room_for_pairs(places: int) -> dict[str, Any]:
+    """Of the arrays of P places."""
+    return {
+        "pair": np.zeros((places, 4), np.int32),
+        "of": np.zeros(places, np.int32),
+        "key": np.zeros(places, np.int64),
+        "reach": np.zeros(places),
+        "pair_stiffness": np.zeros(places),
+        "pair_damping": np.zeros(places),
+        "eased": np.zeros(places),
+        "pair_friction": np.zeros(places),
+        "normal": np.zeros((places, 3)),
+        "near": np.zeros(places, np.int32),
+        "block_pair": np.zeros(4 * places, np.int32),
+        "close": np.zeros(places, np.int32),
+        "touching": np.zeros(places, np.int32),
+        "touch_pair": np.zeros(4 * places, np.int32),
+        "weights": np.zeros((places, 4)),
+        "distance": np.zeros(places),
+        "anchor": np.zeros((places, 4)),
+        "anchored": np.zeros(places, np.bool_),
+        "expected": np.zeros(places, np.bool_),
+        "kept_weights": np.zeros((places, 4)),
+        "kept_normal": np.zeros((places, 3)),
+        "kept": np.zeros(places, np.bool_),
+        "pulled": np.zeros((places, 4)),
+    }
 
 
-def rings(edges: Int, n: int) -> tuple[Int, Int]:
-    """(n + 1,) bounds of each vertex' neighbours, and the neighbours, of edges (e, 2)."""
-    both = np.concatenate([edges, edges[:, ::-1]])
-    order = np.lexsort((both[:, 1], both[:, 0]))
-    start = np.searchsorted(both[order, 0], np.arange(n + 1)).astype(np.int32)
-    return start, np.ascontiguousarray(both[order, 1])
+def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
+    """Of the arrays of bodies, those of all vertices `wide`, which is 0 where there are none."""
+    return {
+        "local": np.array(solids.local, np.float64, order="C"),
+        "frame": np.array(solids.frame, np.int32),
+        "body_law": np.array(solids.law, np.float64, order="C"),
+        "rotation0": np.tile(np.eye(3).ravel(), (solids.frames, 1)),
+        "origin0": np.zeros((solids.frames, 3)),
+        "spin": np.zeros((solids.frames, 3)),
+        "shift": np.zeros((solids.frames, 3)),
+        "frames": np.zeros((solids.frames, 18)),
+        "whole": np.zeros((3, wide)),
+        "whole_velocity": np.zeros((3, wide)),
+        "goal": np.zeros((3, wide)),
+        "way": np.zeros((3, wide)),
+        "behind": np.zeros(len(solids.x), np.bool_),
+    }
 
 
 def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law: Float, solids: Solids) -> Meeting:
@@ -216,7 +243,9 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
     corners = faces.ravel()
     first_face[corners[::-1]] = np.arange(len(corners))[::-1] // 3
     return Meeting(
-        *tree,
+        **tree._asdict(),
+        **room_for_pairs(places),
+        **parts_of_bodies(solids, wide),
         beside=beside(faces),
         ring_start=ring_start,
         ring=ring,
@@ -227,28 +256,10 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         stiffness=np.concatenate([stiffness, np.zeros(b)]),
         mass=np.concatenate([np.where(fabric.pinned, 0.0, fabric.mass), np.zeros(b)]),
         law=law,
-        pair=np.zeros((places, 4), np.int32),
-        of=np.zeros(places, np.int32),
-        key=np.zeros(places, np.int64),
-        reach=np.zeros(places),
-        pair_stiffness=np.zeros(places),
-        pair_damping=np.zeros(places),
-        eased=np.zeros(places),
-        pair_friction=np.zeros(places),
-        normal=np.zeros((places, 3)),
-        near=np.zeros(places, np.int32),
         number=np.zeros(7, np.int64),
         block_start=np.zeros(block_count(n) + 1, np.int32),
-        block_pair=np.zeros(4 * places, np.int32),
-        close=np.zeros(places, np.int32),
-        touching=np.zeros(places, np.int32),
         touch_start=np.zeros(block_count(n) + 1, np.int32),
-        touch_pair=np.zeros(4 * places, np.int32),
-        weights=np.zeros((places, 4)),
-        distance=np.zeros(places),
         fresh=np.zeros(1, np.bool_),
-        anchor=np.zeros((places, 4)),
-        anchored=np.zeros(places, np.bool_),
         reference=np.full((6, n), np.nan),
         motion=np.zeros((6, n)),
         last=np.zeros((3, n)),
@@ -261,29 +272,11 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         ways=np.zeros((n, 8)),
         step=np.zeros(1),
         velocity=np.zeros((3, n)),
-        expected=np.zeros(places, np.bool_),
         calm=np.zeros(1, np.int64),
         frozen=np.zeros(1, np.bool_),
-        kept_weights=np.zeros((places, 4)),
-        kept_normal=np.zeros((places, 3)),
-        kept=np.zeros(places, np.bool_),
-        pulled=np.zeros((places, 4)),
         swept=np.zeros(1, np.int64),
         share=np.ones(n),
         rate=np.zeros(n),
-        local=np.array(solids.local, np.float64, order="C"),
-        frame=np.array(solids.frame, np.int32),
-        body_law=np.array(solids.law, np.float64, order="C"),
         size=size_of(x, faces),
-        rotation0=np.tile(np.eye(3).ravel(), (solids.frames, 1)),
-        origin0=np.zeros((solids.frames, 3)),
-        spin=np.zeros((solids.frames, 3)),
-        shift=np.zeros((solids.frames, 3)),
-        frames=np.zeros((solids.frames, 18)),
-        whole=np.zeros((3, wide)),
-        whole_velocity=np.zeros((3, wide)),
-        goal=np.zeros((3, wide)),
-        way=np.zeros((3, wide)),
-        behind=np.zeros(b, np.bool_),
         tally=np.zeros(5, np.int64),
     )

@@ -79,7 +79,7 @@ def give_way(m: Meeting, y: Float, d: Float, stop: float) -> bool:
     Each pair is to have a plane that keeps it apart at y and at the end. Of one that has none, what comes nearer stops
     at the other's end, or, where both come nearer, between them in proportion. A side that goes away does not stop the
     other where it is now, so that layers that fall together go on together; and as shares only get smaller, each
-    pair's demand can be met whatever the others do. After SWEEPS over all pairs what is left is left, and so are
+    pair's demand can be met whatever the others do. After SWEEPS over all pairs what is left is left, and so is
     cloth that is held; bodies are not.
     """
     pair, of, reach, normal, share, near = m.pair, m.of, m.reach, m.normal, m.share, m.near

@@ -73,6 +73,27 @@ def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> Tree:
     return Tree(boxes, faces, edges, vertices, face_start, face, edge_start, edge, vertex_start, vertex, *rooms)
 
 
+def beside(faces: Int) -> Int:
+    """(f, 3) number of the triangle across each edge of faces (f, 3), -1 for none; of several the lowest."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).astype(np.int64)
+    span = int(faces.max(initial=0)) + 1
+    keys = (ends[..., 0] * span + ends[..., 1]).ravel()
+    order = np.argsort(keys, kind="stable")
+    same = keys[order][1:] == keys[order][:-1]
+    found = np.full(keys.shape, -1, np.int32)
+    found[order[:-1][same]] = order[1:][same] // 3
+    found[order[1:][same]] = order[:-1][same] // 3
+    return found.reshape(-1, 3)
+
+
+def rings(edges: Int, n: int) -> tuple[Int, Int]:
+    """(n + 1,) bounds of each vertex' neighbours, and the neighbours, of edges (e, 2)."""
+    both = np.concatenate([edges, edges[:, ::-1]])
+    order = np.lexsort((both[:, 1], both[:, 0]))
+    start = np.searchsorted(both[order, 0], np.arange(n + 1)).astype(np.int32)
+    return start, np.ascontiguousarray(both[order, 1])
+
+
 def _halves(part: Any, centre: Float) -> tuple[Any, Any]:
     """A set of triangles cut at the median along the widest axis."""
     if len(part) < 2:

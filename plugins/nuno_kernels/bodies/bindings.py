@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.bodies.poses import pose_frame, write_interval
+from nuno_kernels.bodies.poses import carry, pose_frame, write_interval
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import Displaced, register
 from nuno_schemas.bodies import Poses
@@ -43,14 +43,7 @@ def place_bound(bindings: Bindings, x: Float, v: Float, s: float) -> None:
     for f in range(bindings.frames.shape[0]):
         pose_frame(s, f, bindings.rotation0, bindings.origin0, bindings.spin, bindings.shift, bindings.frames)
     for b in range(bindings.vertices.shape[0]):
-        p, m, local = bindings.vertices[b], bindings.frames[bindings.frame[b]], bindings.local[b]
-        rx = m[0] * local[0] + m[1] * local[1] + m[2] * local[2]
-        ry = m[3] * local[0] + m[4] * local[1] + m[5] * local[2]
-        rz = m[6] * local[0] + m[7] * local[1] + m[8] * local[2]
-        x[0, p], x[1, p], x[2, p] = m[9] + rx, m[10] + ry, m[11] + rz
-        v[0, p] = m[12] + (m[16] * rz - m[17] * ry)
-        v[1, p] = m[13] + (m[17] * rx - m[15] * rz)
-        v[2, p] = m[14] + (m[15] * ry - m[16] * rx)
+        carry(bindings.local, b, bindings.frames, bindings.frame[b], x, v, bindings.vertices[b])
 
 
 @kernel

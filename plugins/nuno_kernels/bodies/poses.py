@@ -102,6 +102,16 @@ def turn_out(v: Vector, frames: Float, f: Index) -> tuple[float, float, float]:
 
 
 @forced_inline
+def carry(local: Float, b: Index, frames: Float, f: Index, x: Float, v: Float, p: Index) -> None:
+    """Put column p of x, v (3, n) where place b of local (b, 3), fixed to frame f, is at the moment."""
+    rx, ry, rz = turn_out((local[b, 0], local[b, 1], local[b, 2]), frames, f)
+    x[0, p], x[1, p], x[2, p] = frames[f, 9] + rx, frames[f, 10] + ry, frames[f, 11] + rz
+    v[0, p] = frames[f, 12] + (frames[f, 16] * rz - frames[f, 17] * ry)
+    v[1, p] = frames[f, 13] + (frames[f, 17] * rx - frames[f, 15] * rz)
+    v[2, p] = frames[f, 14] + (frames[f, 15] * ry - frames[f, 16] * rx)
+
+
+@forced_inline
 def to_frame(px: float, py: float, pz: float, frames: Float, f: Index) -> tuple[float, float, float]:
     """A place in the world in the axes of frame f, from its origin."""
     return turn_in((px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]), frames, f)
