@@ -7,6 +7,8 @@ import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import psutil
@@ -126,6 +128,20 @@ def test_a_service_that_raises_ends_the_run(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(Collision, "measure", fail)
     with pytest.raises(RunFailed, match=r"collision service died.*the sensor is on fire"):
         nuno.run(write_scene(tmp_path, bodies=BALL))
+
+
+def test_of_services_that_are_gone_the_one_that_said_why_is_named() -> None:
+    """The simulation ends where another has failed, and its token may go before its word comes."""
+    errors = {"collision": "the sensor is on fire"}
+    watched = SimpleNamespace(
+        paused=False, ended=None, without={}, dispensable=set(), needed=["simulation", "collision"], blamed="",
+        cut_off=str, errors=errors, bus=SimpleNamespace(ask_json=lambda *question: {}),
+        watch=SimpleNamespace(alive=set), _drain=lambda *arguments, **patience: False,
+        say=lambda *words: None, silence=SimpleNamespace(look=lambda say: None), laggards=None,
+        _last_words=lambda dead, progress: False, _why=lambda name: errors.get(name, oversight.GONE),
+    )  # fmt: skip
+    said = oversight.Supervisor.follow(cast("oversight.Supervisor", watched), None)
+    assert said == "the collision service died: the sensor is on fire"
 
 
 def test_divergence_fails_plainly_and_keeps_the_recording(tmp_path: Path) -> None:

@@ -38,16 +38,11 @@ WRITING_TIMEOUT = 1800.0
 PATIENCE_AT_END = {"render": DRAWING_TIMEOUT, "recorder": WRITING_TIMEOUT}
 LAST_WORDS = 1.0
 """How long the reason is waited for when a service has gone [s]."""
-
 COMPILING_AFTER = 1.5
 """Preparing takes this long [s] only where kernels are compiled, and then it is said."""
 COMPILING = "compiling the kernels that this scene needs; the next run finds them ready"
-
 GONE = "its process ended or the connection broke"
-UNSAID = (
-    "does not say which scene it has read: it is of an older version, or the router's rights are (nuno certs makes "
-    "router.json5 anew)"
-)
+UNSAID = "does not say which scene it has read: it, or the router's rights, are of an older version (see nuno certs)"
 
 Summarise = Callable[[dict[str, dict[str, Any]]], dict[str, Any]]
 Progress = Callable[[FrameStatus | str], None]
@@ -71,7 +66,7 @@ class Supervisor:
         self.blamed = ""
         self.ended: dict[str, Any] | None = None
         self.patience = START_TIMEOUT
-        self.paused = False
+        self.paused, self.recorded = False, False
         self.dispensable = {"viewer"} & set(plan.services)
         """Services without which the run goes on: what they show is no part of its result."""
         self.needed = [name for name in plan.services if name not in self.dispensable]
@@ -81,6 +76,8 @@ class Supervisor:
         """What is wrong with the connection to the hub, "" for nothing."""
         self.broken = ""
         """What was wrong with it as services finished."""
+        self.unrecorded: dict[str, int] = {}
+        """Messages of each topic that came before the recorder was known to listen: it may have missed them."""
         self.laggards = Laggards(session, {identity(run, name): name for name in plan.services})
         self.silence = Silence(self.bus, plan.leader)
         self.exited: Callable[[], dict[str, str]] = dict
@@ -157,6 +154,9 @@ class Supervisor:
             except ValueError:
                 self.inbox.refuse(item)
             item = self.inbox.get(0)
+        if not self.recorded:
+            self.unrecorded = dict(self.inbox.counts.received)
+            self.recorded = "recorder" in self.watch.alive()
         return self.ended is not None
 
     def _note(self, topic: str, event: Event, progress: Progress | None) -> None:
@@ -198,7 +198,8 @@ class Supervisor:
                     break
                 if self.blamed in self.watch.alive():
                     return f"the run gave up: {self.errors[dead[0]]}"
-                name = self.blamed or dead[0]
+                # What one says may come before another's words about it.
+                name = self.blamed or next((name for name in dead if name in self.errors), dead[0])
                 return f"the {name} service died: {self._why(name)}"
         return ""
 
@@ -244,13 +245,12 @@ class Supervisor:
                 continue
             request: dict[str, Any] = {"error": error}
             if name == "recorder":
-                # A service that failed answers no more: of what it sent, what has come here has to come there. Not of
-                # one that the run goes on without: it may have spoken before the recorder listened.
-                heard, lost = self.inbox.counts, {f"{EVENT.name}/{service}" for service in self.without}
-                sent = {topic: n + heard.missing[topic] for topic, n in heard.received.items() if topic not in lost}
+                # A service that failed answers no more: of what it sent, what has come here has to come there.
+                heard = self.inbox.counts
+                sent = {t: n + heard.missing[t] - self.unrecorded.get(t, 0) for t, n in heard.received.items()}
                 sent |= {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
                 failed = error or any(service in self.errors for service in self.needed)
-                state = "failed" if failed else str((self.ended or {}).get("state", "failed"))
+                state = "failed" if failed or not self.ended else str(self.ended.get("state", "failed"))
                 request |= {"discard": discard, "expected": sent, "state": state, "report": report(answers)}
             # One that the run gave up waiting for has had its time.
             patience = FINISH_TIMEOUT if name == self.blamed else PATIENCE_AT_END.get(name, FINISH_TIMEOUT)
@@ -293,6 +293,7 @@ class Supervisor:
 
     def _await_recorder(self) -> None:
         """Wait until the recorder can be told what becomes of its file: it may be creating it just now."""
+        self._drain()
         end = time.monotonic() + FINISH_TIMEOUT
         while "recorder" not in self.exited() and not self.watch.gone("recorder") and time.monotonic() < end:
             if not self.watch.wait_for({"recorder"}, 0.05):
