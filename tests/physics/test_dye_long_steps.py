@@ -20,6 +20,7 @@ from nuno_schemas.errors import BadInput
 ONES = np.ones((2, 3, 3))
 
 
+@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", LONG)
 def test_diffusion_is_of_the_solvers_order(name: str) -> None:
     """Against the exponential of the matrix whose columns are what a plain step makes of single cells."""
@@ -98,7 +99,7 @@ def test_fibre_in_a_bath_comes_to_its_limit_and_not_beyond(name: str, law: str) 
     assert end.fixed == pytest.approx(most, rel=1e-6)
 
 
-@pytest.mark.quick(law=["langmuir"], steps=[7])
+@pytest.mark.quick(law=["langmuir"], steps=[7], name=["sdirk2"])
 @pytest.mark.parametrize("name", LONG)
 @pytest.mark.parametrize("law", ISOTHERMS)
 @pytest.mark.parametrize(("supplied", "steps", "limits"), [(False, 7, 2000.0), (True, 7, 2000.0), (True, 100, 500.0)])
@@ -138,6 +139,7 @@ def test_what_is_legal_but_extreme_is_done(name: str) -> None:
             assert end.phi.min() >= 0.0 and (end.phi[0] <= cells.mobile_room).all(), case
 
 
+@pytest.mark.quick(name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 def test_full_resist_lets_nothing_through(name: str) -> None:
     cells = resisted(16, 20)

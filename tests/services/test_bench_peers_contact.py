@@ -46,6 +46,7 @@ def test_frames_are_judged_by_what_is_in_them(pile: Pile) -> None:
     assert seen.height == pytest.approx(pile.mass @ pile.x[:, 1] / pile.mass.sum() - lowered)
 
 
+@pytest.mark.full
 def test_ipctk_and_ours_answer_alike() -> None:
     pytest.importorskip("ipctk")
     pile = five_sheets()

@@ -92,6 +92,7 @@ def test_short_runs_are_repeated_more_often(found: Findings) -> None:
     assert repeats == {MORE}
 
 
+@pytest.mark.full
 def test_adaptive_errors_follow_the_tolerance(tmp_path: Path) -> None:
     """Over a hundredfold they fall a hundredfold, give or take a few, where a frame holds several steps."""
     found = swept(write_net(tmp_path, frame_rate=5, duration=2), "--solvers", "dopri5,dop853")
@@ -125,6 +126,7 @@ def test_runs_of_one_problem_do_not_touch_each_other(tmp_path: Path) -> None:
     assert again.x.tobytes() == first.x.tobytes()
 
 
+@pytest.mark.full
 def test_a_scene_with_a_body_is_swept(tmp_path: Path) -> None:
     path = write_scene(tmp_path, bodies=BALL, duration=0.2)
     found = swept(path, "--solvers", "symplectic_euler,implicit_euler,dopri5")

@@ -161,6 +161,7 @@ def test_a_step_beyond_the_limit_is_tried_and_marked(tmp_path: Path) -> None:
     assert beyond.outcome == "done" and error is not None and error > 2.0 * max(stable)
 
 
+@pytest.mark.full
 def test_the_command_writes_all_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = write_wave(tmp_path), tmp_path / "out"
     flags = ["--repeats", "1", "--budget", "60", "--solvers", "explicit", "--out", str(out)]

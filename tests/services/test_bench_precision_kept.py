@@ -51,6 +51,7 @@ def test_an_interrupted_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     assert len({point.key for point in found.points}) == len(found.points) > 8
 
 
+@pytest.mark.full
 def test_scenes_that_never_began_are_begun_by_a_resumed_sweep(tmp_path: Path) -> None:
     first, second = write_net(tmp_path), tmp_path / "other.yaml"
     second.write_text(first.read_text().replace("name: line", "name: other", 1))

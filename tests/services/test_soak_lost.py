@@ -16,6 +16,7 @@ from soak.lost import KB, MB, Memory, Stream, count_lost, growth, measure, need_
 from soak.traffic import payload_of, template
 
 
+@pytest.mark.full
 def test_nothing_is_lost_between_processes_beside_a_hung_subscriber_on_a_slow_disk(tmp_path: Path) -> None:
     results = measure(tmp_path, Stream("100 KB", 120, 100 * KB, disk=20 * MB, seconds=(1e6,)), judge_memory=False)
     found = {result.what: result.median for result in results}
