@@ -33,12 +33,14 @@ def _settle() -> Iterator[None]:
 
 APART = ("dye", "knit", "yarn", "stocking", "render", "ray", "curve", "field", "sdf", "wrinkle", "xpbd", "shirt")
 """Words in the names of test files that compile few of the kernels which the others compile."""
+DEAREST = "test_cloth_and_bodies"
+"""Compiles most of cloth contact, which others need, too: longer than anything else."""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark cases that are not quick as `full`. Deal files that compile different kernels in turn, those with most tests
-    first.
+    """Mark cases that are not quick as `full`. Deal files that compile different kernels in turn, the dearest first,
+    then those with most tests.
 
     Workers take files from the head of one queue. Two that compile the same kernel at once both pay for it, while
     one after the other the second finds it in the cache.
@@ -51,7 +53,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker("full")
         files.setdefault(item.path, []).append(item)
     halves: tuple[list[list[pytest.Item]], list[list[pytest.Item]]] = [], []
-    for path, tests in sorted(files.items(), key=lambda entry: -len(entry[1])):
+    for path, tests in sorted(files.items(), key=lambda entry: (entry[0].stem != DEAREST, -len(entry[1]))):
         halves[any(word in path.stem for word in APART)].append(tests)
     places = [((k + 0.5) / len(half), tests) for half in halves for k, tests in enumerate(half)]
     items[:] = [item for _, tests in sorted(places, key=lambda place: place[0]) for item in tests]
