@@ -241,7 +241,7 @@ def add_pairs(m: Meeting, block: int, origin: int, x: Float, v: Float, force: Fl
             at = kept_touch(m, p, corners) if frozen else touch(x, i, of[p], corners, reach[p], mesh)
             if not at.distance < h:
                 continue
-        c = damping[p] * (eased[p] if fresh or anchored[p] else 1.0)
+        c = damping[p] * (eased[p] if step == 0.0 and (fresh or anchored[p]) else 1.0)
         fx, fy, fz = rub(corners, corners_of(v, i, j, k, l), at, h, stiffness[p], c, mu[p], anchored[p],
                          (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), step)  # fmt: skip
         for corner in range(4):

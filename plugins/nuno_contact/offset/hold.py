@@ -219,7 +219,7 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
         cut_short(m, x, v, threads)
         all_close(m)
     copy_rows(x, m.last)
-    m.clock[0], m.clock[7] = s, dt
+    m.clock[0], m.clock[7] = s, dt if m.step[0] == 0.0 else 0.0
     find_touching(m)
     drag_anchors(m, v)
     return True

@@ -88,6 +88,16 @@ def gap_along(of_edges: bool, n: Vector, ways: Float, i: Index, j: Index, k: Ind
 
 
 @forced_inline
+def apart_at_middles(of_edges: bool, ways: Float, i: Index, j: Index, k: Index, l: Index, thickness: float) -> bool:  # noqa: E741
+    """Whether the plane across the line between their middles keeps a pair apart, as it does most neighbours in the
+    cloth. Not the plane that the pair had last: a resumed run has no other than those across closest points.
+    """
+    here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
+    n, _ = unit(weigh(MIDDLES[0] if of_edges else MIDDLES[1], here))
+    return gap_along(of_edges, n, ways, i, j, k, l) > thickness
+
+
+@forced_inline
 def vertices_of(m: Meeting, e: int, f: int) -> tuple[int, int, int, int]:
     """Of a vertex e and a triangle f, or of edges -1 - e and f."""
     if e < 0:
@@ -102,14 +112,11 @@ def keep_near(m: Meeting, found: Long, normal: Float, count: int) -> int:
     """
     ways, thickness = m.ways, m.law[0]
     kept, number = 0, 0
-    # Neighbours in the cloth, most of what is found, are kept apart across the line between their middles. All are
-    # looked at without asking, since to guess wrongly takes longer.
+    # All are looked at without asking, since to guess wrongly takes longer.
     for c in range(count):
         of_edges = found[c, 0] < 0
         i, j, k, l = vertices_of(m, found[c, 0], found[c, 1])  # noqa: E741
-        here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
-        n, _ = unit(weigh(MIDDLES[0] if of_edges else MIDDLES[1], here))
-        apart = gap_along(of_edges, n, ways, i, j, k, l) > thickness
+        apart = apart_at_middles(of_edges, ways, i, j, k, l, thickness)
         found[kept, 0], found[kept, 1] = found[c, 0], found[c, 1]
         kept += 0 if apart or not m.meets[m.piece[i], m.piece[l]] else 1
     for c in range(kept):
@@ -184,7 +191,7 @@ def choose_part(part: int, m: Meeting, number: Long) -> None:
     # Without asking for each, since to guess wrongly takes longer than to look.
     for p in range(first, end):
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-        apart = gap_along(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), ways, i, j, k, l) > thickness
+        apart = apart_at_middles(of[p] < 0, ways, i, j, k, l, thickness)
         anchored[p] &= not apart
         near[kept] = p
         kept += 0 if apart else 1

@@ -16,14 +16,19 @@ from nuno_kernels import block_kernel
 from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.fabric import Float
 
-WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 24.0, 4.0
-"""Of an interval: for how long what is near is chosen at first, at least and at most."""
+WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, (1.0 / 96.0, 1.0 / 24.0), 4.0
+"""Of an interval: for how long what is near is chosen at first, at least and at most. The shorter one is for where a
+vertex has many that are near and few of them touch, as of edges not much longer than the thickness.
+"""
 LISTS = 0.6
 """Of an interval: for how long the list is made at least; else for two windows of what is near."""
-CROWDED = 24.0
+CROWDED = 24.0, 36.0
 """Pairs in the list for each vertex from which on the next is made for less: layers that lie on each other are all near
-to each other, if each may stray by more than they are apart.
+to each other, if each may stray by more than they are apart. Up to the second it is made for more where vertices
+strayed from it EARLY.
 """
+EARLY = 0.25
+"""In so small a share of its window."""
 FEW = 0.25
 """Pairs that are near for each vertex up to which more may be: vertices may then stray by more, and plans last."""
 LEAST, MOST = (2.0, 0.1), (3.0, 1.0)
@@ -89,10 +94,11 @@ def plan(m: Meeting, u: Float, way: float, step: float, ahead: float, threads: i
     share, used = gone / clock[4], (gone + step + ahead) / clock[4]
     longer = GROWTH if m.number[1] * clock[4] <= m.number[0] * step else 1.0 / GROWTH
     window = clock[4] * (longer if used > 1.0 else 0.75 if used < 0.5 else 1.0)
-    window = max(way + 1.5 * ahead, min(LONGEST, max(SHORTEST, window)))
+    crowd = m.number[1] / m.last.shape[1]
+    shortest = SHORTEST[0] if crowd > 1.0 and m.number[1] > 8 * m.tally[0] else SHORTEST[1]
+    window = max(way + 1.5 * ahead, min(LONGEST, max(shortest, window)))
     if gone > 0.0:
         learn(m.last, m.reference[3:], m.motion[3:], m.unrest[1], gone, share)
-    crowd = m.number[1] / m.last.shape[1]
     clock[6] = clock[6] * 0.7 if crowd > FEW else 1.2 * clock[6] if crowd < 0.5 * FEW else clock[6]
     clock[6] = min(MOST[1], max(LEAST[1], clock[6]))
     allow(m, m.spread[1], m.unrest[1], window, clock[6], MOST[1])
@@ -118,7 +124,10 @@ def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None
         if s > clock[1]:
             learn(last, reference, motion, m.unrest[0], s - clock[1], begun)
         scale, pairs = clock[5], m.number[0] / last.shape[1]
-        scale = scale * 0.7 if pairs > CROWDED else min(1.0, 1.2 * scale) if pairs < 0.5 * CROWDED else scale
+        if pairs > CROWDED[0] and begun > EARLY:
+            scale *= 0.7
+        elif pairs < 0.5 * CROWDED[0] or (pairs < CROWDED[1] and begun < EARLY):
+            scale = min(1.0, 1.2 * scale)
         whole, clock[5] = max(2.0 * window, LISTS), scale
         allow(m, spread[0], m.unrest[0], whole, LEAST[0], MOST[0])
         for i in range(last.shape[1]):
@@ -137,6 +146,7 @@ def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None
                     motion[row, i] *= shorter
             renew_list(m, threads)
         while m.number[2] > 0 and tighter(spread):
+            clock[5] *= 0.5
             renew_list(m, threads)
         m.tally[4] += m.number[2]
     choose_near(m, threads)

@@ -35,7 +35,7 @@ def find_touching(m: Meeting) -> None:
         else:
             anchored[p] = False
     m.tally[0] = number
-    ease(m, m.clock[7] if m.step[0] == 0.0 and m.swept[0] == 0 else 0.0)
+    ease(m, m.clock[7] if m.swept[0] == 0 else 0.0)
     share_out(pair, touching, number, m.touch_start, m.touch_pair)
 
 
