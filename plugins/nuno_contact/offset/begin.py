@@ -54,7 +54,7 @@ def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int |
         choose_near(m, threads)
     renew_planes(m)
     all_close(m)
-    find_touching(m)
+    find_touching(m, threads)
 
 
 @block_kernel

@@ -24,8 +24,8 @@ import numpy as np
 from nuno_contact.offset.bodies import catch_up, copy_part, find_behind, limit_ways, pose_solids
 from nuno_contact.offset.brake import BRAKED, SWEEPS, brake, push_on
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.meeting import Meeting
-from nuno_contact.offset.parting import give_way, on_the_way, part
+from nuno_contact.offset.meeting import PARTS, Meeting, close_up
+from nuno_contact.offset.parting import give_way, on_the_way, plane_along
 from nuno_contact.offset.plan import plan, set_out, strays
 from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.touching import drag_anchors, find_touching
@@ -35,7 +35,9 @@ from nuno_kernels.bodies.poses import Vector
 from nuno_kernels.lanes.choose import higher, lane
 from nuno_kernels.lanes.simd import WIDTH, splat
 from nuno_kernels.lanes.triples import dot, read_triple
+from nuno_kernels.step.blocks import Long
 from nuno_kernels.step.rows import all_finite, copy_rows, sum_rows
+from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 
 CLOSEST, FLOOR = 0.02, 0.001
@@ -68,15 +70,15 @@ def is_thorough(m: Meeting) -> bool:
 
 
 @block_kernel
-def pass_by(m: Meeting, x: Float, way: float) -> int:
-    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
-
-    Those that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
-    m.close.
+def pass_part(part: int, m: Meeting, x: Float, way: float, number: Long, lost: Long) -> None:
+    """Of a part of the near pairs: see pass_by. How many are close, into m.close from the part's first on, and how many
+    no plane keeps apart.
     """
     pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
-    fails, number, thorough = 0, 0, is_thorough(m)
-    for q in range(m.number[1]):
+    thorough, fails = is_thorough(m), 0
+    first, end = part * m.number[1] // PARTS, (part + 1) * m.number[1] // PARTS
+    at = first
+    for q in range(first, end):
         p = near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
@@ -84,8 +86,8 @@ def pass_by(m: Meeting, x: Float, way: float) -> int:
         if low - high > more(reach[p], BRAKED * reach[p] + 2.0 * way):
             m.anchored[p] = False
             continue
-        close[number] = p
-        number += 1
+        close[at] = p
+        at += 1
         if low - high >= CLOSEST * reach[p]:
             continue
         here = corners_of(last, i, j, k, l)
@@ -94,12 +96,27 @@ def pass_by(m: Meeting, x: Float, way: float) -> int:
         low, high = between(of_edges, n, there)
         gap = low - high
         if thorough and gap < nearest(reach[p], distance):
-            n, gap = part(of_edges, here, there, nearest(reach[p], distance))
+            n, gap = plane_along(of_edges, here, there, nearest(reach[p], distance))
             if gap >= nearest(reach[p], distance):
                 normal[p, 0], normal[p, 1], normal[p, 2] = n
         fails += 0 if gap >= nearest(reach[p], distance) else 1
-    m.number[6] = number
-    return fails
+    number[part], lost[part] = at - first, fails
+
+
+pass_parts = over_blocks(pass_part, "m, x, way, number, lost")
+
+
+@block_kernel
+def pass_by(m: Meeting, x: Float, way: float, threads: int | None) -> int:
+    """How many pairs no plane keeps apart from `last` to x; those whose own did not have the best one at `last`.
+
+    Those that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
+    m.close.
+    """
+    number, lost = np.empty(PARTS, np.int64), np.empty(PARTS, np.int64)
+    pass_parts(m, x, way, number, lost, PARTS, threads)
+    m.number[6] = close_up(m.close, m.number[1], number)
+    return int(lost.sum())
 
 
 @block_kernel
@@ -206,7 +223,7 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     dt = (s - m.clock[0]) * m.span[0]
     # Bodies push on with the lists that there are, and where others find more to be met, with those.
     for _ in range(3 if m.local.shape[0] > 0 else 0):
-        if m.number[2] == 0 and pass_by(m, x, farthest_way(v, dt)) > 0:
+        if m.number[2] == 0 and pass_by(m, x, farthest_way(v, dt), threads) > 0:
             push_on(m, x, v, dt)
         lists = m.number[4]
         if not list_for(m, x, s, threads):
@@ -215,13 +232,13 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
             break
     if m.local.shape[0] == 0 and not list_for(m, x, s, threads):
         return False
-    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[1] > 0 else 0.0) > 0:
+    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[1] > 0 else 0.0, threads) > 0:
         cut_short(m, x, v, threads)
         all_close(m)
     copy_rows(x, m.last)
     m.clock[0], m.clock[7] = s, dt if m.step[0] == 0.0 else 0.0
-    find_touching(m)
-    drag_anchors(m, v)
+    find_touching(m, threads)
+    drag_anchors(m, v, threads)
     return True
 
 
@@ -245,7 +262,7 @@ def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
         return
     if is_thorough(m) and give_way(m, last, sum_rows(x, -1.0, last), CLOSEST):
         go_partly(m, x, v)
-        if pass_by(m, x, 0.0) == 0:
+        if pass_by(m, x, 0.0, threads) == 0:
             return
     shorten(m, x)
     go_partly(m, x, v)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.meeting import EDGES, Meeting, tree_of
+from nuno_contact.offset.meeting import EDGES, PARTS, Meeting, close_up, tree_of
 from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
 from nuno_contact.offset.search import find_near, near_leaves
 from nuno_contact.offset.tree import fit_tree, less
@@ -22,8 +22,6 @@ MIDDLES = (0.5, 0.5, -0.5, -0.5), (1.0, -1.0 / 3.0, -1.0 / 3.0, -1.0 / 3.0)
 SCATTER = 0x9E3779B97F4A7C15 - (1 << 64)
 """The golden ratio of 64 bits, as a signed number (Knuth, vol. 3, 6.4)."""
 EMPTY = -(1 << 63)
-PARTS = 16
-"""Parts in which lists are made: as many whatever the threads, so that what is found keeps its order."""
 
 
 @forced_inline
@@ -219,14 +217,9 @@ choose_parts = over_blocks(choose_part, "m, number")
 def choose_near(m: Meeting, threads: int | None) -> None:
     """Choose the listed pairs that may come near in the near plan; the others touch nothing, and lose their anchors."""
     lay_out(m.reference[3:], m.motion[3:], m.spread[1], m.ways)
-    number, at = np.empty(PARTS, np.int64), 0
+    number = np.empty(PARTS, np.int64)
     choose_parts(m, number, PARTS, threads)
-    for part in range(PARTS):
-        first = part * m.number[0] // PARTS
-        for q in range(first, first + number[part]):
-            m.near[at] = m.near[q]
-            at += 1
-    m.number[1], m.number[4] = at, m.number[4] + 1
+    m.number[1], m.number[4] = close_up(m.near, m.number[0], number), m.number[4] + 1
     copy_rows(m.reference[3:], m.listed[3:6])
     copy_rows(m.motion[3:], m.listed[9:12])
     copy_rows(m.spread[1:], m.listed[13:])

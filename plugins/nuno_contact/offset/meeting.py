@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from nuno_contact.offset.bodies import Solids, size_of
 from nuno_contact.offset.tree import Tree, beside, make_tree, rings
-from nuno_kernels import forced_inline
-from nuno_kernels.step.blocks import block_count
+from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.step.blocks import Long, block_count
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 
 PER_VERTEX, OF_BODIES, FEWEST = 64, 16, 32768
 """Most pairs that are listed for each vertex of cloth, of bodies, and besides."""
 EDGES = 0.25
 """Share of the stiffness that two edges have: see nuno_contact.offset.force."""
+PARTS = 16
+"""Parts in which threads share pairs: as many whatever the threads, so that what is found keeps its order."""
 
 
 class Meeting(NamedTuple):
@@ -181,6 +183,18 @@ def tree_of(m: Meeting) -> Tree:
         m.boxes, m.faces, m.edges, m.vertices, m.face_start, m.face, m.edge_start, m.edge, m.vertex_start, m.vertex,
         m.face_boxes, m.edge_boxes, m.vertex_boxes,
     )  # fmt: skip
+
+
+@block_kernel
+def close_up(found: Int, count: int, number: Long) -> int:
+    """Bring together what was found in each part of `count`, number (PARTS,) from the part's first on; how many."""
+    at = 0
+    for part in range(PARTS):
+        first = part * count // PARTS
+        for q in range(first, first + number[part]):
+            found[at] = found[q]
+            at += 1
+    return at
 
 
 def room_for_pairs(places: int) -> dict[str, Any]:

@@ -25,7 +25,7 @@ SWEEPS = 16
 
 
 @block_kernel
-def part(of_edges: bool, here: Corners, there: Corners, enough: float) -> tuple[Vector, float]:
+def plane_along(of_edges: bool, here: Corners, there: Corners, enough: float) -> tuple[Vector, float]:
     """A plane's direction, and the gap between the primitives along it [m], the smaller of both ends: `enough` or more
     if such a plane was found.
     """
@@ -104,7 +104,7 @@ def give_way(m: Meeting, y: Float, d: Float, stop: float) -> bool:
             n, distance = unit(weigh(closest(of_edges, here).weights, here))
             room = min(room, 0.5 * distance)
             low, high = between(of_edges, n, end)
-            if low - high >= room or part(of_edges, here, end, room)[1] >= room:
+            if low - high >= room or plane_along(of_edges, here, end, room)[1] >= room:
                 continue
             first, second = between(of_edges, n, here)
             down, up = first - low, high - second

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, share_out, touch
-from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.meeting import PARTS, Meeting, close_up
 from nuno_contact.offset.proximity import between, unit, weigh
 from nuno_kernels import block_kernel
+from nuno_kernels.step.blocks import BLOCK, Long
+from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 
 MOST = 1.5
@@ -13,11 +17,13 @@ MOST = 1.5
 
 
 @block_kernel
-def find_touching(m: Meeting) -> None:
-    """Which close pairs touch at `last`, where, and the planes across them; others have no anchor."""
+def touch_part(part: int, m: Meeting, number: Long) -> None:
+    """Which of a part of the close pairs touch at `last`: into m.touching from the part's first on, and how many."""
     pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
-    close, touching, weights, gap, number = m.close, m.touching, m.weights, m.distance, 0
-    for q in range(m.number[6]):
+    close, touching, weights, gap = m.close, m.touching, m.weights, m.distance
+    first, end = part * m.number[6] // PARTS, (part + 1) * m.number[6] // PARTS
+    at_end = first
+    for q in range(first, end):
         p = close[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, h = corners_of(x, i, j, k, l), reach[p]
@@ -28,50 +34,71 @@ def find_touching(m: Meeting) -> None:
         at = touch(x, i, of[p], corners, reach[p], mesh)
         normal[p, 0], normal[p, 1], normal[p, 2] = at.normal
         if at.distance < h:
-            touching[number], gap[p] = p, at.distance
-            number += 1
+            touching[at_end], gap[p] = p, at.distance
+            at_end += 1
             for corner in range(4):
                 weights[p, corner] = at.weights[corner]
         else:
             anchored[p] = False
-    m.tally[0] = number
-    ease(m, m.clock[7] if m.swept[0] == 0 else 0.0)
-    share_out(pair, touching, number, m.touch_start, m.touch_pair)
+    number[part] = at_end - first
 
 
 @block_kernel
-def ease(m: Meeting, dt: float) -> None:
+def rate_block(block: int, m: Meeting) -> None:
+    """Into m.rate, of the block's vertices, how fast their dashpots slow them down at most [1/s]; see ease_part."""
+    rate, mass, first, end = m.rate, m.mass, block * BLOCK, min((block + 1) * BLOCK, m.rate.shape[0])
+    for i in range(first, end):
+        rate[i] = 0.0
+    for q in range(m.touch_start[block], m.touch_start[block + 1]):
+        p = m.touch_pair[q]
+        for corner in range(4):
+            i = m.pair[p, corner]
+            if first <= i < end and mass[i] > 0.0:
+                rate[i] += 2.0 * m.pair_damping[p] * abs(m.weights[p, corner]) / mass[i]
+
+
+@block_kernel
+def ease_part(part: int, m: Meeting, dt: float) -> None:
     """How much of its damping each pair that touches has in a step of dt [s]: no more than the step can follow.
 
     A vertex amid twenty contacts would be thrown to and fro by all their dashpots, each of which alone is slow enough.
     The rates at which they slow cloth down are the eigenvalues of M^-1 sum_p c_p w_p w_p^T, at most the greatest sum
     over a row, max_i sum_p 2 c_p |w_pi| / m_i (Gershgorin); an explicit step throws to and fro what is above 2 / dt.
     """
-    rate, mass = m.rate, m.mass
-    for turn in range(2):
-        for q in range(m.tally[0]):
-            p = m.touching[q]
-            for corner in range(4):
-                i = m.pair[p, corner]
-                more = 2.0 * m.pair_damping[p] * abs(m.weights[p, corner]) / mass[i] if mass[i] > 0.0 else 0.0
-                rate[i] = rate[i] + more if turn == 1 else 0.0
-    for q in range(m.tally[0]):
+    for q in range(part * m.tally[0] // PARTS, (part + 1) * m.tally[0] // PARTS):
         p, fastest = m.touching[q], 0.0
         for corner in range(4):
-            fastest = max(fastest, rate[m.pair[p, corner]])
+            fastest = max(fastest, m.rate[m.pair[p, corner]])
         m.eased[p] = MOST / (dt * fastest) if dt * fastest > MOST else 1.0
 
 
+touch_parts = over_blocks(touch_part, "m, number")
+rate_blocks = over_blocks(rate_block, "m")
+ease_parts = over_blocks(ease_part, "m, dt")
+
+
 @block_kernel
-def drag_anchors(m: Meeting, v: Float) -> None:
-    """Set the anchors of pairs that touch at `last` and move at v (3, n), or drag them along."""
+def find_touching(m: Meeting, threads: int | None) -> None:
+    """Which close pairs touch at `last`, where, and the planes across them; others have no anchor."""
+    number, dt = np.empty(PARTS, np.int64), m.clock[7] if m.swept[0] == 0 else 0.0
+    touch_parts(m, number, PARTS, threads)
+    m.tally[0] = close_up(m.touching, m.number[6], number)
+    share_out(m.pair, m.touching, m.tally[0], m.touch_start, m.touch_pair)
+    if dt > 0.0:
+        rate_blocks(m, m.touch_start.shape[0] - 1, threads)
+    ease_parts(m, dt, PARTS, threads)
+
+
+@block_kernel
+def drag_part(part: int, m: Meeting, v: Float) -> None:
+    """Set the anchors of a part of the pairs that touch at `last` and move at v (3, n), or drag them along."""
     pair, reach, normal, anchor, anchored, weights, eased = (
         m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights, m.eased
     )  # fmt: skip
     stiffness, damping, mu, x, touching, gap = (
         m.pair_stiffness, m.pair_damping, m.pair_friction, m.last, m.touching, m.distance
     )  # fmt: skip
-    for q in range(m.tally[0]):
+    for q in range(part * m.tally[0] // PARTS, (part + 1) * m.tally[0] // PARTS):
         p = touching[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         w, n = (weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), (normal[p, 0], normal[p, 1], normal[p, 2])
@@ -88,3 +115,12 @@ def drag_anchors(m: Meeting, v: Float) -> None:
         anchored[p] = True
         for corner in range(4):
             anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]
+
+
+drag_parts = over_blocks(drag_part, "m, v")
+
+
+@block_kernel
+def drag_anchors(m: Meeting, v: Float, threads: int | None) -> None:
+    """Set the anchors of pairs that touch at `last` and move at v (3, n), or drag them along."""
+    drag_parts(m, v, PARTS, threads)
