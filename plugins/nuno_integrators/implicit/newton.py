@@ -220,7 +220,8 @@ def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: f
             after += turning_work(st.solver.before, st.x, d, packed)
         if after >= -SLOPE * abs(before):
             break
-        share *= max(0.1, before / (before - after)) if np.isfinite(after) else 0.1
+        # There is no secant where d is so short that it changes nothing, or goes uphill by rounding.
+        share *= max(0.1, before / (before - after)) if before > after else 0.1
     return worst
 
 
