@@ -116,8 +116,7 @@ class Meeting(NamedTuple):
     clock: Float
     """(8,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
     what is near; the share of what the list's plan allows at most; how many thicknesses that of what is near allows
-    at least; how long the last step of an explicit method was [s]:
-    part of the state"""
+    at least; how long the last step of an explicit method was [s]: part of the state"""
     span: Float
     """(1,) of the interval [s]"""
     listed: Float

@@ -118,9 +118,3 @@ def drag_part(part: int, m: Meeting, v: Float) -> None:
 
 
 drag_parts = over_blocks(drag_part, "m, v")
-
-
-@block_kernel
-def drag_anchors(m: Meeting, v: Float, threads: int | None) -> None:
-    """Set the anchors of pairs that touch at `last` and move at v (3, n), or drag them along."""
-    drag_parts(m, v, PARTS, threads)
