@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from nets import make_fabric, make_system, start
 
 import nuno_kernels.step.packing
 from nuno_integrators.explicit.adaptive import Dop853
+from nuno_integrators.implicit import newton
 from nuno_integrators.implicit.plugin import ImplicitEuler
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.packing import pack, to_rows
@@ -215,3 +218,13 @@ def test_a_force_that_is_no_number_does_not_converge(plugin):
     reports = [plugin.advance(system, state, memory, None, 1, 0.01) for _ in range(2)]
     assert [report.status for report in reports] == ["ok", "unconverged"]
     assert "residual of nan N" in reports[1].message
+
+
+def test_a_search_along_which_nothing_changes_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A way too short to change the residual, which points uphill by rounding, has no secant: it is gone less far."""
+    d, uphill = np.full((3, 2), 1e-30), np.full((3, 2), -1.0)
+    linear = SimpleNamespace(linear=SimpleNamespace(x=d), direct=False)
+    stage: Any = SimpleNamespace(solver=linear, residual=uphill, x=np.ones((3, 2)), v=np.zeros((3, 2)))
+    monkeypatch.setattr(newton, "_evaluate", lambda *_: 1.0)
+    assert newton._search(stage, cast(Any, None), cast(Any, None), stage.v, 1.0, 0.0) == 1.0
+    assert (stage.x == 1.0).all() and 0.0 < stage.v.max() < 1e-30
