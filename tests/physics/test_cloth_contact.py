@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
 from sheets import DOWN, Pile, sheet
 
 from nuno.cloth.join import join_fabrics
@@ -25,6 +26,28 @@ def heap(solver: str, seed: int, contact: bool = True, dt: float = 2e-4) -> Pile
     damping, friction = rng.uniform(0.0, 1.0, 2)
     pieces = piles.heap(seed)
     return Pile(*pieces, solver=solver, dt=dt, contact=contact, damping=damping, friction=friction)
+
+
+def held() -> int:
+    """Arrays that compiled code has made and not let go."""
+    found = rtsys.get_allocation_stats()
+    return int(found.alloc - found.free)
+
+
+@pytest.mark.quick(solver=["symplectic_euler"])
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_run_takes_no_more_memory_the_longer_it_is(solver: str) -> None:
+    """Steps in which lists are made and cloth touches leave no array behind."""
+    _nrt_python.memsys_enable_stats()
+    pile = heap(solver, 1)
+    pile.go(10)
+    before, lists, most = held(), int(pile.meeting.number[3]), 0
+    for _ in range(10):
+        pile.go(20)
+        most = max(most, int(pile.meeting.tally[0]))
+    assert pile.meeting.number[3] > lists
+    assert most > 20
+    assert held() == before
 
 
 @pytest.mark.quick(solver=["symplectic_euler"])

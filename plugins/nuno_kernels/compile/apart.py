@@ -69,6 +69,15 @@ def _symbol(compiled: Any, content: str) -> str:
     return f"{PREFIX}{descriptor.qualname}.{hashlib.blake2b(what.encode(), digest_size=12).hexdigest()}"
 
 
+def hands_over(symbol: str) -> bool:
+    """Whether a function is a kernel known by its address that hands back an array, which is its caller's to let go."""
+    if symbol not in KNOWN:
+        return False
+    compiled = KNOWN[symbol][1]
+    model = compiled.target_context.data_model_manager[compiled.signature.return_type]
+    return bool(model.contains_nrt_meminfo())
+
+
 def called_by_address(compiled: Any) -> dict[str, Place]:
     """What a function that was just compiled calls so, itself or by what became a part of it."""
     functions = compiled.library._final_module.functions

@@ -2,8 +2,8 @@
 
 numba counts up and down, by an atomic instruction each, wherever a kernel takes an array from a tuple, and finds few of
 the pairs to be needless: of a step of a skirt on a dancer they were a quarter of the time. Who calls a kernel by
-address keeps the arguments alive; where the kernel and all that became a part of it allocate nothing, and hand back no
-array, there is nothing to count.
+address keeps the arguments alive; where the kernel and all that became a part of it allocate nothing, are handed no
+array by what they call, and hand back none, there is nothing to count.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.runtime import rtsys
 from numba.core.typed_passes import NopythonTypeInference
 
+from nuno_kernels.compile.apart import hands_over
+
 NOTHING = "".join(
     f"define linkonce_odr void @{name}(i8* %array) alwaysinline {{ ret void }}\n"
     for name in ("NRT_incref", "NRT_decref")
@@ -26,13 +28,13 @@ ALLOCATES = re.compile("NRT_(Allocate|MemInfo_(alloc|new|varsize))")
 
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
-    """Machine code without counting, where it allocates nothing."""
+    """Machine code without counting, where there is nothing to let go."""
 
     def finalize(self) -> None:
         """See numba. What a module has already takes precedence over what is linked into it."""
         parts = [one._get_module_for_linking() for one in self._linking_libraries if one is not rtsys.library]
-        names = (function.name for part in (self._final_module, *parts) for function in part.functions)
-        if not any(map(ALLOCATES.match, names)):
+        names = [function.name for part in (self._final_module, *parts) for function in part.functions]
+        if not any(ALLOCATES.match(name) or hands_over(name) for name in names):
             self._final_module.link_in(llvm.parse_assembly(NOTHING))
         super().finalize()
 
