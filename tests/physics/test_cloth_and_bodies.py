@@ -73,6 +73,19 @@ def test_bodies_that_move_push_cloth_before_them(solver: str) -> None:
     assert hit.state.v[:, 1].mean() == pytest.approx(10.0, abs=2.0)
 
 
+@pytest.mark.full
+@pytest.mark.parametrize(("shape", "side"), [(CUBE, 12), (BALL, 16)], ids=["cube", "ball"])
+def test_a_free_sheet_lands_on_a_body_in_steps_of_a_frame(shape: Shape, side: int) -> None:
+    """Bodies stay where they are, so that cloth on them resists to be moved as a whole, which Newton's method knows."""
+    met, newton = Met(above(0.04, side, 0.15), shapes=[shape], solver="implicit_euler", dt=1.0 / 60.0), 0
+    for _ in range(20):
+        met.go(1)
+        assert not met.crossed
+        newton += met.memory.work.stage.counts.newton  # type: ignore[attr-defined]
+    assert met.meeting.tally[0] > 10
+    assert newton < 1000
+
+
 def test_a_sheet_presses_on_a_body_with_its_weight() -> None:
     """At rest on a table of two triangles that is larger, and on one of many: m g within 1 %."""
     coarse = box((0.3, 0.02, 0.3))

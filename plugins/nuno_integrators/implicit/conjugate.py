@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_integrators.explicit.updates import add
-from nuno_integrators.implicit.matrix import Linear
+from nuno_integrators.implicit.matrix import Linear, invert
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.terms import each, over_blocks
@@ -110,6 +110,40 @@ def iterate(tolerance: float, most: int, a: Linear, threads: int | None) -> int:
         rz = descend(a, rz / curvature, threads)
         turn = rz / before
     return most
+
+
+@block_kernel
+def keep_momentum(a: Linear, threads: int | None) -> None:
+    """Move all of a.x by what the sum of the residual asks for, where no vertex is pinned.
+
+    What conjugate gradients leave of the residual has any sum: a force from nowhere. Forces between vertices feel
+    nothing of a translation, so that A's part along one is the sum of D, and 3 equations find the one that leaves no
+    sum. Where cloth meets a body A is stiffer: along what they find it goes as far as the residual falls.
+    """
+    total, own, inverse = np.zeros(3), np.zeros((6, 1)), np.zeros((6, 1))
+    for v in range(a.x.shape[1]):
+        if a.inverse_mass[v] == 0.0:
+            return
+        for row in range(6):
+            own[row, 0] += a.own[row, v]
+        for row in range(3):
+            total[row] += a.r[row, v]
+    if a.x.shape[1] == 0:
+        return
+    invert(own, inverse, 0, np.zeros((6, 1)), 0)
+    way = np.empty(3)
+    way[0] = inverse[0, 0] * total[0] + inverse[3, 0] * total[1] + inverse[4, 0] * total[2]
+    way[1] = inverse[3, 0] * total[0] + inverse[1, 0] * total[1] + inverse[5, 0] * total[2]
+    way[2] = inverse[4, 0] * total[0] + inverse[5, 0] * total[1] + inverse[2, 0] * total[2]
+    for row in range(3):
+        for v in range(a.x.shape[1]):
+            a.z[row, v] = way[row]
+    curvature = turn_and_multiply(0.0, a, threads)
+    if curvature > 0.0:
+        share = (way[0] * total[0] + way[1] * total[1] + way[2] * total[2]) / curvature
+        for row in range(3):
+            for v in range(a.x.shape[1]):
+                a.x[row, v] += share * way[row]
 
 
 def solve(a: Linear, tolerance: float, most: int, threads: int | None) -> int:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nuno_integrators.implicit.conjugate import solve
+from nuno_integrators.implicit.conjugate import keep_momentum, solve
 from nuno_integrators.implicit.factor import Factor, compile_factor, factorise, make_factor, solve_factored
 from nuno_integrators.implicit.matrix import Linear, fill, make_linear
 from nuno_integrators.implicit.plan import make_plan
@@ -122,21 +122,10 @@ def _iterate(
         done = solve(s.linear, FORCING, most, packed.threads)
         s.counts.linear += max(done, -1 - done)
         if done >= 0:
-            keep_momentum(s.linear)
+            keep_momentum(s.linear, packed.threads)
             return done < most
     # Rounding has eaten what is positive of the matrix: what was found until then is a way down.
     return True
-
-
-def keep_momentum(a: Linear) -> None:
-    """Move all of a.x by what the sum of the residual asks for, where no vertex is held.
-
-    What conjugate gradients leave of the residual has any sum: a force from nowhere. Forces between vertices feel
-    nothing of a translation, so that A's part along one is the sum of D, and 3 equations find the best of them.
-    """
-    if (a.inverse_mass > 0.0).all():
-        xx, yy, zz, xy, xz, yz = a.own.sum(axis=1)
-        a.x[...] += np.linalg.solve([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], a.r.sum(axis=1))[:, None]
 
 
 def prefer_factors(s: Solver) -> bool:
