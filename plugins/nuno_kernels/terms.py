@@ -94,6 +94,7 @@ class Kernels:
     bound(term, x, d, s, threads) -> bool          shortens a way d (3, n) that Newton's method is to go from x towards
                                                    fraction s, in place; whether it did
     waits(term) -> bool                            whether what `bound` moves along has not come to its end
+    cut(term, held)                                counts vertices (n,) that a step leaves where `bound` holds them
     foresee(term, x, d, out) -> bool               adds to out (3, n) what forces that begin on a way d (3, n) from x
                                                    bring to a linear step's right side; whether they are others than
                                                    before
@@ -137,6 +138,7 @@ class Kernels:
     approach: Any = None
     bound: Any = None
     waits: Any = None
+    cut: Any = None
     foresee: Any = None
     unbalance: Any = None
     counts: Any = None

@@ -72,6 +72,13 @@ def count_meetings(m: Meeting) -> dict[str, int]:
     }  # fmt: skip
 
 
+def count_cut(m: Meeting, held: Bool) -> None:
+    """Count vertices (n,) that a step leaves behind."""
+    free = m.mass[: len(held)] > 0.0
+    m.tally[1] += int((held & free).sum())
+    m.tally[2] += int((held & ~free).sum())
+
+
 register(
     Meeting,
     name="cloth_contact",
@@ -87,6 +94,7 @@ register(
     approach=take_step,
     bound=restrain,
     waits=is_waiting,
+    cut=count_cut,
     foresee=foresee,
     rows=make_touching,
     fill=fill_pairs,

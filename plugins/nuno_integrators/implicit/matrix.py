@@ -61,7 +61,7 @@ def make_linear(packed: Packed) -> Linear:
     own, inverse = np.zeros((2, 6, n))
     sums = np.zeros(block_count(n))
     vectors = (np.zeros((3, n)) for _ in "xrzpq")
-    return Linear(own, inverse, packed.inverse_mass, packed.forces, on, rows, sums, *vectors)
+    return Linear(own, inverse, packed.inverse_mass.copy(), packed.forces, on, rows, sums, *vectors)
 
 
 @kernel

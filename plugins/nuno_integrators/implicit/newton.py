@@ -12,25 +12,20 @@ bring into touch, with which it is solved again (role `foresee`): the active set
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from nuno_integrators.implicit.conjugate import along
 from nuno_integrators.implicit.linear_solve import (
-    Counts,
-    Solver,
     compile_solver,
     is_touched,
-    make_solver,
     solve_again,
     solve_linear,
 )
 from nuno_integrators.implicit.lumped import add_stiffness
+from nuno_integrators.implicit.stage import Limits, Stage, hold, let_go
 from nuno_kernels import block_kernel
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import call_each, parts, silence
-from nuno_kernels.terms import kernels_of
+from nuno_kernels.step.packing import call_each
 from nuno_schemas.fabric import Float
 
 SLOW = 0.3
@@ -44,6 +39,9 @@ HELD_BACK = 5
 """Times the Newton steps that are taken at most where cloth meets cloth: a step that contact has shortened goes as far
 as what it meets, and the next knows of that; and which pairs touch and slide takes some to settle. Three sheets that
 meet at 16 m/s in a step of 1/60 s take 40, and a halving costs more."""
+STALLED, FALLS = 14, 0.9
+"""A stage stands still after so many Newton steps that contact shortened, none of which left less than this share of
+the least residual before: what is pressed together harder than contact can push it apart goes no farther."""
 WAITS = 40
 """Newton steps that are taken beyond the residual that is asked for, until bodies are where they go: each step pushes
 cloth before them by about its thickness.
@@ -70,48 +68,23 @@ def missing_force(a: Float, u: Float, vhat: Float, g: float, mass: Float, out: F
     return largest
 
 
-@dataclass
-class Stage:
-    """Memory of the solver for one packed system; x, v (3, n) are the stage's unknowns."""
-
-    packed: Packed
-    mass: Float
-    size: float
-    scale: float
-    solver: Solver
-    x: Float
-    v: Float
-    a: Float
-    residual: Float
-    others: Packed | None
-
-    @property
-    def counts(self) -> Counts:
-        return self.solver.counts
-
-
-def make_stage(packed: Packed, position: Float, size: float, python: bool) -> Stage:
-    """`position` (n, 3) and `size` are the cloth's at rest [m]; `python` says whether a force is written in Python."""
-    w = packed.inverse_mass
-    mass = np.divide(1.0, w, out=np.zeros_like(w), where=w > 0.0)
-    matrices = {kernels_of(term).name for term in packed.forces if kernels_of(term).rows is not None}
-    lumped = python or packed.late is not None or len(matrices) < len(parts(packed))
-    others = silence(packed, *matrices) if lumped else None
-    stiffest = max(call_each(packed, "stiffest"), default=0.0)
-    x, v, a, residual = np.zeros((4, 3, w.shape[0]))
-    return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, others)
-
-
 def solve_stage(
     st: Stage, packed: Packed, extra: Extra, xhat: Float, vhat: Float, g: float, s: float,
-    start: Float, limits: tuple[float, int],
+    start: Float, limits: Limits,
 ) -> tuple[bool, float]:  # fmt: skip
     """Solve for st.x, st.v from their present guess st.v; whether it converged, and the residual [N].
 
-    `start` (3, n) is where the cloth is now; `limits` are the residual as a share of the largest single
-    force, and the most Newton steps.
+    `start` (3, n) is where the cloth is now.
     """
-    tolerance, most = limits
+    found = _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+    let_go(st, packed, found[0])
+    return found
+
+
+def _solve_stage(
+    st: Stage, packed: Packed, extra: Extra, xhat: Float, vhat: Float, g: float, s: float, start: Float, limits: Limits
+) -> tuple[bool, float]:
+    """The same, with vertices held where they do not come on."""
     limit_approach(packed, g)
     guess = st.v.copy()
     np.multiply(st.v, g, out=st.x)
@@ -119,32 +92,38 @@ def solve_stage(
     _begin_apart(st, packed, xhat, g, s, start)
     st.solver.before[...], st.solver.follow = start, False
     worst, slow = _evaluate(st, packed, extra, vhat, g, s), False
-    left, waited = float(most), 0
-    for _ in range(HELD_BACK * most):
-        allowed = tolerance * largest_force(st, packed) + _rounding(st, g)
+    left, waited, least, stalled = float(limits.most), 0, np.inf, 0
+    for turn in range(HELD_BACK * limits.most + 1):
+        allowed = limits.residual * largest_force(st, packed) + _rounding(st, g)
         if worst <= allowed:
             if waited == WAITS or not any(call_each(packed, "waits")):
                 return True, worst
             waited += 1
-        if not np.isfinite(worst):
-            return False, worst
+        spent = turn == HELD_BACK * limits.most or left < 0.5 / HELD_BACK
+        if spent or not np.isfinite(worst) or (stalled == STALLED and not limits.cut):
+            break
         before = worst
         if not _solve_newton(st, packed, extra, g, s, slow):
             st.v[...] = guess
-            return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+            return _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+        asked = st.solver.linear.x.copy()
         shortened = any(call_each(packed, "bound", st.x, st.solver.linear.x, s, packed.threads))
         if shortened and st.solver.direct:
             st.solver.direct, st.solver.hindered = False, True
             st.v[...] = guess
-            return solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+            return _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
         st.solver.hindered = st.solver.hindered or shortened
         # Springs have not come to the tension that the whole step expects of them.
         st.solver.follow = not shortened
         left -= 0.0 if shortened else 1.0 / HELD_BACK if is_touched(st.solver) else 1.0
         worst = _search(st, packed, extra, vhat, g, s)
         slow = worst > SLOW * before and not shortened
-        if left < 0.5 / HELD_BACK:
-            break
+        # What waits for bodies is solved already.
+        stalled = 0 if worst < FALLS * least or worst <= allowed else stalled + int(shortened)
+        least = min(least, worst)
+        if stalled == STALLED and limits.cut:
+            hold(st, (st.solver.linear.x != asked).any(axis=0))
+            least, stalled = np.inf, 0
     return False, worst
 
 

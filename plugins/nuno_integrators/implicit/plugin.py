@@ -22,13 +22,12 @@ from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, Told, Work, cloth_size, lacking
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
-from nuno_integrators.implicit.newton import Stage, compile_stage, limit_approach, make_stage, solve_stage
+from nuno_integrators.implicit.newton import compile_stage, limit_approach, solve_stage
+from nuno_integrators.implicit.stage import Limits, Stage, make_stage
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
-
-Limits = tuple[float, int]
 
 GAMMA = 2.0 - math.sqrt(2.0)
 MOST_HALVINGS = 14
@@ -38,6 +37,9 @@ a gram for every k up to 5e8 N/m."""
 PATIENT_FROM = 4
 """A step that so many halvings did not help is not one that is too long. Most steps that fail, as over contact, go
 through after one halving or two, and those cost less than patience."""
+CUT_FROM = 6
+"""After so many halvings vertices that contact holds back are left where they are: what is pressed together harder than
+contact can push it apart would take thousands of steps."""
 PATIENCE = 10
 """Times as many Newton steps are taken then, by factorisations. A chain of stiff springs in compression gives way to
 the side: tens of steps leave the straight line, where rounding alone pushes it aside, and then it takes about one for
@@ -63,7 +65,7 @@ class ImplicitConfig(Config):
 
 @dataclass
 class ImplicitWork(Work):
-    """`stage` is the solver's memory; `limits` its residual and the most Newton steps."""
+    """`stage` is the solver's memory."""
 
     stage: Stage
     limits: Limits
@@ -80,7 +82,7 @@ class Implicit(Compiled):
         python = any(term.in_python for term in system.terms)
         stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric), python)
         x, v = np.empty((2, 3, n))
-        return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, (config.residual, config.most_iterations))
+        return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, Limits(config.residual, config.most_iterations))
 
     def limit(self, config: ImplicitConfig, system: System, state: State) -> StepLimit:
         """Nothing limits the step."""
@@ -115,11 +117,12 @@ class Implicit(Compiled):
         self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, depth: int
     ) -> tuple[int, float | None]:
         """One step, halved as often as needed: steps taken, and the residual it failed with, None where it did not."""
-        solver, (tolerance, most) = work.stage.solver, work.limits
+        solver, limits = work.stage.solver, work.limits._replace(cut=depth >= CUT_FROM)
         solver.direct = solver.hindered = False
-        ok, residual = self.attempt(work, packed, extra, start, h, span, work.limits)
+        ok, residual = self.attempt(work, packed, extra, start, h, span, limits)
         if not ok and depth == PATIENT_FROM and prefer_factors(solver):
-            ok, residual = self.attempt(work, packed, extra, start, h, span, (tolerance, PATIENCE * most))
+            limits = limits._replace(most=PATIENCE * limits.most)
+            ok, residual = self.attempt(work, packed, extra, start, h, span, limits)
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
             commit(work.x, work.v, (start + h) / span, packed.bodies, packed.bodies_on, packed.threads)
@@ -136,10 +139,7 @@ class Implicit(Compiled):
     def attempt(
         self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
     ) -> tuple[bool, float]:  # fmt: skip
-        """Leave the state after a step of h in work.stage; whether it converged, and the residual [N].
-
-        `limits` as of nuno_integrators.implicit.newton.solve_stage.
-        """
+        """Leave the state after a step of h in work.stage; whether it converged, and the residual [N]."""
         raise NotImplementedError
 
     def step_at_rest(self, work: ImplicitWork, extra: Extra) -> Any:
