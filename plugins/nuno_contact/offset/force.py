@@ -198,8 +198,8 @@ def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int) -> N
 @kernel
 def is_fresh(m: Meeting, x: Float, v: Float) -> None:
     """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for those that are
-    carried, which have gone ahead by a step; share out to blocks what is near where they are not. Put bodies behind
-    them, where there are any.
+    carried, which have gone ahead by a step; share out to blocks what is near where they are not, and where a matrix is
+    made of it. Put bodies behind them, where there are any.
     """
     last, mass, count = m.last, m.mass, 0
     for row in range(3):
@@ -212,7 +212,7 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
         copy_rows(m.whole_velocity, m.velocity)
     elif m.step[0] > 0.0:
         copy_rows(v, m.velocity)
-    if not m.fresh[0] and m.number[5] != m.number[4]:
+    if (not m.fresh[0] or m.step[0] > 0.0) and m.number[5] != m.number[4]:
         share_out(m.pair, m.near, m.number[1], m.block_start, m.block_pair)
         m.number[5] = m.number[4]
 
