@@ -220,6 +220,15 @@ def test_a_start_in_which_cloth_meets_is_refused() -> None:
     assert "shortest edge" in refused(sheet(), thickness=0.02).problem
 
 
+@pytest.mark.parametrize("aside", [(0.003, 0.002), (0.1, 0.0)], ids=["layers", "seam"])
+def test_one_object_that_starts_in_one_plane_twice_is_refused(aside: tuple[float, float]) -> None:
+    """No edge goes through a triangle, and yet the layers of it are not apart."""
+    both = join_fabrics([sheet(), sheet(at=np.array([aside[0], 0.0, aside[1]]))], "both")
+    objects = {"both": np.arange(both.number, dtype=np.int32)}
+    with pytest.raises(BadInput, match="both touches itself where it starts"):
+        Offset().prepare(OffsetConfig(), both, objects, np.ones((1, 1), bool), DOWN)
+
+
 def test_objects_that_may_pass_through_each_other_do() -> None:
     """As `allow` says; each alone does not pass through itself."""
     one, two = sheet(), sheet(at=np.array([0.0, 1e-4, 0.0]))

@@ -56,6 +56,13 @@ def measure(m: Meeting, p: int) -> None:
 
 
 @block_kernel
+def measure_listed(m: Meeting) -> None:
+    """The same of all that is listed."""
+    for p in range(m.number[0]):
+        measure(m, p)
+
+
+@block_kernel
 def lay_out(x: Float, u: Float, spread: Float, ways: Float) -> None:
     """Into ways (n, 8), for each vertex in one line of the cache: where it is, where it goes, and its spread."""
     for i in range(x.shape[1]):

@@ -27,7 +27,9 @@ from nuno_schemas.system import Term
 from nuno_schemas.units import quantity
 from nuno_schemas.vectors import norm
 
-Thickness = Annotated[float, quantity("m", gt=0)]
+THINNEST = 1e-6
+"""Below a micrometre [m], what keeps cloth apart comes near to the last digits of where it is."""
+Thickness = Annotated[float, quantity("m", ge=THINNEST)]
 REST_SHARE = 0.1
 """A vertex under its own weight stays off by all but this share of the thickness."""
 STOP_SPEED = 1.0
@@ -138,7 +140,6 @@ class Offset:
         if bodies is not None and poses is not None:
             check_outside(fabric, bodies, solids)
             set_solid_poses(term, poses, poses)
-        if len(pieces) > 1:
-            check_gaps(term, pieces)
+        check_gaps(term, pieces)
         damping = max(settings.damping, float(solids.law[:, 1].max(initial=0.0)))
         return Term("cloth_contact", (term,), float(most), 2.0 * damping * float(np.sqrt(most)))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nuno_contact.offset.bodies import Solids
-from nuno_contact.offset.lists import make_list, measure
+from nuno_contact.offset.lists import make_list, measure_listed
 from nuno_contact.offset.meeting import Meeting, tree_of
 from nuno_contact.untangle.search import find_crossings
 from nuno_kernels.meshes.check import place_of
@@ -17,6 +17,10 @@ from nuno_schemas.bodies import MESH, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 from nuno_schemas.vectors import norm
+
+NEAREST = 1e-8
+"""Cloth that starts nearer to itself than this [m] touches: in the digits that there are no plane is known to keep it
+apart, and layers in one plane pass for apart where edges are looked for that go through triangles."""
 
 
 def check_thickness(fabric: Fabric, thickness: float) -> None:
@@ -78,20 +82,27 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
 
 
 def check_gaps(m: Meeting, pieces: Sequence[str]) -> None:
-    """Raises BadInput for objects and bodies that start nearer to each other than the thickness."""
+    """Raises BadInput for cloth that touches itself as it starts, and for objects and bodies that start nearer to each
+    other than the thickness.
+    """
     m.reference[:3] = m.start
     make_list(m, None)
     number = int(m.number[0])
-    for p in range(number):
-        measure(m, p)
-    near = m.reach[:number] < m.law[0]
+    measure_listed(m)
     both = m.piece[m.pair[:number]][:, [0, 3]]
-    if len(close := np.flatnonzero(near & (both[:, 0] != both[:, 1]))):
+    close = np.flatnonzero(m.reach[:number] < np.where(both[:, 0] != both[:, 1], m.law[0], NEAREST))
+    if len(close):
         least = close[m.reach[close].argmin()]
-        names = " and ".join(pieces[i] for i in sorted(both[least].tolist()))
+        one, other = (pieces[i] for i in sorted(both[least].tolist()))
+        place = place_of(m.start[:, m.pair[least, 0]])
+        if one == other:
+            raise BadInput(
+                f"{one} touches itself where it starts ({len(close):,} pairs of vertices, edges and triangles)",
+                value=place, limit=f"{NEAREST:g} m apart at least", remedy="lay it out without layers in one plane",
+            )  # fmt: skip
         raise BadInput(
-            f"{names} start nearer to each other than the thickness", field="thickness", value=f"{m.law[0]:g} m",
-            limit=f"{m.reach[least]:.3g} m, {place_of(m.start[:, m.pair[least, 0]])}",
+            f"{one} and {other} start nearer to each other than the thickness", field="thickness",
+            value=f"{m.law[0]:g} m", limit=f"{m.reach[least]:.3g} m, {place}",
             remedy="move them apart, or make it thinner",
         )  # fmt: skip
     m.reference[:] = np.nan
