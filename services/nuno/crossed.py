@@ -4,7 +4,7 @@ recordings, at the end.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nuno.recording.reader import Recording
@@ -34,6 +34,8 @@ def rows(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     if found is None:
         return []
     text = f"cloth passes through {_what(found)} in {found['crossed']:,} of {_frames(found['looked'])}"
+    if found["allowed"]:
+        text += f", but for {', '.join(map(_both, found['allowed']))}, which may"
     if first := found["first_crossing"]:
         text += f", up to {found['crossings']:,} edges through triangles in one, first in frame {first['frame']}"
         return [("crossings", f"{text} ({first['t']:.4g} s), {passing(first)}")]
@@ -42,6 +44,11 @@ def rows(found: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     thick, least = _millimetres(found["thickness"]), found["least_distance"]
     near = f"never nearer to cloth than {thick}" if least is None else f"down to {_millimetres(least)} from cloth"
     return [("crossings", text), ("distance", f"cloth is {near}; it is {thick} thick")]
+
+
+def _both(pair: Sequence[str]) -> str:
+    """Two objects in words, which may be one."""
+    return f"{pair[0]} and {'itself' if pair[0] == pair[1] else pair[1]}"
 
 
 def find_spells(recording: Recording) -> list[dict[str, Any]]:

@@ -99,7 +99,10 @@ def test_cloth_that_passes_through_is_told_with_frame_place_and_objects(
     assert f"frames {number} to" in capsys.readouterr().out
 
 
-def test_what_may_pass_through_is_not_told(tmp_path: Path, powerless: None) -> None:
+def test_what_may_pass_through_is_told_once(
+    tmp_path: Path, powerless: None, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, record = run(tmp_path, allow=[["above", "below"]])
+    assert "in 0 of 31 frames, but for below and above, which may" in capsys.readouterr().out
     assert code == 0
     assert {(frame["crossings"], frame["distance"]) for frame in read(record)} == {(0, None)}

@@ -211,10 +211,10 @@ def build_system(
         if geometry is not None and len((own := geometry.of_bodies(numbers)).kind):
             terms.append(_prepared(loaded, contact.field, contact, fabric, own, gravity, fields=fields))
     met = loaded.scene.met_bodies
-    if met and not len(fabric.faces):
-        problem, remedy = "only cloth of triangles meets bodies as it meets cloth", "leave bodies out here"
-        raise loaded.at("cloth_contact.bodies", BadInput(problem, remedy=remedy))
-    if (meeting := loaded.cloth_contact) is not None and len(fabric.faces):
+    if (meeting := loaded.cloth_contact) is not None:
+        if not len(fabric.faces):
+            problem = "only cloth of triangles meets cloth, and bodies as it meets cloth: here is none"
+            raise loaded.at("cloth_contact", BadInput(problem, remedy="leave cloth_contact out"))
         objects = {piece.name: np.arange(piece.start, piece.stop, dtype=np.int32) for piece in pieces}
         bodies = [] if geometry is None or not met else [geometry.of_bodies(met), poses]
         terms.append(_prepared(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity, *bodies))

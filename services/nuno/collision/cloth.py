@@ -38,7 +38,7 @@ class ClothCheck:
         self.solid = mesh_of(self.surface.faces)
         self.body = np.repeat(np.arange(len(each)), [len(one.vertices) for one in each])
         """(v,) number of the body that each of their vertices is of."""
-        self.meet = loaded.scene.meet()
+        self.meet, self.objects = loaded.scene.meet(), [part.name for part in loaded.scene.objects]
         self.thickness = float(getattr(loaded.cloth_contact.config, "thickness", 0.0))
         """Distances are looked for up to this [m]; 0 of contact that has none."""
         self.mesh: Mesh | None = None
@@ -121,4 +121,5 @@ class ClothCheck:
             "least_distance": self.least,
             "thickness": self.thickness,
             "bodies": self.bodies,
+            "allowed": [[self.objects[i], self.objects[j]] for i, j in np.argwhere(np.triu(~self.meet)).tolist()],
         }
