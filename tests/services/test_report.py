@@ -58,6 +58,9 @@ def test_friction_says_how_near_to_coulombs_law_it_is(result: nuno.Result) -> No
         ({"penetration": 0.999 * MOST_DEPTHS * 0.01, "rest_depth": 0.01}, ""),
         ({"penetration": 0.1, "rest_depth": 0.0}, "bodies deeper than"),
         ({"penetration": 0.1, "rest_depth": None}, ""),
+        ({"counts": {"cut_short": 7, "held_cut_short": 0, "steps_without_motion": 0}}, ""),
+        ({"counts": {"steps_without_motion": 1200}}, "all cloth stood still in 1,200 steps"),
+        ({"counts": {"held_cut_short": 3}}, "held back by cloth 3 times"),
     ],
 )
 def test_doubtful_results_carry_a_warning(result: nuno.Result, change: dict[str, Any], words: str) -> None:

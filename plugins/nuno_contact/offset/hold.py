@@ -257,6 +257,7 @@ def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
         set_out(m, m.nothing, 1.0, m.clock[4], threads)
     if m.number[2] > 0:
         # What is not listed might be met: nothing moves.
+        m.tally[5] += 1
         m.share[:] = 0.0
         go_partly(m, x, v)
         return

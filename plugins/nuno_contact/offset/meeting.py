@@ -171,8 +171,8 @@ class Meeting(NamedTuple):
     behind: Bool
     """(b,) which of the bodies' vertices are behind their bodies at `last`"""
     tally: NDArray[np.int64]
-    """(5,) pairs that touch after the last step; steps of vertices cut short so far, and of held ones; steps so far;
-    pairs that found no place in a list so far"""
+    """(6,) pairs that touch after the last step; steps of vertices cut short so far, and of held ones; steps so far;
+    pairs that found no place in a list so far; steps in which for want of that nothing moved"""
 
 
 @forced_inline
@@ -292,5 +292,5 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         share=np.ones(n),
         rate=np.zeros(n),
         size=size_of(x, faces),
-        tally=np.zeros(5, np.int64),
+        tally=np.zeros(6, np.int64),
     )

@@ -70,7 +70,7 @@ def count_meetings(m: Meeting) -> dict[str, int]:
     behind = {"body_vertices_behind": int(m.behind.sum())} if len(m.local) else {}
     return behind | {
         "cloth_contacts": int(m.tally[0]), "cut_short": int(m.tally[1]), "held_cut_short": int(m.tally[2]),
-        "pairs_left_out": int(m.tally[4]),
+        "pairs_left_out": int(m.tally[4]), "steps_without_motion": int(m.tally[5]),
     }  # fmt: skip
 
 
