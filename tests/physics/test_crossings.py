@@ -12,6 +12,7 @@ from nuno.collision import crossings, pairs
 from nuno.collision.clearance import least_distance
 from nuno.collision.crossings import cross, find_crossings
 from nuno.collision.pairs import Mesh, mesh_of, near_pairs
+from nuno_bench.problem import piles
 from nuno_schemas.fabric import Float
 
 SEEDS = range(20)
@@ -79,6 +80,27 @@ def test_pairs_are_the_same_however_many_are_looked_at_together(at_once: int, mo
     expected = near_pairs(x, mesh, 0.1)
     monkeypatch.setattr(pairs, "AT_ONCE", at_once)
     assert np.array_equal(near_pairs(x, mesh, 0.1), expected)
+
+
+@pytest.mark.parametrize("most", [0, 1, 30])
+def test_pairs_are_the_same_however_many_cells_a_box_is_looked_for_in(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x, mesh = disorder(3)
+    expected = near_pairs(x, mesh, 0.1)
+    monkeypatch.setattr(pairs, "MOST_OF_ONE", most)
+    for one, other in zip(near_pairs(x, mesh, 0.1), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_vertex_far_away_takes_no_room() -> None:
+    """Cells as wide as triangles, all about one with a side of 100 m, would be 10^10."""
+    sheet = piles.sheet(40, 0.4)
+    x, mesh = sheet.position.copy(), mesh_of(sheet.faces)
+    x[800] += [0.0, 100.0, 50.0]
+    edge, face = near_pairs(x, mesh, 0.0)
+    assert 0 < len(edge) < 20 * len(mesh.faces)
+    assert len(find_crossings(x, mesh, (edge, face)).edges) == 0
 
 
 def test_an_edge_that_ends_next_to_a_triangle_is_told_from_one_that_goes_through() -> None:

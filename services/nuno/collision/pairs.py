@@ -24,6 +24,8 @@ CELL = 2.0
 """Width of a grid's cells over that of the triangles' boxes: fewer, larger cells leave more pairs to be told apart."""
 MOST_CELLS = 1 << 20
 """Of a grid along an axis."""
+MOST_OF_ONE = 512
+"""Cells that a box is looked for in: a larger one, of a triangle with a vertex far away, is held against all others."""
 AT_ONCE = 1 << 16
 """Pairs of boxes that are looked at together: as many as stay in the core's cache."""
 BITS = 9
@@ -100,8 +102,15 @@ def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
     shape = np.floor(size / cell).astype(np.int64) + 1
     # Cells far from each other may share a place in the table: what is found too much, the boxes tell apart.
     table = 1 << (2 * len(two[0])).bit_length()
-    own, key = _cells(one, low, cell, shape, table)
-    other, other_key = _cells(two, low, cell, shape, table)
+    big = _reach(one, low, cell) > MOST_OF_ONE, _reach(two, low, cell) > MOST_OF_ONE
+    for k in np.flatnonzero(big[0]):
+        b = np.flatnonzero((one[0][k] <= two[1]).all(axis=1) & (two[0] <= one[1][k]).all(axis=1))
+        yield np.full(len(b), k), b
+    for k in np.flatnonzero(big[1]):
+        a = np.flatnonzero((one[0] <= two[1][k]).all(axis=1) & (two[0][k] <= one[1]).all(axis=1) & ~big[0])
+        yield a, np.full(len(a), k)
+    own, key = _cells(one, ~big[0], low, cell, shape, table)
+    other, other_key = _cells(two, ~big[1], low, cell, shape, table)
     other = other[np.argsort(other_key, kind="stable")]
     start = np.concatenate([[0], np.cumsum(np.bincount(other_key, minlength=table))])
     scale = np.divide(2**BITS - 1, size, out=np.zeros(3), where=size > 0.0)
@@ -115,7 +124,7 @@ def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
     first = start[key]
     count = start[key + 1] - first
     total = np.cumsum(count)
-    parts = np.searchsorted(total, np.arange(AT_ONCE, total[-1], AT_ONCE)).tolist()
+    parts = np.searchsorted(total, np.arange(AT_ONCE, total[-1] if len(total) else 0, AT_ONCE)).tolist()
     for begin, end in itertools.pairwise([0, *parts, len(own)]):
         part = slice(begin, end)
         a = np.repeat(own[part], count[part])
@@ -131,9 +140,16 @@ def _pack(*numbers: Long) -> Long:
     return functools.reduce(np.bitwise_or, packed)
 
 
-def _cells(box: Boxes, low: Float, cell: float, shape: Any, table: int) -> tuple[Long, Long]:
-    """(m,) number of a box and (m,) place in the table of a cell that it reaches into."""
+def _reach(box: Boxes, low: Float, cell: float) -> Long:
+    """(k,) into how many cells each box reaches."""
     first, last = (np.floor((corner - low) / cell).astype(np.int64) for corner in box)
+    return np.asarray((last - first + 1).prod(axis=1))
+
+
+def _cells(box: Boxes, kept: Bool, low: Float, cell: float, shape: Any, table: int) -> tuple[Long, Long]:
+    """(m,) number of a box that is kept and (m,) place in the table of a cell that it reaches into."""
+    names = np.flatnonzero(kept)
+    first, last = (np.floor((corner[names] - low) / cell).astype(np.int64) for corner in box)
     count = last - first + 1
     total = count.prod(axis=1)
     number = np.repeat(np.arange(len(total)), total)
@@ -141,4 +157,4 @@ def _cells(box: Boxes, low: Float, cell: float, shape: Any, table: int) -> tuple
     along = count[number]
     x, place = place % along[:, 0], place // along[:, 0]
     at = first[number] + np.stack([x, place % along[:, 1], place // along[:, 1]], axis=1)
-    return number, ((at[:, 0] * shape[1] + at[:, 1]) * shape[2] + at[:, 2]) % table
+    return names[number], ((at[:, 0] * shape[1] + at[:, 1]) * shape[2] + at[:, 2]) % table
