@@ -151,6 +151,33 @@ class Hinges:
 
 
 @dataclass(frozen=True)
+class Membrane:
+    """Triangles of constant strain: energy A (C_w e_w^2 + C_f e_f^2 + 2 C_wf e_w e_f + G g^2) / 2 each.
+
+    The cloth's unit vectors along warp and weft become F_w = a (x1 - x0) + b (x2 - x0) and F_f; the strains are
+    e_w = |F_w| - 1, e_f = |F_f| - 1 and g = F_w.F_f, the angle of shear where they are small.
+
+    faces    (t, 3) int32  vertices x0, x1, x2
+    along    (t, 2)        a, b of F_w [1/m]
+    across   (t, 2)        a, b of F_f [1/m]
+    area     (t,)          A, at rest [m^2]
+    moduli   (4, t)        C_w, C_f, C_wf and G [N/m]; C_wf^2 <= C_w C_f
+    damping  (3, t)        of the rates of e_w, e_f and g [N s/m]
+    """
+
+    faces: Annotated[Int, "t", 3, Bounds(0, below="n")]
+    along: Annotated[Float, "t", 2]
+    across: Annotated[Float, "t", 2]
+    area: Annotated[Float, "t", Bounds(above=0.0)]
+    moduli: Annotated[Float, 4, "t"]
+    damping: Annotated[Float, 3, "t", Bounds(0.0)]
+
+    @property
+    def number(self) -> int:
+        return int(self.faces.shape[0])
+
+
+@dataclass(frozen=True)
 class Binding:
     """Pinned vertices that move rigidly with a body's frame.
 
@@ -174,7 +201,7 @@ class Fabric:
                              outside, v upwards: (0, 1) is the image's upper left corner, as in
                              OBJ files. Image rows run down, so what samples an image, such as
                              drawing.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
-    springs, hinges          or None where there are none
+    springs, hinges, membrane  or None where there are none
     yarns                    springs that are links of yarns, or None
     cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: what it has
                              areas and normals of where it has no faces
@@ -198,6 +225,7 @@ class Fabric:
     texture: str | None = None
     yarns: Yarns | None = None
     cells: Annotated[Int, "c", 4, Bounds(0, below="n")] | None = None
+    membrane: Membrane | None = None
     origin: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 
 from nuno_kernels import threads_available
 from nuno_kernels.forces.hinges import pack_hinges
+from nuno_kernels.forces.membrane import pack_membrane
 from nuno_kernels.forces.spring_packing import pack_springs
 from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.terms import Kernels, kernels_of, role_of
@@ -42,7 +43,8 @@ def pack(system: System) -> Packed:
     """
     fabric = system.fabric
     given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
-    forces = (*pack_springs(fabric.springs, fabric.number), *pack_hinges(fabric.hinges, fabric.number))
+    n = fabric.number
+    forces = (*pack_springs(fabric.springs, n), *pack_hinges(fabric.hinges, n), *pack_membrane(fabric.membrane, n))
     forces += (*_pack_yarns(fabric), *(part for part in given if kernels_of(part).block is not None))
     bodies = (*_pack_carried(system), *(part for part in given if _has_steps(kernels_of(part))))
     threads = thread_count(system)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Binding, Fabric, Hinges, Springs
+from nuno_schemas.fabric import Binding, Fabric, Hinges, Membrane, Springs
 from nuno_schemas.yarns import Yarns
 
 
@@ -19,6 +19,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
     springs = [replace(f.springs, first=(f.springs.first + at).astype(np.int32)) for f, at in moved if f.springs]
     hinges = [(f.hinges, at) for f, at in moved if f.hinges]
     before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
+    membranes = [replace(f.membrane, faces=f.membrane.faces + np.int32(at)) for f, at in moved if f.membrane]
     cells = [f.cells + at for f, at in moved if f.cells is not None]
     yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]
     empty, no_uv = np.zeros((0, 3)), np.zeros((0, 2), np.float32)
@@ -35,7 +36,16 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
         tuple(Binding((b.vertices + at).astype(np.int32), b.body, b.frame) for f, at in moved for b in f.bindings),
         yarns=Yarns.join(yarns) if yarns else None,
         cells=np.concatenate(cells).astype(np.int32) if cells else None,
+        membrane=_join_membranes(membranes) if membranes else None,
     )
+
+
+def _join_membranes(parts: list[Membrane]) -> Membrane:
+    faces, along, across, area = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("faces", "along", "across", "area")
+    )
+    moduli, damping = (np.concatenate([getattr(p, name) for p in parts], axis=1) for name in ("moduli", "damping"))
+    return Membrane(faces, along, across, area, moduli, damping)
 
 
 def _join_hinges(parts: list[tuple[Hinges, int]]) -> Hinges:

@@ -1,0 +1,91 @@
+"""Triangles of constant strain: the force is the energy's gradient, the matrix its second derivative, for any mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from nets import make_system
+
+from nuno.cloth.join import join_fabrics
+from nuno_cloth.models.delaunay import fill_outline
+from nuno_integrators.implicit.conjugate import multiply
+from nuno_integrators.implicit.matrix import fill, make_linear
+from nuno_kernels.forces.energy import measure_energy
+from nuno_kernels.step.acceleration import evaluate
+from nuno_kernels.step.packing import pack, to_rows
+from nuno_schemas.fabric import Fabric, Float, Membrane
+
+MODULI = np.array([400.0, 2000.0, 30.0, 50.0])
+MASS = 1e-3
+
+
+def make_piece(spacing: float = 0.02) -> Fabric:
+    """An irregular piece of 10 cm, its warp along y."""
+    corners = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])
+    sides = [corners[k - 1] + np.linspace(0.0, 1.0, 5, endpoint=False)[:, None] * (corners[k] - corners[k - 1])
+             for k in (1, 2, 3, 0)]  # fmt: skip
+    points, faces = fill_outline(np.concatenate(sides), spacing)
+    edges = np.stack([points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]], axis=2)
+    inverse, number = np.linalg.inv(edges), len(faces)
+    across, along = (np.ascontiguousarray(inverse[:, :, axis]) for axis in (0, 1))
+    moduli = np.repeat(MODULI[:, None], number, axis=1)
+    membrane = Membrane(faces, along, across, 0.5 * np.linalg.det(edges), moduli, np.zeros((3, number)))
+    x, n = np.column_stack([points, np.zeros(len(points))]), len(points)
+    return Fabric("piece", x, np.zeros((n, 3)), np.full(n, MASS), np.zeros(n, bool), faces, membrane=membrane)
+
+
+def crumpled(piece: Fabric) -> Float:
+    return np.asarray(piece.position + np.random.default_rng(1).normal(0.0, 2e-3, piece.position.shape))
+
+
+def force(piece: Fabric, x: Float) -> Float:
+    a = np.zeros((3, piece.number))
+    evaluate(to_rows(x), np.zeros_like(a), 0.0, a, pack(make_system(piece)), None)
+    return np.asarray(MASS * a.T)
+
+
+def energy(piece: Fabric, x: Float) -> float:
+    rows = to_rows(x)
+    return measure_energy(rows, np.zeros_like(rows), piece.mass, pack(make_system(piece))).kinds["membrane"]
+
+
+def test_the_force_is_the_gradient_of_the_energy() -> None:
+    piece = make_piece()
+    x, way = crumpled(piece), np.random.default_rng(2).standard_normal(piece.position.shape)
+    slope = (energy(piece, x + 1e-6 * way) - energy(piece, x - 1e-6 * way)) / 2e-6
+    found = force(piece, x)
+    assert slope == pytest.approx(-(found * way).sum(), rel=1e-7)
+    assert np.abs(found.sum(axis=0)).max() < 1e-12 * np.abs(found).sum()
+
+
+@pytest.mark.parametrize("share", [1e-4, -1e-4])
+def test_constant_strain_stores_what_the_moduli_say(share: float) -> None:
+    """On an irregular mesh, strained by e_w, e_f and sheared by g."""
+    piece = make_piece()
+    x = piece.position @ np.array([[1.0 + 2.0 * share, 0.0, 0.0], [0.5 * share, 1.0 + share, 0.0], [0.0, 0.0, 1.0]])
+    warp, weft, both, shear = MODULI
+    e, f, g = np.hypot(1.0 + share, 0.5 * share) - 1.0, 2.0 * share, 0.5 * share * (1.0 + 2.0 * share)
+    expected = 0.5e-2 * (warp * e * e + weft * f * f + 2.0 * both * e * f + shear * g * g)
+    assert energy(piece, x) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_matrix_is_the_second_derivative_and_positive_without_its_geometric_part() -> None:
+    piece = make_piece()
+    packed, x = pack(make_system(piece)), crumpled(piece)
+    way, linear = np.random.default_rng(3).standard_normal(x.shape), make_linear(packed)
+    linear.own[...] = 0.0
+    fill(to_rows(x), 0.0, packed, linear, exact=True)
+    expected = -(force(piece, x + 1e-7 * way) - force(piece, x - 1e-7 * way)) / 2e-7
+    np.testing.assert_allclose(multiply(linear, to_rows(way), None).T, expected, atol=1e-8 * np.abs(expected).max())
+    fill(to_rows(x), 0.0, packed, linear)
+    units = np.eye(3 * piece.number).reshape(-1, piece.number, 3)
+    matrix = np.array([multiply(linear, to_rows(unit), None).T.ravel() for unit in units])
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-12 * np.abs(matrix).max())
+    assert np.linalg.eigvalsh(matrix)[0] > -1e-12 * np.abs(matrix).max()
+
+
+def test_pieces_that_are_joined_keep_their_energy() -> None:
+    piece = make_piece()
+    both = join_fabrics([piece, piece], "both")
+    x = crumpled(piece)
+    assert energy(both, np.concatenate([x, piece.position])) == pytest.approx(energy(piece, x), rel=1e-12)
