@@ -55,7 +55,7 @@ def result_warnings(report: Mapping[str, Any]) -> list[str]:
     if depth is not None and expected is not None and depth > max(MOST_DEPTHS * expected, SEEN_DEPTH):
         often = f"{depth / expected:.0f} times as deep as" if expected else "deeper than"
         found.append(f"cloth lay in bodies {often} resting contact: from its start? stiffer contact, slower bodies?")
-    counts = report.get("counts") or {}
+    counts = report["counts"]
     if still := counts.get("steps_without_motion"):
         found.append(
             f"all cloth stood still in {still:,} steps, more of it being pressed together than the lists of cloth "

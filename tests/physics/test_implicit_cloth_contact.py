@@ -33,6 +33,17 @@ def test_nothing_passes_through_in_steps_of_a_frame() -> None:
     assert pile.meeting.tally[1] <= 1e-3 * pile.meeting.tally[3] * pile.fabric.number
 
 
+def test_cloth_at_rest_is_solved_like_cloth_that_hardly_moves() -> None:
+    """What it will touch is in the first matrix already: as many Newton steps, to the same place."""
+    found = []
+    for speed in (0.0, 1e-9):
+        falling = sheet(at=np.array([0.003, 1.05e-3, 0.002]), v=np.array([0.0, -speed, 0.0]))
+        pile = Pile(sheet(pinned=True), falling, solver="implicit_euler", dt=FRAME)
+        found.append((pile.go(1).totals["newton_steps"], pile.state.x))
+    assert found[0][0] == found[1][0]
+    np.testing.assert_allclose(found[0][1], found[1][1], atol=1e-9)
+
+
 def test_what_contact_cannot_push_apart_is_left_and_counted() -> None:
     """Sheets that meet at 16 m/s in steps of 1/30 s: no frame takes thousands of Newton steps, for at most two steps of
     vertices in a hundred that are cut short.

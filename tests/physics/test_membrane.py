@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from nets import make_system
 
+from nuno import registry
 from nuno.cloth.join import join_fabrics
 from nuno_cloth.models.delaunay import fill_outline
 from nuno_integrators.implicit.conjugate import multiply
@@ -13,7 +17,7 @@ from nuno_integrators.implicit.matrix import fill, make_linear
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.packing import pack, to_rows
-from nuno_schemas.fabric import Fabric, Float, Membrane
+from nuno_schemas.fabric import Fabric, Float, Membrane, State
 
 MODULI = np.array([400.0, 2000.0, 30.0, 50.0])
 MASS = 1e-3
@@ -82,6 +86,42 @@ def test_the_matrix_is_the_second_derivative_and_positive_without_its_geometric_
     matrix = np.array([multiply(linear, to_rows(unit), None).T.ravel() for unit in units])
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12 * np.abs(matrix).max())
     assert np.linalg.eigvalsh(matrix)[0] > -1e-12 * np.abs(matrix).max()
+
+
+def stepped(solver: str, dt: float, steps: int, damping: float, **settings: Any) -> State:
+    """A crumpled piece let go of, damped by so much of its moduli's [s]."""
+    piece = make_piece()
+    assert piece.membrane is not None
+    lag = damping * np.repeat(MODULI[[0, 1, 3], None], piece.membrane.number, axis=1)
+    piece = replace(piece, membrane=replace(piece.membrane, damping=lag))
+    plugin, system = registry.load("nuno.integrators", solver), make_system(piece)
+    state = State(crumpled(piece), np.zeros_like(piece.position))
+    memory = plugin.prepare(plugin.Config(**settings), system, state)
+    assert plugin.advance(system, state, memory, None, steps, dt).status == "ok"
+    return state
+
+
+def test_xpbd_comes_to_the_implicit_step_and_both_to_the_explicit_one() -> None:
+    """Iterated, to that of the same length; implicit Euler as the step is halved, with order 1, damping included."""
+    exact = stepped("rk4", 2e-6, 500, 1e-5).x
+    errors = []
+    for steps in (100, 200):
+        implicit = stepped("implicit_euler", 1e-3 / steps, steps, 1e-5, residual=1e-10)
+        swept = stepped("xpbd", 1e-3 / steps, steps, 1e-5, iterations=100)
+        np.testing.assert_allclose(swept.x, implicit.x, atol=1e-8)
+        errors.append(np.abs(implicit.x - exact).max())
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
+
+
+def test_damping_takes_energy() -> None:
+    """Of a free piece, from rest, more than nothing and never any momentum."""
+    piece = make_piece()
+    left = [stepped("rk4", 5e-6, 400, damping) for damping in (0.0, 5e-5)]
+    total = [energy(piece, state.x) + 0.5 * MASS * float((state.v**2).sum()) for state in left]
+    begun = energy(piece, crumpled(piece))
+    assert total[0] == pytest.approx(begun, rel=1e-4)
+    assert total[1] < 0.9 * begun
+    assert max(np.abs(state.v.sum(axis=0)).max() for state in left) < 1e-12 * np.abs(left[0].v).sum()
 
 
 def test_pieces_that_are_joined_keep_their_energy() -> None:

@@ -1,4 +1,4 @@
-"""How far a step of Newton's method may go, so that no iterate has passed through anything.
+"""How far a step of Newton's method may go, so that no iterate of cloth has passed through cloth.
 
 An iterate that has gone through cloth would be pushed on by it. From iterate y the step d is shortened vertex by
 vertex, until each pair has a plane that keeps its primitives apart at y and at y + d (nuno_contact.offset.parting).
