@@ -49,6 +49,8 @@ def to_si(value: object, unit: str) -> float:
 
 _POWER = r"(?:\*\*|\^)\s*\(?\s*[+-]?\d{1,2}\s*\)?\s*"
 _NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?")
+_FRACTION = re.compile(r"\s*(\d{1,9})\s*/\s*([1-9]\d{0,8})(?!\.)\b(.*)")
+"""As steps are named: 1/240 s."""
 
 
 def _is_plain(text: str) -> bool:
@@ -70,6 +72,8 @@ def _parse(text: str, unit: str) -> float:
 
     if len(text) > 100:
         raise ValueError("a quantity has at most 100 characters")
+    if fraction := _FRACTION.fullmatch(text):
+        text = f"{int(fraction[1]) / int(fraction[2])!r}{fraction[3]}"
     try:
         return float(text)
     except ValueError:

@@ -37,6 +37,9 @@ def fresh() -> Iterator[None]:
         ("200 g/m^2", "kg/m^2", 0.2),
         ("90 degree", "rad", math.pi / 2),
         ("30 %", "", 0.3),
+        ("1/240 s", "s", 1 / 240),
+        ("1/240", "s", 1 / 240),
+        ("30000/1001 Hz", "Hz", 30000 / 1001),
     ],
 )
 def test_quantities_are_converted(text: object, unit: str, value: float) -> None:
@@ -52,6 +55,8 @@ def test_quantities_are_converted(text: object, unit: str, value: float) -> None
         ("soon", "s", "not a quantity; write for example '1 s', or a plain number in s"),
         ("", "s", "not a quantity"),
         ("ms", "s", "not a quantity"),
+        ("1/0 s", "s", "not a quantity"),
+        ("1/2/3 s", "s", "not a quantity"),
         ("1 m + 2 m", "m", "not a quantity"),
         ("x" * 101, "s", "at most 100 characters"),
         (True, "s", "must be a quantity"),

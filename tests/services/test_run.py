@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -181,6 +182,19 @@ def test_a_step_that_is_too_long_and_divides_no_frame_is_refused_for_its_length_
         with pytest.raises(BadInput, match=problem) as caught:
             nuno.run(scene)
         assert "dt: auto" in str(caught.value)
+
+
+@pytest.mark.parametrize("frame_rate", [30.0, 48.0, 59.94])
+def test_what_is_named_as_a_remedy_for_a_step_is_taken(frame_rate: float, tmp_path: Path) -> None:
+    def made(dt: str) -> Simulation:
+        scene = write_scene(tmp_path, frame_rate=frame_rate, solver={"plugin": "symplectic_euler", "dt": dt})
+        return Simulation(scene_file.read(scene), None, None, 1)
+
+    with pytest.raises(BadInput, match="not a whole number of steps") as caught:
+        made("0.97 ms")
+    choices = re.findall(r"([\d.]+ s) \((\d+) steps\)", str(caught.value))
+    assert [made(dt).steps for dt, _ in choices] == [int(steps) for _, steps in choices]
+    assert made(f"100/{round(100 * 40 * frame_rate)} s").steps == 40
 
 
 def test_a_recording_that_will_be_replaced_is_named_before_the_run(

@@ -7,8 +7,8 @@ import math
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 
-ROUNDING = 1e-9
-"""Relative: a step that is a limit itself may come out longer by this."""
+ROUNDING = 1e-6
+"""Relative: a step that is a limit, or a part of a frame, and written in seven digits may differ from it by this."""
 MOST_STEPS = 10_000_000
 """Steps a frame: more would keep the simulation from answering for minutes."""
 SAFE, SAFE_DYE = 0.7, 0.9
@@ -56,7 +56,7 @@ def choose_step(loaded: Loaded, limit: float, resolved: float = math.inf, dyed: 
     steps = max(1, round(frame / dt))
     if abs(frame / steps - dt) > ROUNDING * dt:
         near = sorted({max(1, steps - 1), steps, steps + 1}, key=lambda n: abs(frame / n - dt))[:2]
-        choices = " or ".join(f"{frame / n:.9g} s ({n} steps)" for n in near)
+        choices = " or ".join(f"{frame / n:.7g} s ({n} steps)" for n in near)
         remedy = f"nearest that divide it: {choices}; or dt: auto"
         error = BadInput("a frame is not a whole number of steps", value=_said(dt, frame), remedy=remedy)
         raise loaded.at(f"{field}.dt", error)
