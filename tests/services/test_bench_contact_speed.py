@@ -7,8 +7,11 @@ import pytest
 
 from nuno.collision.crossings import find_crossings
 from nuno.collision.pairs import mesh_of
+from nuno.scene import scene_file
+from nuno.simulation.run import Simulation
 from nuno_bench.problem.piles import pile
 from nuno_bench.speed import contact
+from nuno_bench.speed.contact_parts import Parts
 from nuno_contact.offset.meeting import Meeting
 from nuno_schemas.errors import RunFailed
 
@@ -16,10 +19,30 @@ pytestmark = pytest.mark.full
 
 
 def test_scenes_take_equal_steps_with_and_without() -> None:
-    ratio, note = contact.on_over_off("hanging-sheet", ("objects.0.model.resolution=[8, 8]",), 0.1)
-    assert ratio > 0.0
-    assert note.startswith("6 frames of ")
-    assert "64 vertices, 0 contacts at the end, 0 of " in note
+    found = contact.on_over_off("hanging-sheet", ("objects.0.model.resolution=[8, 8]",), 0.1)
+    assert found.on > 0.0 and found.off > 0.0
+    assert found.note.startswith("6 frames of ")
+    assert "64 vertices, 0 contacts at the end, 0 of " in found.note
+
+
+def test_parts_of_contact_are_timed_beside_a_run_that_they_do_not_touch() -> None:
+    """Cloth ends in the same bits whether it was looked at; what a step seldom needs counts as seldom."""
+    ends = []
+    for looked in (False, True):
+        loaded = scene_file.read(scene_file.find("contact/ribbon"), ("duration=0.1",))
+        simulation = Simulation(loaded, None, None, 1)
+        simulation.present()
+        parts = Parts(simulation)
+        while not simulation.finished:
+            simulation.step()
+            if looked:
+                parts.look()
+        ends.append(simulation.state.x.tobytes())
+    assert ends[0] == ends[1]
+    lists, choices, steps = (end - begin for end, begin in zip(parts._counted(), parts.begun, strict=True))
+    assert 0 < lists < choices < steps == simulation.frame * simulation.steps
+    mean = np.mean([moment["lists"] for moment in parts.moments])
+    assert parts.each()["lists"] == pytest.approx(lists / steps * mean)
 
 
 def test_a_query_finds_what_lies_on_each_other_and_that_nothing_crosses(monkeypatch: pytest.MonkeyPatch) -> None:

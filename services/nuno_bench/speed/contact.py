@@ -1,8 +1,11 @@
-"""What contact of cloth with cloth costs: steps with it over steps without, and a query as the mesh grows."""
+"""What contact of cloth with cloth costs: steps with it over steps without, what they go into, and a query as the mesh
+grows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -15,6 +18,7 @@ from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.problem.piles import pile, sheet
 from nuno_bench.report.result import Result
+from nuno_bench.speed.contact_parts import Parts
 from nuno_bench.speed.timing import seconds
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
@@ -34,20 +38,53 @@ STEEPEST = 1.15
 """The bar of the exponent."""
 MOST = 3
 """Repeats of whole scenes."""
+LOOKS = 6
+"""Moments of a scene at which parts are timed."""
+DECK = "contact/cards", tuple(f"objects.card-{k}.model.resolution=[12, 15]" for k in range(1, 53)), 0.6, 1.5
+"""A deck as fine as published ones, which falls and lands: scene, overrides, duration and bar of a frame [s]."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A scene's steps with contact and without [s each], what contact goes into, and what was run."""
+
+    on: float
+    off: float
+    parts: Mapping[str, float]
+    frame: float
+    """What the steps of a frame take with contact [s]."""
+    note: str
 
 
 def contact(repeats: int) -> list[Result]:
-    """Steps of scenes with it over without; exponents of queries."""
+    """Steps of scenes with it over without; a deck of cards; exponents of queries."""
     results = []
     for what, (name, overrides, duration, bar, aim) in SCENES.items():
-        ratios, note = zip(*(on_over_off(name, overrides, duration) for _ in range(min(repeats, MOST))), strict=True)
+        found = [on_over_off(name, overrides, duration) for _ in range(min(repeats, MOST))]
+        ratios = tuple(one.on / one.off for one in found)
         results.append(Result("contact", f"{what}: steps with contact over without", "times", ratios, bar=bar, aim=aim,
-                              at_most=True, note=note[0]))  # fmt: skip
-    return results + queries(repeats)
+                              at_most=True, note=found[0].note))  # fmt: skip
+        results += shares(what, found)
+    name, overrides, duration, bar = DECK
+    deck, what = on_over_off(name, overrides, duration), "52 cards that fall and land"
+    results.append(Result("contact", f"{what}: the steps of a frame", "s", (deck.frame,), bar=bar, at_most=True,
+                          note=deck.note))  # fmt: skip
+    return results + shares(what, [deck]) + queries(repeats)
 
 
-def on_over_off(name: str, overrides: Sequence[str], duration: float) -> tuple[float, str]:
-    """Wall time of a scene's frames with cloth contact over that without, and what was run.
+def shares(what: str, found: Sequence[Compared]) -> list[Result]:
+    """What a step's time goes into: the other forces and the update, each part of contact, and what is left."""
+
+    def figure(name: str, values: Iterable[float]) -> Result:
+        return Result("contact", f"{what}: {name}", "us a step", tuple(1e6 * value for value in values))
+
+    parts = [figure(name, (one.parts[name] for one in found)) for name in found[0].parts]
+    rest = (max(0.0, one.on - one.off - sum(one.parts.values())) for one in found)
+    return [figure("without contact", (one.off for one in found)), *parts, figure("the rest of contact", rest)]
+
+
+def on_over_off(name: str, overrides: Sequence[str], duration: float) -> Compared:
+    """A scene's frames with cloth contact and without. Raises RunFailed where one ends early.
 
     Both take the step that the scene has with contact, and frames in turns, so that a slow machine slows both.
     """
@@ -65,20 +102,25 @@ def on_over_off(name: str, overrides: Sequence[str], duration: float) -> tuple[f
         raise RunFailed(f"{name} takes {both[0].steps} steps a frame with contact and {both[1].steps} without")
     for simulation in both:
         simulation.step()  # compiles
-    spent, report = [0.0, 0.0], on.present().report
+    spent, report, parts = [0.0, 0.0], on.present().report, Parts(both[0])
+    first, every = both[0].frame, max(1, round(duration * on.loaded.scene.frame_rate / LOOKS))
     while not both[0].finished:
         for i, simulation in enumerate(both):
             frame = simulation.step()
             spent[i] += frame.seconds
             if (report := frame.report if i == 0 else report).status != "ok":
                 raise RunFailed(f"{report.status}: {report.message}")
+        if both[0].frame % every == 0:
+            parts.look()
+    frames = both[0].frame - first
     moved = on.fabric.number * both[0].steps * both[0].frame
     note = (
         f"{both[0].frame} frames of {both[0].steps} steps, {both[0].fabric.number:,} vertices, "
         f"{report.counts['cloth_contacts']:,} contacts at the end, {report.counts['cut_short']:,} of {moved:,} steps "
         "of vertices cut short"
     )
-    return spent[0] / spent[1], note
+    a_step = [total / (frames * both[0].steps) for total in spent]
+    return Compared(a_step[0], a_step[1], parts.each(), spent[0] / frames, note)
 
 
 def layers(side: int) -> list[Fabric]:
