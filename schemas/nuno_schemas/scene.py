@@ -60,7 +60,7 @@ class Applied(Choice):
 
 
 class ClothContact(Choice):
-    """What cloth does to cloth."""
+    """What cloth does to cloth; `cloth_contact: NAME` is short for `cloth_contact: {plugin: NAME}`."""
 
     allow: list[tuple[Name, Name]] = Field(
         default_factory=list, description="objects that may pass through each other, in pairs; one through itself, too"
@@ -70,6 +70,11 @@ class ClothContact(Choice):
         description="bodies of triangles that cloth meets as it meets cloth, and never passes through with any edge; "
         "with a body's own friction and damping, and in the place of its contact",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"plugin": value} if isinstance(value, str) and value != "none" else value
 
 
 class Record(Part):

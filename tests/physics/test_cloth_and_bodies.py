@@ -11,6 +11,7 @@ from closed_meshes import box, sphere
 from met_bodies import Met, Motion, Shape, still
 from sheets import sheet
 
+from nuno_contact.offset.places import HELD_CUT, LEFT_OUT, TOUCHING
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -32,7 +33,7 @@ def run(met: Met, frames: int, steps: int) -> None:
         met.go(steps)
         assert not met.crossed
         late += met.behind > 0
-    assert late <= 1 and met.meeting.tally[4] == 0
+    assert late <= 1 and met.meeting.so_far[LEFT_OUT] == 0
 
 
 @pytest.mark.parametrize("shape", [BALL, CUBE], ids=["ball", "cube"])
@@ -40,7 +41,7 @@ def test_a_coarse_sheet_lies_on_a_body_without_an_edge_through_it(shape: Shape) 
     """Edges of 14 mm over a ball whose edges are 6 mm, and over the corners of a cube; without, edges pass through."""
     met = Met(above(0.04), shapes=[shape])
     run(met, 20, 100)
-    assert met.meeting.tally[0] > 5
+    assert met.meeting.number[TOUCHING] > 5
     x = met.state.x
     assert x[:, 1].min() < 0.01 and np.linalg.norm(x.mean(axis=0)) < 0.05
 
@@ -82,7 +83,7 @@ def test_a_free_sheet_lands_on_a_body_in_steps_of_a_frame(shape: Shape, side: in
         met.go(1)
         assert not met.crossed
         newton += met.memory.work.stage.counts.newton  # type: ignore[attr-defined]
-    assert met.meeting.tally[0] > 10
+    assert met.meeting.number[TOUCHING] > 10
     assert newton < 1000
 
 
@@ -146,7 +147,7 @@ def test_cloth_that_bodies_crush_is_counted_and_nothing_blows_up() -> None:
         fastest = max(fastest, float(np.abs(met.state.v).max()))
         # Of cloth nothing passes through cloth, and no plane that keeps it off the vertices that are behind is lost.
         assert (met.behind == 0) <= (not met.crossed)
-    assert counted > 0 and met.meeting.tally[2] > 0
+    assert counted > 0 and met.meeting.so_far[HELD_CUT] > 0
     assert fastest < 20.0
 
 
@@ -174,7 +175,7 @@ def test_one_thread_and_several_and_a_resumed_run_have_the_same_bits() -> None:
         for _ in range(4):
             met.go(40)
         ends.append(met.state.x.tobytes() + met.state.v.tobytes())
-    assert met.meeting.tally[0] > 0
+    assert met.meeting.number[TOUCHING] > 0
     cut, on = begun(), begun()
     for _ in range(2):
         cut.go(40)

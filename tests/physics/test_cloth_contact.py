@@ -13,6 +13,7 @@ from sheets import DOWN, Pile, sheet
 
 from nuno.cloth.join import join_fabrics
 from nuno_bench.problem import piles
+from nuno_contact.offset.places import LEFT_OUT, LISTS_MADE, STEPS, TOUCHING
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
@@ -41,11 +42,11 @@ def test_a_run_takes_no_more_memory_the_longer_it_is(solver: str) -> None:
     _nrt_python.memsys_enable_stats()
     pile = heap(solver, 1)
     pile.go(10)
-    before, lists, most = held(), int(pile.meeting.number[3]), 0
+    before, lists, most = held(), int(pile.meeting.number[LISTS_MADE]), 0
     for _ in range(10):
         pile.go(20)
-        most = max(most, int(pile.meeting.tally[0]))
-    assert pile.meeting.number[3] > lists
+        most = max(most, int(pile.meeting.number[TOUCHING]))
+    assert pile.meeting.number[LISTS_MADE] > lists
     assert most > 20
     assert held() == before
 
@@ -62,8 +63,8 @@ def test_nothing_passes_through(solver: str) -> None:
         for _ in range(30):
             pile.go(10)
             assert not pile.crossed
-        assert pile.meeting.tally[4] == 0
-        assert pile.meeting.tally[3] > 0
+        assert pile.meeting.so_far[LEFT_OUT] == 0
+        assert pile.meeting.so_far[STEPS] > 0
 
 
 def test_what_never_meets_keeps_its_bits() -> None:
@@ -138,7 +139,7 @@ def test_amid_many_contacts_no_vertex_is_thrown_to_and_fro() -> None:
     pile.go(4000)
     before = pile.state.v.copy()
     pile.go(1)
-    assert pile.meeting.tally[0] > 4 * pile.fabric.number
+    assert pile.meeting.number[TOUCHING] > 4 * pile.fabric.number
     assert np.abs(pile.state.v - before).max() < np.abs(before).max()
 
 
@@ -172,7 +173,7 @@ def test_momentum_is_kept_in_a_collision() -> None:
     before, most = kept(), 0
     for _ in range(20):
         pile.go(20)
-        most = max(most, int(pile.meeting.tally[0]))
+        most = max(most, int(pile.meeting.number[TOUCHING]))
     assert most > 20
     assert np.abs(kept() - before)[:3].max() < 1e-12 * np.abs(mass * pile.state.v).sum()
     assert np.abs(kept() - before)[3:].max() < 1e-12 * np.abs(mass * pile.state.v).sum()
@@ -184,7 +185,7 @@ def test_an_undamped_bounce_gains_no_energy() -> None:
     begun = sum(pile.go(0).energy.values())
     energy = [sum(pile.go(20).energy.values()) for _ in range(30)]
     assert max(energy) < 1.05 * begun
-    assert pile.meeting.tally[0] == 0
+    assert pile.meeting.number[TOUCHING] == 0
     assert 0.95 * begun < energy[-1] <= begun
     damped = collision(1.0)
     assert sum([damped.go(20) for _ in range(30)][-1].energy.values()) < 0.9 * begun

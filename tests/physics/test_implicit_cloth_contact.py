@@ -14,6 +14,7 @@ from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.models.delaunay import fill_outline
 from nuno_cloth.models.mesh import build_elements
 from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_contact.offset.places import CUT, STEPS, TOUCHING
 from nuno_schemas.fabric import Fabric, Float
 
 pytestmark = pytest.mark.full
@@ -29,8 +30,8 @@ def test_nothing_passes_through_in_steps_of_a_frame() -> None:
     for _ in range(10):
         pile.go(1)
         assert not pile.crossed
-    assert pile.meeting.tally[0] > 20
-    assert pile.meeting.tally[1] <= 1e-3 * pile.meeting.tally[3] * pile.fabric.number
+    assert pile.meeting.number[TOUCHING] > 20
+    assert pile.meeting.so_far[CUT] <= 1e-3 * pile.meeting.so_far[STEPS] * pile.fabric.number
 
 
 def test_cloth_at_rest_is_solved_like_cloth_that_hardly_moves() -> None:
@@ -53,7 +54,7 @@ def test_what_contact_cannot_push_apart_is_left_and_counted() -> None:
         pile.go(1)
         assert not pile.crossed
         assert pile.memory.work.stage.counts.newton < 1000  # type: ignore[attr-defined]
-    assert 0 < pile.meeting.tally[1] < 0.02 * pile.meeting.tally[3] * pile.fabric.number
+    assert 0 < pile.meeting.so_far[CUT] < 0.02 * pile.meeting.so_far[STEPS] * pile.fabric.number
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -64,7 +65,7 @@ def test_a_pile_comes_to_rest_and_presses_with_its_weight(solver: str) -> None:
     for _ in range(30):
         pile.go(1)
     assert np.abs(pile.state.v).max() < 1e-3
-    assert pile.meeting.tally[1] == 0
+    assert pile.meeting.so_far[CUT] == 0
     found = pile.solver.forces(pile.system, pile.state, pile.memory, None).parts["cloth_contact"]
     weight = 9.81 * pile.fabric.mass[~pile.fabric.pinned].sum()
     assert -found[pile.fabric.pinned, 1].sum() == pytest.approx(weight, rel=0.01)
@@ -85,7 +86,7 @@ def test_a_sheet_sticks_just_if_friction_holds_it() -> None:
             assert np.abs(pile.state.x.mean(axis=0) - start).max() < 1e-6
         else:
             assert pace(pile)[0] - speed > 0.8 * gained
-        assert pile.meeting.tally[1] == 0
+        assert pile.meeting.so_far[CUT] == 0
 
 
 def test_a_sheet_slides_as_coulomb_says() -> None:
@@ -108,9 +109,9 @@ def test_momentum_is_kept_in_a_collision() -> None:
     most = 0
     for _ in range(10):
         pile.go(2)
-        most = max(most, int(pile.meeting.tally[0]))
+        most = max(most, int(pile.meeting.number[TOUCHING]))
     assert most > 20
-    assert pile.meeting.tally[1] == 0
+    assert pile.meeting.so_far[CUT] == 0
     assert np.abs(pile.momentum - before).max() < 1e-14 * size
 
 
@@ -149,8 +150,8 @@ def test_a_fold_of_uneven_triangles_rests_on_itself() -> None:
     for _ in range(40):
         pile.go(1)
         assert not pile.crossed
-    assert pile.meeting.tally[0] > 50
-    assert pile.meeting.tally[1] == 0
+    assert pile.meeting.number[TOUCHING] > 50
+    assert pile.meeting.so_far[CUT] == 0
     assert np.abs(pile.state.v).max() < 1e-2
 
 

@@ -11,6 +11,7 @@ from sheets import Pile, sheet
 from test_cloth_contact import heap, pace, sliding
 
 from nuno_bench.problem import piles
+from nuno_contact.offset.places import CUT, STEPS, TOUCHING
 from nuno_schemas.fabric import Fabric, Float
 
 USUAL = 1.0 / 960.0
@@ -36,7 +37,7 @@ def gaps(layers: int, dt: float, iterations: int = 1) -> tuple[Float, Float]:
     pile = Pile(*pieces, solver="xpbd", dt=dt, damping=1.0)
     pile.memory = pile.solver.prepare(pile.solver.Config(iterations=iterations), pile.system, pile.state)
     pile.go(round(0.5 / dt))
-    assert pile.meeting.tally[1] == 0
+    assert pile.meeting.so_far[CUT] == 0
     found = np.diff(pile.state.x[:, 1].reshape(-1, 3).mean(axis=1))
     load = 1e-4 * 9.81 * np.arange(layers, 0, -1)
     return found, THICKNESS - load / (0.5 * pile.meeting.stiffness[-1])
@@ -72,7 +73,7 @@ def test_a_pile_presses_with_its_weight_to_second_order() -> None:
             pile.go(round(0.1 / dt))
             pile.state.v *= 0.5
         pile.go(round(0.4 / dt))
-        assert pile.meeting.tally[1] == 0
+        assert pile.meeting.so_far[CUT] == 0
         assert np.abs(pile.state.v).max() < 1e-6
         found = pile.solver.forces(pile.system, pile.state, pile.memory, None).parts["cloth_contact"]
         weight = 9.81 * pile.fabric.mass[~pile.fabric.pinned].sum()
@@ -95,7 +96,7 @@ def test_a_sheet_sticks_on_an_incline_just_if_friction_holds_it() -> None:
             assert np.abs(pile.state.x.mean(axis=0) - start).max() < 1e-8
         else:
             assert pace(pile)[0] - speed == pytest.approx(gained, rel=0.1)
-        assert pile.meeting.tally[1] == 0
+        assert pile.meeting.so_far[CUT] == 0
 
 
 def test_a_sheet_slides_as_coulomb_says() -> None:
@@ -120,7 +121,7 @@ def test_momentum_is_kept_in_a_collision() -> None:
         size, most = np.abs(mass * pile.state.v).sum(), 0
         for _ in range(20):
             pile.go(round(1e-3 / dt))
-            most = max(most, int(pile.meeting.tally[0]))
+            most = max(most, int(pile.meeting.number[TOUCHING]))
         assert most > 100
         assert np.abs(pile.momentum - before).max() < 1e-13 * size
         change = (mass * np.cross(pile.state.x, pile.state.v)).sum(axis=0) - moment
@@ -136,7 +137,7 @@ def test_an_undamped_bounce_gains_no_energy() -> None:
         pile = Pile(*piles.collision(), solver="xpbd", gravity=np.zeros(3), friction=0.0, damping=0.0, dt=dt)
         begun = sum(pile.go(0).energy.values())
         energy = [sum(pile.go(round(2e-3 / dt)).energy.values()) for _ in range(15)]
-        assert pile.meeting.tally[0] == 0
+        assert pile.meeting.number[TOUCHING] == 0
         assert max(energy) < 1.05 * begun
         left.append(energy[-1] / begun)
     assert left[0] < left[1] <= 1.0
@@ -150,8 +151,8 @@ def test_nothing_passes_through_in_long_steps() -> None:
     for _ in range(30):
         pile.go(4)
         assert not pile.crossed
-    assert pile.meeting.tally[0] > 20
-    assert pile.meeting.tally[1] < 0.02 * pile.meeting.tally[3] * pile.fabric.number
+    assert pile.meeting.number[TOUCHING] > 20
+    assert pile.meeting.so_far[CUT] < 0.02 * pile.meeting.so_far[STEPS] * pile.fabric.number
 
 
 def test_a_run_goes_on_from_a_checkpoint_in_the_same_bits() -> None:
@@ -179,6 +180,6 @@ def test_the_same_bits_whatever_the_threads() -> None:
         pile = Pile(*pieces, solver="xpbd", dt=USUAL, threads=threads)
         pile.go(60)
         assert (pile.memory.work.pace is None) == (threads == 1)  # type: ignore[attr-defined]
-        assert pile.meeting.tally[0] > 1000
+        assert pile.meeting.number[TOUCHING] > 1000
         ends.append(pile.state.x.tobytes() + pile.state.v.tobytes())
     assert ends[0] == ends[1]

@@ -13,6 +13,7 @@ from nuno_bench.problem.piles import pile
 from nuno_bench.speed import contact
 from nuno_bench.speed.contact_parts import Parts
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.places import LISTED
 from nuno_schemas.errors import RunFailed
 
 pytestmark = pytest.mark.full
@@ -54,7 +55,7 @@ def test_a_query_finds_what_lies_on_each_other_and_that_nothing_crosses(monkeypa
         (meeting,) = system.terms[-1].data  # type: ignore[misc]
         assert isinstance(meeting, Meeting)
         contact.listing(meeting)()
-        both = meeting.piece[meeting.pair[: meeting.number[0]]][:, [0, 3]]
+        both = meeting.piece[meeting.pair[: meeting.number[LISTED]]][:, [0, 3]]
         shares.append(float((both[:, 0] != both[:, 1]).sum()) / system.fabric.number)
     assert shares[0] > 4.0
     assert shares[1] == pytest.approx(shares[0], rel=0.3)

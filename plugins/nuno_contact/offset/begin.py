@@ -9,6 +9,18 @@ from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.hold import all_close
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.places import (
+    LAST_STEP,
+    LIST_BEGUN,
+    LIST_ROOM,
+    LIST_WINDOW,
+    LISTED,
+    NEAR,
+    NEAR_BEGUN,
+    NEAR_ROOM,
+    NEAR_WINDOW,
+    NOW,
+)
 from nuno_contact.offset.plan import LEAST, LISTS, WINDOW, plan
 from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_contact.offset.touching import find_touching
@@ -34,16 +46,19 @@ def begin_apart(m: Meeting, x: Float, span: float, threads: int | None) -> None:
 def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int | None) -> None:
     """The same of cloth and bodies, whose cloth is where it was left or not."""
     clock, m.span[0] = m.clock, span
-    clock[1], clock[3], clock[0] = clock[1] - clock[0], clock[3] - clock[0], 0.0
+    clock[LIST_BEGUN] -= clock[NOW]
+    clock[NEAR_BEGUN] -= clock[NOW]
+    clock[NOW] = 0.0
     if np.isnan(m.reference[0, 0]) or not goes_on:
         if not all_finite(x):
             return
         copy_rows(x, m.last)
-        clock[4], clock[2], clock[5], clock[6], clock[7] = WINDOW, LISTS, 1.0, LEAST[1], 0.0
-        clock[1], clock[3] = -2.0 * clock[2], 0.0
+        clock[NEAR_WINDOW], clock[LIST_WINDOW], clock[LAST_STEP] = WINDOW, LISTS, 0.0
+        clock[LIST_ROOM], clock[NEAR_ROOM] = 1.0, LEAST[1]
+        clock[LIST_BEGUN], clock[NEAR_BEGUN] = -2.0 * clock[LIST_WINDOW], 0.0
         m.unrest[:] = 0.0
         m.anchored[:] = False
-        m.number[0] = 0
+        m.number[LISTED] = 0
         plan(m, m.nothing, 1.0, 0.0, 0.0, threads)
     elif not (
         same_rows(m.listed[:6], m.reference)
@@ -60,7 +75,7 @@ def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int |
 @block_kernel
 def renew_planes(m: Meeting) -> None:
     """Give each near pair the plane across its closest points at `last`."""
-    for q in range(m.number[1]):
+    for q in range(m.number[NEAR]):
         p = m.near[q]
         corners = corners_of(m.last, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3])
         n, _ = unit(weigh(closest(m.of[p] < 0, corners).weights, corners))

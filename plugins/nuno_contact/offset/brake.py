@@ -9,13 +9,18 @@ constraints (nuno_contact.offset.projection).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.places import CLOSE
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.lanes.triples import dot
+from nuno_kernels.lanes.choose import higher, lane
+from nuno_kernels.lanes.simd import WIDTH, splat
+from nuno_kernels.lanes.triples import dot, read_triple
 from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.fabric import Float
 
@@ -26,11 +31,23 @@ second number where there are bodies, which do not give way, and have many verti
 
 
 @block_kernel
+def farthest_way(v: Float, dt: float) -> float:
+    """How far the fastest vertex goes in dt [s] at v (3, n) [m]."""
+    fastest, most = splat(0.0), 0.0
+    for i in range(0, v.shape[1], WIDTH):
+        own = read_triple(v, 0, i, min(WIDTH, v.shape[1] - i))
+        fastest = higher(dot(own, own), fastest)
+    for k in range(WIDTH):
+        most = max(most, lane(fastest, k))
+    return dt * math.sqrt(most)
+
+
+@block_kernel
 def brake(m: Meeting, v: Float, dt: float, sweeps: int) -> None:
     """Slow down what would come nearer in the next step, of dt [s], than forces can answer: in v (3, n)."""
     pair, of, reach, normal, mass, last, close = m.pair, m.of, m.reach, m.normal, m.mass, m.last, m.close
-    fast, number = np.empty(m.number[6], np.int32), 0
-    for q in range(m.number[6]):
+    fast, number = np.empty(m.number[CLOSE], np.int32), 0
+    for q in range(m.number[CLOSE]):
         p = close[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         here, go = corners_of(last, i, j, k, l), corners_of(v, i, j, k, l)

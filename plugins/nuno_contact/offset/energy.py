@@ -7,6 +7,7 @@ import math
 from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.force import STEEPEST, across, corners_of, faces_of, touch
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import weigh
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes.triples import dot
@@ -30,7 +31,7 @@ def measure_pairs(m: Meeting, x: Float) -> float:
         copy_part(x, m.whole, 0, x.shape[1])
         x = m.whole
     pair, of, reach, stiffness, mesh, total = m.pair, m.of, m.reach, m.pair_stiffness, faces_of(m), 0.0
-    for q in range(m.number[1]):
+    for q in range(m.number[NEAR]):
         p = m.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners = corners_of(x, i, j, k, l)

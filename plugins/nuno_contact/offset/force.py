@@ -31,6 +31,7 @@ from typing import NamedTuple
 
 from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.places import CHOICES, NEAR, SHARED
 from nuno_contact.offset.proximity import (
     AT_A,
     INSIDE,
@@ -212,9 +213,9 @@ def is_fresh(m: Meeting, x: Float, v: Float) -> None:
         copy_rows(m.whole_velocity, m.velocity)
     elif m.step[0] > 0.0:
         copy_rows(v, m.velocity)
-    if (not m.fresh[0] or m.step[0] > 0.0) and m.number[5] != m.number[4]:
-        share_out(m.pair, m.near, m.number[1], m.block_start, m.block_pair)
-        m.number[5] = m.number[4]
+    if (not m.fresh[0] or m.step[0] > 0.0) and m.number[SHARED] != m.number[CHOICES]:
+        share_out(m.pair, m.near, m.number[NEAR], m.block_start, m.block_pair)
+        m.number[SHARED] = m.number[CHOICES]
 
 
 @kernel

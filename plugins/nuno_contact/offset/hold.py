@@ -17,24 +17,34 @@ but not what to do then.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from nuno_contact.offset.bodies import catch_up, copy_part, find_behind, limit_ways, pose_solids
-from nuno_contact.offset.brake import BRAKED, SWEEPS, brake, push_on
+from nuno_contact.offset.brake import BRAKED, SWEEPS, brake, farthest_way, push_on
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.meeting import PARTS, Meeting, close_up
 from nuno_contact.offset.parting import give_way, on_the_way, plane_along
-from nuno_contact.offset.plan import plan, set_out, strays
+from nuno_contact.offset.places import (
+    CHOICES,
+    CLOSE,
+    CUT,
+    HELD_CUT,
+    LACKING,
+    LAST_STEP,
+    NEAR,
+    NEAR_BEGUN,
+    NEAR_WINDOW,
+    NOW,
+    STEPS,
+    STILL,
+)
+from nuno_contact.offset.plan import plan, set_out, strays_near
 from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.touching import drag_parts, find_touching
 from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.lanes.choose import higher, lane
-from nuno_kernels.lanes.simd import WIDTH, splat
-from nuno_kernels.lanes.triples import dot, read_triple
+from nuno_kernels.lanes.triples import dot
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.step.rows import all_finite, copy_rows, sum_rows
 from nuno_kernels.terms import over_blocks
@@ -51,18 +61,6 @@ def nearest(reach: float, distance: float) -> float:
     return min(CLOSEST * reach, max(0.5 * distance, min(FLOOR * reach, distance)))
 
 
-@block_kernel
-def farthest_way(v: Float, dt: float) -> float:
-    """How far the fastest vertex goes in dt [s] at v (3, n) [m]."""
-    fastest, most = splat(0.0), 0.0
-    for i in range(0, v.shape[1], WIDTH):
-        own = read_triple(v, 0, i, min(WIDTH, v.shape[1] - i))
-        fastest = higher(dot(own, own), fastest)
-    for k in range(WIDTH):
-        most = max(most, lane(fastest, k))
-    return dt * math.sqrt(most)
-
-
 @forced_inline
 def is_thorough(m: Meeting) -> bool:
     """Whether all planes are tried before a step is cut short: of long steps, and of bodies, which go far in one."""
@@ -76,7 +74,7 @@ def pass_part(part: int, m: Meeting, x: Float, way: float, number: Long, lost: L
     """
     pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
     thorough, fails = is_thorough(m), 0
-    first, end = part * m.number[1] // PARTS, (part + 1) * m.number[1] // PARTS
+    first, end = part * m.number[NEAR] // PARTS, (part + 1) * m.number[NEAR] // PARTS
     at = first
     for q in range(first, end):
         p = near[q]
@@ -115,15 +113,15 @@ def pass_by(m: Meeting, x: Float, way: float, threads: int | None) -> int:
     """
     number, lost = np.empty(PARTS, np.int64), np.empty(PARTS, np.int64)
     pass_parts(m, x, way, number, lost, PARTS, threads)
-    m.number[6] = close_up(m.close, m.number[1], number)
+    m.number[CLOSE] = close_up(m.close, m.number[NEAR], number)
     return int(lost.sum())
 
 
 @block_kernel
 def all_close(m: Meeting) -> None:
     """Note all that is near as close."""
-    m.number[6] = m.number[1]
-    for q in range(m.number[1]):
+    m.number[CLOSE] = m.number[NEAR]
+    for q in range(m.number[NEAR]):
         m.close[q] = m.near[q]
 
 
@@ -145,7 +143,7 @@ def shorten(m: Meeting, x: Float) -> None:
     again = True
     while again:
         again = False
-        for q in range(m.number[1]):
+        for q in range(m.number[NEAR]):
             p = m.near[q]
             i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
             here, there, of_edges = corners_of(last, i, j, k, l), corners_of(x, i, j, k, l), of[p] < 0
@@ -174,7 +172,7 @@ def shorten(m: Meeting, x: Float) -> None:
 @kernel
 def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Let a step from `last` to x, v (3, n), which ends at fraction s of the interval, go only until cloth meets."""
-    dt = (s - m.clock[0]) * m.span[0]
+    dt = (s - m.clock[NOW]) * m.span[0]
     if m.local.shape[0] == 0:
         if hold_whole(m, x, v, s, threads) and m.swept[0] == 0:
             brake(m, v, dt, SWEEPS[0])
@@ -201,17 +199,17 @@ def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
 
     Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
     """
-    last, reference, motion, clock, spread = m.last, m.reference[3:], m.motion[3:], m.clock, m.spread[1]
-    way = s - clock[0]
+    last, reference, clock = m.last, m.reference[3:], m.clock
+    way = s - clock[NOW]
     ahead = way if m.local.shape[0] > 0 else 0.0
-    if s + ahead > clock[3] + clock[4] or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
+    if s + ahead > clock[NEAR_BEGUN] + clock[NEAR_WINDOW] or strays_near(m, x, s):
         if not all_finite(x):
             return False
         # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
-        gone = clock[0] - clock[3]
+        gone = clock[NOW] - clock[NEAR_BEGUN]
         if gone > 0.0:
             plan(m, sum_rows(last, -1.0, reference), gone, way, ahead, threads)
-        if gone <= 0.0 or strays(x, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
+        if gone <= 0.0 or strays_near(m, x, s):
             plan(m, sum_rows(x, -1.0, last), way, way, ahead, threads)
     return True
 
@@ -219,24 +217,24 @@ def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
 @block_kernel
 def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) -> bool:
     """The same of cloth and bodies; False, and nothing done, where something is lost."""
-    m.tally[3] += 1
-    dt = (s - m.clock[0]) * m.span[0]
+    m.so_far[STEPS] += 1
+    dt = (s - m.clock[NOW]) * m.span[0]
     # Bodies push on with the lists that there are, and where others find more to be met, with those.
     for _ in range(3 if m.local.shape[0] > 0 else 0):
-        if m.number[2] == 0 and pass_by(m, x, farthest_way(v, dt), threads) > 0:
+        if m.number[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) > 0:
             push_on(m, x, v, dt)
-        lists = m.number[4]
+        lists = m.number[CHOICES]
         if not list_for(m, x, s, threads):
             return False
-        if m.number[4] == lists:
+        if m.number[CHOICES] == lists:
             break
     if m.local.shape[0] == 0 and not list_for(m, x, s, threads):
         return False
-    if m.number[2] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[1] > 0 else 0.0, threads) > 0:
+    if m.number[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[NEAR] > 0 else 0.0, threads) > 0:
         cut_short(m, x, v, threads)
         all_close(m)
     copy_rows(x, m.last)
-    m.clock[0], m.clock[7] = s, dt if m.step[0] == 0.0 else 0.0
+    m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.step[0] == 0.0 else 0.0
     find_touching(m, threads)
     drag_parts(m, v, PARTS, threads)
     return True
@@ -254,10 +252,10 @@ def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
         # One that stays behind strays by its way: whatever could be met by that is listed.
         for i in range(x.shape[1]):
             spread[i] = max(spread[i], share[i])
-        set_out(m, m.nothing, 1.0, m.clock[4], threads)
-    if m.number[2] > 0:
+        set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW], threads)
+    if m.number[LACKING] > 0:
         # What is not listed might be met: nothing moves.
-        m.tally[5] += 1
+        m.so_far[STILL] += 1
         m.share[:] = 0.0
         go_partly(m, x, v)
         return
@@ -275,7 +273,7 @@ def go_partly(m: Meeting, x: Float, v: Float) -> None:
     last, share, cloth = m.last, m.share, x.shape[1] - m.local.shape[0]
     for i in range(x.shape[1]):
         if share[i] < 1.0:
-            m.tally[1 if m.mass[i] > 0.0 else 2] += 1
+            m.so_far[CUT if m.mass[i] > 0.0 else HELD_CUT] += 1
             for row in range(3):
                 x[row, i] = last[row, i] + share[i] * (x[row, i] - last[row, i])
                 if i < cloth:

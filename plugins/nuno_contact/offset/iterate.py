@@ -17,7 +17,8 @@ from nuno_contact.offset.bodies import copy_part, pose_solids
 from nuno_contact.offset.force import corners_of, faces_of, touch
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import give_way
-from nuno_contact.offset.plan import MOST, WINDOW, allow, learn, set_out, strays
+from nuno_contact.offset.places import CHOICES, LACKING, LEFT_OUT, LISTED, NEAR, NEAR_BEGUN, NEAR_ROOM, NEAR_WINDOW, NOW
+from nuno_contact.offset.plan import MOST, WINDOW, allow, learn, set_out, strays_near
 from nuno_kernels import block_kernel
 from nuno_kernels.step.rows import all_finite, same_rows, sum_rows
 from nuno_schemas.fabric import Float
@@ -61,18 +62,18 @@ def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> b
 @block_kernel
 def restrain_whole(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> bool:
     """The same of cloth and bodies."""
-    lists = m.number[4]
+    lists = m.number[CHOICES]
     cover(m, sum_rows(y, 1.0, d), s, threads)
-    shortened = m.number[2] > 0
+    shortened = m.number[LACKING] > 0
     for _ in range(SHORTER):
-        if m.number[2] == 0:
+        if m.number[LACKING] == 0:
             break
         d *= 0.25
         cover(m, sum_rows(y, 1.0, d), s, threads)
     m.expected[:] = False
     if not give_way(m, y, d, STOP) and not shortened:
         m.calm[0] += 1
-        if m.calm[0] % REFREEZE == FREEZE or (m.frozen[0] and m.number[4] > lists):
+        if m.calm[0] % REFREEZE == FREEZE or (m.frozen[0] and m.number[CHOICES] > lists):
             freeze(m, y)
         return False
     m.calm[0], m.frozen[0] = 0, False
@@ -90,8 +91,8 @@ def freeze(m: Meeting, y: Float) -> None:
     may go to and fro. Kept, they are as smooth as springs.
     """
     mesh = faces_of(m)
-    m.kept[: m.number[0]] = False
-    for q in range(m.number[1]):
+    m.kept[: m.number[LISTED]] = False
+    for q in range(m.number[NEAR]):
         p = m.near[q]
         i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
         at = touch(y, i, m.of[p], corners_of(y, i, j, k, l), KEPT * m.reach[p], mesh)
@@ -107,16 +108,16 @@ def cover(m: Meeting, end: Float, s: float, threads: int | None) -> None:
     """Have lists for a step from `last` to `end` (3, n) and what is around that."""
     clock, last, spread = m.clock, m.last, m.spread[1]
     reference, motion = m.reference[3:], m.motion[3:]
-    if s <= clock[3] + clock[4] and not strays(end, reference, motion, (s - clock[3]) / clock[4], spread, m.nothing[0]):
+    if s <= clock[NEAR_BEGUN] + clock[NEAR_WINDOW] and not strays_near(m, end, s):
         return
-    way, gone = s - clock[0], clock[0] - clock[3]
+    way, gone = s - clock[NOW], clock[NOW] - clock[NEAR_BEGUN]
     if gone > 0.0:
-        learn(last, reference, motion, m.unrest[1], gone, gone / clock[4])
+        learn(last, reference, motion, m.unrest[1], gone, gone / clock[NEAR_WINDOW])
     window = max(way, WINDOW)
-    allow(m, spread, m.unrest[1], window, clock[6], MOST[1])
+    allow(m, spread, m.unrest[1], window, clock[NEAR_ROOM], MOST[1])
     for i in range(end.shape[1]):
         a, b, c = end[0, i] - last[0, i], end[1, i] - last[1, i], end[2, i] - last[2, i]
         spread[i] = max(spread[i], min(MOST[1] * m.law[0], np.sqrt(a * a + b * b + c * c)))
-    left_out = m.tally[4]
+    left_out = m.so_far[LEFT_OUT]
     set_out(m, sum_rows(end, -1.0, last), way, window, threads)
-    m.tally[4] = left_out  # which counts those of steps that count
+    m.so_far[LEFT_OUT] = left_out  # which counts those of steps that count

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from nuno_contact.offset.meeting import EDGES, PARTS, Meeting, close_up, tree_of
+from nuno_contact.offset.places import CHOICES, LACKING, LISTED, LISTS_MADE, NEAR
 from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
 from nuno_contact.offset.search import find_near, near_leaves
 from nuno_contact.offset.tree import fit_tree, less
@@ -58,7 +59,7 @@ def measure(m: Meeting, p: int) -> None:
 @block_kernel
 def measure_listed(m: Meeting) -> None:
     """The same of all that is listed."""
-    for p in range(m.number[0]):
+    for p in range(m.number[LISTED]):
         measure(m, p)
 
 
@@ -184,14 +185,14 @@ def search(m: Meeting, threads: int | None) -> None:
             lacking, total = max(lacking, -number[part]), total + number[part]
         room += lacking
     enlist_parts(m, found, normal, number, PARTS, threads)
-    m.number[0], m.number[2] = min(total, m.pair.shape[0]), max(0, total - m.pair.shape[0])
+    m.number[LISTED], m.number[LACKING] = min(total, m.pair.shape[0]), max(0, total - m.pair.shape[0])
 
 
 @block_kernel
 def choose_part(part: int, m: Meeting, number: Long) -> None:
     """Choose of a part of the listed pairs; their numbers into m.near from the part's first on, and how many."""
     pair, of, normal, anchored, near, thickness, ways = m.pair, m.of, m.normal, m.anchored, m.near, m.law[0], m.ways
-    first, end = part * m.number[0] // PARTS, (part + 1) * m.number[0] // PARTS
+    first, end = part * m.number[LISTED] // PARTS, (part + 1) * m.number[LISTED] // PARTS
     kept = first
     # Without asking for each, since to guess wrongly takes longer than to look.
     for p in range(first, end):
@@ -226,7 +227,7 @@ def choose_near(m: Meeting, threads: int | None) -> None:
     lay_out(m.reference[3:], m.motion[3:], m.spread[1], m.ways)
     number = np.empty(PARTS, np.int64)
     choose_parts(m, number, PARTS, threads)
-    m.number[1], m.number[4] = close_up(m.near, m.number[0], number), m.number[4] + 1
+    m.number[NEAR], m.number[CHOICES] = close_up(m.near, m.number[LISTED], number), m.number[CHOICES] + 1
     copy_rows(m.reference[3:], m.listed[3:6])
     copy_rows(m.motion[3:], m.listed[9:12])
     copy_rows(m.spread[1:], m.listed[13:])
@@ -242,7 +243,7 @@ def make_list(m: Meeting, threads: int | None) -> None:
     copy_rows(u, m.listed[6:9])
     copy_rows(m.spread[:1], m.listed[12:13])
     search(m, threads)
-    m.number[3] += 1
+    m.number[LISTS_MADE] += 1
 
 
 @forced_inline
@@ -258,14 +259,14 @@ def slot(key: int, table: Long) -> int:
 def renew_list(m: Meeting, threads: int | None) -> None:
     """The same, anchors going with their pairs."""
     held, size = 0, 64
-    for p in range(m.number[0]):
+    for p in range(m.number[LISTED]):
         held += 1 if m.anchored[p] else 0
     while size < 2 * held:
         size *= 2
     table, anchors = np.empty(size, np.int64), np.empty((size, 4))
     for at in range(size):
         table[at] = EMPTY
-    for p in range(m.number[0]):
+    for p in range(m.number[LISTED]):
         if m.anchored[p]:
             at = slot(m.key[p], table)
             table[at] = m.key[p]
@@ -273,7 +274,7 @@ def renew_list(m: Meeting, threads: int | None) -> None:
                 anchors[at, corner] = m.anchor[p, corner]
             m.anchored[p] = False
     make_list(m, threads)
-    for p in range(m.number[0] if held > 0 else 0):
+    for p in range(m.number[LISTED] if held > 0 else 0):
         at = slot(m.key[p], table)
         m.anchored[p] = table[at] != EMPTY
         if m.anchored[p]:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_of, kept_touch, press, touch
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Four, between, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
@@ -107,7 +108,7 @@ def foresee(m: Meeting, x: Float, d: Float, out: Float) -> bool:
             for row in range(3):
                 m.way[row, i] = m.goal[row, i] - m.whole[row, i]
         x, d = m.whole, m.way
-    for q in range(m.number[1]):
+    for q in range(m.number[NEAR]):
         p = m.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, ways, h, waits = corners_of(x, i, j, k, l), corners_of(d, i, j, k, l), reach[p], False

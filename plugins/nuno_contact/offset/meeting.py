@@ -80,8 +80,7 @@ class Meeting(NamedTuple):
     near: Int
     """(P,) which of them are near"""
     number: NDArray[np.int64]
-    """(7,) pairs in the list; those near; those that found no place in it; how often the list was made so far, and what
-    is near of it; which of these is shared out to blocks; pairs that are close"""
+    """(8,) counts: see LISTED"""
     block_start: Int
     """(B + 1,) bounds of each block's pairs, of those near, in"""
     block_pair: Int
@@ -114,9 +113,7 @@ class Meeting(NamedTuple):
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     clock: Float
-    """(8,) in fractions of the interval: when the last step ended; when the list was made, and its window; the same of
-    what is near; the share of what the list's plan allows at most; how many thicknesses that of what is near allows
-    at least; how long the last step of an explicit method was [s]: part of the state"""
+    """(8,) times and shares: see NOW; part of the state"""
     span: Float
     """(1,) of the interval [s]"""
     listed: Float
@@ -170,9 +167,8 @@ class Meeting(NamedTuple):
     """(3, n) scratch of an implicit method: the way to its next iterate"""
     behind: Bool
     """(b,) which of the bodies' vertices are behind their bodies at `last`"""
-    tally: NDArray[np.int64]
-    """(6,) pairs that touch after the last step; steps of vertices cut short so far, and of held ones; steps so far;
-    pairs that found no place in a list so far; steps in which for want of that nothing moved"""
+    so_far: NDArray[np.int64]
+    """(5,) counts of the whole run: see CUT; part of the state"""
 
 
 @forced_inline
@@ -270,7 +266,7 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         stiffness=np.concatenate([stiffness, np.zeros(b)]),
         mass=np.concatenate([np.where(fabric.pinned, 0.0, fabric.mass), np.zeros(b)]),
         law=law,
-        number=np.zeros(7, np.int64),
+        number=np.zeros(8, np.int64),
         block_start=np.zeros(block_count(n) + 1, np.int32),
         touch_start=np.zeros(block_count(n) + 1, np.int32),
         fresh=np.zeros(1, np.bool_),
@@ -292,5 +288,5 @@ def make_meeting(fabric: Fabric, piece: Int, meets: Bool, stiffness: Float, law:
         share=np.ones(n),
         rate=np.zeros(n),
         size=size_of(x, faces),
-        tally=np.zeros(6, np.int64),
+        so_far=np.zeros(5, np.int64),
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.places import NEAR
 from nuno_contact.offset.proximity import Corners, Four, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.bodies.poses import Vector
@@ -88,7 +89,7 @@ def give_way(m: Meeting, y: Float, d: Float, stop: float) -> bool:
     hindered = False
     for _ in range(SWEEPS):
         again = False
-        for q in range(m.number[1]):
+        for q in range(m.number[NEAR]):
             p = near[q]
             i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
             here, of_edges = corners_of(y, i, j, k, l), of[p] < 0

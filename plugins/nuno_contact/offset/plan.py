@@ -12,6 +12,20 @@ import numpy as np
 
 from nuno_contact.offset.lists import choose_near, renew_list
 from nuno_contact.offset.meeting import Meeting
+from nuno_contact.offset.places import (
+    LACKING,
+    LEFT_OUT,
+    LIST_BEGUN,
+    LIST_ROOM,
+    LIST_WINDOW,
+    LISTED,
+    NEAR,
+    NEAR_BEGUN,
+    NEAR_ROOM,
+    NEAR_WINDOW,
+    NOW,
+    TOUCHING,
+)
 from nuno_kernels import block_kernel
 from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.fabric import Float
@@ -53,6 +67,13 @@ def strays(x: Float, reference: Float, motion: Float, share: float, most: Float,
 
 
 @block_kernel
+def strays_near(m: Meeting, x: Float, s: float) -> bool:
+    """The same of x at fraction s of the interval and the plan of what is near."""
+    share = (s - m.clock[NEAR_BEGUN]) / m.clock[NEAR_WINDOW]
+    return strays(x, m.reference[3:], m.motion[3:], share, m.spread[1], m.nothing[0])
+
+
+@block_kernel
 def learn(x: Float, reference: Float, motion: Float, unrest: Float, gone: float, share: float) -> None:
     """Into unrest (n,) how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval
     ago, and of which a share is over.
@@ -90,18 +111,18 @@ def plan(m: Meeting, u: Float, way: float, step: float, ahead: float, threads: i
     else for shorter. One that is to hold for a step `ahead` is used up where another goes beyond its end.
     """
     clock = m.clock
-    gone = clock[0] - clock[3]
-    share, used = gone / clock[4], (gone + step + ahead) / clock[4]
-    longer = GROWTH if m.number[1] * clock[4] <= m.number[0] * step else 1.0 / GROWTH
-    window = clock[4] * (longer if used > 1.0 else 0.75 if used < 0.5 else 1.0)
-    crowd = m.number[1] / m.last.shape[1]
-    shortest = SHORTEST[0] if crowd > 1.0 and m.number[1] > 8 * m.tally[0] else SHORTEST[1]
+    gone = clock[NOW] - clock[NEAR_BEGUN]
+    share, used = gone / clock[NEAR_WINDOW], (gone + step + ahead) / clock[NEAR_WINDOW]
+    longer = GROWTH if m.number[NEAR] * clock[NEAR_WINDOW] <= m.number[LISTED] * step else 1.0 / GROWTH
+    window = clock[NEAR_WINDOW] * (longer if used > 1.0 else 0.75 if used < 0.5 else 1.0)
+    crowd = m.number[NEAR] / m.last.shape[1]
+    shortest = SHORTEST[0] if crowd > 1.0 and m.number[NEAR] > 8 * m.number[TOUCHING] else SHORTEST[1]
     window = max(way + 1.5 * ahead, min(LONGEST, max(shortest, window)))
     if gone > 0.0:
         learn(m.last, m.reference[3:], m.motion[3:], m.unrest[1], gone, share)
-    clock[6] = clock[6] * 0.7 if crowd > FEW else 1.2 * clock[6] if crowd < 0.5 * FEW else clock[6]
-    clock[6] = min(MOST[1], max(LEAST[1], clock[6]))
-    allow(m, m.spread[1], m.unrest[1], window, clock[6], MOST[1])
+    room = clock[NEAR_ROOM] * (0.7 if crowd > FEW else 1.2 if crowd < 0.5 * FEW else 1.0)
+    clock[NEAR_ROOM] = min(MOST[1], max(LEAST[1], room))
+    allow(m, m.spread[1], m.unrest[1], window, clock[NEAR_ROOM], MOST[1])
     set_out(m, u, way, window, threads)
 
 
@@ -111,42 +132,42 @@ def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None
     unless it holds for all of that.
     """
     clock, last, reference, motion, spread = m.clock, m.last, m.reference, m.motion, m.spread
-    s, near, scale = clock[0], motion[3:], window / way
+    s, near, scale = clock[NOW], motion[3:], window / way
     for row in range(3):
         for i in range(last.shape[1]):
             near[row, i] = scale * u[row, i]
             reference[3 + row, i] = last[row, i]
-    clock[3], clock[4] = s, window
-    begun, end = (s - clock[1]) / clock[2], (s + window - clock[1]) / clock[2]
+    clock[NEAR_BEGUN], clock[NEAR_WINDOW] = s, window
+    begun, end = (s - clock[LIST_BEGUN]) / clock[LIST_WINDOW], (s + window - clock[LIST_BEGUN]) / clock[LIST_WINDOW]
     if end > 1.0 or strays(last, reference[:3], motion[:3], begun, spread[0], spread[1]) or strays(
         sum_rows(last, 1.0, near), reference[:3], motion[:3], end, spread[0], spread[1]
     ):  # fmt: skip
-        if s > clock[1]:
-            learn(last, reference, motion, m.unrest[0], s - clock[1], begun)
-        scale, pairs = clock[5], m.number[0] / last.shape[1]
+        if s > clock[LIST_BEGUN]:
+            learn(last, reference, motion, m.unrest[0], s - clock[LIST_BEGUN], begun)
+        scale, pairs = clock[LIST_ROOM], m.number[LISTED] / last.shape[1]
         if pairs > CROWDED[0] and begun > EARLY:
             scale *= 0.7
         elif pairs < 0.5 * CROWDED[0] or (pairs < CROWDED[1] and begun < EARLY):
             scale = min(1.0, 1.2 * scale)
-        whole, clock[5] = max(2.0 * window, LISTS), scale
+        whole, clock[LIST_ROOM] = max(2.0 * window, LISTS), scale
         allow(m, spread[0], m.unrest[0], whole, LEAST[0], MOST[0])
         for i in range(last.shape[1]):
             spread[0, i] = max(scale * spread[0, i], 0.5 * spread[1, i]) + spread[1, i]
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
-        clock[1], clock[2] = s, whole
+        clock[LIST_BEGUN], clock[LIST_WINDOW] = s, whole
         renew_list(m, threads)
-        while m.number[2] > 0 and m.local.shape[0] > 0 and whole > window:
+        while m.number[LACKING] > 0 and m.local.shape[0] > 0 and whole > window:
             # Bodies are taken to go through what they will push: for less time it is less.
             shorter = max(0.5, window / whole)
             whole *= shorter
-            clock[2] = whole
+            clock[LIST_WINDOW] = whole
             for row in range(3):
                 for i in range(last.shape[1]):
                     motion[row, i] *= shorter
             renew_list(m, threads)
-        while m.number[2] > 0 and tighter(spread):
-            clock[5] *= 0.5
+        while m.number[LACKING] > 0 and tighter(spread):
+            clock[LIST_ROOM] *= 0.5
             renew_list(m, threads)
-        m.tally[4] += m.number[2]
+        m.so_far[LEFT_OUT] += m.number[LACKING]
     choose_near(m, threads)

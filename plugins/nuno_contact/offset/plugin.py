@@ -16,6 +16,7 @@ from nuno_contact.offset.hold import hold_apart
 from nuno_contact.offset.iterate import restrain
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
 from nuno_contact.offset.meeting import Meeting, make_meeting
+from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, STILL, TOUCHING
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.start import check_gaps, check_outside, check_start, check_thickness
 from nuno_contact.reaction import spring_stiffness
@@ -69,22 +70,25 @@ def count_meetings(m: Meeting) -> dict[str, int]:
     """Counts for a step's report."""
     behind = {"body_vertices_behind": int(m.behind.sum())} if len(m.local) else {}
     return behind | {
-        "cloth_contacts": int(m.tally[0]), "cut_short": int(m.tally[1]), "held_cut_short": int(m.tally[2]),
-        "pairs_left_out": int(m.tally[4]), "steps_without_motion": int(m.tally[5]),
-    }  # fmt: skip
+        "cloth_contacts": int(m.number[TOUCHING]),
+        "cut_short": int(m.so_far[CUT]),
+        "held_cut_short": int(m.so_far[HELD_CUT]),
+        "pairs_left_out": int(m.so_far[LEFT_OUT]),
+        "steps_without_motion": int(m.so_far[STILL]),
+    }
 
 
 def count_cut(m: Meeting, held: Bool) -> None:
     """Count vertices (n,) that a step leaves behind."""
     free = m.mass[: len(held)] > 0.0
-    m.tally[1] += int((held & free).sum())
-    m.tally[2] += int((held & ~free).sum())
+    m.so_far[CUT] += int((held & free).sum())
+    m.so_far[HELD_CUT] += int((held & ~free).sum())
 
 
 register(
     Meeting,
     name="cloth_contact",
-    memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock"),
+    memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock", "so_far"),
     lists=True,
     reads_velocity=lambda term: True,
     place=place_solids,

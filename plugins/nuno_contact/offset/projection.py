@@ -40,6 +40,7 @@ from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of,
 from nuno_contact.offset.iterate import cover
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.parting import on_the_way
+from nuno_contact.offset.places import CLOSE, NEAR
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes.triples import dot, minus
@@ -87,11 +88,11 @@ def project_whole(m: Meeting, moved: Displaced, s: float, threads: int | None) -
         return
     if m.swept[0] == 0:
         cover(m, y, s, threads)
-        for q in range(m.number[1]):
+        for q in range(m.number[NEAR]):
             m.kept[near[q]] = False
     gather(m, y)
     for _ in range(SWEEPS):
-        last, forth, most = m.number[6] - 1, m.swept[0] % 2 == 0, 0.0
+        last, forth, most = m.number[CLOSE] - 1, m.swept[0] % 2 == 0, 0.0
         for q in range(last + 1):
             most = max(most, solve_pair(m, m.close[q if forth else last - q], moved))
         m.swept[0] += 1
@@ -103,13 +104,13 @@ def project_whole(m: Meeting, moved: Displaced, s: float, threads: int | None) -
 def gather(m: Meeting, y: Float) -> None:
     """Note as close the near pairs that touch at y (3, n), or may while others are solved for."""
     pair, of, reach, normal, near, close, number = m.pair, m.of, m.reach, m.normal, m.near, m.close, 0
-    for q in range(m.number[1]):
+    for q in range(m.number[NEAR]):
         p = near[q]
         there = corners_of(y, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
         close[number] = p
         number += 1 if m.kept[p] or low - high < 2.0 * reach[p] else 0
-    m.number[6] = number
+    m.number[CLOSE] = number
 
 
 @block_kernel

@@ -9,6 +9,7 @@ import numpy as np
 from nuno_contact.offset.bodies import Solids
 from nuno_contact.offset.lists import make_list, measure_listed
 from nuno_contact.offset.meeting import Meeting, tree_of
+from nuno_contact.offset.places import LISTED
 from nuno_contact.untangle.search import find_crossings
 from nuno_kernels.meshes.check import place_of
 from nuno_kernels.meshes.closest_point import closest_points
@@ -48,16 +49,18 @@ def check_start(m: Meeting, pieces: Sequence[str], objects: int) -> None:
     i, j = m.edges[edge[first]]
     place = place_of(x[[i, j]].mean(axis=0))
     if len(of_cloth):
+        one, other = (pieces[int(piece[first])] for piece in both)
         raise BadInput(
-            f"cloth passes through cloth where it starts ({len(of_cloth):,} edges through triangles)",
+            f"{one} passes through {'itself' if one == other else other} where it starts "
+            f"({len(of_cloth):,} edges through triangles)",
             value=f"edge {i}-{j} through triangle {face[first]}, {place}", limit="a start in which nothing meets",
             remedy="add operations: [{plugin: untangle}], move the objects apart, or leave cloth_contact out",
         )  # fmt: skip
-    one, other = sorted((int(both[0][first]), int(both[1][first])))
+    cloth, body = (pieces[i] for i in sorted((int(both[0][first]), int(both[1][first]))))
     raise BadInput(
-        f"{pieces[one]} passes through {pieces[other]} where it starts ({len(edge):,} edges through triangles)",
+        f"{cloth} passes through {body} where it starts ({len(edge):,} edges through triangles)",
         field="bodies", value=place, limit="a start in which nothing meets",
-        remedy=f"place or size {pieces[one]}, or move the body, otherwise, or leave {pieces[other]} out here",
+        remedy=f"place or size {cloth}, or move the body, otherwise, or leave {body} out here",
     )  # fmt: skip
 
 
@@ -87,7 +90,7 @@ def check_gaps(m: Meeting, pieces: Sequence[str]) -> None:
     """
     m.reference[:3] = m.start
     make_list(m, None)
-    number = int(m.number[0])
+    number = int(m.number[LISTED])
     measure_listed(m)
     both = m.piece[m.pair[:number]][:, [0, 3]]
     close = np.flatnonzero(m.reach[:number] < np.where(both[:, 0] != both[:, 1], m.law[0], NEAREST))
@@ -103,7 +106,7 @@ def check_gaps(m: Meeting, pieces: Sequence[str]) -> None:
         raise BadInput(
             f"{one} and {other} start nearer to each other than the thickness", field="thickness",
             value=f"{m.law[0]:g} m", limit=f"{m.reach[least]:.3g} m, {place}",
-            remedy="move them apart, or make it thinner",
+            remedy="move them apart, or untangle them by a larger gap, or make it thinner",
         )  # fmt: skip
     m.reference[:] = np.nan
     m.number[:] = 0

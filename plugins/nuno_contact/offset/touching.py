@@ -6,6 +6,7 @@ import numpy as np
 
 from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, share_out, touch
 from nuno_contact.offset.meeting import PARTS, Meeting, close_up
+from nuno_contact.offset.places import CLOSE, LAST_STEP, TOUCHING
 from nuno_contact.offset.proximity import between, unit, weigh
 from nuno_kernels import block_kernel
 from nuno_kernels.step.blocks import BLOCK, Long
@@ -21,7 +22,7 @@ def touch_part(part: int, m: Meeting, number: Long) -> None:
     """Which of a part of the close pairs touch at `last`: into m.touching from the part's first on, and how many."""
     pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
     close, touching, weights, gap = m.close, m.touching, m.weights, m.distance
-    first, end = part * m.number[6] // PARTS, (part + 1) * m.number[6] // PARTS
+    first, end = part * m.number[CLOSE] // PARTS, (part + 1) * m.number[CLOSE] // PARTS
     at_end = first
     for q in range(first, end):
         p = close[q]
@@ -65,7 +66,7 @@ def ease_part(part: int, m: Meeting, dt: float) -> None:
     The rates at which they slow cloth down are the eigenvalues of M^-1 sum_p c_p w_p w_p^T, at most the greatest sum
     over a row, max_i sum_p 2 c_p |w_pi| / m_i (Gershgorin); an explicit step throws to and fro what is above 2 / dt.
     """
-    for q in range(part * m.tally[0] // PARTS, (part + 1) * m.tally[0] // PARTS):
+    for q in range(part * m.number[TOUCHING] // PARTS, (part + 1) * m.number[TOUCHING] // PARTS):
         p, fastest = m.touching[q], 0.0
         for corner in range(4):
             fastest = max(fastest, m.rate[m.pair[p, corner]])
@@ -80,10 +81,10 @@ ease_parts = over_blocks(ease_part, "m, dt")
 @block_kernel
 def find_touching(m: Meeting, threads: int | None) -> None:
     """Which close pairs touch at `last`, where, and the planes across them; others have no anchor."""
-    number, dt = np.empty(PARTS, np.int64), m.clock[7] if m.swept[0] == 0 else 0.0
+    number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.swept[0] == 0 else 0.0
     touch_parts(m, number, PARTS, threads)
-    m.tally[0] = close_up(m.touching, m.number[6], number)
-    share_out(m.pair, m.touching, m.tally[0], m.touch_start, m.touch_pair)
+    m.number[TOUCHING] = close_up(m.touching, m.number[CLOSE], number)
+    share_out(m.pair, m.touching, m.number[TOUCHING], m.touch_start, m.touch_pair)
     if dt > 0.0:
         rate_blocks(m, m.touch_start.shape[0] - 1, threads)
     ease_parts(m, dt, PARTS, threads)
@@ -98,7 +99,7 @@ def drag_part(part: int, m: Meeting, v: Float) -> None:
     stiffness, damping, mu, x, touching, gap = (
         m.pair_stiffness, m.pair_damping, m.pair_friction, m.last, m.touching, m.distance
     )  # fmt: skip
-    for q in range(part * m.tally[0] // PARTS, (part + 1) * m.tally[0] // PARTS):
+    for q in range(part * m.number[TOUCHING] // PARTS, (part + 1) * m.number[TOUCHING] // PARTS):
         p = touching[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         w, n = (weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), (normal[p, 0], normal[p, 1], normal[p, 2])

@@ -120,7 +120,8 @@ def _merged(errors: Sequence[Any]) -> Words:
     if names and isinstance(value, str) and problem in _WRONG_TYPE.values():
         return "unknown value", value, limit, nearest(value, names)
     if names and len(names) < 4:
-        remedy = "; or ".join(filter(None, [remedy, f"write {' or '.join(names)}"]))
+        instead = " or ".join(names)
+        problem, remedy = (problem, f"{remedy}; or write {instead}") if remedy else (f"{problem}, or {instead}", None)
     return problem, value, limit, remedy
 
 

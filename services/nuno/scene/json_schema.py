@@ -55,7 +55,8 @@ def scene_schema() -> dict[str, Any]:
                 place.pop(key, None)
             place["oneOf"] = [*choices, *(_short(group) if field == "solver" else ())]
             if field == "cloth_contact":
-                place["oneOf"].append({"const": "none"})
+                names = ["none", *sorted(registry.installed(group))]
+                place["oneOf"].append({"title": "by name", "type": "string", "enum": names})
             if field in ("isotherm", "yarns"):
                 place["oneOf"].append({"type": "null"})
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -20,6 +20,7 @@ from nuno_bench.problem.piles import pile, sheet
 from nuno_bench.report.result import Result
 from nuno_bench.speed.contact_parts import Parts
 from nuno_bench.speed.timing import seconds
+from nuno_contact.offset.places import LISTED
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
 
@@ -146,7 +147,7 @@ def queries(repeats: int) -> list[Result]:
         triangles.append(len(fabric.faces))
         for ask in asked[-1].values():
             ask()
-        notes.append(f"{int(meeting.number[0]):,} pairs in the list")
+        notes.append(f"{int(meeting.number[LISTED]):,} pairs in the list")
     # Each repeat asks for every size, so that a slow machine slows all of them.
     samples = [[{name: 1e3 * seconds(ask) for name, ask in one.items()} for one in asked] for _ in range(repeats)]
     results = []

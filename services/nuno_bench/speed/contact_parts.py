@@ -9,10 +9,11 @@ import numpy as np
 
 from nuno.simulation.run import Simulation
 from nuno_bench.speed.timing import seconds
-from nuno_contact.offset.brake import SWEEPS, brake
-from nuno_contact.offset.hold import farthest_way, is_thorough, pass_by
+from nuno_contact.offset.brake import SWEEPS, brake, farthest_way
+from nuno_contact.offset.hold import is_thorough, pass_by
 from nuno_contact.offset.lists import choose_near, make_list
 from nuno_contact.offset.meeting import PARTS, Meeting
+from nuno_contact.offset.places import CHOICES, LISTS_MADE, STEPS
 from nuno_contact.offset.touching import drag_parts, find_touching
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.packing import own_copy, silence
@@ -65,7 +66,7 @@ class Parts:
     def _counted(self) -> tuple[int, int, int]:
         """Lists made so far, choices of what is near of them, and steps."""
         m = self._meeting
-        return int(m.number[3]), int(m.number[4]), int(m.tally[3])
+        return int(m.number[LISTS_MADE]), int(m.number[CHOICES]), int(m.so_far[STEPS])
 
     @property
     def _packed(self) -> Any:

@@ -15,6 +15,7 @@ from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.peers.contact.problem import OVERRIDES, RATE, SCENE, THICKNESS, Pile
 from nuno_bench.speed.timing import seconds
+from nuno_contact.offset.places import TOUCHING
 from nuno_schemas.fabric import Float
 
 PAIRS, MOTION, CROSSED = "pairs nearer than the thickness", "the way to the next frame", "edges through triangles"
@@ -66,7 +67,7 @@ def own_answers(pile: Pile) -> Mapping[str, Question]:
     def pairs(before: Float, after: Float) -> int:
         meeting.reference[:] = np.nan
         begin(meeting, np.ascontiguousarray(before.T), 1.0 / RATE, cores())
-        return int(meeting.tally[0])
+        return int(meeting.number[TOUCHING])
 
     def motion(before: Float, after: Float) -> bool:
         pairs(before, after)
