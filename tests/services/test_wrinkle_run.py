@@ -19,6 +19,7 @@ from nuno.service import Options
 from nuno.simulation.run import Simulation
 from nuno.supervision import runs, supervisor
 from nuno.verify import verify
+from nuno_contact.offset.places import CUT
 from nuno_schemas.errors import BadInput, RunFailed
 
 INTEGRATORS = ("dopri5", "implicit_euler", "leapfrog", "xpbd")
@@ -171,3 +172,19 @@ def test_a_change_that_a_solver_refuses_says_its_reason(tmp_path: Path, monkeypa
     with pytest.raises(BadInput, match="no more than this fits"):
         simulation.add(f"wrinkle: {{object: sheet, lines: [{LINE}]}}".replace("'", '"'))
     assert (simulation.fabric.number, simulation.state.x.tobytes()) == (before, digest)
+
+
+def test_what_contact_has_counted_is_not_lost_by_a_change_nor_by_a_checkpoint(tmp_path: Path) -> None:
+    path = cloths(tmp_path, operations=[], cloth_contact={"plugin": "offset", "thickness": 1e-3})
+
+    def begun() -> Simulation:
+        return Simulation(scene_file.read(path), None, None, 1)
+
+    simulation = begun()
+    simulation.memory.arrays["so_far"][CUT] = 7
+    assert simulation.step().report.counts["cut_short"] == 7
+    simulation.add(f"wrinkle: {{object: sheet, lines: [{LINE}]}}".replace("'", '"'))
+    assert simulation.step().report.counts["cut_short"] == 7
+    resumed = begun()
+    resumed.resume(simulation.keep())
+    assert resumed.step().report.counts["cut_short"] == 7
