@@ -120,6 +120,9 @@ def lines(report: Report) -> list[tuple[str, str]]:
     sizes = ", ".join(f"{n:,} {name}" for name, n in report["size"].items() if n)
     prepared = report["prepare_seconds"]
     if report["dt"] is None and not (sizes or report["frames"]["sent"]):
+        if recorded := report["frames"]["recorded"]:
+            text = f"{recorded:,} frames are recorded; the step after them had not come to its end"
+            return [*rows, ("time", f"{text} when it was no longer waited for")]
         return [*rows, ("time", f"ended while it was prepared, after {prepared:.2g} s")]
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall = report["simulated_seconds"], report["wall_seconds"]

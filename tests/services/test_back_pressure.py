@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import threading
@@ -17,9 +18,12 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.collision.service import Collision
 from nuno.recording.service import Recorder
+from nuno.report import lines, make_report
 from nuno.scene import scene_file
 from nuno.service import Options
+from nuno.simulation.run import Simulation
 from nuno.stepping import driver
+from nuno.stepping.stepped import Stepped
 from nuno.supervision import oversight, supervisor
 from nuno.supervision.supervisor import Outcome
 from nuno.wire import laggards
@@ -143,6 +147,27 @@ def test_a_recorder_that_never_comes_back_ends_the_run(tmp_path: Path, monkeypat
     outcome = watched.supervise()
     assert outcome.state == "failed"
     assert outcome.error == "the run gave up: the recorder service has not acknowledged frame 0 within 0.3 s"
+
+
+def test_a_run_that_is_interrupted_in_an_endless_step_says_how_far_it_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(oversight, "FINISH_TIMEOUT", 0.3)
+    over, real = threading.Event(), Simulation.step
+
+    def slow(simulation: Simulation) -> Stepped:
+        if simulation.frame == 5:
+            signal.raise_signal(signal.SIGINT)
+            over.wait(20.0)
+        return real(simulation)
+
+    monkeypatch.setattr(Simulation, "step", slow)
+    watched = Watched(tmp_path)
+    outcome = watched.supervise()
+    over.set()
+    assert (outcome.state, outcome.error) == ("failed", "interrupted")
+    said = dict(lines(make_report(watched.loaded, outcome)))
+    assert said["time"].startswith("6 frames are recorded; the step after them had not come to its end")
 
 
 @pytest.mark.parametrize(("pause", "ends"), [(0.5, "done"), (2.0, "failed")])

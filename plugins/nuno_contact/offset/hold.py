@@ -40,7 +40,7 @@ from nuno_contact.offset.places import (
 )
 from nuno_contact.offset.plan import plan, set_out, strays_near
 from nuno_contact.offset.proximity import between, closest, unit, weigh
-from nuno_contact.offset.touching import drag_parts, find_touching
+from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_contact.offset.tree import more
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
@@ -236,7 +236,7 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
     copy_rows(x, m.last)
     m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.step[0] == 0.0 else 0.0
     find_touching(m, threads)
-    drag_parts(m, v, PARTS, threads)
+    drag_anchors(m, v, threads)
     return True
 
 

@@ -119,3 +119,9 @@ def drag_part(part: int, m: Meeting, v: Float) -> None:
 
 
 drag_parts = over_blocks(drag_part, "m, v")
+
+
+@block_kernel
+def drag_anchors(m: Meeting, v: Float, threads: int | None) -> None:
+    """The same of all pairs that touch."""
+    drag_parts(m, v, PARTS, threads)

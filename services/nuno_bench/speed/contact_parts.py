@@ -12,9 +12,9 @@ from nuno_bench.speed.timing import seconds
 from nuno_contact.offset.brake import SWEEPS, brake, farthest_way
 from nuno_contact.offset.hold import is_thorough, pass_by
 from nuno_contact.offset.lists import choose_near, make_list
-from nuno_contact.offset.meeting import PARTS, Meeting
+from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.places import CHOICES, LISTS_MADE, STEPS
-from nuno_contact.offset.touching import drag_parts, find_touching
+from nuno_contact.offset.touching import drag_anchors, find_touching
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.packing import own_copy, silence
 from nuno_kernels.step.rows import sum_rows
@@ -41,7 +41,7 @@ class Parts:
         calls: dict[str, Callable[[], Any]] = {
             "planes between pairs": lambda: pass_by(m, there, farthest_way(v, dt), threads),
             "what touches": lambda: find_touching(m, threads),
-            "anchors of friction": lambda: drag_parts(m, v, PARTS, threads),
+            "anchors of friction": lambda: drag_anchors(m, v, threads),
             "brakes": lambda: brake(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0]),
             "what is near": lambda: choose_near(m, threads),
             "lists": lambda: make_list(m, threads),
