@@ -88,7 +88,7 @@ def spell_rows(spells: list[dict[str, Any]], nearest: Mapping[str, Any] | None) 
             else f"frames {first} to {last}, {start:.4g} to {end:.4g} s"
         )
         edges = f"up to {spell['crossings']:,} edges through triangles"
-        lines.append(("cloth through cloth", f"{when}: {passing(spell)}; {edges}"))
+        lines.append(("crossings", f"{when}: {passing(spell)}; {edges}"))
     if len(spells) > MOST_SPELLS:
         lines.append(("", f"and {len(spells) - MOST_SPELLS:,} times more"))
     if nearest and nearest["distance"] > 0.0:

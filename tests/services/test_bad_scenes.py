@@ -18,7 +18,7 @@ SKIRT = {"plugin": "skirt", "waist_radius": 0.1, "hem_radius": 0.2, "length": 0.
 
 STEPS: dict[str, tuple[dict[str, Any], str]] = {
     "does not divide a frame": (
-        {"solver": {"plugin": "rk4", "dt": "3 ms"}}, "0.00285714286 s (7 steps) or 0.00333333333 s (6 steps)",
+        {"solver": {"plugin": "rk4", "dt": "3 ms"}}, "0.002857143 s (7 steps) or 0.003333333 s (6 steps)",
     ),
     "longer than a frame": (
         {"solver": {"plugin": "rk4", "dt": "30 ms"}, "allow_unstable": True}, "0.02 s (1 steps)",

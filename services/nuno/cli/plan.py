@@ -50,17 +50,26 @@ def _show(rows: list[tuple[str, str]]) -> None:
 
 def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     simulation = Simulation.with_bodies(loaded)
-    rows = _size(simulation)
+    rows = _size(simulation) + _meetings(loaded)
     if simulation.geometry is not None and simulation.poses is not None:
-        scene, groups = loaded.scene, build.group_contacts(loaded)
-        met = [f"{contact.name} with {', '.join(scene.bodies[i].name for i in own)}" for contact, own in groups]
-        rows += [("contact", "; ".join(met)), *_worn(simulation, simulation.geometry, simulation.poses)]
+        rows += _worn(simulation, simulation.geometry, simulation.poses)
     seconds = simulation.time_frame()  # from here on the cloth has moved
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
     rows.append(("solver", solver + (f", solved as configured up to {limit * 1e3:.4g} ms" if limit < math.inf else "")))
     rows += [("chosen", loaded.why)] if loaded.why else []
-    size = (12 * loaded.scene.frames + 48 * simulation.checkpoints) * simulation.fabric.number
+    kept = sum(array.nbytes for array in simulation.keep().arrays.values())
+    size = 12 * loaded.scene.frames * simulation.fabric.number + simulation.checkpoints * kept
     return rows + simulation.describe_cost(seconds, size, build.estimate_memory(loaded)[1])
+
+
+def _meetings(loaded: Loaded) -> list[tuple[str, str]]:
+    """What meets what, and by which contact."""
+    bodies = [body.name for body in loaded.scene.bodies]
+    met = [f"{one.name} with {', '.join(bodies[i] for i in own)}" for one, own in build.group_contacts(loaded)]
+    if loaded.cloth_contact is not None:
+        also = [bodies[i] for i in loaded.scene.met_bodies]
+        met.append(f"{loaded.cloth_contact.name} of cloth with {', '.join(['cloth', *also])}")
+    return [("contact", "; ".join(met))] if met else []
 
 
 def _size(simulation: Simulation) -> list[tuple[str, str]]:
