@@ -149,6 +149,7 @@ def test_a_recorder_that_never_comes_back_ends_the_run(tmp_path: Path, monkeypat
     assert outcome.error == "the run gave up: the recorder service has not acknowledged frame 0 within 0.3 s"
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_a_run_that_is_interrupted_in_an_endless_step_says_how_far_it_is_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
