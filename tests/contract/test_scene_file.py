@@ -143,7 +143,7 @@ TEXTS: dict[str, tuple[str | bytes, int | None, str]] = {
     "billion laughs": (BOMB, None, "too large or nests too deep"),
     "alias of itself": ("a: &a [*a]\n", 1, "nests too deep"),
     "deep": ("a: " + "[" * 200 + "]" * 200, None, "nests too deep"),
-    "deeper than the stack": ("a: " + "[" * 50_000, None, "nest"),
+    "deeper than the stack": ("a: " + "[" * 50_000, None, "nests too deep"),
     "python object": ("nuno: 1\nname: !!python/object/apply:os.system ['exit 1']\n", 2, "tags are not allowed"),
     "python name": ("nuno: !!python/name:os.system x\n", 1, "tags are not allowed"),
     "tag of nothing": ("nuno: 1\nname: !!float\n", 2, "tags are not allowed"),

@@ -12,6 +12,8 @@ from nuno_schemas.errors import BadInput
 MAX_BYTES = 4_000_000
 MAX_NODES = 200_000
 MAX_DEPTH = 40
+LIBYAML_TOO_DEEP = "exceeded maximum nesting depth"
+"""What a libyaml that counts brackets itself says before any event comes: it looks far ahead of the first one."""
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """libyaml, 20 times faster and of linear time, where PyYAML was built with it."""
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
@@ -135,9 +137,16 @@ def _compose(text: str, file: str) -> yaml.Node | None:
         return yaml.compose(text, Loader=_Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        problem = f"not valid YAML: {getattr(error, 'problem', error)}"
+        place, problem = mark.line + 1 if mark else None, str(getattr(error, "problem", error))
+        if problem == LIBYAML_TOO_DEEP:
+            raise _too_deep(file, place) from None
         remedy = "check indentation, colons and brackets on that line"
-        raise BadInput(problem, file, mark.line + 1 if mark else None, remedy=remedy) from None
+        raise BadInput(f"not valid YAML: {problem}", file, place, remedy=remedy) from None
+
+
+def _too_deep(file: str, line: int | None) -> BadInput:
+    remedy = "remove brackets and indentation"
+    return BadInput("the scene nests too deep", file, line, limit=f"{MAX_DEPTH} levels", remedy=remedy)
 
 
 def _require_shallow(text: str, file: str) -> None:
@@ -146,9 +155,7 @@ def _require_shallow(text: str, file: str) -> None:
     for event in yaml.parse(text, Loader=_Loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_DEPTH:
-            line = event.start_mark.line + 1 if event.start_mark else None
-            remedy = "remove brackets and indentation"
-            raise BadInput("the scene nests too deep", file, line, limit=f"{MAX_DEPTH} levels", remedy=remedy)
+            raise _too_deep(file, event.start_mark.line + 1 if event.start_mark else None)
 
 
 def parse_value(text: str) -> Any:
