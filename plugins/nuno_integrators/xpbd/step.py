@@ -18,14 +18,16 @@ project = each("project", "moved, s, held, threads")
 
 
 @block_kernel
-def predict_block(block: int, v: Float, u: Float, a: Float | None, mobility: Float, p: Packed, dt: float) -> None:
+def predict_block(
+    block: int, v: Float, u: Float, a: Float | None, mobility: Float, inverse_mass: Float, gravity: Float,
+    damping: float, dt: float,
+) -> None:  # fmt: skip
     """Displacement u without constraints, and mobility h^2 / (m (1 + h damping)), on a block's vertices.
 
     `a` (3, n) holds gravity and explicit forces, or is None. Pinned vertices move at their velocity.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, u.shape[1])
-    inverse_mass, gravity = p.inverse_mass, p.gravity
-    kept = 1.0 / (1.0 + dt * p.damping)
+    kept = 1.0 / (1.0 + dt * damping)
     for i in range(np.uint64(low), np.uint64(high)):
         mobility[0, i] = dt * dt * kept * inverse_mass[i]
     for row in range(3):
@@ -46,14 +48,18 @@ def arrive_block(block: int, x: Float, v: Float, u: Float, inverse_step: float) 
             v[row, i] = u[row, i] * inverse_step
 
 
-predict_blocks = over_blocks(predict_block, "v, u, a, mobility, p, dt")
+predict_blocks = over_blocks(predict_block, "v, u, a, mobility, inverse_mass, gravity, damping, dt")
 arrive_blocks = over_blocks(arrive_block, "x, v, u, inverse_step")
 
 
 @kernel
-def predict(v: Float, u: Float, a: Float | None, mobility: Float, p: Packed, dt: float) -> None:
+def predict(
+    v: Float, u: Float, a: Float | None, mobility: Float, inverse_mass: Float, gravity: Float, damping: float,
+    dt: float, threads: int | None,
+) -> None:  # fmt: skip
     """Fill u (3, n) and mobility (1, n)."""
-    predict_blocks(v, u, a, mobility, p, dt, (u.shape[1] + BLOCK - 1) // BLOCK, p.threads)
+    blocks = (u.shape[1] + BLOCK - 1) // BLOCK
+    predict_blocks(v, u, a, mobility, inverse_mass, gravity, damping, dt, blocks, threads)
 
 
 @kernel
@@ -95,7 +101,8 @@ def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Pa
     moved = Displaced(x, stages[0], stages[1], stages[2], own.mobility, inverse_step)
     for step in range(steps):
         evaluate_others(x, v, step / steps, stages[3], own.others, extra)
-        predict(v, moved.u, felt(stages[3], own.others), own.mobility, p, dt)
+        force = felt(stages[3], own.others)
+        predict(v, moved.u, force, own.mobility, p.inverse_mass, p.gravity, p.damping, dt, p.threads)
         end = (step + 1) / steps
         carry(p.bodies, p.bodies_on, moved, end)
         forget(c.kinds, c.on)

@@ -76,12 +76,14 @@ def finish_block(block: int, v: Float, a: Float, inverse_mass: Float, gravity: F
 
 
 @block_kernel
-def step_block(block: int, x: Float, v: Float, force: Float, p: Packed, dt: float, to_x: Float, to_v: Float) -> None:
+def step_block(
+    block: int, x: Float, v: Float, force: Float, inverse_mass: Float, gravity: Float, damping: float, dt: float,
+    to_x: Float, to_v: Float,
+) -> None:  # fmt: skip
     """A step of symplectic Euler from x, v (3, n) and a block's forces (3, w), with the bits of `finish_block`
     and `add_twice`, but in one pass.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    inverse_mass, gravity, damping = p.inverse_mass, p.gravity, p.damping
     for row in range(3):
         g = gravity[row]
         for i in range(np.uint64(low), np.uint64(high)):
@@ -104,7 +106,7 @@ def force_block(block: int, p: Packed, dt: float, x: Float, v: Float, to_x: Floa
     force = np.zeros((3, width + PADDING))
     add_blocks(p.forces, p.forces_on, block, origin, x, v, force)
     if dt != 0.0:
-        step_block(block, x, v, force, p, dt, to_x, to_v)
+        step_block(block, x, v, force, p.inverse_mass, p.gravity, p.damping, dt, to_x, to_v)
     else:
         for q in range(0, width, WIDTH):
             m = min(WIDTH, width - q)
@@ -130,10 +132,11 @@ def add_forces(x: Float, v: Float, s: float, to_x: Float, to_v: Float, dt: float
 
 
 @block_kernel
-def finish(v: Float, a: Float, p: Packed) -> None:
-    """Forces in a (3, n) become accelerations [m/s^2] where they did not at once."""
-    if p.late is not None:
-        finish_blocks(v, a, p.inverse_mass, p.gravity, p.damping, (a.shape[1] + BLOCK - 1) // BLOCK, p.threads)
+def finish(v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: float, threads: int | None) -> None:
+    """Forces in a (3, n) become accelerations [m/s^2]. It is not given a system, or each kind of one would have its own
+    version compiled.
+    """
+    finish_blocks(v, a, inverse_mass, gravity, damping, (a.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
 @shared_source
@@ -145,7 +148,8 @@ def evaluate(x: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) ->
     add_forces(x, v, s, a, a, 0.0, p)
     if extra is not None:
         extra(x, v, s, a)
-    finish(v, a, p)
+    if p.late is not None:
+        finish(v, a, p.inverse_mass, p.gravity, p.damping, p.threads)
 
 
 @block_kernel
