@@ -205,17 +205,22 @@ def each(role: str, parameters: str, linear: bool = False) -> Any:
     return _overloaded(head, build)
 
 
-def over_blocks(one: Any, parameters: str) -> Any:
+def over_blocks(one: Any, parameters: str, worth: int = 0) -> Any:
     """A function f(<parameters>, blocks, threads) for kernels: calls one(block, <parameters>) for every block, in their
     order where `threads` is None, else on several threads.
 
-    Which of the two it is, is known when a kernel is compiled, and only that is compiled.
+    Which of the two it is, is known when a kernel is compiled, and only that is compiled. With `worth` f takes what
+    there is to do before `threads`; less than that is done in order by one thread, since others have to be woken for
+    it and waited for, which takes some microseconds.
     """
-    head, call = f"{parameters}, blocks, threads", f"one(block, {parameters})"
+    head, call = f"{parameters}, blocks{', work' if worth else ''}, threads", f"one(block, {parameters})"
     body = f"    for block in prange(blocks):\n        {call}"
     loop = numba.njit(parallel=True, **FLAGS)(_define("loop", f"{parameters}, blocks", body, one=one, prange=prange))
-    several = _define("several", head, f"    loop({parameters}, blocks)", loop=loop)
     alone = _define("alone", head, f"    for block in range(blocks):\n        {call}", one=one)
+    body = f"    loop({parameters}, blocks)"
+    if worth:
+        body = f"    if work < {worth}:\n        alone({head})\n    else:\n    {body}"
+    several = _define("several", head, body, loop=loop, alone=numba.njit(**FLAGS)(alone))
     called = _define("called", head, "")
     body = "    return alone if isinstance(threads, types.NoneType) else several"
     typed = _define("typed", head, body, alone=alone, several=several, types=types)

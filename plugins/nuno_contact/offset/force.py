@@ -47,7 +47,9 @@ from nuno_contact.offset.proximity import (
 )
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.bodies.poses import Vector
-from nuno_kernels.lanes.triples import dot, minus
+from nuno_kernels.lanes.choose import EVERY, lanes_up_to
+from nuno_kernels.lanes.simd import WIDTH, magnitude
+from nuno_kernels.lanes.triples import dot, minus, read_triple
 from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.step.rows import copy_rows
 from nuno_schemas.fabric import Float, Int
@@ -196,17 +198,26 @@ def share_out(pair: Int, chosen: Int, number: int, start: Int, shared: Int) -> N
     start[0] = 0
 
 
+@block_kernel
+def in_place(x: Float, last: Float, mass: Float) -> bool:
+    """Whether x (3, n) are as in `last`, but for those without mass."""
+    for i in range(0, x.shape[1], WIDTH):
+        count = min(WIDTH, x.shape[1] - i)
+        a, b, c = minus(read_triple(x, 0, i, count), read_triple(last, 0, i, count))
+        if lanes_up_to(magnitude(a) + magnitude(b) + magnitude(c), 0.0) != EVERY:
+            for k in range(i, i + count):
+                if mass[k] > 0.0 and not (x[0, k] == last[0, k] and x[1, k] == last[1, k] and x[2, k] == last[2, k]):
+                    return False
+    return True
+
+
 @kernel
 def is_fresh(m: Meeting, x: Float, v: Float) -> None:
     """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for those that are
     carried, which have gone ahead by a step; share out to blocks what is near where they are not, and where a matrix is
     made of it. Put bodies behind them, where there are any.
     """
-    last, mass, count = m.last, m.mass, 0
-    for row in range(3):
-        for i in range(x.shape[1]):
-            count += 1 if x[row, i] == last[row, i] or mass[i] == 0.0 else 0
-    m.fresh[0] = count == 3 * x.shape[1]
+    m.fresh[0] = m.number[NEAR] == 0 or in_place(x, m.last, m.mass)
     if m.local.shape[0] > 0:
         copy_part(x, m.whole, 0, x.shape[1])
         copy_part(v, m.whole_velocity, 0, x.shape[1])

@@ -22,7 +22,7 @@ import numpy as np
 from nuno_contact.offset.bodies import catch_up, copy_part, find_behind, limit_ways, pose_solids
 from nuno_contact.offset.brake import BRAKED, SWEEPS, brake, farthest_way, push_on
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.meeting import PARTS, Meeting, close_up
+from nuno_contact.offset.meeting import PARTS, WORTH, Meeting, close_up
 from nuno_contact.offset.parting import give_way, on_the_way, plane_along
 from nuno_contact.offset.places import (
     CHOICES,
@@ -101,7 +101,7 @@ def pass_part(part: int, m: Meeting, x: Float, way: float, number: Long, lost: L
     number[part], lost[part] = at - first, fails
 
 
-pass_parts = over_blocks(pass_part, "m, x, way, number, lost")
+pass_parts = over_blocks(pass_part, "m, x, way, number, lost", WORTH)
 
 
 @block_kernel
@@ -112,7 +112,7 @@ def pass_by(m: Meeting, x: Float, way: float, threads: int | None) -> int:
     m.close.
     """
     number, lost = np.empty(PARTS, np.int64), np.empty(PARTS, np.int64)
-    pass_parts(m, x, way, number, lost, PARTS, threads)
+    pass_parts(m, x, way, number, lost, PARTS, m.number[NEAR], threads)
     m.number[CLOSE] = close_up(m.close, m.number[NEAR], number)
     return int(lost.sum())
 

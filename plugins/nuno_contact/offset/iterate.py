@@ -107,12 +107,11 @@ def freeze(m: Meeting, y: Float) -> None:
 def cover(m: Meeting, end: Float, s: float, threads: int | None) -> None:
     """Have lists for a step from `last` to `end` (3, n) and what is around that."""
     clock, last, spread = m.clock, m.last, m.spread[1]
-    reference, motion = m.reference[3:], m.motion[3:]
     if s <= clock[NEAR_BEGUN] + clock[NEAR_WINDOW] and not strays_near(m, end, s):
         return
     way, gone = s - clock[NOW], clock[NOW] - clock[NEAR_BEGUN]
     if gone > 0.0:
-        learn(last, reference, motion, m.unrest[1], gone, gone / clock[NEAR_WINDOW])
+        learn(m, 1, last, gone, gone / clock[NEAR_WINDOW])
     window = max(way, WINDOW)
     allow(m, spread, m.unrest[1], window, clock[NEAR_ROOM], MOST[1])
     for i in range(end.shape[1]):

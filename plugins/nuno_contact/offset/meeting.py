@@ -19,6 +19,8 @@ EDGES = 0.25
 """Share of the stiffness that two edges have: see nuno_contact.offset.force."""
 PARTS = 16
 """Parts in which threads share pairs: as many whatever the threads, so that what is found keeps its order."""
+WORTH = 256
+"""Pairs from which on that is worth it."""
 
 
 class Meeting(NamedTuple):

@@ -8,8 +8,6 @@ the time: what is thrown about gets wide room, what hangs quietly nearly none.
 
 from __future__ import annotations
 
-import numpy as np
-
 from nuno_contact.offset.lists import choose_near, renew_list
 from nuno_contact.offset.meeting import Meeting
 from nuno_contact.offset.places import (
@@ -26,7 +24,10 @@ from nuno_contact.offset.places import (
     NOW,
     TOUCHING,
 )
-from nuno_kernels import block_kernel
+from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.lanes.choose import EVERY, higher, lanes_up_to
+from nuno_kernels.lanes.simd import WIDTH, Triple, magnitude, read, root, splat, write
+from nuno_kernels.lanes.triples import dot, minus, read_triple, times
 from nuno_kernels.step.rows import sum_rows
 from nuno_schemas.fabric import Float
 
@@ -53,36 +54,46 @@ AHEAD = 3.0
 """They may stray by so many times what is expected of them."""
 
 
+@forced_inline
+def off_plan(m: Meeting, which: int, x: Float, share: float, i: int, count: int) -> Triple:
+    """How far `count` vertices of x (3, n) from number i on are from where they are in a plan after a share of it."""
+    way = minus(read_triple(x, 0, i, count), read_triple(m.reference, 3 * which, i, count))
+    return minus(way, times(splat(share), read_triple(m.motion, 3 * which, i, count)))
+
+
 @block_kernel
-def strays(x: Float, reference: Float, motion: Float, share: float, most: Float, less: Float) -> bool:
-    """Whether a vertex of x (3, n) is farther than most - less (n,) from where a plan has it after a share of it."""
-    count = 0
-    for i in range(x.shape[1]):
-        a = x[0, i] - reference[0, i] - share * motion[0, i]
-        b = x[1, i] - reference[1, i] - share * motion[1, i]
-        c = x[2, i] - reference[2, i] - share * motion[2, i]
-        room = most[i] - less[i]
-        count += 0 if a * a + b * b + c * c <= room * abs(room) else 1
-    return count > 0
+def strays(m: Meeting, which: int, x: Float, share: float) -> bool:
+    """Whether a vertex of x (3, n) is farther from where it is in a plan after a share of that than it may be.
+
+    Of the list's, 0, there is to be room besides for all that it may stray in that of what is near, 1.
+    """
+    for i in range(0, x.shape[1], WIDTH):
+        count = min(WIDTH, x.shape[1] - i)
+        off = off_plan(m, which, x, share, i, count)
+        room = read(m.spread, which, i, count) - float(1 - which) * read(m.spread, 1, i, count)
+        if lanes_up_to(dot(off, off) - room * magnitude(room), 0.0) != EVERY:
+            return True
+    return False
 
 
 @block_kernel
 def strays_near(m: Meeting, x: Float, s: float) -> bool:
     """The same of x at fraction s of the interval and the plan of what is near."""
     share = (s - m.clock[NEAR_BEGUN]) / m.clock[NEAR_WINDOW]
-    return strays(x, m.reference[3:], m.motion[3:], share, m.spread[1], m.nothing[0])
+    return strays(m, 1, x, share)
 
 
 @block_kernel
-def learn(x: Float, reference: Float, motion: Float, unrest: Float, gone: float, share: float) -> None:
-    """Into unrest (n,) how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval
-    ago, and of which a share is over.
+def learn(m: Meeting, which: int, x: Float, gone: float, share: float) -> None:
+    """Into m.unrest how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval ago,
+    and of which a share is over.
     """
-    for i in range(x.shape[1]):
-        a = x[0, i] - reference[0, i] - share * motion[0, i]
-        b = x[1, i] - reference[1, i] - share * motion[1, i]
-        c = x[2, i] - reference[2, i] - share * motion[2, i]
-        unrest[i] = max(0.7 * unrest[i], np.sqrt(a * a + b * b + c * c) / (gone * gone))
+    for i in range(0, x.shape[1], WIDTH):
+        count = min(WIDTH, x.shape[1] - i)
+        off = off_plan(m, which, x, share, i, count)
+        # In this order: before the first plan the reference is NaN, of which nothing is learnt.
+        before = 0.7 * read(m.unrest, which, i, count)
+        write(m.unrest, which, i, count, higher(root(dot(off, off)) / (gone * gone), before))
 
 
 @block_kernel
@@ -119,7 +130,7 @@ def plan(m: Meeting, u: Float, way: float, step: float, ahead: float, threads: i
     shortest = SHORTEST[0] if crowd > 1.0 and m.number[NEAR] > 8 * m.number[TOUCHING] else SHORTEST[1]
     window = max(way + 1.5 * ahead, min(LONGEST, max(shortest, window)))
     if gone > 0.0:
-        learn(m.last, m.reference[3:], m.motion[3:], m.unrest[1], gone, share)
+        learn(m, 1, m.last, gone, share)
     room = clock[NEAR_ROOM] * (0.7 if crowd > FEW else 1.2 if crowd < 0.5 * FEW else 1.0)
     clock[NEAR_ROOM] = min(MOST[1], max(LEAST[1], room))
     allow(m, m.spread[1], m.unrest[1], window, clock[NEAR_ROOM], MOST[1])
@@ -139,11 +150,9 @@ def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None
             reference[3 + row, i] = last[row, i]
     clock[NEAR_BEGUN], clock[NEAR_WINDOW] = s, window
     begun, end = (s - clock[LIST_BEGUN]) / clock[LIST_WINDOW], (s + window - clock[LIST_BEGUN]) / clock[LIST_WINDOW]
-    if end > 1.0 or strays(last, reference[:3], motion[:3], begun, spread[0], spread[1]) or strays(
-        sum_rows(last, 1.0, near), reference[:3], motion[:3], end, spread[0], spread[1]
-    ):  # fmt: skip
+    if end > 1.0 or strays(m, 0, last, begun) or strays(m, 0, sum_rows(last, 1.0, near), end):
         if s > clock[LIST_BEGUN]:
-            learn(last, reference, motion, m.unrest[0], s - clock[LIST_BEGUN], begun)
+            learn(m, 0, last, s - clock[LIST_BEGUN], begun)
         scale, pairs = clock[LIST_ROOM], m.number[LISTED] / last.shape[1]
         if pairs > CROWDED[0] and begun > EARLY:
             scale *= 0.7

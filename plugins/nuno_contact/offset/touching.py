@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nuno_contact.offset.force import Touch, across, corners_of, faces_of, press, share_out, touch
-from nuno_contact.offset.meeting import PARTS, Meeting, close_up
+from nuno_contact.offset.meeting import PARTS, WORTH, Meeting, close_up
 from nuno_contact.offset.places import CLOSE, LAST_STEP, TOUCHING
 from nuno_contact.offset.proximity import between, unit, weigh
 from nuno_kernels import block_kernel
@@ -73,21 +73,21 @@ def ease_part(part: int, m: Meeting, dt: float) -> None:
         m.eased[p] = MOST / (dt * fastest) if dt * fastest > MOST else 1.0
 
 
-touch_parts = over_blocks(touch_part, "m, number")
-rate_blocks = over_blocks(rate_block, "m")
-ease_parts = over_blocks(ease_part, "m, dt")
+touch_parts = over_blocks(touch_part, "m, number", WORTH)
+rate_blocks = over_blocks(rate_block, "m", WORTH)
+ease_parts = over_blocks(ease_part, "m, dt", WORTH)
 
 
 @block_kernel
 def find_touching(m: Meeting, threads: int | None) -> None:
     """Which close pairs touch at `last`, where, and the planes across them; others have no anchor."""
     number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.swept[0] == 0 else 0.0
-    touch_parts(m, number, PARTS, threads)
+    touch_parts(m, number, PARTS, m.number[CLOSE], threads)
     m.number[TOUCHING] = close_up(m.touching, m.number[CLOSE], number)
     share_out(m.pair, m.touching, m.number[TOUCHING], m.touch_start, m.touch_pair)
     if dt > 0.0:
-        rate_blocks(m, m.touch_start.shape[0] - 1, threads)
-    ease_parts(m, dt, PARTS, threads)
+        rate_blocks(m, m.touch_start.shape[0] - 1, m.number[TOUCHING], threads)
+    ease_parts(m, dt, PARTS, m.number[TOUCHING], threads)
 
 
 @block_kernel
@@ -118,10 +118,10 @@ def drag_part(part: int, m: Meeting, v: Float) -> None:
             anchor[p, corner] = w[corner] + share * (anchor[p, corner] - w[corner]) if share > 0.0 else w[corner]
 
 
-drag_parts = over_blocks(drag_part, "m, v")
+drag_parts = over_blocks(drag_part, "m, v", WORTH)
 
 
 @block_kernel
 def drag_anchors(m: Meeting, v: Float, threads: int | None) -> None:
     """The same of all pairs that touch."""
-    drag_parts(m, v, PARTS, threads)
+    drag_parts(m, v, PARTS, m.number[TOUCHING], threads)

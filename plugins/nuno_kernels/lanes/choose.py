@@ -108,6 +108,10 @@ def where_not_negative(typing: Any, test: Any, value: Any, other: Any) -> Any:
     return vector(vector, vector, vector), build
 
 
+EVERY = (1 << WIDTH) - 1
+"""Bits of all lanes."""
+
+
 @instruction
 def lanes_up_to(typing: Any, value: Any, limit: Any) -> Any:
     """Bits of the lanes that are no more than the number `limit`: bit j for lane j; NaN is not."""
