@@ -162,6 +162,7 @@ def test_bodies_that_part_again_set_cloth_free() -> None:
     assert max(behind) > 0 and behind[-1] == 0 and not met.crossed
 
 
+@pytest.mark.full
 def test_one_thread_and_several_and_a_resumed_run_have_the_same_bits() -> None:
     """In the middle of contact with a body that turns."""
 

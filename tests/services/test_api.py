@@ -44,7 +44,7 @@ REFUSALS: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("processes", [False, True])
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.full)])
 def test_a_mapping_runs_wherever_its_services_are(processes: bool, tmp_path: Path) -> None:
     write_chain(tmp_path)
     assert nuno.run(CHAIN, roots=[tmp_path], processes=processes).t == pytest.approx(0.1)
@@ -70,6 +70,7 @@ def test_services_in_processes_call_the_scene_as_the_caller_does(tmp_path: Path)
     assert "scene.yaml" not in said
 
 
+@pytest.mark.full
 def test_a_resumed_scene_is_called_by_its_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     result = nuno.run(write_scene(tmp_path, duration=0.1), record=tmp_path / "run.mcap")
     with nuno.open(result.path) as recording, restored_scene(recording) as loaded:

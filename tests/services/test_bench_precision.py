@@ -136,6 +136,7 @@ def test_a_scene_with_a_body_is_swept(tmp_path: Path) -> None:
     assert max(best.values()) < 1e-2 and best["dopri5"] < 1e-4
 
 
+@pytest.mark.full
 def test_a_reference_that_disagrees_with_itself_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

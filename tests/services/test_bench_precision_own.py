@@ -74,6 +74,7 @@ def test_what_cannot_be_compared_is_said_instead(tmp_path: Path, fields: dict[st
         assert found.own.coarser == "" and of(found, found.own.setting).done
 
 
+@pytest.mark.full
 def test_an_adaptive_solver_is_swept_at_its_own_tolerance(tmp_path: Path) -> None:
     fields = {"frame_rate": 5, "duration": 2, "solver": {"plugin": "dopri5", "tolerance": 3e-7}}
     found = swept(write_net(tmp_path, **fields), "--solvers", "dopri5")

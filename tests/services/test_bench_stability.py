@@ -189,6 +189,7 @@ def test_every_class_has_a_colour_of_its_own_lightness() -> None:
     assert np.diff(known).min() > 0.02
 
 
+@pytest.mark.full
 def test_the_command_writes_page_table_and_data(scene: Path, tmp_path: Path, capsys: Any) -> None:
     pytest.importorskip("matplotlib")
     flags = ["--solvers", "leapfrog,tr_bdf2", "--budget", "4", "--jobs", "1", "--out", str(tmp_path / "out")]

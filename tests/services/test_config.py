@@ -39,6 +39,7 @@ def test_who_has_no_password_is_not_let_in(config: str) -> None:
             pass
 
 
+@pytest.mark.full
 def test_services_in_processes_of_their_own_are_let_in(config: str, tmp_path: Path) -> None:
     record = tmp_path / "run.mcap"
     scene = write_scene(tmp_path, bodies=BALL, duration=0.1)

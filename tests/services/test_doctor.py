@@ -37,6 +37,7 @@ def test_what_would_stop_a_run_fails_with_a_remedy(
         assert "remedy: " in said[at:].split("\n", 2)[1]
 
 
+@pytest.mark.full
 def test_a_home_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
     """Below a file nobody can make a folder: neither kernels nor units are kept, and both are ready."""
     (tmp_path / "file").write_text("no folder")

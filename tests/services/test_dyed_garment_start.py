@@ -56,6 +56,7 @@ def test_garments_are_refused_by_name(fields: dict[str, Any], field: str, words:
     assert list(tmp_path.glob("*.mcap*")) == []
 
 
+@pytest.mark.full
 def test_a_garment_without_bodies_starts_no_collision_service(tmp_path: Path) -> None:
     write(tmp_path, bodies=[])
     done = subprocess.run(

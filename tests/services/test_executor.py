@@ -162,6 +162,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Any, ...]]:
     return rows(scene_with_a_file(tmp_path_factory.mktemp("alone") / "user"), Executor())
 
 
+@pytest.mark.full
 def test_maps_are_the_same_bits_though_a_worker_is_lost_in_mid_sweep(
     executor: Executor, alone: list[tuple[Any, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,6 +173,7 @@ def test_maps_are_the_same_bits_though_a_worker_is_lost_in_mid_sweep(
     assert mark.exists()
 
 
+@pytest.mark.full
 def test_laws_are_the_same_bits(executor: Executor) -> None:
     parts = validate.choose_parts(["one step", "momentum"], ["rk4", "leapfrog"])
 

@@ -115,6 +115,7 @@ def sewn(folder: Path, plugin: str, solver: str, dt: float, **settings: object) 
     return nuno.run(write_scene(folder, forces=forces, duration=0.1, solver={"plugin": solver, "dt": dt} | settings))
 
 
+@pytest.mark.full
 def test_with_its_matrix_newton_takes_fewer_steps_to_the_same_end(packages: Packages, tmp_path: Path) -> None:
     packages.add_shown("stitches", LOOSE, "loose = stitches:LooseStitches")
     one, other = (sewn(tmp_path, plugin, "implicit_euler", 5e-3).report for plugin in ("stitches", "loose"))

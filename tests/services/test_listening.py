@@ -36,7 +36,9 @@ def connects(address: str, port: int) -> bool:
     return True
 
 
-@pytest.mark.parametrize(("words", "most"), [(("--no-view",), 1), (("--processes", "--view", "web"), 3)])
+@pytest.mark.parametrize(
+    ("words", "most"), [(("--no-view",), 1), pytest.param(("--processes", "--view", "web"), 3, marks=pytest.mark.full)]
+)
 def test_of_a_run_only_the_hub_and_a_viewer_listen(words: tuple[str, ...], most: int, tmp_path: Path) -> None:
     if "web" in words and importlib.util.find_spec("rerun") is None:
         pytest.skip("no rerun viewer is installed")

@@ -60,7 +60,9 @@ def test_control_and_failure_are_told(tmp_path: Path) -> None:
     assert end["level"] == "error" and "diverged" in end["fields"]["reason"]
 
 
-@pytest.mark.parametrize("how", [(), ("--processes",)], ids=["threads", "processes"])
+@pytest.mark.parametrize(
+    "how", [(), pytest.param(("--processes",), marks=pytest.mark.full)], ids=["threads", "processes"]
+)
 def test_a_run_interrupted_as_it_ends_keeps_what_it_has(
     how: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
