@@ -64,7 +64,14 @@ def test_ipctk_and_ours_answer_alike() -> None:
 @pytest.mark.parametrize(
     ("module", "made", "setting", "steps", "kept"),
     [
-        ("ours", "Solver", {"solver": "plugin: symplectic_euler, dt: 0.0002777777777777778"}, 60, 1.0),
+        pytest.param(
+            "ours",
+            "Solver",
+            {"solver": "plugin: symplectic_euler, dt: 0.0002777777777777778"},
+            60,
+            1.0,
+            marks=pytest.mark.full,
+        ),
         pytest.param("newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
         pytest.param("newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
     ],
