@@ -1,4 +1,4 @@
-"""How far every vertex of a cloth is from rest, as a share of what its springs pull with."""
+"""How far every vertex of a cloth is from rest, as a share of what its springs or triangles pull with."""
 
 from __future__ import annotations
 
@@ -7,44 +7,75 @@ import math
 import numpy as np
 
 from nuno_kernels.forces.yarn_tension import lengths, own_tensions
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric, Float, Membrane
 
+TINY = 1e-300
 NO_STRAIN = 1e-11
 """Springs that are strained by less than this share of the cloth's largest coordinate pull with that much: their own
 length is known no better, so that cloth without load, which pulls with rounding alone, is at rest."""
 
 
 def typical_tension(fabric: Fabric, x: Float) -> float:
-    """Mean size of the springs' own forces [N] at x (n, 3) [m]; 0 without springs.
+    """Mean size of the forces [N] at x (n, 3) [m] that springs have themselves and triangles at their corners; 0
+    without either.
 
     Summed exactly: NumPy's order differs between machines, and this decides which frame is the last.
     """
-    springs = fabric.springs
-    if springs is None or springs.number == 0:
+    pulls, stiffness = list[float](), list[float]()
+    if fabric.springs is not None:
+        _, length = lengths(fabric.springs, x)
+        pulls += np.abs(own_tensions(fabric.springs, length)).tolist()
+        stiffness += fabric.springs.per_spring(fabric.springs.k).tolist()
+    if fabric.membrane is not None:
+        pulls += pulls_of_membrane(fabric.membrane, x).reshape(-1).tolist()
+        stiffness += fabric.membrane.stiffness().reshape(-1).tolist()
+    if not pulls:
         return 0.0
-    _, length = lengths(springs, x)
-    stiffness = math.fsum(springs.per_spring(springs.k).tolist())
     try:
-        pull = math.fsum(np.abs(own_tensions(springs, length)).tolist())
+        pull = math.fsum(pulls)
     except OverflowError:  # of cloth that flies apart
         pull = math.inf
-    return max(pull, NO_STRAIN * float(np.abs(x).max()) * stiffness) / springs.number
+    return max(pull, NO_STRAIN * float(np.abs(x).max()) * math.fsum(stiffness)) / len(pulls)
+
+
+def pulls_of_membrane(membrane: Membrane, x: Float) -> Float:
+    """(t, 3) size of the force [N] that each triangle has on each corner at x (n, 3) [m]."""
+    shares, corners = membrane.shares(), x[membrane.faces]
+    warp, weft = (sum(share[:, k, None] * corners[:, k] for k in range(3)) for share in shares)
+    long, wide = size(warp), size(weft)
+    c_w, c_f, both, g = membrane.area * membrane.moduli
+    along, across = c_w * (long - 1.0) + both * (wide - 1.0), c_f * (wide - 1.0) + both * (long - 1.0)
+    shear = g * (warp[:, 0] * weft[:, 0] + warp[:, 1] * weft[:, 1] + warp[:, 2] * weft[:, 2])
+    on_warp = (along / np.maximum(long, TINY))[:, None] * warp + shear[:, None] * weft
+    on_weft = (across / np.maximum(wide, TINY))[:, None] * weft + shear[:, None] * warp
+    forces = [shares[0, :, k, None] * on_warp + shares[1, :, k, None] * on_weft for k in range(3)]
+    return np.stack([size(force) for force in forces], axis=1)
+
+
+def size(a: Float) -> Float:
+    """(n,) lengths of vectors (n, 3), by sums in one order on every machine."""
+    return np.asarray(np.sqrt(a[:, 0] * a[:, 0] + a[:, 1] * a[:, 1] + a[:, 2] * a[:, 2]))
 
 
 def unbalance(fabric: Fabric, x: Float, v: Float, left: Float) -> Float:
     """(n,) distance from rest: the force `left` (n, 3) [N] on each vertex and what its velocity v (n, 3) [m/s] will
-    turn into, over the typical tension; 0 for vertices that are held, inf everywhere else in cloth without springs.
+    turn into, over the typical tension; 0 for vertices that are held, inf everywhere else in cloth without tension.
 
     Force alone is no measure of rest: a mass that swings feels none in the middle of its way. With K the stiffness of
-    all springs of a vertex, F^2 + m K v^2 is the same all along its swing, the square of the force at its ends.
+    all springs and triangles of a vertex, F^2 + m K v^2 is the same all along its swing, the square of the force at
+    its ends.
     """
     far = np.zeros(fabric.number)
     scale = typical_tension(fabric, x)
-    springs = fabric.springs
-    if springs is None or scale == 0.0:
+    if scale == 0.0:
         return np.where(fabric.pinned, 0.0, np.inf)
-    k = springs.per_spring(springs.k)
-    stiffness = sum(np.bincount(end, k, fabric.number) for end in springs.pairs().T)
+    stiffness = np.zeros(fabric.number)
+    if fabric.springs is not None:
+        k = fabric.springs.per_spring(fabric.springs.k)
+        stiffness += sum(np.bincount(end, k, fabric.number) for end in fabric.springs.pairs().T)
+    if fabric.membrane is not None:
+        corners, k = fabric.membrane.faces, fabric.membrane.stiffness()
+        stiffness += np.bincount(corners.reshape(-1), k.reshape(-1), fabric.number)
     for axis in range(3):
         far += left[:, axis] ** 2 + fabric.mass * stiffness * v[:, axis] ** 2
     return np.where(fabric.pinned, 0.0, np.sqrt(far) / scale)

@@ -15,6 +15,7 @@ from nuno_wrinkle.raised import Region
 
 STRUCTURAL, BENDING = 0, 2
 Rule = Literal["paper", "physical"]
+ON_SPRINGS = "draw on a mesh or a shirt of tension: springs, or on a sheet or skirt of cells: triangles"
 
 
 def describe(fabric: Fabric) -> dict[str, float]:
@@ -28,7 +29,7 @@ def describe(fabric: Fabric) -> dict[str, float]:
     kinds = None if springs is None else np.repeat(springs.kind, springs.count)
     if springs is None or kinds is None or not (kinds == STRUCTURAL).any():
         problem = "the cloth has no structural springs, and so neither k_std nor r_avg"
-        raise BadInput(problem, field="k_std", remedy="draw on a mesh, or on a sheet or skirt of cells: triangles")
+        raise BadInput(problem, field="k_std", remedy=ON_SPRINGS)
     pairs, k, rest, c = springs.pairs(), *(springs.per_spring(a) for a in (springs.k, springs.rest, springs.c))
     one, other = fabric.mass[pairs[:, 0]], fabric.mass[pairs[:, 1]]
     critical = 2.0 * np.sqrt(k * one * other / (one + other))
@@ -76,7 +77,7 @@ def find_near(fabric: Fabric, x: Float, region: Region) -> Near:
         raise BadInput(
             "the cloth has no spring along an edge of its triangles", field="lines",
             value=ends[~there][0].tolist(), limit="springs on all edges, as the wrinkle paper has them",
-            remedy="draw on a mesh, or on a sheet or skirt of cells: triangles",
+            remedy=ON_SPRINGS,
         )  # fmt: skip
     length = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
     spring = chosen[order][place]

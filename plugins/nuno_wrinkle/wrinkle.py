@@ -17,7 +17,7 @@ from nuno_schemas.units import quantity
 from nuno_wrinkle.crests import find_crests
 from nuno_wrinkle.kept import kept_rigidity
 from nuno_wrinkle.lines import Crossed, follow_lines, read_lines
-from nuno_wrinkle.near import Rule, describe, find_near
+from nuno_wrinkle.near import ON_SPRINGS, Rule, describe, find_near
 from nuno_wrinkle.net import Net, build_net
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
 from nuno_wrinkle.surface import link_faces
@@ -99,8 +99,7 @@ class Wrinkle:
 def _require_triangles(fabric: Fabric) -> None:
     springs = fabric.springs
     if not len(fabric.faces) or fabric.yarns is not None or (springs is not None and springs.lock is not None):
-        remedy = "draw on a mesh, or on a sheet or skirt of cells: triangles"
-        raise BadInput("lines are drawn on cloth of triangles, which this is not", field="object", remedy=remedy)
+        raise BadInput("lines are drawn on cloth of triangles, which this is not", field="object", remedy=ON_SPRINGS)
 
 
 def _outcome(

@@ -176,6 +176,21 @@ class Membrane:
     def number(self) -> int:
         return int(self.faces.shape[0])
 
+    def shares(self) -> Float:
+        """(2, t, 3) how far F_w and F_f move with each corner [1/m]."""
+        yarns = np.stack([self.along, self.across])
+        return np.concatenate([-yarns.sum(axis=2, keepdims=True), yarns], axis=2)
+
+    def stiffness(self) -> Float:
+        """(t, 3) how stiffly each corner is held by its triangle alone, at most [N/m]."""
+        (warp, weft), (c_w, c_f, _, g) = np.square(self.shares()), self.moduli[..., None]
+        return np.asarray(self.area[:, None] * ((c_w + g) * warp + (c_f + g) * weft))
+
+    def sides(self) -> Float:
+        """(t, 3) lengths at rest of x0 x1, x1 x2 and x2 x0 [m]."""
+        first, second = np.linalg.inv(np.stack([self.along, self.across], axis=2)).transpose(2, 0, 1)
+        return np.asarray(np.linalg.norm(np.stack([first, second - first, second], axis=1), axis=2))
+
 
 @dataclass(frozen=True)
 class Binding:

@@ -12,7 +12,7 @@ from nuno.words import counted, duration, factor
 from nuno_schemas.messages import FRAMES
 
 Report = dict[str, Any]
-SIZES, DYE_SIZES = ("vertices", "springs", "hinges"), ("cells",)
+SIZES, DYE_SIZES = ("vertices", "springs", "triangles of a membrane", "hinges"), ("cells",)
 
 ENDS = (("min", "shortest"), ("max", "longest"))
 TOLD: dict[str, Any] = {

@@ -129,7 +129,7 @@ def folded(spacing: float = 0.012, size: float = 0.2) -> Fabric:
     flat = np.stack([points[:, 0], np.zeros(len(points)), points[:, 1]], 1)
     edges, material = find_edges(faces), resolve("jacket")
     mass = np.bincount(faces.ravel(), np.repeat(face_areas(flat, faces), 3) * material.density / 3, len(flat))
-    springs, hinges = build_elements(material, flat, faces, edges, mass, np.array([1.0, 0.0, 0.0]))
+    springs, hinges, _ = build_elements(material, flat, faces, edges, mass, np.array([1.0, 0.0, 0.0]))
     radius = 0.005
     along = flat[:, 0] - 0.5 * (size - math.pi * radius)
     angle = np.clip(along / radius, 0.0, math.pi)

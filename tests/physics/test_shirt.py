@@ -8,6 +8,7 @@ import ipctk
 import numpy as np
 import pytest
 
+from nuno.cloth.yarns import structural_edges
 from nuno_cloth.models.delaunay import fill_outline, triangulate
 from nuno_cloth.models.mesh import open_spans
 from nuno_cloth.models.shirt import STANDARD, Shirt, ShirtConfig, sewn_for, take_measures
@@ -45,10 +46,12 @@ def shirt(body: Body, **fields: object) -> Fabric:
 
 
 def stretch(fabric: Fabric) -> Float:
-    assert fabric.springs is not None
-    pairs = fabric.springs.pairs()
+    """Of all springs, or of the sides of the membrane's triangles."""
+    pairs, rest = structural_edges(fabric)
+    if fabric.springs is not None:
+        pairs, rest = fabric.springs.pairs(), fabric.springs.per_spring(fabric.springs.rest)
     length = np.linalg.norm(np.diff(fabric.position[pairs], axis=1)[:, 0], axis=1)
-    return np.asarray(length / fabric.springs.per_spring(fabric.springs.rest) - 1.0)
+    return np.asarray(length / rest - 1.0)
 
 
 def test_spans_across_a_fold_do_not_depend_on_its_angle() -> None:
@@ -135,7 +138,11 @@ def test_at_rest_it_lies_flat(body: Body) -> None:
     # Front and back, two halves each; the back has what the front's deeper neck takes away.
     assert face_areas(sewn.flat, sewn.faces).sum() == pytest.approx(2.0 * (front + neck), rel=5e-3)
     assert fabric.mass.sum() == pytest.approx(0.187 * face_areas(sewn.flat, sewn.faces).sum(), rel=0.05)
-    assert fabric.springs is not None and fabric.hinges is not None and not fabric.hinges.rest.any()
+    assert fabric.membrane is not None and fabric.hinges is not None and not fabric.hinges.rest.any()
+    own = sewn_for(take_measures(find_wearer(*body), config())[0], config())[1]
+    flat = own.flat[own.faces]
+    sides = np.linalg.norm(flat - np.roll(flat, -1, axis=1), axis=2)
+    np.testing.assert_allclose(fabric.membrane.sides(), sides, rtol=1e-12)
     assert fabric.uv is not None and fabric.uv.min() >= 0.0 and fabric.uv.max() <= 1.0
 
 

@@ -58,7 +58,29 @@ def hinge_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
     return float((k * (1 - np.cos(angle - rest))).sum()), gradient
 
 
+def membrane_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
+    """Energy of triangles of constant strain [J] and its gradient (n, 3) [N]; x (n, 3) [m].
+
+    See nuno_schemas.fabric.Membrane; a yarn whose length is 0 has no direction and gives no gradient.
+    """
+    gradient, membrane = np.zeros_like(x), fabric.membrane
+    if membrane is None:
+        return 0.0, gradient
+    shares, corners = membrane.shares(), x[membrane.faces]
+    warp, weft = np.einsum("ytk,tkd->ytd", shares, corners)
+    long, wide = (np.linalg.norm(yarn, axis=1) for yarn in (warp, weft))
+    e, f, g = long - 1.0, wide - 1.0, np.einsum("td,td->t", warp, weft)
+    c_w, c_f, both, shear = membrane.area * membrane.moduli
+    pull_w, pull_f, turn = c_w * e + both * f, c_f * f + both * e, shear * g
+    along, across = (np.where(size > 0, pull, 0) / np.where(size > 0, size, 1)
+                     for pull, size in ((pull_w, long), (pull_f, wide)))  # fmt: skip
+    on_warp = along[:, None] * warp + turn[:, None] * weft
+    on_weft = across[:, None] * weft + turn[:, None] * warp
+    np.add.at(gradient, membrane.faces, np.einsum("ytk,ytd->tkd", shares, np.stack([on_warp, on_weft])))
+    return float(0.5 * (pull_w * e + pull_f * f + turn * g).sum()), gradient
+
+
 def elastic_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
-    """Energy of springs and hinges [J] and its gradient (n, 3) [N]."""
-    (e1, g1), (e2, g2) = spring_energy(fabric, x), hinge_energy(fabric, x)
-    return e1 + e2, g1 + g2
+    """Energy of springs, hinges and triangles of constant strain [J] and its gradient (n, 3) [N]."""
+    (e1, g1), (e2, g2), (e3, g3) = spring_energy(fabric, x), hinge_energy(fabric, x), membrane_energy(fabric, x)
+    return e1 + e2 + e3, g1 + g2 + g3

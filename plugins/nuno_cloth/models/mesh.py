@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
+from nuno_cloth.models.membrane import build_membrane
 from nuno_cloth.models.placement import (
     STILL,
     TEXTURE,
@@ -26,12 +27,18 @@ from nuno_cloth.models.triangles import Edges, face_areas, find_edges, hinge_sti
 from nuno_cloth.quantities import Scale
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Membrane, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import turn
 
 KINDS = ("obj", "ply", "stl")
 STRUCTURAL, BENDING = 0, 2
+Tension = Literal["auto", "membrane", "springs"]
+TENSION = (
+    "what bears tension and shear: membrane, triangles of constant strain along warp and weft, which have a measured "
+    "fabric's stiffness on any mesh; springs on the edges, which lines of wrinkles need; auto: a membrane of measured "
+    "fabrics, springs of constants set by hand"
+)
 FARTHEST = 1e100
 """Coordinates beyond this [m] have no squares and cubes that are numbers."""
 BYTES_PER_VERTEX = 2000
@@ -79,12 +86,13 @@ class MeshConfig(Config):
         default=(), description="vertex numbers, counted from 0, or boxes of the world {low, high} [m]"
     )
     fabric: FabricChoice = Field(default="denim", description=FABRIC)
+    tension: Tension = Field(default="auto", description=TENSION)
     texture: str | None = Field(default=None, description=TEXTURE)
 
 
 class Mesh:
-    """Springs on the edges; bends by hinges, or by the wrinkle paper's springs between the two
-    vertices opposite each inner edge where the fabric is set by hand with `bending`.
+    """A membrane of a measured fabric, or springs on the edges; bends by hinges, or by the wrinkle paper's springs
+    between the two vertices opposite each inner edge where the fabric is set by hand with `bending`.
     """
 
     name: ClassVar[str] = "mesh"
@@ -114,7 +122,8 @@ class Mesh:
         material = resolve(config.fabric)
         share = np.repeat(area, 3) * material.density / 3
         mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
-        springs, hinges = build_elements(material, x, faces, edges, mass, turn(matrix, np.asarray(config.warp)))
+        warp = turn(matrix, np.asarray(config.warp))
+        net = build_elements(material, x, faces, edges, mass, warp, tension=config.tension)
         return Fabric(
             name=self.name,
             position=x,
@@ -122,8 +131,9 @@ class Mesh:
             mass=mass,
             pinned=pin_mesh(config.pin, x),
             faces=faces,
-            springs=springs,
-            hinges=hinges,
+            springs=net.springs,
+            hinges=net.hinges,
+            membrane=net.membrane,
             uv=uv,
             texture=find_texture(config.texture, files),
             origin=_unseen(material, edges),
@@ -137,24 +147,39 @@ def _unseen(material: Material | HandSet, edges: Edges) -> dict[str, float]:
     return {"k_bend": material.bending[0]}
 
 
+class Net(NamedTuple):
+    """What bears tension, and what bending, of a mesh."""
+
+    springs: Springs | None
+    hinges: Hinges | None
+    membrane: Membrane | None = None
+
+
 def build_elements(
-    material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float, folded: bool = False
-) -> tuple[Springs, Hinges | None]:
-    """Springs on edges, and hinges or bending springs across the inner ones.
+    material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float, folded: bool = False,
+    tension: Tension = "springs",
+) -> Net:  # fmt: skip
+    """A membrane or springs on edges, and hinges or bending springs across the inner ones. Raises BadInput for a
+    membrane of constants per spring.
 
     Bending springs are at rest in the shape x, or where that is `folded`, as pieces that lie on each other along their
     seams, with it laid open.
     """
+    if tension == "membrane" and isinstance(material, HandSet):
+        remedy = "give a preset or measured values, or take tension: springs"
+        raise BadInput("constants per spring make no membrane", field="tension", value=tension, remedy=remedy)
     pairs = edges.pairs
     rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
     flat = np.zeros(len(edges.inner))
     reduced = _reduced(mass, pairs)
     if isinstance(material, Material):
         axes = yarn_axes(x, faces, warp)
+        hinges = _hinges(edges, hinge_stiffness(material, x, edges, face_areas(x, faces), *axes), flat)
+        if tension != "springs":
+            return Net(None, hinges, build_membrane(material, x, faces, mass, *axes))
         k = spring_stiffness(material, x, faces, edges, *axes)
-        springs = Springs.from_pairs(pairs, k, rest, 2 * material.damping_ratio * np.sqrt(k * reduced), STRUCTURAL)
-        bending = hinge_stiffness(material, x, edges, face_areas(x, faces), *axes)
-        return springs, _hinges(edges, bending, flat)
+        c = 2 * material.damping_ratio * np.sqrt(k * reduced)
+        return Net(Springs.from_pairs(pairs, k, rest, c, STRUCTURAL), hinges)
     k, ratio = np.full(len(pairs), material.structural[0]), 2 * material.damping_ratio
     c = material.damping + ratio * np.sqrt(k * reduced)
     springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)
@@ -164,7 +189,7 @@ def build_elements(
         c = material.damping + ratio * np.sqrt(material.bending[0] * _reduced(mass, ends))
         across = Springs.from_pairs(ends, flat + material.bending[0], span, c, BENDING)
         springs = Springs.join([springs, across])
-    return springs, _hinges(edges, flat + material.hinge, flat)
+    return Net(springs, _hinges(edges, flat + material.hinge, flat))
 
 
 def open_spans(x: Float, quads: Int) -> Float:

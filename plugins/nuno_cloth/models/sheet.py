@@ -95,8 +95,8 @@ def build_grid(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Fl
     share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
     mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
     down = x[low + grid.cols] - x[low]
-    springs, hinges = mesh.build_elements(material, x, faces, find_edges(faces), mass, down)
-    return Elements(mass, faces, springs, hinges)
+    net = mesh.build_elements(material, x, faces, find_edges(faces), mass, down)
+    return Elements(mass, faces, net.springs, net.hinges)
 
 
 def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.models.dress import Fit, dress
-from nuno_cloth.models.mesh import BYTES_PER_VERTEX, build_elements
+from nuno_cloth.models.mesh import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, find_texture
 from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.models.triangles import face_areas, find_edges
@@ -54,6 +54,7 @@ class ShirtConfig(Config):
     neckline: Length = Field(default=0.085, description="depth of the neck in front [m]")
     slope: Angle = Field(default=0.35, description="angle of the overarm below level, as it is cut [rad]")
     fabric: FabricChoice = Field(default="interlock", description=FABRIC)
+    tension: Tension = Field(default="auto", description=TENSION)
     texture: str | None = Field(default=None, description=TEXTURE)
 
 
@@ -92,7 +93,7 @@ class Shirt:
         share = np.repeat(face_areas(sewn.flat, sewn.faces), 3) * material.density / 3
         mass = np.bincount(sewn.faces.reshape(-1), share, len(sewn.flat)).astype(np.float64)
         down = np.array([0.0, 1.0, 0.0])
-        springs, hinges = build_elements(material, sewn.flat, sewn.faces, edges, mass, down, folded=True)
+        net = build_elements(material, sewn.flat, sewn.faces, edges, mass, down, True, config.tension)
         position = dress(wearer, cut, fit, sewn, edges, config.over.clearance)
         return Fabric(
             name=self.name,
@@ -101,8 +102,9 @@ class Shirt:
             mass=mass,
             pinned=np.zeros(len(mass), np.bool_),
             faces=sewn.faces,
-            springs=springs,
-            hinges=hinges,
+            springs=net.springs,
+            hinges=net.hinges,
+            membrane=net.membrane,
             uv=texture_of(sewn),
             texture=find_texture(config.texture, files),
         )

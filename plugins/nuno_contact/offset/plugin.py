@@ -19,7 +19,7 @@ from nuno_contact.offset.meeting import Meeting, make_meeting
 from nuno_contact.offset.places import CUT, HELD_CUT, LEFT_OUT, STILL, TOUCHING
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.start import check_gaps, check_outside, check_start, check_thickness
-from nuno_contact.reaction import spring_stiffness
+from nuno_contact.reaction import elastic_stiffness
 from nuno_kernels.terms import register
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -53,7 +53,7 @@ def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
     """(n,) what each vertex can bear [N/m]: k = m max(g / (REST_SHARE h), min(w0^2, SHARE / AT_ONCE sum_j k_j / m))."""
     weight = fabric.mass * float(norm(gravity)) / (REST_SHARE * thickness)
     stop = fabric.mass * (STOP_SPEED / thickness) ** 2
-    return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * spring_stiffness(fabric)))
+    return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * elastic_stiffness(fabric)))
 
 
 def take_step(m: Meeting, rate: float) -> None:

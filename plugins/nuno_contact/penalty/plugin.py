@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from nuno_contact.penalty.contact import make_contact
-from nuno_contact.reaction import spring_stiffness
+from nuno_contact.reaction import elastic_stiffness
 from nuno_schemas.bodies import MESH, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
@@ -42,7 +42,7 @@ def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
     """
     weight = fabric.mass * float(norm(gravity)) / REST_DEPTH
     stop = fabric.mass * (STOP_SPEED / STOP_DEPTH) ** 2
-    return np.maximum(weight, np.minimum(stop, SHARE * spring_stiffness(fabric)))
+    return np.maximum(weight, np.minimum(stop, SHARE * elastic_stiffness(fabric)))
 
 
 def slip_speed(damping: float) -> float:

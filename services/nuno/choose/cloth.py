@@ -102,8 +102,9 @@ def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | 
 
 def _reads_velocity(system: System) -> bool:
     """Whether forces may depend on velocities: leapfrog then takes two evaluations a step."""
-    springs = system.fabric.springs
+    springs, membrane = system.fabric.springs, system.fabric.membrane
     damped = springs is not None and bool((springs.c != 0.0).any())
+    damped |= membrane is not None and bool(membrane.damping.any())
     return damped or system.damping != 0.0 or bool(system.terms)
 
 

@@ -74,7 +74,10 @@ def _meetings(loaded: Loaded) -> list[tuple[str, str]]:
 
 def _size(simulation: Simulation) -> list[tuple[str, str]]:
     fabric = simulation.fabric
-    parts = {"springs": fabric.springs, "hinges": fabric.hinges, "yarns": fabric.yarns}
+    parts = {
+        "springs": fabric.springs, "triangles of a membrane": fabric.membrane, "hinges": fabric.hinges,
+        "yarns": fabric.yarns,
+    }  # fmt: skip
     counts = [f"{part.number:,} {name}" for name, part in parts.items() if part is not None]
     terms = [name for name, part in parts.items() if part is not None]
     terms += [

@@ -60,11 +60,18 @@ def edge_yarns(fabric: Fabric) -> NDArray[np.int8] | None:
 
 
 def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
-    """Pairs and rest lengths of the structural springs (all springs if none is), for display."""
-    springs = fabric.springs
-    if springs is None:
-        return np.zeros((0, 2), np.int32), np.zeros(0)
-    shown = springs.of_kind(0)
-    if not shown.any():
-        shown[:] = True
-    return springs.pairs()[shown], springs.per_spring(springs.rest)[shown]
+    """Pairs and rest lengths of the structural springs (all springs if none is), and of the sides of a membrane's
+    triangles, for display.
+    """
+    springs, membrane = fabric.springs, fabric.membrane
+    pairs, rest = np.zeros((0, 2), np.int32), np.zeros(0)
+    if springs is not None:
+        shown = springs.of_kind(0)
+        if not shown.any():
+            shown[:] = True
+        pairs, rest = springs.pairs()[shown], springs.per_spring(springs.rest)[shown]
+    if membrane is not None:
+        ends = np.sort(np.stack([membrane.faces, np.roll(membrane.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        sides, first = np.unique(ends, axis=0, return_index=True)
+        pairs, rest = np.concatenate([pairs, sides]), np.append(rest, membrane.sides().reshape(-1)[first])
+    return pairs, rest

@@ -68,7 +68,7 @@ def require_springs(loaded: Loaded, fabric: Fabric) -> None:
     known = np.sort(structural, axis=1) @ np.array([count, 1])
     edges = np.sort(np.stack([fabric.faces, np.roll(fabric.faces, -1, axis=1)], axis=2).astype(np.int64), axis=2)
     if not np.isin(edges @ np.array([count, 1]), known).all(axis=1).any():
-        remedy = "draw on a mesh or a shirt, or give the sheet or skirt cells: triangles"
+        remedy = "give a mesh or a shirt tension: springs, a sheet or skirt cells: triangles"
         problem = "lines cannot be drawn on this cloth: it has no springs along the edges of its triangles"
         raise loaded.at("objects[0].model", BadInput(problem, remedy=remedy))
 

@@ -191,6 +191,7 @@ class ClothDriver(Driver):
             ],
             "vertices": fabric.number,
             "springs": fabric.springs.number if fabric.springs else 0,
+            "triangles of a membrane": fabric.membrane.number if fabric.membrane else 0,
             "hinges": fabric.hinges.number if fabric.hinges else 0,
         }
 

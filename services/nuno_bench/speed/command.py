@@ -17,6 +17,7 @@ CASES = {
     "grid-256": "steps.explicit:grid_256",
     "net-256": "steps.explicit:net_256",
     "sheet-32": "steps.explicit:sheet_32",
+    "membrane": "steps.explicit:membrane",
     "stiff": "steps.stiff:stiff_sheet",
     "stiffness": "steps.stiff:stiffness",
     "closest": "leg.closest:closest",

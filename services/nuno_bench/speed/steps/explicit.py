@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 from nuno import registry
 from nuno_bench.report.result import Result
 from nuno_bench.speed.steps import meshes
 from nuno_bench.speed.steps.meshes import DAMPING, net, net_arrays, sheet
-from nuno_bench.speed.timing import inverse_roots, measure, watch_compiler
+from nuno_bench.speed.timing import inverse_roots, measure, seconds, watch_compiler
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric
 
 UNIT = "M vertex-steps/s"
 """Million vertices times steps a second."""
 DT = 1e-5
+MESH_SIDE = 101
+"""Vertices a side of a mesh: 20,000 triangles."""
 WORK = 13_000_000
 """Vertex-steps of one sample: a few tenths of a second, so that a frame's entry does not show."""
 
@@ -30,21 +33,26 @@ def time_steps(
     aim: float | None = None,
 ) -> Result:
     """Rate of one integrator on one fabric. Raises RunFailed if the state does not stay finite."""
+    steps = max(1, WORK // fabric.number)
+    springs = fabric.springs.number / fabric.number if fabric.springs else 0.0
+    note = f"{fabric.number:,} vertices, {2 * springs:.1f} springs a vertex"
+    limit = 1e-6 * inverse_roots() / springs
+    work, advance = 1e-6 * fabric.number * steps, stepping(what, fabric, steps, integrator)
+    return measure(case, what, UNIT, advance, repeats, work, bar=bar, aim=aim, limit=limit, note=note)
+
+
+def stepping(what: str, fabric: Fabric, steps: int, integrator: str = "symplectic_euler") -> Callable[[], None]:
+    """Takes so many steps of one integrator each time it is called, and raises RunFailed where one fails."""
     plugin = registry.load("nuno.integrators", integrator)
     system, state = meshes.system_of(fabric)
     memory = plugin.prepare(plugin.Config(), system, state)
-    steps = max(1, WORK // fabric.number)
 
     def advance() -> None:
         report = plugin.advance(system, state, memory, None, steps, DT)
         if report.status != "ok":
             raise RunFailed(f"{what}: {report.status}: {report.message}")
 
-    springs = fabric.springs.number / fabric.number if fabric.springs else 0.0
-    note = f"{fabric.number:,} vertices, {2 * springs:.1f} springs a vertex"
-    limit = 1e-6 * inverse_roots() / springs
-    work = 1e-6 * fabric.number * steps
-    return measure(case, what, UNIT, advance, repeats, work, bar=bar, aim=aim, limit=limit, note=note)
+    return advance
 
 
 def grid_256(repeats: int) -> list[Result]:
@@ -72,6 +80,24 @@ def net_256(repeats: int) -> list[Result]:
         timed("constants per class", net(net_arrays(sheet(256, 256), varied=False)), bar=30.0, aim=50.0),
         timed("vertices in random order", net(meshes.renumbered(varied))),
     ]
+
+
+def membrane(repeats: int) -> list[Result]:
+    """A measured fabric on a mesh of 20,000 triangles: steps of its membrane over those of springs on its edges."""
+    fabrics = {tension: meshes.mesh(MESH_SIDE, tension) for tension in ("springs", "membrane")}
+    steps = WORK // 4 // fabrics["springs"].number
+    calls = {tension: stepping(tension, fabric, steps) for tension, fabric in fabrics.items()}
+    for call in calls.values():
+        call()
+    # In turns, so that a slow machine slows both.
+    spent = [[seconds(call) for call in calls.values()] for _ in range(repeats)]
+    results = [
+        Result("membrane", f"a step of {tension}", "us", tuple(1e6 * sample[k] / steps for sample in spent),
+               note=f"{fabric.number:,} vertices, {len(fabric.faces):,} triangles")
+        for k, (tension, fabric) in enumerate(fabrics.items())
+    ]  # fmt: skip
+    ratios = tuple(on / off for off, on in spent)
+    return [*results, Result("membrane", "membrane over springs", "times", ratios, bar=1.5, at_most=True)]
 
 
 def sheet_32(repeats: int) -> list[Result]:

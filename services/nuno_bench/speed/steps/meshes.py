@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno import registry
+from nuno.cloth.yarns import structural_edges
 from nuno.scene.files import SceneFiles
 from nuno_bench.machine import cores
 from nuno_schemas.fabric import Fabric, State
@@ -55,10 +56,28 @@ def net(arrays: dict[str, NDArray[Any]]) -> Fabric:
         return _build({"plugin": "net", "file": "net.npz"}, Path(folder))
 
 
+def mesh(side: int, tension: str) -> Fabric:
+    """A square metre of denim as an irregular mesh of side x side vertices."""
+    from scipy.spatial import Delaunay  # half a second to import
+
+    ticks = np.linspace(0.0, 1.0, side)
+    points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
+    inside = ((points > 0.0) & (points < 1.0)).all(axis=1)
+    points[inside] += np.random.default_rng(4).uniform(-0.3, 0.3, (int(inside.sum()), 2)) / (side - 1)
+    lines = [f"v {x!r} {y!r} 0" for x, y in points.tolist()]
+    faces = Delaunay(points).simplices
+    one, other = points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]
+    area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    faces = np.where(area[:, None] < 0.0, faces[:, ::-1], faces)[np.abs(area) > 1e-9]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "mesh.obj").write_text("\n".join(lines) + "\n")
+        return _build({"plugin": "mesh", "file": "mesh.obj", "tension": tension}, Path(folder))
+
+
 def system_of(fabric: Fabric) -> tuple[System, State]:
     """The fabric under gravity on all cores, and its start, slightly rough."""
-    assert fabric.springs is not None
-    edge = float(np.median(fabric.springs.rest))
+    edge = float(np.median(structural_edges(fabric)[1]))
     x = fabric.position + np.random.default_rng(1).normal(scale=ROUGHNESS * edge, size=fabric.position.shape)
     return System(fabric, GRAVITY, threads=cores()), State(np.ascontiguousarray(x), fabric.velocity.copy())
 

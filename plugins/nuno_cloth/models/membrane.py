@@ -1,0 +1,45 @@
+"""The membrane of a triangle mesh: a measured fabric's tension and shear, whatever the mesh.
+
+A triangle of constant strain stores what the measures say for any shape of its own and any direction of the yarns
+across it, as springs on its edges cannot (nuno_cloth.models.triangles). Warp and weft couple as those of a grid of
+springs do, C_wf = G (nuno_cloth.fabrics.constants), so that the same fabric hangs the same on both; of a fabric so
+stiff in shear that this would be no elastic body, as far as one can be.
+
+Damping. Strained alone, a triangle of area A whose yarn F = a (x1 - x0) + b (x2 - x0) has the modulus C swings with
+
+    w^2 = A C S,  S = (a + b)^2 / m0 + a^2 / m1 + b^2 / m2,
+
+so that a share zeta of its critical damping is D = 2 zeta C / w = 2 zeta sqrt(C / (A S)): as a spring's, by the masses
+at its ends. Shear moves both yarns, and has the sum of their S.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_cloth.fabrics.presets import Material
+from nuno_cloth.models.triangles import face_areas
+from nuno_schemas.fabric import Float, Int, Membrane
+
+
+def build_membrane(material: Material, x: Float, faces: Int, mass: Float, warp: Float, weft: Float) -> Membrane:
+    """Of triangles faces (f, 3) at rest in the shape x (n, 3) [m], between vertices of mass (n,) [kg], with the yarn
+    directions (f, 3) of each.
+    """
+    sides = np.stack([x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]], axis=2)
+    flat = np.einsum("fyi,fis->fys", np.stack([warp, weft], axis=1), sides)
+    inverse = np.linalg.inv(flat)
+    along, across = (np.ascontiguousarray(inverse[:, :, yarn]) for yarn in (0, 1))
+    area = face_areas(x, faces)
+    coupling = min(material.shear, float(np.sqrt(material.warp * material.weft)))
+    moduli = np.array([material.warp, material.weft, coupling, material.shear])
+    mobile = np.stack([_mobility(along, mass[faces]), _mobility(across, mass[faces])])
+    mobile = np.concatenate([mobile, mobile.sum(axis=0, keepdims=True)])
+    damping = 2.0 * material.damping_ratio * np.sqrt(moduli[[0, 1, 3], None] / (area * mobile))
+    return Membrane(faces, along, across, area, np.repeat(moduli[:, None], len(faces), axis=1), damping)
+
+
+def _mobility(yarn: Float, mass: Float) -> Float:
+    """(f,) S [1 / (kg m^2)] of yarns (f, 2) between vertices of mass (f, 3)."""
+    shares = np.column_stack([yarn.sum(axis=1), yarn])
+    return np.asarray((np.square(shares) / mass).sum(axis=1))

@@ -1,0 +1,72 @@
+"""A mesh of a measured fabric in a run: recorded, resumed, reported, and met by what works on springs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import write_scene
+
+import nuno
+from nuno.scene import scene_file
+from nuno.service import Options
+from nuno.supervision import supervisor
+from nuno_schemas.errors import BadInput
+
+LINE = {"points": [[0.05, 0.0, 0.05], [0.15, 0.0, 0.15]], "height": 0.01}
+
+
+def cloth(folder: Path, **fields: Any) -> dict[str, Any]:
+    """A level piece of 0.2 m, held along one side, whose vertices lie in no rows."""
+    ticks = np.linspace(0.0, 0.2, 6)
+    x, z = (each.reshape(-1) for each in np.meshgrid(ticks, ticks))
+    inside = (x > 0) & (x < 0.2) & (z > 0) & (z < 0.2)
+    rng = np.random.default_rng(1)
+    x, z = (each + np.where(inside, rng.uniform(-0.01, 0.01, each.shape), 0.0) for each in (x, z))
+    row, column = (each.reshape(-1) for each in np.mgrid[:5, :5])
+    a = 6 * row + column + 1
+    faces = np.concatenate([np.column_stack([a, a + 6, a + 7]), np.column_stack([a, a + 7, a + 1])])
+    lines = [f"v {p!r} 0 {q!r}" for p, q in zip(x.tolist(), z.tolist(), strict=True)]
+    (folder / "piece.obj").write_text("\n".join(lines + [f"f {i} {j} {k}" for i, j, k in faces.tolist()]) + "\n")
+    pin = [{"low": [-1, -1, -0.01], "high": [1, 1, 0.01]}]
+    model = {"plugin": "mesh", "file": "piece.obj", "warp": [0, 0, 1], "pin": pin, "fabric": "interlock"}
+    return {"name": "piece", "model": model | fields}
+
+
+@pytest.mark.parametrize("solver", ["leapfrog", "implicit_euler", "xpbd"])
+def test_it_hangs_by_its_side_and_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, solver: str) -> None:
+    scene = write_scene(tmp_path, objects=[cloth(tmp_path)], solver=solver, duration=0.4, damping=2.0,
+                        cloth_contact={"plugin": "offset"}, record={"checkpoint_every": 0.2})  # fmt: skip
+    whole = nuno.run(scene, record=tmp_path / "whole.mcap")
+    assert whole.report["size"]["triangles of a membrane"] == 50 and whole.report["size"]["springs"] == 0
+    assert 0.0 < whole.report["stretch"] < 0.1
+    part = nuno.run(scene, "duration=0.2", record=tmp_path / "part.mcap")
+    options = Options(record=tmp_path / "on.mcap", resume=part.path)
+    assert supervisor.supervise(scene_file.read(scene), options).summary["digest"] == whole.digest
+
+
+def test_what_is_shown_of_it_are_the_sides_of_its_triangles(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, objects=[cloth(tmp_path)], duration=0.02)
+    with nuno.open(nuno.run(scene, record=tmp_path / "run.mcap").path) as recording:
+        fabric, first = recording.fabric()[0], next(recording.frames())
+    ends = first.x[fabric["edges"]]
+    assert len(ends) == 85
+    assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == pytest.approx(fabric["edge_rest"], rel=1e-4)
+
+
+def test_it_comes_to_rest_in_balance(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, objects=[cloth(tmp_path)], solver="implicit_euler", duration=20.0, damping=5.0,
+                        until="balance")  # fmt: skip
+    assert nuno.run(scene).report["rested"]
+
+
+def test_lines_ask_for_springs(tmp_path: Path) -> None:
+    operations = [{"plugin": "wrinkle", "at": 0.0, "lines": [LINE]}]
+    refused = write_scene(tmp_path, objects=[cloth(tmp_path)], duration=0.05, operations=operations)
+    with pytest.raises(BadInput, match="no structural springs") as caught:
+        nuno.run(refused)
+    assert "tension: springs" in str(caught.value)
+    drawn = write_scene(tmp_path, objects=[cloth(tmp_path, tension="springs")], duration=0.05, operations=operations)
+    assert nuno.run(drawn).report["changes"]
