@@ -28,3 +28,20 @@ class Preset:
     name: str
     source: str
     measures: tuple[Measure, ...]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A fabric from a laboratory's sheet, of a model that reads some by `import_fabric(given, like)`.
+
+    fabric    values in SI by their names in a scene's `fabric`, and the units of these
+    how       how each was had: measured, derived or assumed, in words
+    unused    values of the sheet that nothing here is made of
+    measured  what virtual tests find of each on a mesh, where there is a test
+    """
+
+    fabric: Mapping[str, float]
+    units: Mapping[str, str]
+    how: Mapping[str, str]
+    unused: tuple[str, ...] = ()
+    measured: Mapping[str, float] = field(default_factory=dict)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -28,7 +29,7 @@ from nuno_cloth.models.triangles import face_areas, find_edges
 from nuno_cloth.quantities import Length
 from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
-from nuno_schemas.preset import Preset
+from nuno_schemas.preset import Imported, Preset
 from nuno_schemas.vectors import turn
 
 CellKind = Literal["quads", "triangles"]
@@ -132,6 +133,17 @@ class Sheet:
             return self.build(config, None, 0)  # type: ignore[arg-type] # specimens carry no images
 
         return list_presets(cut)
+
+    def import_fabric(self, given: Mapping[str, Any], like: str | None) -> Imported:
+        """A fabric from a laboratory's sheet, with what virtual tests find of it. Raises BadInput."""
+        from nuno_cloth.fabrics.catalogue import RESOLUTION, SIZE
+        from nuno_cloth.fabrics.kes import measure
+        from nuno_cloth.fabrics.laboratory import read_sheet
+
+        found = read_sheet(given, like)
+        config = SheetConfig.model_validate({"size": SIZE, "resolution": RESOLUTION, "fabric": dict(found.fabric)})
+        tests = measure(self.build(config, None, 0), RESOLUTION, SIZE)  # type: ignore[arg-type] # no images
+        return replace(found, measured={name: float(getattr(tests, name)) for name in found.fabric})
 
     def build(self, config: SheetConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a pin that does not exist, a missing texture, elongated cells."""

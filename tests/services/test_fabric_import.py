@@ -1,0 +1,119 @@
+"""A fabric from a laboratory's sheet: units, closed forms, what is missing; virtual tests give the sheet back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from nuno.cli import main
+from nuno.cli.fabric import importer, read_values
+from nuno_schemas.errors import BadInput
+from nuno_schemas.preset import Imported
+
+KES = "instrument: KES-F\nW: 12.1\nB: [0.118, 0.076]\n2HB: 0.124\nG: [0.8, 0.7]\nLT: [0.8, 1.0]\nEMT: [3.2, 6.1]\n"
+FAST = "instrument: FAST\nW: 200\nC: [20, 16]\nE5: [0.5, 1.2]\nEB5: 4.1\n"
+
+
+def read(folder: Path, text: str, like: str | None = None, suffix: str = ".yaml") -> Imported:
+    path = folder / f"sheet{suffix}"
+    path.write_text(text)
+    found: Imported = importer().import_fabric(read_values(path)[0], like)
+    return found
+
+
+def test_kes_values_are_read_in_their_units(tmp_path: Path) -> None:
+    """1 gf cm^2/cm is 98.07 uN m, 1 gf/(cm deg) 56.19 N/m; a curve of LT = 1 is straight, 490.3 N/m over EMT."""
+    found = read(tmp_path, KES)
+    assert found.fabric["density"] == pytest.approx(0.121, rel=1e-12)
+    assert found.fabric["bend_warp"] == pytest.approx(0.118 * 98.0665e-6, rel=1e-9)
+    assert found.fabric["bend_weft"] == pytest.approx(0.076 * 98.0665e-6, rel=1e-9)
+    assert found.fabric["shear"] == pytest.approx(0.75 * 0.980665 * 180.0 / 3.141592653589793, rel=1e-9)
+    assert found.fabric["weft"] == pytest.approx(490.3325 / 0.061, rel=1e-9)
+    # LT = 0.8 is F = F_m (e / EMT)^1.5.
+    assert found.fabric["warp"] == pytest.approx(4.903325 / (0.032 * 0.01 ** (1.0 / 1.5)), rel=1e-9)
+    assert found.unused == ("2HB",)
+
+
+def test_wt_says_what_lt_does(tmp_path: Path) -> None:
+    work = [0.8 * 0.5 * 500.0 * 0.032, 1.0 * 0.5 * 500.0 * 0.061]
+    given = KES.replace("LT: [0.8, 1.0]", f"WT: {work}")
+    for name, value in read(tmp_path, given).fabric.items():
+        assert value == pytest.approx(read(tmp_path, KES).fabric[name], rel=1e-9)
+
+
+def test_fast_values_are_read_in_their_units(tmp_path: Path) -> None:
+    """B [uN m] = 9.807e-6 W [g/m^2] c^3 [mm^3], G = 123 / EB5: the FAST manual's formulas."""
+    found = read(tmp_path, FAST).fabric
+    assert found["bend_warp"] == pytest.approx(1e-6 * 9.80665e-6 * 200 * 20**3, rel=1e-9)
+    assert found["bend_weft"] == pytest.approx(1e-6 * 9.80665e-6 * 200 * 16**3, rel=1e-9)
+    assert found["shear"] == pytest.approx(123.0 / 4.1, rel=1e-12)
+    assert found["warp"] == pytest.approx(4.903325 / 0.005, rel=1e-9)
+
+
+@pytest.mark.parametrize("text", [KES, FAST], ids=["KES-F", "FAST"])
+def test_virtual_tests_give_the_sheet_back(tmp_path: Path, text: str) -> None:
+    """Within the bar of 2 %, but for rounding."""
+    found = read(tmp_path, text)
+    assert set(found.measured) == set(found.fabric)
+    for name, value in found.fabric.items():
+        assert found.measured[name] == pytest.approx(value, rel=1e-3), name
+
+
+def test_what_is_missing_is_asked_for_or_taken_from_a_preset(tmp_path: Path) -> None:
+    text = "instrument: cantilever\nW: 150\nC: 18 mm\n"
+    with pytest.raises(BadInput, match="does not tell warp, weft, shear") as caught:
+        read(tmp_path, text)
+    assert "--like" in str(caught.value.remedy)
+    found = read(tmp_path, text, "denim")
+    assert found.how["warp"] == "assumed: as of denim" and found.how["bend_warp"].startswith("derived")
+    with pytest.raises(BadInput, match="unknown fabric preset") as caught:
+        read(tmp_path, text, "denin")
+    assert "did you mean 'denim'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "words"),
+    [
+        ("W: 12.1", "W: -12.1", "W", "cannot be negative"),
+        ("W: 12.1", "W: 121000", "W", "618 measured fabrics"),
+        ("W: 12.1", "W: 12 N/m", "W", "cannot be converted to kg/m"),
+        ("W: 12.1", "W: [12, 13]", "W", "one number"),
+        ("B: [0.118, 0.076]", "B: 118", "B", "gf*cm^2/cm"),
+        ("2HB: 0.124", "2HB: 0.6", "2HB", "no room"),
+        ("W: 12.1", "W: 12.1\nE5: 1.0", "E5", "is it instrument: FAST?"),
+        ("W: 12.1", "W: 12.1\nBB: 1.0", "BB", "did you mean"),
+        ("KES-F", "Instron", "instrument", "one of KES-F, FAST, cantilever"),
+        ("LT: [0.8, 1.0]", "WT: 60", "WT", "LT below 2"),
+        ("B: [0.118, 0.076]", "B: 0", "B", "no fabric is known to have that"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, field: str, words: str
+) -> None:
+    assert old in KES
+    path = tmp_path / "sheet.yaml"
+    path.write_text(KES.replace(old, new))
+    assert main(["fabric", "import", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert f"{field}: " in said and words in said
+    assert f"{path}:" in said
+    assert not (tmp_path / "out.yaml").exists()
+
+
+def test_the_command_writes_what_a_scene_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sheet, out = tmp_path / "sheet.csv", tmp_path / "cotton.yaml"
+    sheet.write_text(
+        "# ours\ninstrument, KES-F\nW, 121, g/m^2\nB, 0.118, 0.076\nG, 0.8, 0.7\nLT, 0.8, 1.0\nEMT, 3.2, 6.1\n"
+    )
+    assert main(["fabric", "import", str(sheet), "--out", str(out)]) == 0
+    assert "measured: B" in capsys.readouterr().out
+    fabric = yaml.safe_load(out.read_text())["fabric"]
+    scene = {
+        "nuno": 1, "name": "own", "duration": 0.1, "frame_rate": 10,
+        "objects": [{"name": "cloth", "model": {"plugin": "sheet", "resolution": [4, 4], "fabric": fabric}}],
+    }  # fmt: skip
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    assert main(["plan", str(tmp_path / "scene.yaml")]) == 0
+    assert read(tmp_path, KES).fabric["bend_weft"] == pytest.approx(float(fabric["bend_weft"].split()[0]), rel=1e-5)
