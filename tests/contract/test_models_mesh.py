@@ -30,8 +30,10 @@ def uniform_stiffness(fabric: Fabric) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_meshes_of_right_triangles_keep_the_measures(preset: str, files: Folder) -> None:
-    fabric, material = build(Mesh(), {"file": "sheet.obj", "fabric": preset}, files), PRESETS[preset]
+def test_springs_on_right_triangles_keep_the_measures(preset: str, files: Folder) -> None:
+    """A membrane does on any triangles: tests/physics/test_fabric_meshes.py."""
+    config = {"file": "sheet.obj", "fabric": preset, "tension": "springs"}
+    fabric, material = build(Mesh(), config, files), PRESETS[preset]
     assert uniform_stiffness(fabric) == pytest.approx((material.warp, material.weft, material.shear), rel=1e-6)
     assert fabric.mass.sum() == pytest.approx(material.density * 0.2, rel=1e-12)
 
@@ -99,7 +101,7 @@ def test_merging_joins_vertices_at_one_place(files: Folder) -> None:
     for config in ({"file": "soup.obj", "merge": True}, {"file": "sheet.stl"}):
         fabric = build(Mesh(), config, files)
         assert fabric.number == 20 == Mesh().count(MeshConfig.model_validate(config), files)
-        assert fabric.springs is not None and fabric.springs.number == 4 * 4 + 3 * 5 + 3 * 4
+        assert fabric.membrane is not None and fabric.membrane.number == 2 * 3 * 4
     with pytest.raises(BadInput, match="several vertices") as caught:
         build(Mesh(), {"file": "soup.obj"}, files)
     assert caught.value.remedy == "merge: true"
