@@ -10,9 +10,12 @@ import pytest
 from scenes import write_scene
 
 import nuno
+from nuno.cloth import build
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
+from nuno_bench.problem.observe import lengths_at_rest
+from nuno_bench.stability.case import shortest, stiffen
 from nuno_schemas.errors import BadInput
 
 LINE = {"points": [[0.05, 0.0, 0.05], [0.15, 0.0, 0.15]], "height": 0.01}
@@ -70,3 +73,16 @@ def test_lines_ask_for_springs(tmp_path: Path) -> None:
     assert "tension: springs" in str(caught.value)
     drawn = write_scene(tmp_path, objects=[cloth(tmp_path, tension="springs")], duration=0.05, operations=operations)
     assert nuno.run(drawn).report["changes"]
+
+
+def test_benches_stiffen_it_and_measure_its_strain(tmp_path: Path) -> None:
+    """As springs: damping by the root keeps its share of the critical."""
+    fabric = build.build_fabric(scene_file.read(write_scene(tmp_path, objects=[cloth(tmp_path)])))[0]
+    soft, stiff = fabric.membrane, stiffen(fabric, 9.0).membrane
+    assert soft is not None and stiff is not None
+    np.testing.assert_array_equal(stiff.moduli, 9.0 * soft.moduli)
+    np.testing.assert_array_equal(stiff.damping, 3.0 * soft.damping)
+    pairs, rest = lengths_at_rest(fabric)
+    length = np.linalg.norm(np.diff(fabric.position[pairs], axis=1)[:, 0], axis=1)
+    assert rest == pytest.approx(length, rel=1e-12) and len(rest) == 85
+    assert shortest(fabric) == rest.min()

@@ -10,7 +10,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -19,13 +19,14 @@ import psutil
 from pydantic import BaseModel
 
 from nuno.cloth import build
+from nuno.cloth.yarns import structural_edges
 from nuno.collision.bodies import build_bodies
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.system import StepLimit, StepReport, System
 
 POSITIONS = "positions"
@@ -206,19 +207,27 @@ class Run:
 
 def observe(problem: Problem, places: Sequence[Float], reports: Sequence[StepReport]) -> Series:
     """The series of a run, from the positions (n, 3) and the reports of its frames, the start among them."""
-    mass, springs, gravity = problem.fabric.mass[problem.free], problem.fabric.springs, problem.system.gravity
+    mass, gravity = problem.fabric.mass[problem.free], problem.system.gravity
     x = np.array([one[problem.free] for one in places])
     parts = np.array([[float(report.energy[kind]) for kind in sorted(report.energy)] for report in reports])
     centre = np.einsum("n,fnj->fj", mass, x) / mass.sum()
     values = {"energy": parts.sum(axis=1, keepdims=True), "centre": centre}
     if gravity.any():
         values["drop"] = ((centre - centre[0]) @ (gravity / np.linalg.norm(gravity)))[:, None]
-    if springs is not None and springs.number > 0:
-        rest = springs.per_spring(springs.rest)
-        i, j = springs.pairs()[rest > 0.0].T
+    pairs, rest = lengths_at_rest(problem.fabric)
+    if len(rest):
+        i, j = pairs[rest > 0.0].T
         strains = (np.abs(np.linalg.norm(one[j] - one[i], axis=1) / rest[rest > 0.0] - 1.0) for one in places)
         values["strain"] = np.array([[one.mean() if one.size else math.nan] for one in strains])
     return Series(problem.frame * np.arange(len(x), dtype=np.float64), x, values, parts)
+
+
+def lengths_at_rest(fabric: Fabric) -> tuple[Int, Float]:
+    """Vertices (s, 2) that springs and sides of a membrane's triangles join, and their lengths at rest [m]."""
+    springs, (pairs, rest) = fabric.springs, structural_edges(replace(fabric, springs=None))
+    if springs is None:
+        return pairs, rest
+    return np.concatenate([springs.pairs(), pairs]), np.append(springs.per_spring(springs.rest), rest)
 
 
 def simulate(

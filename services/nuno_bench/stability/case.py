@@ -83,18 +83,26 @@ def pose(setting: Setting) -> Problem:
 
 
 def stiffen(fabric: Fabric, factor: float) -> Fabric:
-    """All springs and hinges stiffer by a factor; damping by its root, which keeps its share of the critical."""
-    springs, hinges = fabric.springs, fabric.hinges
+    """All springs, triangles and hinges stiffer by a factor; damping by its root, which keeps its share of the
+    critical.
+    """
+    springs, hinges, membrane = fabric.springs, fabric.hinges, fabric.membrane
     if springs is not None:
         k_lock = None if springs.k_lock is None else springs.k_lock * factor
         springs = replace(springs, k=springs.k * factor, c=springs.c * math.sqrt(factor), k_lock=k_lock)
-    return replace(fabric, springs=springs, hinges=hinges and replace(hinges, k=hinges.k * factor))
+    if membrane is not None:
+        membrane = replace(membrane, moduli=membrane.moduli * factor, damping=membrane.damping * math.sqrt(factor))
+    hinges = hinges and replace(hinges, k=hinges.k * factor)
+    return replace(fabric, springs=springs, hinges=hinges, membrane=membrane)
 
 
 def shortest(fabric: Fabric) -> float:
-    """Length of the shortest spring at rest [m]; 0 where there is none."""
-    rest = fabric.springs.rest[fabric.springs.rest > 0.0] if fabric.springs is not None else np.zeros(0)
-    return float(rest.min()) if rest.size else 0.0
+    """Length of the shortest spring or side of a membrane's triangle at rest [m]; 0 where there is none."""
+    rest = np.concatenate([
+        np.zeros(0) if fabric.springs is None else fabric.springs.rest,
+        np.zeros(0) if fabric.membrane is None else fabric.membrane.sides().reshape(-1),
+    ])  # fmt: skip
+    return float(rest[rest > 0.0].min(initial=math.inf)) if (rest > 0.0).any() else 0.0
 
 
 def run(problem: Problem, plugin: Any, config: Any, steps: int, most: float = math.inf) -> Run:
