@@ -118,8 +118,11 @@ def keep_momentum(a: Linear, threads: int | None) -> None:
 
     What conjugate gradients leave of the residual has any sum: a force from nowhere. Forces between vertices feel
     nothing of a translation, so that A's part along one is the sum of D, and 3 equations find the one that leaves no
-    sum. Where cloth meets a body A is stiffer: along what they find it goes as far as the residual falls.
+    sum. Where cloth meets a body A is stiffer: along what they find it goes as far as the residual falls. Masses
+    without forces between them keep theirs each for itself.
     """
+    if len(a.forces) == 0:
+        return
     total, own, inverse = np.zeros(3), np.zeros((6, 1)), np.zeros((6, 1))
     for v in range(a.x.shape[1]):
         if a.inverse_mass[v] == 0.0:
