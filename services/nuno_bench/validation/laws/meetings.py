@@ -36,13 +36,17 @@ def free(system: System) -> Any:
 
 @laws(meshes("sticks", share=0.99) | meshes("slides", share=1.01), "Coulomb's law")
 def measure_incline(plugin: Any, share: float, irregular: bool) -> Found:
-    """A sheet on a sheet comes to rest where tan alpha < mu, and else gains speed: 1 % of tan alpha off either way."""
+    """A sheet on a sheet comes to rest where tan alpha < mu, and else gains speed: 1 % of tan alpha off either way.
+
+    It lands from a hundredth of the thickness, slides a millimetre as it bounces, and stops within 0.3 s.
+    """
     mu = 0.5
     slope = math.atan(share * mu)
     run = Run(plugin, piles.pile(*piles.incline(irregular), gravity=piles.tilted(slope), friction=mu), ACCURATE)
-    steps, dt = choose_step(run, 0.2, LONGEST, 2)
+    steps, dt = choose_step(run, 0.3, LONGEST, 2)
     run.go(steps, dt)
     start, before = pace(run)
+    steps, dt = choose_step(run, 0.2, LONGEST, 2)
     run.go(steps, dt)
     end, after = pace(run)
     pull = G * (math.sin(slope) - mu * math.cos(slope))
