@@ -191,6 +191,12 @@ class Membrane:
         first, second = np.linalg.inv(np.stack([self.along, self.across], axis=2)).transpose(2, 0, 1)
         return np.asarray(np.linalg.norm(np.stack([first, second - first, second], axis=1), axis=2))
 
+    def edges(self) -> tuple[Int, Float]:
+        """(e, 2) vertices of every side, each once, and (e,) its length at rest [m]."""
+        ends = np.sort(np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        pairs, first = np.unique(ends, axis=0, return_index=True)
+        return pairs, self.sides().reshape(-1)[first]
+
 
 @dataclass(frozen=True)
 class Binding:
@@ -246,6 +252,11 @@ class Fabric:
     @property
     def number(self) -> int:
         return int(self.mass.shape[0])
+
+    @property
+    def bears_tension(self) -> bool:
+        """Whether it has any springs or triangles of a membrane."""
+        return any(part is not None and part.number > 0 for part in (self.springs, self.membrane))
 
 
 @dataclass

@@ -11,6 +11,7 @@ from scenes import write_scene
 
 import nuno
 from nuno.cloth import build
+from nuno.export.cloth import read_pieces
 from nuno.scene import scene_file
 from nuno.service import Options
 from nuno.supervision import supervisor
@@ -86,3 +87,28 @@ def test_benches_stiffen_it_and_measure_its_strain(tmp_path: Path) -> None:
     length = np.linalg.norm(np.diff(fabric.position[pairs], axis=1)[:, 0], axis=1)
     assert rest == pytest.approx(length, rel=1e-12) and len(rest) == 85
     assert shortest(fabric) == rest.min()
+
+
+def test_a_knit_beside_it_is_shown_by_its_yarns_and_their_tension(tmp_path: Path) -> None:
+    """Sides of triangles are no yarns; the mesh is shown by its stretch."""
+    knit = {
+        "plugin": "knit",
+        "wales": 3,
+        "courses": 4,
+        "spacing": [0.02, 0.02],
+        "yarns": ["elastane"],
+        "pin": ["top-row"],
+    }
+    objects = [{"name": "knit", "model": knit}, cloth(tmp_path)]
+    scene = write_scene(tmp_path, objects=objects, duration=0.02, solver="leapfrog")
+    with nuno.open(nuno.run(scene, record=tmp_path / "run.mcap").path) as recording:
+        arrays, pieces = recording.fabric()[0], read_pieces(recording)
+    alone = write_scene(tmp_path, objects=objects[:1], duration=0.02, solver="leapfrog")
+    with nuno.open(nuno.run(alone, record=tmp_path / "alone.mcap").path) as recording:
+        expected = recording.fabric()[0]
+    links = len(expected["edges"])
+    assert len(arrays["edges"]) == links + 85
+    for name in ("edge_yarn", "edge_k", "edge_mu", "edge_beside"):
+        assert len(arrays[name]) == links + 85
+        np.testing.assert_array_equal(arrays[name][:links], expected[name])
+    assert pieces[0].tensions is not None and pieces[1].tensions is None

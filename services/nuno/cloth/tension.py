@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.cloth.yarns import beside_sides
 from nuno_schemas.fabric import Fabric, Float
 
 SPAN = 1000.0
@@ -16,13 +17,17 @@ SPAN = 1000.0
 
 
 def tension_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
-    """What tension of its springs (e,) takes beside where they are; nothing for a fabric without yarns.
+    """What tension of its springs, and none of the sides of a membrane's triangles, (e,) takes beside where they are;
+    nothing for a fabric without yarns, nor for one of whose springs some are not shown.
 
     edge_k, edge_mu (e,) float32 [N/m, 1]; edge_beside (e, 2) int32 the links before and after on the same yarn, -1
     for none; of yarns that lock edge_lock, edge_k_lock (e,) float32 [1, N/m] as well.
     """
     springs, yarns = fabric.springs, fabric.yarns
     if springs is None or yarns is None:
+        return {}
+    shown = springs.of_kind(0)
+    if shown.any() and not shown.all():
         return {}
     pairs, _ = yarns.neighbours()
     beside = np.full((springs.number, 2), -1, np.int32)
@@ -33,7 +38,7 @@ def tension_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
     for name, values in (("edge_k", springs.k), ("edge_lock", springs.lock), ("edge_k_lock", springs.k_lock)):
         if values is not None:
             found[name] = springs.per_spring(values).astype(np.float32)
-    return found
+    return {name: beside_sides(fabric, values, -1 if name == "edge_beside" else 0.0) for name, values in found.items()}
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,8 @@ class Tensions:
 
     @staticmethod
     def read(arrays: Mapping[str, NDArray[Any]], mine: NDArray[np.bool_]) -> Tensions | None:
-        """Of those links of a fabric message that are `mine` (e,); None where it says nothing of them.
+        """Of those links of a fabric message that are `mine` (e,); None where it says nothing of them, or they are
+        sides of a membrane's triangles.
 
         `most` is that of the stiffest link of all, as long again as at rest, so that it does not change with time.
         Raises ValueError where arrays do not fit.
@@ -66,6 +72,8 @@ class Tensions:
             raise ValueError("the arrays of yarns' tension differ in length")
         if beside.shape != (number, 2) or (beside.size and not (beside.min() >= -1 and beside.max() < number)):
             raise ValueError("a link beside another that is not there")
+        if not arrays["edge_k"][mine].any():
+            return None
         stiffest = arrays.get("edge_k_lock", arrays["edge_k"])
         most = float((stiffest * arrays["edge_rest"]).max(initial=0.0)) or 1.0
         # The last number stands for the link that is not there: -1.

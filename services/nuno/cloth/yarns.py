@@ -56,7 +56,7 @@ def edge_yarns(fabric: Fabric) -> NDArray[np.int8] | None:
     kind = np.full(springs.number, -1, np.int8)
     kind[yarns.links] = np.repeat(yarns.kind, np.diff(yarns.ptr))
     structural = springs.of_kind(0)
-    return kind[structural] if structural.any() else kind
+    return beside_sides(fabric, kind[structural] if structural.any() else kind, -1)
 
 
 def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
@@ -71,7 +71,14 @@ def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
             shown[:] = True
         pairs, rest = springs.pairs()[shown], springs.per_spring(springs.rest)[shown]
     if membrane is not None:
-        ends = np.sort(np.stack([membrane.faces, np.roll(membrane.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        sides, first = np.unique(ends, axis=0, return_index=True)
-        pairs, rest = np.concatenate([pairs, sides]), np.append(rest, membrane.sides().reshape(-1)[first])
+        sides, long = membrane.edges()
+        pairs, rest = np.concatenate([pairs, sides]), np.append(rest, long)
     return pairs, rest
+
+
+def beside_sides(fabric: Fabric, values: NDArray[Any], fill: float) -> NDArray[Any]:
+    """Values (s, ...) of springs, then `fill` for sides of a membrane's triangles, as `structural_edges` has both."""
+    if fabric.membrane is None:
+        return values
+    more = np.full((len(fabric.membrane.edges()[0]), *values.shape[1:]), fill, values.dtype)
+    return np.concatenate([values, more])

@@ -57,8 +57,7 @@ class Simulation(Changing):
     def __init__(self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int) -> None:
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
         self.fabric, self.pieces, self.arranged = build.build_told(loaded, geometry, poses)
-        parts = (self.fabric.springs, self.fabric.membrane)
-        if loaded.scene.until == "balance" and not any(part is not None and part.number for part in parts):
+        if loaded.scene.until == "balance" and not self.fabric.bears_tension:
             problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
         self.start_poses = self.poses = poses

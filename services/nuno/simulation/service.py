@@ -146,9 +146,7 @@ class ClothDriver(Driver):
             arrays["uv"] = fabric.uv
         yarns = edge_yarns(fabric)
         if yarns is not None:
-            arrays["edge_yarn"] = yarns
-            if fabric.springs is not None and len(edges) == fabric.springs.number:
-                arrays |= tension_arrays(fabric)
+            arrays |= {"edge_yarn": yarns} | tension_arrays(fabric)
         text = {
             "vertices": fabric.number,
             "scene": self.scene.name,

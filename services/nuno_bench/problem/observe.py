@@ -10,7 +10,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -19,7 +19,6 @@ import psutil
 from pydantic import BaseModel
 
 from nuno.cloth import build
-from nuno.cloth.yarns import structural_edges
 from nuno.collision.bodies import build_bodies
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
@@ -224,10 +223,11 @@ def observe(problem: Problem, places: Sequence[Float], reports: Sequence[StepRep
 
 def lengths_at_rest(fabric: Fabric) -> tuple[Int, Float]:
     """Vertices (s, 2) that springs and sides of a membrane's triangles join, and their lengths at rest [m]."""
-    springs, (pairs, rest) = fabric.springs, structural_edges(replace(fabric, springs=None))
-    if springs is None:
-        return pairs, rest
-    return np.concatenate([springs.pairs(), pairs]), np.append(springs.per_spring(springs.rest), rest)
+    springs, membrane = fabric.springs, fabric.membrane
+    parts = [] if springs is None else [(springs.pairs(), springs.per_spring(springs.rest))]
+    parts += [] if membrane is None else [membrane.edges()]
+    pairs, rest = zip(*parts, strict=True) if parts else ([np.zeros((0, 2), np.int32)], [np.zeros(0)])
+    return np.concatenate(pairs), np.concatenate(rest)
 
 
 def simulate(
