@@ -120,7 +120,7 @@ def it_moves_without_jumps(subject: Subject) -> None:
         turn = np.minimum(np.abs(one - other).max(axis=1), np.abs(one + other).max(axis=1))
         return float(max(np.abs(here - there).max(), turn.max()))
 
-    times = np.linspace(0.0, 4.0, 401)
+    times = np.linspace(0.0, 4.0, 801)
     most = [max(change(t, span) for t in times) for span in (0.02, 0.01, 0.005)]
     assert most[2] <= 0.7 * most[1] + 1e-12
     assert most[1] <= 0.7 * most[0] + 1e-12
