@@ -10,6 +10,7 @@ from nuno_kernels.forces.yarn_tension import lengths, own_tensions
 from nuno_schemas.fabric import Fabric, Float, Membrane
 
 TINY = 1e-300
+"""Stands for the length of a yarn that has none [1], which then pulls nowhere."""
 NO_STRAIN = 1e-11
 """Springs that are strained by less than this share of the cloth's largest coordinate pull with that much: their own
 length is known no better, so that cloth without load, which pulls with rounding alone, is at rest."""

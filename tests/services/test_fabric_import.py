@@ -104,9 +104,8 @@ def test_what_cannot_be_is_refused_by_name(
 
 def test_the_command_writes_what_a_scene_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sheet, out = tmp_path / "sheet.csv", tmp_path / "cotton.yaml"
-    sheet.write_text(
-        "# ours\ninstrument, KES-F\nW, 121, g/m^2\nB, 0.118, 0.076\nG, 0.8, 0.7\nLT, 0.8, 1.0\nEMT, 3.2, 6.1\n"
-    )
+    lines = ("# ours", "source, a laboratory, 2026", "instrument, KES-F", "W, 121, g/m^2", "B, 0.118, 0.076")
+    sheet.write_text("\n".join((*lines, "G, 0.8, 0.7", "LT, 0.8, 1.0", "EMT, 3.2, 6.1")))
     assert main(["fabric", "import", str(sheet), "--out", str(out)]) == 0
     assert "measured: B" in capsys.readouterr().out
     fabric = yaml.safe_load(out.read_text())["fabric"]
@@ -117,3 +116,13 @@ def test_the_command_writes_what_a_scene_takes(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
     assert main(["plan", str(tmp_path / "scene.yaml")]) == 0
     assert read(tmp_path, KES).fabric["bend_weft"] == pytest.approx(float(fabric["bend_weft"].split()[0]), rel=1e-5)
+
+
+def test_words_of_several_lines_stay_in_their_comment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "sheet.yaml"
+    path.write_text(KES + "name: |\n  cotton\n  fabric: 3\nsource: [a, b]\n")
+    assert main(["fabric", "import", str(path), "--out", str(tmp_path / "out.yaml")]) == 0
+    capsys.readouterr()
+    text = (tmp_path / "out.yaml").read_text()
+    assert text.startswith("# cotton fabric: 3: KES-F, sheet.yaml\n# source: ['a', 'b']\nfabric:\n")
+    assert list(yaml.safe_load(text)) == ["fabric"]

@@ -75,7 +75,6 @@ NEEDED = {
     "density": "kg/m^2", "warp": "N/m", "weft": "N/m", "shear": "N/m", "bend_warp": "N*m", "bend_weft": "N*m",
 }  # fmt: skip
 """What a fabric is described by, and the units."""
-WORDS = ("instrument", "name", "source")
 
 
 @dataclass
@@ -103,7 +102,7 @@ def read_sheet(given: Mapping[str, Any], like: str | None = None) -> Imported:
     for name, value in given.items():
         if name in columns:
             sheet.values[name] = _values(name, value, columns[name])
-        elif name not in unused and name not in WORDS:
+        elif name not in unused and name != "instrument":
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
@@ -126,7 +125,7 @@ def _unknown(name: str, instrument: str) -> BadInput:
     if others:
         problem, remedy = f"a sheet of {instrument} has no such value", f"is it instrument: {others[0]}?"
         return BadInput(problem, field=name, remedy=remedy)
-    known = SHEETS[instrument].keys() | UNUSED[instrument] | set(WORDS)
+    known = SHEETS[instrument].keys() | UNUSED[instrument] | {"instrument"}
     return BadInput(f"not a value of a sheet of {instrument}", field=name, remedy=nearest(name, known))
 
 

@@ -43,7 +43,8 @@ FARTHEST = 1e100
 """Coordinates beyond this [m] have no squares and cubes that are numbers."""
 BYTES_PER_VERTEX = 2000
 """What a run takes at most: 1,896 were measured between meshes of 262,144 and 640,000 vertices, with
-three springs and three hinges each, and the file's text and triangles while it is read."""
+three springs and three hinges each, and the file's text and triangles while it is read; a membrane takes a
+little less."""
 
 
 class Box(Config):

@@ -93,7 +93,7 @@ class Shirt:
         share = np.repeat(face_areas(sewn.flat, sewn.faces), 3) * material.density / 3
         mass = np.bincount(sewn.faces.reshape(-1), share, len(sewn.flat)).astype(np.float64)
         down = np.array([0.0, 1.0, 0.0])
-        net = build_elements(material, sewn.flat, sewn.faces, edges, mass, down, True, config.tension)
+        net = build_elements(material, sewn.flat, sewn.faces, edges, mass, down, folded=True, tension=config.tension)
         position = dress(wearer, cut, fit, sewn, edges, config.over.clearance)
         return Fabric(
             name=self.name,

@@ -16,7 +16,8 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
 
 GROUP = "nuno.models"
-WORDS = ("instrument", "name", "source")
+TITLE = ("name", "source")
+"""What a sheet says of itself, in words."""
 KINDS = (".csv", ".yaml", ".yml")
 
 
@@ -33,13 +34,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     given, lines = read_values(args.sheet)
+    # In one line, as a comment holds them.
+    title = {name: " ".join(str(given.pop(name)).split()) for name in TITLE if name in given}
     try:
         found: Imported = importer().import_fabric(given, args.like)
     except BadInput as error:
         if error.field is None or error.field.startswith("--"):
             raise
         raise replace(error, file=str(args.sheet), line=lines.get(error.field)) from None
-    text = as_yaml(found, f"{given.get('name', args.sheet.stem)}: {given['instrument']}, {args.sheet.name}", given)
+    head = [f"{title.get('name', args.sheet.stem)}: {given['instrument']}, {args.sheet.name}"]
+    text = as_yaml(found, head + ([f"source: {title['source']}"] if "source" in title else []))
     print(table(found))
     if found.unused:
         print(f"\nnot used, for no force here has it: {', '.join(found.unused)}")
@@ -83,7 +87,7 @@ def read_values(path: Path) -> tuple[dict[str, Any], dict[str, int]]:
         if name in given or not parts:
             problem = "the value is given twice" if name in given else "a name without a value"
             raise BadInput(problem, str(path), line, name, remedy="write name, warp, weft, one a line")
-        given[name], where[name] = (", ".join(parts) if name in WORDS else _numbers(parts)), line
+        given[name], where[name] = (", ".join(parts) if name in ("instrument", *TITLE) else _numbers(parts)), line
     return given, where
 
 
@@ -114,10 +118,8 @@ def table(found: Imported) -> str:
     return align(rows, left=(0, 2, 5))
 
 
-def as_yaml(found: Imported, title: str, given: dict[str, Any]) -> str:
-    """The `fabric` of a scene, with the source of each value."""
-    source = f"# source: {given['source']}\n" if "source" in given else ""
-    lines = [
-        f"  {name}: {value:.6g} {found.units[name]}  # {found.how[name]}\n" for name, value in found.fabric.items()
-    ]
-    return f"# {title}\n{source}fabric:\n{''.join(lines)}"
+def as_yaml(found: Imported, head: list[str]) -> str:
+    """The `fabric` of a scene below comments of a line each, and how each value was had."""
+    lines = [f"# {line}" for line in head] + ["fabric:"]
+    lines += [f"  {name}: {value:.6g} {found.units[name]}  # {found.how[name]}" for name, value in found.fabric.items()]
+    return "\n".join(lines) + "\n"
