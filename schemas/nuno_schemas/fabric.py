@@ -199,6 +199,23 @@ class Membrane:
 
 
 @dataclass(frozen=True)
+class Bending:
+    """Bending as a quadratic form of the positions: energy sum of weight |x_j - x_i|^2 / 2 over pairs.
+
+    pairs    (p, 2) int32  vertices i < j, each pair once
+    weight   (p,)          [N/m], of either sign; the form is never negative, and 0 for what is moved, turned, strained
+                           and sheared the same everywhere
+    """
+
+    pairs: Annotated[Int, "p", 2, Bounds(0, below="n")]
+    weight: Annotated[Float, "p"]
+
+    @property
+    def number(self) -> int:
+        return int(self.pairs.shape[0])
+
+
+@dataclass(frozen=True)
 class Binding:
     """Pinned vertices that move rigidly with a body's frame.
 
@@ -222,7 +239,7 @@ class Fabric:
                              outside, v upwards: (0, 1) is the image's upper left corner, as in
                              OBJ files. Image rows run down, so what samples an image, such as
                              drawing.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
-    springs, hinges, membrane  or None where there are none
+    springs, hinges, membrane, bending  or None where there are none
     yarns                    springs that are links of yarns, or None
     cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: what it has
                              areas and normals of where it has no faces
@@ -247,6 +264,7 @@ class Fabric:
     yarns: Yarns | None = None
     cells: Annotated[Int, "c", 4, Bounds(0, below="n")] | None = None
     membrane: Membrane | None = None
+    bending: Bending | None = None
     origin: Mapping[str, float] = field(default_factory=dict)
 
     @property

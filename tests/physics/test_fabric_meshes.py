@@ -55,7 +55,7 @@ def piece(points: Float, faces: Int, material: Material, angle: float = 90.0) ->
     net = build_elements(material, x, faces, edges, mass, warp, tension="membrane")
     assert net.springs is None
     held = points[:, 1] == points[:, 1].max()
-    return Fabric("piece", x, 0.0 * x, mass, held, faces, None, net.hinges, membrane=net.membrane)
+    return Fabric("piece", x, 0.0 * x, mass, held, faces, membrane=net.membrane, bending=net.bending)
 
 
 def hessian(fabric: Fabric, x: Float) -> scipy.sparse.csc_matrix:

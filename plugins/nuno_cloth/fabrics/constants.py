@@ -117,7 +117,6 @@ def grid_constants(material: Material | HandSet, lattice: Lattice) -> Constants:
     shear_k = g * (a * a + b * b) / (2 * a * b)
     mass = material.density * lattice.row_area()
     warp_mass = mass[1:] * mass[:-1] / (mass[1:] + mass[:-1])
-    twist = np.sqrt(material.bend_warp * material.bend_weft)
     ratio = 2 * material.damping_ratio
     return Constants(
         warp_k=warp_k,
@@ -131,7 +130,7 @@ def grid_constants(material: Material | HandSet, lattice: Lattice) -> Constants:
         shear_c=ratio * np.sqrt(shear_k * warp_mass),
         hinge_warp=material.bend_warp * lattice.width / _half_sum(b),
         hinge_weft=material.bend_weft * _half_sum(b) / lattice.width,
-        hinge_twist=2 * twist * a * b / (a * a + b * b),
+        hinge_twist=4 * material.bend_twist * a * b / (a * a + b * b),
         bend_warp_k=0.0,
         bend_weft_k=0.0,
         bend_warp_c=np.zeros(max(0, mass.shape[0] - 2)),

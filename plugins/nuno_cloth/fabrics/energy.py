@@ -80,7 +80,20 @@ def membrane_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
     return float(0.5 * (pull_w * e + pull_f * f + turn * g).sum()), gradient
 
 
+def bending_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
+    """Energy of bending as a quadratic form [J] and its gradient (n, 3) [N]; x (n, 3) [m]."""
+    gradient = np.zeros_like(x)
+    if fabric.bending is None:
+        return 0.0, gradient
+    (first, second), weight = fabric.bending.pairs.T, fabric.bending.weight
+    d = x[second] - x[first]
+    pull = weight[:, None] * d
+    np.add.at(gradient, second, pull)
+    np.add.at(gradient, first, -pull)
+    return float(0.5 * (pull * d).sum()), gradient
+
+
 def elastic_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
-    """Energy of springs, hinges and triangles of constant strain [J] and its gradient (n, 3) [N]."""
-    (e1, g1), (e2, g2), (e3, g3) = spring_energy(fabric, x), hinge_energy(fabric, x), membrane_energy(fabric, x)
-    return e1 + e2 + e3, g1 + g2 + g3
+    """Energy of springs, hinges, triangles of constant strain and bending [J] and its gradient (n, 3) [N]."""
+    parts = [energy(fabric, x) for energy in (spring_energy, hinge_energy, membrane_energy, bending_energy)]
+    return sum(part[0] for part in parts), np.sum([part[1] for part in parts], axis=0)

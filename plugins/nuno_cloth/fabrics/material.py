@@ -37,6 +37,15 @@ class Measured(Config):
     shear: Modulus | None = Field(default=None, description="shear stiffness: force per width and shear angle [N/m]")
     bend_warp: Rigidity | None = Field(default=None, description="bending rigidity of the warp yarns, per width [N*m]")
     bend_weft: Rigidity | None = Field(default=None, description="bending rigidity of the weft yarns, per width [N*m]")
+    bend_bias: Rigidity | None = Field(
+        default=None, description="the same of a strip cut at 45 degrees to both [N*m]; follows from the two unless given"
+    )
+    bend_poisson: float | None = Field(
+        default=None,
+        gt=-1,
+        lt=1,
+        description="how far cloth that is bent curls up across: Poisson's ratio of bending; 0 unless given",
+    )
     damping_ratio: Ratio | None = Field(
         default=None, description="damping of each spring as a part of its critical damping; 0.05 unless given"
     )
@@ -51,6 +60,13 @@ class Measured(Config):
         missing = [name for name in MEASURES if getattr(self, name) is None]
         if self.preset is None and missing:
             raise ValueError(f"without a preset every measure is needed; missing: {', '.join(missing)}")
+        material = self.material()
+        if material.bend_bias is not None:
+            if 0.0 in (material.bend_warp, material.bend_weft, material.bend_bias):
+                raise ValueError("cloth with a bend_bias has bend_warp, bend_weft and bend_bias above 0")
+            if material.bend_bias * material.straight >= 4.0:
+                limit = f"below {4.0 / material.straight:.3g} N*m, which would take an endless stiffness against twist"
+                raise ValueError(f"bend_bias of {material.bend_bias:.3g} N*m does not go with warp and weft: {limit}")
         return self
 
     def material(self) -> Material:

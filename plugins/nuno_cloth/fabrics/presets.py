@@ -32,6 +32,8 @@ class Material:
     warp, weft            tensile stiffness, width held [N/m]
     shear                 shear stiffness, force per width and shear angle [N/m per rad]
     bend_warp, bend_weft  bending rigidity per width, of the warp and of the weft yarns [N m]
+    bend_bias             the same of a strip cut at 45 degrees to both, or None where it was not measured
+    bend_poisson          how far a bent strip curls up across, nu of B_1 = nu sqrt(B_w B_f)
     damping_ratio         damping of each spring as a part of its critical damping
     source                where the numbers come from
     """
@@ -44,6 +46,26 @@ class Material:
     bend_weft: float
     damping_ratio: float = DAMPING_RATIO
     source: str = "the scene"
+    bend_bias: float | None = None
+    bend_poisson: float = 0.0
+
+    @property
+    def bend_twist(self) -> float:
+        """B_t [N m], of the energy 2 B_t t^2 per area and twist t.
+
+        A strip along the bias is as stiff as 4 / B_45 = S_w + S_f + 2 S_wf + 1 / B_t says, S being the inverse of the
+        rigidities. Where that was not measured, 2 B_t = (1 - nu) sqrt(B_w B_f).
+        """
+        both = (self.bend_warp * self.bend_weft) ** 0.5
+        if self.bend_bias is None:
+            return 0.5 * (1.0 - self.bend_poisson) * both
+        return 1.0 / (4.0 / self.bend_bias - self.straight)
+
+    @property
+    def straight(self) -> float:
+        """S_w + S_f + 2 S_wf [1/(N m)]: what warp and weft give to a strip along the bias."""
+        nu, both = self.bend_poisson, (self.bend_warp * self.bend_weft) ** 0.5
+        return (1.0 / self.bend_warp + 1.0 / self.bend_weft - 2.0 * nu / both) / (1.0 - nu * nu)
 
 
 def _sample(

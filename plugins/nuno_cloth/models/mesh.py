@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
+from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.membrane import build_membrane
 from nuno_cloth.models.placement import (
     STILL,
@@ -27,7 +28,7 @@ from nuno_cloth.models.triangles import Edges, face_areas, find_edges, hinge_sti
 from nuno_cloth.quantities import Scale
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Membrane, Springs
+from nuno_schemas.fabric import Bending, Bool, Fabric, Float, Hinges, Int, Membrane, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import turn
 
@@ -92,7 +93,7 @@ class MeshConfig(Config):
 
 
 class Mesh:
-    """A membrane of a measured fabric, or springs on the edges; bends by hinges, or by the wrinkle paper's springs
+    """A measured fabric's membrane and bending, or springs on the edges with hinges, or with the wrinkle paper's springs
     between the two vertices opposite each inner edge where the fabric is set by hand with `bending`.
     """
 
@@ -135,6 +136,7 @@ class Mesh:
             springs=net.springs,
             hinges=net.hinges,
             membrane=net.membrane,
+            bending=net.bending,
             uv=uv,
             texture=find_texture(config.texture, files),
             origin=_unseen(material, edges),
@@ -154,14 +156,15 @@ class Net(NamedTuple):
     springs: Springs | None
     hinges: Hinges | None
     membrane: Membrane | None = None
+    bending: Bending | None = None
 
 
 def build_elements(
     material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float, folded: bool = False,
     tension: Tension = "springs",
 ) -> Net:  # fmt: skip
-    """A membrane or springs on edges, and hinges or bending springs across the inner ones. Raises BadInput for a
-    membrane of constants per spring.
+    """A membrane and bending by a matrix, or springs on edges with hinges or bending springs across the inner ones.
+    Raises BadInput for a membrane of constants per spring, and for hinges that are to bend as they cannot.
 
     Bending springs are at rest in the shape x, or where that is `folded`, as pieces that lie on each other along their
     seams, with it laid open.
@@ -175,9 +178,13 @@ def build_elements(
     reduced = _reduced(mass, pairs)
     if isinstance(material, Material):
         axes = yarn_axes(x, faces, warp)
-        hinges = _hinges(edges, hinge_stiffness(material, x, edges, face_areas(x, faces), *axes), flat)
         if tension != "springs":
-            return Net(None, hinges, build_membrane(material, x, faces, mass, *axes))
+            membrane = build_membrane(material, x, faces, mass, *axes)
+            return Net(None, None, membrane, build_bending(material, x, faces, *axes))
+        if material.bend_bias is not None or material.bend_poisson != 0.0:
+            problem, remedy = "hinges bend alike along the bias whatever was measured", "take tension: membrane"
+            raise BadInput(problem, field="tension", value=tension, remedy=remedy)
+        hinges = _hinges(edges, hinge_stiffness(material, x, edges, face_areas(x, faces), *axes), flat)
         k = spring_stiffness(material, x, faces, edges, *axes)
         c = 2 * material.damping_ratio * np.sqrt(k * reduced)
         return Net(Springs.from_pairs(pairs, k, rest, c, STRUCTURAL), hinges)

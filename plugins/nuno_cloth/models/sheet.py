@@ -13,6 +13,7 @@ from nuno_cloth.fabrics.constants import Lattice, grid_constants
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models import mesh
+from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.grid import Grid, build_faces, build_hinges, build_springs
 from nuno_cloth.models.placement import (
     STILL,
@@ -25,9 +26,9 @@ from nuno_cloth.models.placement import (
     find_texture,
     pin_grid,
 )
-from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_cloth.models.triangles import face_areas, find_edges, yarn_axes
 from nuno_cloth.quantities import Length
-from nuno_schemas.fabric import Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import Bending, Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Imported, Preset
 from nuno_schemas.vectors import turn
@@ -77,6 +78,7 @@ class Elements:
     faces: Int
     springs: Springs | None
     hinges: Hinges | None
+    bending: Bending | None = None
 
 
 def build_grid(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: CellKind) -> Elements:
@@ -84,18 +86,22 @@ def build_grid(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Fl
 
     Raises BadInput for elongated cells.
 
-    Of triangles everything is as on any mesh (triangles.py), each triangle's first yarn being that down the grid.
+    Of triangles everything is as on any mesh (triangles.py), each triangle's first yarn being that down the grid. Where
+    cloth curls up across what is bent, quads bend as any mesh does too, for their hinges cannot.
     """
     faces = build_faces(grid)
-    if cells == "quads":
-        constants = grid_constants(material, lattice)
-        mass = grid_mass(grid, material.density, lattice)
-        return Elements(mass, faces, build_springs(grid, constants), build_hinges(grid, constants))
     rows = faces // grid.cols
     low = faces[np.arange(len(faces)), np.argmin(rows, axis=1)]
+    down = x[low + grid.cols] - x[low]
+    if cells == "quads":
+        constants = grid_constants(material, lattice)
+        mass, springs = grid_mass(grid, material.density, lattice), build_springs(grid, constants)
+        if isinstance(material, Material) and material.bend_poisson != 0.0:
+            bending = build_bending(material, x, faces, *yarn_axes(x, faces, down))
+            return Elements(mass, faces, springs, None, bending)
+        return Elements(mass, faces, springs, build_hinges(grid, constants))
     share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
     mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
-    down = x[low + grid.cols] - x[low]
     net = mesh.build_elements(material, x, faces, find_edges(faces), mass, down)
     return Elements(mass, faces, net.springs, net.hinges)
 
@@ -163,6 +169,7 @@ class Sheet:
             faces=net.faces,
             springs=net.springs,
             hinges=net.hinges,
+            bending=net.bending,
             uv=texture_coordinates(np.linspace(0, 1, cols), rows),
             texture=find_texture(config.texture, files),
         )

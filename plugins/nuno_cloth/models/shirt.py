@@ -105,6 +105,7 @@ class Shirt:
             springs=net.springs,
             hinges=net.hinges,
             membrane=net.membrane,
+            bending=net.bending,
             uv=texture_of(sewn),
             texture=find_texture(config.texture, files),
         )

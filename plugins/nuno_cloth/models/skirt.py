@@ -104,6 +104,7 @@ class Skirt:
             faces=net.faces,
             springs=net.springs,
             hinges=net.hinges,
+            bending=net.bending,
             uv=texture_coordinates(across, config.rows),
             bindings=() if attach is None else (Binding(waist, attach.body, attach.frame),),
             texture=find_texture(config.texture, files),

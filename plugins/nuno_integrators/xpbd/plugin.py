@@ -9,7 +9,7 @@ One constraint is solved exactly, hence the amplification is backward Euler's; a
 step's tensions would make rest exact as well, but a force that lags behind grows stiff modes.
 
 Viscous damping is part of the mass, m (1 + h damping), and so is solved exactly. Forces whose type has no
-role `constraints` (nuno_kernels.terms), as wind, and those in Python act as at the step's start, and limit the step
+role `constraints` (nuno_kernels.terms), as wind and the bending of meshes, and those in Python act as at the step's start, and limit the step
 as they do in symplectic Euler.
 
 Weighed: Newton's XPBD on Warp, in single precision: `nuno bench peers` finds it accurate at no setting of the stiff
@@ -79,7 +79,7 @@ class XPBD(Compiled):
                     remedy="use an explicit or implicit solver, or set mu to 0",
                 )
         others = None
-        if lacking(system.terms, "constraints"):
+        if lacking(system.terms, "constraints") or system.fabric.bending is not None:
             solved = (kernels_of(term).name for term in packed.forces if kernels_of(term).constraints is not None)
             others = silence_bodies(silence(packed, *solved))._replace(damping=0.0)
         held = np.zeros((3, n)) if repeated and any(kernels_of(term).project for term in packed.bodies) else None
@@ -92,8 +92,8 @@ class XPBD(Compiled):
         omega, damping = measure_rates(system, state)
         kept = tuple(term for term in system.terms if lacking([term], "constraints"))
         dt = np.inf
-        if kept:
-            bare = replace(system.fabric, springs=None, hinges=None)
+        if kept or system.fabric.bending is not None:
+            bare = replace(system.fabric, springs=None, hinges=None, membrane=None)
             rates = measure_rates(replace(system, fabric=bare, terms=kept, damping=0.0), state)
             dt = stable_step(SymplecticEuler().amplification, *rates, 0.0)
         missing = config.residual ** (1.0 / config.iterations)
@@ -102,7 +102,7 @@ class XPBD(Compiled):
 
     def about(self, system: System) -> str:
         """Threads, and which forces have no constraint."""
-        names = lacking(system.terms, "constraints")
+        names = sorted([*lacking(system.terms, "constraints"), *(["bending"] if system.fabric.bending else [])])
         told = f"; without a constraint, as at the start of each step: {', '.join(names)}" if names else ""
         return super().about(system) + told
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels import threads_available
+from nuno_kernels.forces.bending import pack_bending
 from nuno_kernels.forces.hinges import pack_hinges
 from nuno_kernels.forces.membrane import pack_membrane
 from nuno_kernels.forces.spring_packing import pack_springs
@@ -45,7 +46,8 @@ def pack(system: System) -> Packed:
     given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
     n = fabric.number
     forces = (*pack_springs(fabric.springs, n), *pack_hinges(fabric.hinges, n), *pack_membrane(fabric.membrane, n))
-    forces += (*_pack_yarns(fabric), *(part for part in given if kernels_of(part).block is not None))
+    forces += (*pack_bending(fabric.bending, n), *_pack_yarns(fabric))
+    forces += tuple(part for part in given if kernels_of(part).block is not None)
     bodies = (*_pack_carried(system), *(part for part in given if _has_steps(kernels_of(part))))
     threads = thread_count(system)
     python = any(term.in_python for term in system.terms)

@@ -93,7 +93,8 @@ def stiffen(fabric: Fabric, factor: float) -> Fabric:
     if membrane is not None:
         membrane = replace(membrane, moduli=membrane.moduli * factor, damping=membrane.damping * math.sqrt(factor))
     hinges = hinges and replace(hinges, k=hinges.k * factor)
-    return replace(fabric, springs=springs, hinges=hinges, membrane=membrane)
+    bending = fabric.bending and replace(fabric.bending, weight=fabric.bending.weight * factor)
+    return replace(fabric, springs=springs, hinges=hinges, membrane=membrane, bending=bending)
 
 
 def shortest(fabric: Fabric) -> float:
