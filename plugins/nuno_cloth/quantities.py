@@ -11,6 +11,7 @@ from nuno_schemas.units import Plausible, quantity
 FABRICS = "nine in ten of 618 measured fabrics have"
 WEIGHT = Plausible(0.003, 5.0, ("g/m^2",), f"{FABRICS} 0.031 to 0.488")
 BENDING = Plausible(1e-7, 1e-3, ("uN*m", "gf*cm"), f"{FABRICS} 9e-7 to 1.1e-4")
+HYSTERESIS = Plausible(1e-6, 1.0, ("mN", "gf"))
 TENSION = Plausible(0.1, 2e6, ("kN/m",))
 AIR = Plausible(0.05, 1100.0, ("g/m^3",))
 Number = Annotated[float, quantity("")]
@@ -24,6 +25,7 @@ AirDensity = Annotated[float, quantity("kg/m^3", AIR, ge=0)]
 Tensile = Annotated[float, quantity("N/m", TENSION, gt=0)]
 Modulus = Annotated[float, quantity("N/m", TENSION, ge=0)]
 Rigidity = Annotated[float, quantity("N*m", BENDING, ge=0)]
+MomentPerWidth = Annotated[float, quantity("N", HYSTERESIS, ge=0)]
 SpringDamping = Annotated[float, quantity("N*s/m", ge=0)]
 Newtons = Annotated[float, quantity("N")]
 Scale = Annotated[float, quantity("m", gt=0, le=1e6)]

@@ -19,7 +19,7 @@ import numpy as np
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
-from nuno_kernels.step.packing import pack, python_terms, reads_velocity, silence_bodies, to_rows
+from nuno_kernels.step.packing import call_each, pack, python_terms, reads_velocity, silence_bodies, to_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Fabric, Float, Springs, State
 from nuno_schemas.system import System
@@ -129,12 +129,15 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float,
         system = replace(system, fabric=replace(system.fabric, springs=system.fabric.springs.stiffest()))
     packed = silence_bodies(pack(system))
     x, v = to_rows(state.x), to_rows(state.v)
+    # What slips now holds again as soon as it turns.
+    call_each(packed, "stick", x)
     if extra is None and x.shape[1]:
         x -= 0.5 * (x.min(axis=1, keepdims=True) + x.max(axis=1, keepdims=True))
     energy = measure_energy(x, v, system.fabric.mass, packed)
     if energy.zero_length:
         fabric = _with_loose_springs(system.fabric, state.x)
         packed = silence_bodies(pack(replace(system, fabric=fabric)))
+        call_each(packed, "stick", x)
     extent = float(np.abs(x).max(initial=0.0)) or 1.0
     return packed, extra, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)
 

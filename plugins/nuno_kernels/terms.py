@@ -88,6 +88,7 @@ class Kernels:
     elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
                                                    nuno_kernels.forces.constraint_packing
+    stick(term, x)                                 lets nothing slip on a short way from x (3, n)
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
     begin(term, x, span, threads)                  before an interval's first step; it lasts `span` [s]
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
@@ -142,6 +143,7 @@ class Kernels:
     foresee: Any = None
     unbalance: Any = None
     counts: Any = None
+    stick: Any = None
 
     def find(self, role: str) -> Any:
         """What is done in a role, None for nothing."""

@@ -216,6 +216,42 @@ class Bending:
 
 
 @dataclass(frozen=True)
+class BendingFriction:
+    """Friction that bending has to overcome, in patches of vertices; see nuno_kernels.forces.bending_friction.
+
+    vertices (b, k) int32  patches, each filled up by its first vertex
+    shares   (b, 5, k)     how the tangents along warp and weft [1/m], and the second derivatives along warp, weft and
+                           between them [1/m^2], move with each vertex; rows sum to 0
+    area     (b,)          [m^2]
+    limit    (2, b)        moment per width at which it slips, of warp and weft [N]
+    slip     (b,)          change of curvature that it holds until then [1/m]
+    """
+
+    vertices: Annotated[Int, "b", "k", Bounds(0, below="n")]
+    shares: Annotated[Float, "b", 5, "k"]
+    area: Annotated[Float, "b", Bounds(above=0.0)]
+    limit: Annotated[Float, 2, "b", Bounds(0.0)]
+    slip: Annotated[Float, "b", Bounds(above=0.0)]
+
+    @property
+    def number(self) -> int:
+        return int(self.vertices.shape[0])
+
+    @staticmethod
+    def join(parts: list[BendingFriction]) -> BendingFriction:
+        """One of several (at least one), whose patches are filled up to the largest."""
+        most = max(part.vertices.shape[1] for part in parts)
+        vertices = [
+            np.concatenate([p.vertices, np.repeat(p.vertices[:, :1], most - p.vertices.shape[1], axis=1)], axis=1)
+            for p in parts
+        ]
+        shares = [np.pad(p.shares, ((0, 0), (0, 0), (0, most - p.shares.shape[2]))) for p in parts]
+        limit = np.concatenate([p.limit for p in parts], axis=1)
+        area, slip = (np.concatenate([getattr(p, name) for p in parts]) for name in ("area", "slip"))
+        return BendingFriction(np.concatenate(vertices), np.concatenate(shares), area, limit, slip)
+
+
+@dataclass(frozen=True)
 class Binding:
     """Pinned vertices that move rigidly with a body's frame.
 
@@ -239,7 +275,7 @@ class Fabric:
                              outside, v upwards: (0, 1) is the image's upper left corner, as in
                              OBJ files. Image rows run down, so what samples an image, such as
                              drawing.Mesh and glTF, takes (u, 1 - v) with (0, 0) at the upper left
-    springs, hinges, membrane, bending  or None where there are none
+    springs, hinges, membrane, bending, friction  or None where there are none
     yarns                    springs that are links of yarns, or None
     cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: what it has
                              areas and normals of where it has no faces
@@ -265,6 +301,7 @@ class Fabric:
     cells: Annotated[Int, "c", 4, Bounds(0, below="n")] | None = None
     membrane: Membrane | None = None
     bending: Bending | None = None
+    friction: BendingFriction | None = None
     origin: Mapping[str, float] = field(default_factory=dict)
 
     @property

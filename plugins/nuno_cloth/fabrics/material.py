@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from nuno_cloth.fabrics.presets import PRESETS, Material
-from nuno_cloth.quantities import Density, Modulus, Ratio, Rigidity, SpringDamping, Tensile
+from nuno_cloth.quantities import Density, Modulus, MomentPerWidth, Ratio, Rigidity, SpringDamping, Tensile
 from nuno_schemas.errors import nearest
 from nuno_schemas.plugin import Config
 
@@ -19,6 +19,24 @@ def _known(preset: str) -> str:
     if preset not in PRESETS:
         raise ValueError(f"unknown fabric preset {preset!r}; {nearest(preset, PRESETS)}")
     return preset
+
+
+def _pair(value: object) -> object:
+    """One constant stands for warp and weft alike."""
+    return value if isinstance(value, (list, tuple)) else (value, value)
+
+
+Pair = Annotated[
+    tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
+]
+
+
+Hysteresis = Annotated[
+    tuple[MomentPerWidth, MomentPerWidth],
+    BeforeValidator(_pair, json_schema_input_type=MomentPerWidth | tuple[MomentPerWidth, MomentPerWidth]),
+]
+MOST_BENT = 250.0
+"""Curvature to which KES bends cloth [1/m]; what stays bent by more was not measured so."""
 
 
 class Measured(Config):
@@ -38,13 +56,19 @@ class Measured(Config):
     bend_warp: Rigidity | None = Field(default=None, description="bending rigidity of the warp yarns, per width [N*m]")
     bend_weft: Rigidity | None = Field(default=None, description="bending rigidity of the weft yarns, per width [N*m]")
     bend_bias: Rigidity | None = Field(
-        default=None, description="the same of a strip cut at 45 degrees to both [N*m]; follows from the two unless given"
+        default=None,
+        description="the same of a strip cut at 45 degrees to both [N*m]; follows from the two unless given",
     )
     bend_poisson: float | None = Field(
         default=None,
         gt=-1,
         lt=1,
         description="how far cloth that is bent curls up across: Poisson's ratio of bending; 0 unless given",
+    )
+    bend_hysteresis: Hysteresis | None = Field(
+        default=None,
+        description="2HB, how much moment per width cloth that is bent to and fro has lost on its way back [N]: one "
+        "number, or [warp, weft]; it keeps the curvature 2HB / 2B; 0 unless given",
     )
     damping_ratio: Ratio | None = Field(
         default=None, description="damping of each spring as a part of its critical damping; 0.05 unless given"
@@ -61,6 +85,13 @@ class Measured(Config):
         if self.preset is None and missing:
             raise ValueError(f"without a preset every measure is needed; missing: {', '.join(missing)}")
         material = self.material()
+        for yarn, rigidity, width in zip(
+            ("warp", "weft"), (material.bend_warp, material.bend_weft), material.bend_hysteresis, strict=True
+        ):
+            if 0.5 * width > MOST_BENT * rigidity:
+                kept = f"would stay bent by more than the {MOST_BENT:g} 1/m to which cloth is tested"
+                limit = f"bend_hysteresis at most {2.0 * MOST_BENT * rigidity:.3g} N"
+                raise ValueError(f"cloth whose bend_{yarn} is {rigidity:.3g} N*m {kept}: {limit}")
         if material.bend_bias is not None:
             if 0.0 in (material.bend_warp, material.bend_weft, material.bend_bias):
                 raise ValueError("cloth with a bend_bias has bend_warp, bend_weft and bend_bias above 0")
@@ -75,16 +106,6 @@ class Measured(Config):
             return Material(**given)
         base = PRESETS[self.preset]
         return replace(base, **given, source=f"{base.source}, changed: {', '.join(given)}") if given else base
-
-
-def _pair(value: object) -> object:
-    """One constant stands for warp and weft alike."""
-    return value if isinstance(value, (list, tuple)) else (value, value)
-
-
-Pair = Annotated[
-    tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
-]
 
 
 class HandSet(Config):

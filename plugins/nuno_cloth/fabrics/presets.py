@@ -19,6 +19,7 @@ was measured. No source gives damping: the ratio is ours, chosen to let a sheet 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 DAMPING_RATIO = 0.05
@@ -34,6 +35,7 @@ class Material:
     bend_warp, bend_weft  bending rigidity per width, of the warp and of the weft yarns [N m]
     bend_bias             the same of a strip cut at 45 degrees to both, or None where it was not measured
     bend_poisson          how far a bent strip curls up across, nu of B_1 = nu sqrt(B_w B_f)
+    bend_hysteresis       2HB of warp and weft [N]: width of the loop of moment per width over curvature
     damping_ratio         damping of each spring as a part of its critical damping
     source                where the numbers come from
     """
@@ -48,6 +50,7 @@ class Material:
     source: str = "the scene"
     bend_bias: float | None = None
     bend_poisson: float = 0.0
+    bend_hysteresis: tuple[float, float] = (0.0, 0.0)
 
     @property
     def bend_twist(self) -> float:
@@ -56,7 +59,7 @@ class Material:
         A strip along the bias is as stiff as 4 / B_45 = S_w + S_f + 2 S_wf + 1 / B_t says, S being the inverse of the
         rigidities. Where that was not measured, 2 B_t = (1 - nu) sqrt(B_w B_f).
         """
-        both = (self.bend_warp * self.bend_weft) ** 0.5
+        both = math.sqrt(self.bend_warp * self.bend_weft)
         if self.bend_bias is None:
             return 0.5 * (1.0 - self.bend_poisson) * both
         return 1.0 / (4.0 / self.bend_bias - self.straight)
@@ -64,7 +67,7 @@ class Material:
     @property
     def straight(self) -> float:
         """S_w + S_f + 2 S_wf [1/(N m)]: what warp and weft give to a strip along the bias."""
-        nu, both = self.bend_poisson, (self.bend_warp * self.bend_weft) ** 0.5
+        nu, both = self.bend_poisson, math.sqrt(self.bend_warp * self.bend_weft)
         return (1.0 / self.bend_warp + 1.0 / self.bend_weft - 2.0 * nu / both) / (1.0 - nu * nu)
 
 

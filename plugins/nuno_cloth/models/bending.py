@@ -22,11 +22,13 @@ quadratic through a triangle's and its neighbours' six vertices, 0.67 of B where
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.patches import Patches, find_patches
-from nuno_schemas.fabric import Bending, Float, Int
+from nuno_cloth.models.patches import find_patches
+from nuno_schemas.fabric import Bending, Bool, Float, Int
 
 NEAR, STEEP = 0.3, 4
 FIT = 100.0
@@ -52,37 +54,50 @@ def build_bending(material: Material, x: Float, faces: Int, warp: Float, weft: F
         return None
     patches, parts = find_patches(x, faces, warp, weft), []
     for at in range(0, len(faces), AT_ONCE):
-        part = Patches(*(values[at : at + AT_ONCE] for values in patches))
-        curvature, left = fit(part)
-        matrix = np.einsum("fak,ab,fbl->fkl", curvature, rigidity, curvature, optimize=True)
-        matrix += FIT * np.sqrt(material.bend_warp * material.bend_weft) * np.einsum("frk,frl->fkl", left, left)
+        part = patches.of(slice(at, at + AT_ONCE))
+        middle = part.flat[:, :3].mean(axis=1, keepdims=True)
+        found = fit(part.flat - middle, part.there, np.sqrt(4.0 / np.sqrt(3.0) * part.area))
+        matrix = np.einsum("fak,ab,fbl->fkl", found.second, rigidity, found.second, optimize=True)
+        both = np.sqrt(material.bend_warp * material.bend_weft)
+        matrix += FIT * both * np.einsum("frk,frl->fkl", found.left, found.left)
         parts.append(_pairs(part.vertices, -part.area[:, None, None] * matrix, len(x)))
     keys, weights = (np.concatenate(values) for values in zip(*parts, strict=True))
     keys, weights = _sum_alike(keys, weights)
     return Bending(np.stack(np.divmod(keys, len(x)), axis=1).astype(np.int32), weights)
 
 
-def fit(patches: Patches) -> tuple[Float, Float]:
-    """(f, 3, k) second derivatives along warp, weft and between them [1/m^2], and (f, k, k) what a fit leaves, weighted
-    and over the square of the side [1/m^2], by the heights of a patch's vertices.
+class Fit(NamedTuple):
+    """A quadratic function's derivatives by the heights of a patch's vertices: (f, 2, k) along warp and weft [1/m],
+    (f, 3, k) second ones along warp, weft and between them [1/m^2]; (f, k, k) what it leaves, weighted and over the
+    square of the side [1/m^2].
     """
-    side = np.sqrt(4.0 / np.sqrt(3.0) * patches.area)
-    places = (patches.flat - patches.flat[:, :3].mean(axis=1, keepdims=True)) / side[:, None, None]
-    weight = np.where(patches.there, (NEAR + np.linalg.norm(places, axis=2)) ** (-STEEP / 2), 0.0)
+
+    first: Float
+    second: Float
+    left: Float
+
+
+def fit(flat: Float, there: Bool, side: Float) -> Fit:
+    """The best one of patches with vertices at flat (f, k, 2) [m] along weft and warp from the point where it is asked
+    for, those that are there (f, k); `side` (f,) is the length [m] by which weights fall off.
+    """
+    places = flat / side[:, None, None]
+    weight = np.where(there, (NEAR + np.linalg.norm(places, axis=2)) ** (-STEEP / 2), 0.0)
     weft, warp = places[..., 0], places[..., 1]
-    plane = np.stack([np.ones_like(warp), weft, warp], axis=2) * weight[..., None]
+    plane = np.stack([np.ones_like(warp), warp, weft], axis=2) * weight[..., None]
     curved = np.stack([0.5 * warp * warp, 0.5 * weft * weft, warp * weft], axis=2) * weight[..., None]
     # Planes first, so that they are no curvature also where too few vertices tell all curvatures apart.
-    flat, _ = np.linalg.qr(plane)
-    u, size, v = np.linalg.svd(curved - flat @ (flat.transpose(0, 2, 1) @ curved), full_matrices=False)
+    level, upper = np.linalg.qr(plane)
+    u, size, v = np.linalg.svd(curved - level @ (level.transpose(0, 2, 1) @ curved), full_matrices=False)
     told = size > LEAST * size[:, :1]
     inverse = np.divide(1.0, size, out=np.zeros_like(size), where=told)
-    curvature = (v.transpose(0, 2, 1) * inverse[:, None, :]) @ u.transpose(0, 2, 1)
-    known = np.concatenate([flat, u * told[:, None, :]], axis=2)
-    left = np.eye(weight.shape[1]) - known @ known.transpose(0, 2, 1)
-    total = np.sqrt(np.square(weight).sum(axis=1))
-    scale = (weight / side[:, None] ** 2)[:, None, :]
-    return curvature * scale, left * scale / total[:, None, None]
+    second = (v.transpose(0, 2, 1) * inverse[:, None, :]) @ u.transpose(0, 2, 1)
+    number = np.eye(weight.shape[1])
+    slopes = np.linalg.solve(upper, level.transpose(0, 2, 1) @ (number - curved @ second))[:, 1:]
+    known = np.concatenate([level, u * told[:, None, :]], axis=2)
+    left = (number - known @ known.transpose(0, 2, 1)) / np.sqrt(np.square(weight).sum(axis=1))[:, None, None]
+    scale, length = weight[:, None, :], side[:, None, None]
+    return Fit(slopes * scale / length, second * scale / length**2, left * scale / length**2)
 
 
 def _pairs(vertices: Int, matrix: Float, n: int) -> tuple[Int, Float]:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
+from nuno_cloth.models.bending_friction import build_friction
 from nuno_cloth.models.membrane import build_membrane
 from nuno_cloth.models.placement import (
     STILL,
@@ -28,7 +29,7 @@ from nuno_cloth.models.triangles import Edges, face_areas, find_edges, hinge_sti
 from nuno_cloth.quantities import Scale
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bending, Bool, Fabric, Float, Hinges, Int, Membrane, Springs
+from nuno_schemas.fabric import Bending, BendingFriction, Bool, Fabric, Float, Hinges, Int, Membrane, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import turn
 
@@ -93,8 +94,8 @@ class MeshConfig(Config):
 
 
 class Mesh:
-    """A measured fabric's membrane and bending, or springs on the edges with hinges, or with the wrinkle paper's springs
-    between the two vertices opposite each inner edge where the fabric is set by hand with `bending`.
+    """A measured fabric's membrane and bending, or springs on the edges with hinges, or with the wrinkle paper's
+    springs between the two vertices opposite each inner edge where the fabric is set by hand with `bending`.
     """
 
     name: ClassVar[str] = "mesh"
@@ -137,6 +138,7 @@ class Mesh:
             hinges=net.hinges,
             membrane=net.membrane,
             bending=net.bending,
+            friction=net.friction,
             uv=uv,
             texture=find_texture(config.texture, files),
             origin=_unseen(material, edges),
@@ -157,6 +159,7 @@ class Net(NamedTuple):
     hinges: Hinges | None
     membrane: Membrane | None = None
     bending: Bending | None = None
+    friction: BendingFriction | None = None
 
 
 def build_elements(
@@ -178,16 +181,17 @@ def build_elements(
     reduced = _reduced(mass, pairs)
     if isinstance(material, Material):
         axes = yarn_axes(x, faces, warp)
+        friction = build_friction(material, x, faces, *axes)
         if tension != "springs":
             membrane = build_membrane(material, x, faces, mass, *axes)
-            return Net(None, None, membrane, build_bending(material, x, faces, *axes))
+            return Net(None, None, membrane, build_bending(material, x, faces, *axes), friction)
         if material.bend_bias is not None or material.bend_poisson != 0.0:
             problem, remedy = "hinges bend alike along the bias whatever was measured", "take tension: membrane"
             raise BadInput(problem, field="tension", value=tension, remedy=remedy)
         hinges = _hinges(edges, hinge_stiffness(material, x, edges, face_areas(x, faces), *axes), flat)
         k = spring_stiffness(material, x, faces, edges, *axes)
         c = 2 * material.damping_ratio * np.sqrt(k * reduced)
-        return Net(Springs.from_pairs(pairs, k, rest, c, STRUCTURAL), hinges)
+        return Net(Springs.from_pairs(pairs, k, rest, c, STRUCTURAL), hinges, friction=friction)
     k, ratio = np.full(len(pairs), material.structural[0]), 2 * material.damping_ratio
     c = material.damping + ratio * np.sqrt(k * reduced)
     springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)

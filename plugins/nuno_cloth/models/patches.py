@@ -7,7 +7,7 @@ corner do not sum to a full turn, and the gap is where the two ways meet.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,10 @@ class Patches(NamedTuple):
     flat: Float
     there: Bool
     area: Float
+
+    def of(self, which: Any) -> Patches:
+        """Some of them."""
+        return Patches(self.vertices[which], self.flat[which], self.there[which], self.area[which])
 
 
 class _Sides(NamedTuple):
@@ -47,7 +51,7 @@ def find_patches(x: Float, faces: Int, warp: Float, weft: Float) -> Patches:
     edges = x[faces] - x[faces[:, :1]]
     flat = np.stack([np.einsum("fcd,fd->fc", edges, axis) for axis in (weft, warp)], axis=2)
     area = 0.5 * sides.high[::3] * np.linalg.norm(edges[:, 1], axis=1)
-    found = [(np.repeat(np.arange(len(faces)), 3), faces.reshape(-1), flat.reshape(-1, 2))]
+    found: list[Any] = [(np.repeat(np.arange(len(faces)), 3), faces.reshape(-1), flat.reshape(-1, 2))]
     for corner in range(3):
         for way in (1, -1):
             found += _walk(sides, flat, corner, way)
@@ -59,7 +63,11 @@ def find_patches(x: Float, faces: Int, warp: Float, weft: Float) -> Patches:
     count = np.bincount(face, minlength=len(faces))
     column = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
     shape = (len(faces), int(count.max(initial=0)))
-    vertices, places, there = np.repeat(faces[:, :1], shape[1], axis=1), np.zeros((*shape, 2)), np.zeros(shape, np.bool_)
+    vertices, places, there = (
+        np.repeat(faces[:, :1], shape[1], axis=1),
+        np.zeros((*shape, 2)),
+        np.zeros(shape, np.bool_),
+    )
     vertices[face, column], places[face, column], there[face, column] = vertex, place, True
     return Patches(vertices, places, there, area)
 
@@ -80,7 +88,7 @@ def _find_sides(x: Float, faces: Int) -> _Sides:
     return _Sides(faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border)
 
 
-def _walk(sides: _Sides, flat: Float, corner: int, way: int) -> list[tuple[Int, Int, Float]]:
+def _walk(sides: _Sides, flat: Float, corner: int, way: int) -> list[Any]:
     """Triangles, vertices and their places, step by step round one corner of every triangle, counter-clockwise (1) or
     clockwise (-1).
     """
@@ -88,7 +96,8 @@ def _walk(sides: _Sides, flat: Float, corner: int, way: int) -> list[tuple[Int, 
     face, pivot, beside = np.arange(number), flat[:, corner], flat[:, (corner - way) % 3]
     left = (sides.round[sides.faces[:, corner]] - (1 if way == 1 else 2)) // 2
     left = np.where(sides.border[sides.faces[:, corner]], np.iinfo(np.int32).max, left)
-    side, found = sides.other[3 * face + (corner if way == -1 else (corner + 2) % 3)], []
+    side = sides.other[3 * face + (corner if way == -1 else (corner + 2) % 3)]
+    found: list[Any] = []
     while True:
         on = (side >= 0) & (left > 0)
         face, pivot, beside, left, side = face[on], pivot[on], beside[on], left[on] - 1, side[on]

@@ -14,6 +14,7 @@ from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models import mesh
 from nuno_cloth.models.bending import build_bending
+from nuno_cloth.models.bending_friction import build_friction
 from nuno_cloth.models.grid import Grid, build_faces, build_hinges, build_springs
 from nuno_cloth.models.placement import (
     STILL,
@@ -28,7 +29,7 @@ from nuno_cloth.models.placement import (
 )
 from nuno_cloth.models.triangles import face_areas, find_edges, yarn_axes
 from nuno_cloth.quantities import Length
-from nuno_schemas.fabric import Bending, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import Bending, BendingFriction, Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Imported, Preset
 from nuno_schemas.vectors import turn
@@ -79,6 +80,7 @@ class Elements:
     springs: Springs | None
     hinges: Hinges | None
     bending: Bending | None = None
+    friction: BendingFriction | None = None
 
 
 def build_grid(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: CellKind) -> Elements:
@@ -96,14 +98,17 @@ def build_grid(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Fl
     if cells == "quads":
         constants = grid_constants(material, lattice)
         mass, springs = grid_mass(grid, material.density, lattice), build_springs(grid, constants)
-        if isinstance(material, Material) and material.bend_poisson != 0.0:
-            bending = build_bending(material, x, faces, *yarn_axes(x, faces, down))
-            return Elements(mass, faces, springs, None, bending)
-        return Elements(mass, faces, springs, build_hinges(grid, constants))
+        if isinstance(material, HandSet):
+            return Elements(mass, faces, springs, build_hinges(grid, constants))
+        axes = yarn_axes(x, faces, down)
+        friction = build_friction(material, x, faces, *axes)
+        if material.bend_poisson != 0.0:
+            return Elements(mass, faces, springs, None, build_bending(material, x, faces, *axes), friction)
+        return Elements(mass, faces, springs, build_hinges(grid, constants), None, friction)
     share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
     mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
     net = mesh.build_elements(material, x, faces, find_edges(faces), mass, down)
-    return Elements(mass, faces, net.springs, net.hinges)
+    return Elements(mass, faces, net.springs, net.hinges, friction=net.friction)
 
 
 def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:
@@ -170,6 +175,7 @@ class Sheet:
             springs=net.springs,
             hinges=net.hinges,
             bending=net.bending,
+            friction=net.friction,
             uv=texture_coordinates(np.linspace(0, 1, cols), rows),
             texture=find_texture(config.texture, files),
         )

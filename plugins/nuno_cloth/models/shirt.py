@@ -106,6 +106,7 @@ class Shirt:
             hinges=net.hinges,
             membrane=net.membrane,
             bending=net.bending,
+            friction=net.friction,
             uv=texture_of(sewn),
             texture=find_texture(config.texture, files),
         )

@@ -105,6 +105,7 @@ class Skirt:
             springs=net.springs,
             hinges=net.hinges,
             bending=net.bending,
+            friction=net.friction,
             uv=texture_coordinates(across, config.rows),
             bindings=() if attach is None else (Binding(waist, attach.body, attach.frame),),
             texture=find_texture(config.texture, files),

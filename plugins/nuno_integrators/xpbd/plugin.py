@@ -9,8 +9,8 @@ One constraint is solved exactly, hence the amplification is backward Euler's; a
 step's tensions would make rest exact as well, but a force that lags behind grows stiff modes.
 
 Viscous damping is part of the mass, m (1 + h damping), and so is solved exactly. Forces whose type has no
-role `constraints` (nuno_kernels.terms), as wind and the bending of meshes, and those in Python act as at the step's start, and limit the step
-as they do in symplectic Euler.
+role `constraints` (nuno_kernels.terms), as wind, the bending of meshes and its friction, and those in Python act as
+at the step's start, and limit the step as they do in symplectic Euler.
 
 Weighed: Newton's XPBD on Warp, in single precision: `nuno bench peers` finds it accurate at no setting of the stiff
 sheet, on which `nuno bench speed stiff` measures this one.

@@ -3,7 +3,7 @@
 The second derivatives of a surface that does not stretch are its curvatures times its normal, so that where they are
 linear in the vertices the energy of bending is a quadratic form, the same along x, y and z (Bergou, Wardetzky, Harmon,
 Zorin & Grinspun 2006, SGP, 227-230). Its matrix has rows that sum to 0, and is kept as the weights of pairs, of either
-sign: springs of length 0, some of which push. Rigid motions, and any strain that is the same everywhere, leave no force.
+sign: springs of length 0, some of which push. Rigid motions, and strain that is the same everywhere, leave no force.
 
 Each vertex gathers from those that it is coupled to, eight vertices beside each other: nothing is added in two places,
 and a pair's two forces are each other's negative to the last bit.

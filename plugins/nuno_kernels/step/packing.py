@@ -8,6 +8,7 @@ import numpy as np
 
 from nuno_kernels import threads_available
 from nuno_kernels.forces.bending import pack_bending
+from nuno_kernels.forces.bending_friction import pack_friction
 from nuno_kernels.forces.hinges import pack_hinges
 from nuno_kernels.forces.membrane import pack_membrane
 from nuno_kernels.forces.spring_packing import pack_springs
@@ -45,14 +46,19 @@ def pack(system: System) -> Packed:
     fabric = system.fabric
     given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
     n = fabric.number
-    forces = (*pack_springs(fabric.springs, n), *pack_hinges(fabric.hinges, n), *pack_membrane(fabric.membrane, n))
-    forces += (*pack_bending(fabric.bending, n), *_pack_yarns(fabric))
+    forces: tuple[Any, ...] = (
+        *pack_springs(fabric.springs, n),
+        *pack_hinges(fabric.hinges, n),
+        *pack_membrane(fabric.membrane, n),
+    )
+    friction = pack_friction(fabric.friction, n)
+    forces += (*pack_bending(fabric.bending, n), *friction, *_pack_yarns(fabric))
     forces += tuple(part for part in given if kernels_of(part).block is not None)
-    bodies = (*_pack_carried(system), *(part for part in given if _has_steps(kernels_of(part))))
+    bodies = (*_pack_carried(system), *friction, *(part for part in given if _has_steps(kernels_of(part))))
     threads = thread_count(system)
     python = any(term.in_python for term in system.terms)
     adds = any(kernels_of(part).after is not None for part in bodies)
-    moved = any(kernels_of(part).settle is not None or kernels_of(part).hold is not None for part in bodies)
+    moved = any(_disturbs(kernels_of(part)) for part in bodies)
     packed = Packed(
         inverse_mass=np.divide(1.0, fabric.mass, out=np.zeros(fabric.number), where=~fabric.pinned),
         gravity=np.array(system.gravity, np.float64),
@@ -131,6 +137,13 @@ def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
 def _has_steps(kernels: Kernels) -> bool:
     """Whether terms have a part in steps beside a force by blocks."""
     return kernels.block is None or kernels.hold is not None
+
+
+def _disturbs(kernels: Kernels) -> bool:
+    """Whether what such terms do after a step changes forces: a force that only remembers how far it has slipped is
+    then as it was.
+    """
+    return kernels.hold is not None or (kernels.settle is not None and kernels.block is None)
 
 
 def _pack_carried(system: System) -> tuple[Any, ...]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Bending, Binding, Fabric, Hinges, Membrane, Springs
+from nuno_schemas.fabric import Bending, BendingFriction, Binding, Fabric, Hinges, Membrane, Springs
 from nuno_schemas.yarns import Yarns
 
 
@@ -21,6 +21,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
     before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
     membranes = [replace(f.membrane, faces=f.membrane.faces + np.int32(at)) for f, at in moved if f.membrane]
     bending = [(f.bending.pairs + np.int32(at), f.bending.weight) for f, at in moved if f.bending]
+    friction = [replace(f.friction, vertices=f.friction.vertices + np.int32(at)) for f, at in moved if f.friction]
     cells = [f.cells + at for f, at in moved if f.cells is not None]
     yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]
     empty, no_uv = np.zeros((0, 3)), np.zeros((0, 2), np.float32)
@@ -38,6 +39,7 @@ def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
         yarns=Yarns.join(yarns) if yarns else None,
         cells=np.concatenate(cells).astype(np.int32) if cells else None,
         membrane=_join_membranes(membranes) if membranes else None,
+        friction=BendingFriction.join(friction) if friction else None,
         bending=Bending(*map(np.concatenate, zip(*bending, strict=True))) if bending else None,
     )
 

@@ -16,7 +16,7 @@ from nuno.scene.explain import UNNUMBERED, explain
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Chosen, Loaded, choose_operation
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Bending, Binding, Fabric, Hinges, Int, Membrane, Springs
+from nuno_schemas.fabric import Bending, BendingFriction, Binding, Fabric, Hinges, Int, Membrane, Springs
 from nuno_schemas.operation import arranges
 from nuno_schemas.scene import Applied
 
@@ -26,6 +26,7 @@ ARRAYS = ("position", "velocity", "mass", "pinned", "faces", "uv")
 SPRINGS = ("first", "count", "stride", "k", "rest", "c", "kind")
 MEMBRANE = ("faces", "along", "across", "area", "moduli", "damping")
 BENDING = ("pairs", "weight")
+FRICTION = ("vertices", "shares", "area", "limit", "slip")
 HINGES = ("first", "count", "stride", "k", "rest")
 
 
@@ -90,10 +91,16 @@ def carry(values: NDArray[Any], target: NDArray[Any], source: Int) -> NDArray[An
     return np.ascontiguousarray(np.moveaxis(carried, 0, axes[0]))
 
 
+PARTS: dict[str, tuple[type, tuple[str, ...]]] = {
+    "springs": (Springs, SPRINGS), "hinges": (Hinges, HINGES), "membrane": (Membrane, MEMBRANE),
+    "bending": (Bending, BENDING), "friction": (BendingFriction, FRICTION),
+}  # fmt: skip
+
+
 def fabric_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
-    """All arrays of a fabric of springs and hinges, for a checkpoint; `fabric_from` is the way back."""
+    """All arrays of a fabric without yarns, for a checkpoint; `fabric_from` is the way back."""
     arrays = {name: getattr(fabric, name) for name in ARRAYS if getattr(fabric, name) is not None}
-    for part, names in (("springs", SPRINGS), ("hinges", HINGES), ("membrane", MEMBRANE), ("bending", BENDING)):
+    for part, (_, names) in PARTS.items():
         held = getattr(fabric, part)
         arrays |= {} if held is None else {f"{part}.{name}": getattr(held, name) for name in names}
     return arrays | {f"bindings.{i}": binding.vertices for i, binding in enumerate(fabric.bindings)}
@@ -103,15 +110,13 @@ def fabric_from(arrays: dict[str, NDArray[Any]], built: Fabric, origin: dict[str
     """The fabric that a checkpoint holds, `built` being that of the scene. Raises BadInput where it is damaged."""
     try:
         parts: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
-        springs = Springs(*(arrays[f"springs.{name}"] for name in SPRINGS)) if built.springs else None
-        hinges = Hinges(*(arrays[f"hinges.{name}"] for name in HINGES)) if built.hinges else None
-        membrane = Membrane(*(arrays[f"membrane.{name}"] for name in MEMBRANE)) if built.membrane else None
-        bending = Bending(*(arrays[f"bending.{name}"] for name in BENDING)) if built.bending else None
+        for part, (kind, names) in PARTS.items():
+            if getattr(built, part) is not None:
+                parts[part] = kind(*(arrays[f"{part}.{name}"] for name in names))
         bindings = tuple(
             Binding(arrays[f"bindings.{i}"].astype(np.int32), binding.body, binding.frame)
             for i, binding in enumerate(built.bindings)
         )
     except KeyError as error:
         raise BadInput(f"the checkpoint lacks {error} of a changed fabric") from None
-    parts |= {"springs": springs, "hinges": hinges, "membrane": membrane, "bending": bending}
     return replace(built, **parts, bindings=bindings, origin=origin)

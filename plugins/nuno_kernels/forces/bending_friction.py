@@ -1,0 +1,262 @@
+"""Friction between the yarns of cloth that is bent: why the loop of moment over curvature does not close.
+
+Round each vertex the surface's tangents t_w, t_f and second derivatives d_w, d_f, d_t are linear in its patch's
+vertices. With the normal n = t_w x t_f / |t_w x t_f| the curvatures are k_a = d_a.n. Beside the elastic moment there is
+that of an elastic element that slips: with k' where it would be at rest, e = (k - k') / k_s, and H_w, H_f the moments
+per width at which yarns slip (H_t their geometric mean),
+
+    m_w = H_w e_w,  m_f = H_f e_f,  m_t = H_t e_t,    |e|^2 = e_w^2 + e_f^2 + 2 e_t^2 <= 1,
+
+the norm that does not depend on directions. Where |e| would be above 1, k' follows, so that |e| is 1: cloth bent by far
+more than k_s has the moment B k + H on its way there and B k - H on the way back, keeps the curvature H / B without
+load, and loses 4 H (k_max - k_s) in every cycle between -k_max and k_max. k' moves after each whole step.
+
+A vertex of area A has the work A (m_w dk_w + m_f dk_f + 2 m_t dk_t). With g = sum of m_a d_a, g' what of it is along
+the surface and q = g' / |t_w x t_f| the force on a vertex with the shares s_w, s_f and s_a of these derivatives is
+
+    -A ((sum of m_a s_a) n + s_w t_f x q + s_f q x t_w),
+
+the exact derivative with m held: no momentum comes of it, whatever the mesh.
+
+Not chosen: a friction that follows the sign of the curvature's rate, which has no moment at rest and so keeps no
+crease; one of the second derivatives themselves, which would resist strain that differs from place to place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nuno_kernels import block_kernel, kernel
+from nuno_kernels.forces.linear_layout import LinearLists, linear_lists
+from nuno_kernels.lanes.choose import lower, where_greater
+from nuno_kernels.lanes.simd import WIDTH, Lanes, Triple, add_at, load, root, splat, store
+from nuno_kernels.lanes.triples import cross, dot, gather_triple, load_triple, minus, plus, times
+from nuno_kernels.step.blocks import BLOCK, Long, list_copies
+from nuno_kernels.terms import over_blocks, register
+from nuno_schemas.fabric import BendingFriction, Float, Int
+
+ROWS = 6
+"""Of the matrix: the normal, and how stiff each curvature is held."""
+PARTS = 5
+"""Rows of shares for each vertex: of t_w, t_f [1/m], d_w, d_f and d_t [1/m^2]."""
+
+
+class FrictionLists(NamedTuple):
+    """Patches of k vertices, the first in the middle, padded to whole vectors by patches of one vertex.
+
+    start      (blocks + 1,) int64   places of each block's patches
+    corners    (2 k, p) int32        vertices, then their columns in the block's forces
+    shares     (5 (k - 1), p)        of all vertices but the first, which has minus their sum
+    constants  (4, p)                A H_w, A H_f and 2 A H_t [N m^2], and 1 / k_s [m]
+    rested     (3, p)                k' [1/m], of warp, weft and twist
+    """
+
+    start: Long
+    corners: Int
+    shares: Float
+    constants: Float
+    rested: Float
+
+
+Five = tuple[Triple, Triple, Triple, Triple, Triple]
+
+
+@kernel
+def derivatives(lists: FrictionLists, x: Float, p: int) -> Five:
+    """t_w, t_f, d_w, d_f and d_t of eight patches, or what else is linear in their vertices (3, n)."""
+    corners, shares, zero = lists.corners, lists.shares, splat(0.0)
+    own, none = gather_triple(x, corners, 0, p), (zero, zero, zero)
+    a, b, c, d, e = none, none, none, none, none
+    for j in range(1, corners.shape[0] // 2):
+        away, at = minus(gather_triple(x, corners, j, p), own), PARTS * (j - 1)
+        a, b = plus(a, times(load(shares, at, p), away)), plus(b, times(load(shares, at + 1, p), away))
+        c, d = plus(c, times(load(shares, at + 2, p), away)), plus(d, times(load(shares, at + 3, p), away))
+        e = plus(e, times(load(shares, at + 4, p), away))
+    return a, b, c, d, e
+
+
+@kernel
+def normal(found: Five) -> tuple[Triple, Lanes]:
+    """Unit normals of eight patches and 1 / |t_w x t_f|; both 0 where there is none."""
+    across = cross(found[0], found[1])
+    square = dot(across, across)
+    inverse = where_greater(square, splat(0.0), 1.0 / root(square))
+    return times(inverse, across), inverse
+
+
+@kernel
+def held(lists: FrictionLists, found: Five, n: Triple, p: int) -> tuple[Triple, Lanes]:
+    """e of eight patches, before any slips, and what each is multiplied by for |e| not to be above 1."""
+    e = times(
+        load(lists.constants, 3, p),
+        minus((dot(found[2], n), dot(found[3], n), dot(found[4], n)), load_triple(lists.rested, 0, p)),
+    )
+    square = e[0] * e[0] + e[1] * e[1] + 2.0 * (e[2] * e[2])
+    return e, lower(1.0 / root(square), splat(1.0))
+
+
+@kernel
+def spread_patch(lists: FrictionLists, p: int, force: Float, on: Triple, warp: Triple, weft: Triple, m: Triple) -> None:
+    """Add minus s_w `warp` + s_f `weft` + (sum of m_a s_a) `on` of eight patches to a block's forces (3, w)."""
+    corners, shares, zero = lists.corners, lists.shares, splat(0.0)
+    k, total = corners.shape[0] // 2, (zero, zero, zero)
+    for j in range(1, k):
+        at = PARTS * (j - 1)
+        size = m[0] * load(shares, at + 2, p) + m[1] * load(shares, at + 3, p) + m[2] * load(shares, at + 4, p)
+        pull = plus(times(load(shares, at, p), warp), times(load(shares, at + 1, p), weft))
+        pull = plus(pull, times(size, on))
+        total = plus(total, pull)
+        for row in range(3):
+            add_at(force, row, corners, k + j, p, 0.0 - pull[row])
+    for row in range(3):
+        add_at(force, row, corners, k, p, total[row])
+
+
+@kernel
+def add_friction(lists: FrictionLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+    """Add a block's patches to its forces (3, w)."""
+    for p in range(lists.start[block], lists.start[block + 1], WIDTH):
+        found = derivatives(lists, x, p)
+        n, inverse = normal(found)
+        e, kept = held(lists, found, n, p)
+        m = kept * e[0] * load(lists.constants, 0, p), kept * e[1] * load(lists.constants, 1, p)
+        moment = m[0], m[1], kept * e[2] * load(lists.constants, 2, p)
+        pull = plus(plus(times(moment[0], found[2]), times(moment[1], found[3])), times(moment[2], found[4]))
+        along = times(inverse, minus(pull, times(dot(pull, n), n)))
+        spread_patch(lists, p, force, n, cross(found[1], along), cross(along, found[0]), moment)
+
+
+@kernel
+def stick(lists: FrictionLists, x: Float) -> None:
+    """Put k' where all are at x (3, n): none slips on a short way from there."""
+    for p in range(0, lists.corners.shape[1], WIDTH):
+        found = derivatives(lists, x, p)
+        n, _ = normal(found)
+        for row in range(3):
+            store(lists.rested, row, p, dot((found[2], found[3], found[4])[row], n))
+
+
+@block_kernel
+def settle_block(block: int, x: Float, lists: FrictionLists) -> None:
+    """Let a block's patches that slip follow."""
+    for p in range(lists.start[block], lists.start[block + 1], WIDTH):
+        found = derivatives(lists, x, p)
+        e, kept = held(lists, found, normal(found)[0], p)
+        gone = (1.0 - kept) / load(lists.constants, 3, p)
+        for row in range(3):
+            store(lists.rested, row, p, load(lists.rested, row, p) + gone * e[row])
+
+
+settle_each = over_blocks(settle_block, "x, lists")
+
+
+@kernel
+def settle_friction(lists: FrictionLists, x: Float, v: Float, s: float, threads: int | None) -> None:
+    """Let patches that slip follow."""
+    settle_each(x, lists, lists.start.shape[0] - 1, threads)
+
+
+@kernel
+def fill_friction(
+    lists: FrictionLists, linear: LinearLists, block: int, x: Float, before: Float, rate: float, floor: float,
+    follow: float,
+) -> None:  # fmt: skip
+    """Write the rows of a block's patches at x (3, n).
+
+    Of one that slips the moment over the whole change of curvature, not its derivative, which is 0 along that change:
+    it is positive, and Newton's method meets no corner.
+    """
+    for p in range(lists.start[block], lists.start[block + 1], WIDTH):
+        found = derivatives(lists, x, p)
+        n, _ = normal(found)
+        kept = held(lists, found, n, p)[1] * load(lists.constants, 3, p)
+        for row in range(3):
+            store(linear.rows, row, p, n[row])
+            store(linear.rows, 3 + row, p, kept * load(lists.constants, row, p))
+
+
+@kernel
+def multiply_friction(lists: FrictionLists, linear: LinearLists, block: int, origin: int, u: Float, out: Float) -> None:
+    """Add the products of a block's patches with u (3, n) to `out` (3, w)."""
+    zero = splat(0.0)
+    none = zero, zero, zero
+    for p in range(lists.start[block], lists.start[block + 1], WIDTH):
+        found, n, stiff = derivatives(lists, u, p), load_triple(linear.rows, 0, p), load_triple(linear.rows, 3, p)
+        m = stiff[0] * dot(found[2], n), stiff[1] * dot(found[3], n), stiff[2] * dot(found[4], n)
+        spread_patch(lists, p, out, times(splat(-1.0), n), none, none, m)
+
+
+@kernel
+def sum_friction(lists: FrictionLists, linear: LinearLists, block: int, origin: int, out: Float) -> None:
+    """Add the diagonal blocks of a block's patches to (6, w)."""
+    rows, shares, k = linear.rows, lists.shares, lists.corners.shape[0] // 2
+    for p in range(lists.start[block], lists.start[block + 1]):
+        own = (0.0, 0.0, 0.0)
+        for j in range(1, k + 1):
+            if j < k:
+                at = PARTS * (j - 1) + 2
+                s = shares[at, p], shares[at + 1, p], shares[at + 2, p]
+                own = minus(own, s)
+            else:
+                s = own
+            size = rows[3, p] * s[0] * s[0] + rows[4, p] * s[1] * s[1] + rows[5, p] * s[2] * s[2]
+            to, x, y, z = lists.corners[k + j % k, p], rows[0, p], rows[1, p], rows[2, p]
+            out[0, to] += size * x * x
+            out[1, to] += size * y * y
+            out[2, to] += size * z * z
+            out[3, to] += size * x * y
+            out[4, to] += size * x * z
+            out[5, to] += size * y * z
+
+
+@kernel
+def measure_friction(lists: FrictionLists, x: Float) -> float:
+    """Energy of what has not slipped [J], each patch counted where its first vertex is at home."""
+    energy, c, k = 0.0, lists.constants, lists.corners.shape[0] // 2
+    scratch = np.empty((3, WIDTH))
+    for block in range(lists.start.shape[0] - 1):
+        width = min(BLOCK, x.shape[1] - block * BLOCK)
+        for p in range(lists.start[block], lists.start[block + 1], WIDTH):
+            found = derivatives(lists, x, p)
+            e, kept = held(lists, found, normal(found)[0], p)
+            for row in range(3):
+                store(scratch, row, 0, kept * e[row])
+            for q in range(WIDTH):
+                if lists.corners[k, p + q] < width:
+                    e0, e1, e2 = scratch[0, q], scratch[1, q], scratch[2, q]
+                    stored = c[0, p + q] * e0 * e0 + c[1, p + q] * e1 * e1 + c[2, p + q] * e2 * e2
+                    energy += 0.5 * stored / c[3, p + q]
+    return energy
+
+
+def pack_friction(friction: BendingFriction | None, vertices: int) -> tuple[FrictionLists, ...]:
+    """Kernel layout of a fabric's friction; none where there is none."""
+    if friction is None or friction.number == 0:
+        return ()
+    order = np.lexsort((friction.vertices.max(axis=1), friction.vertices.min(axis=1)))
+    element, start, corners = list_copies(friction.vertices[order].T.astype(np.int64), vertices)
+    warp, weft = friction.limit * friction.area
+    constants = np.stack([warp, weft, 2.0 * np.sqrt(warp * weft), 1.0 / friction.slip])[:, order]
+    shares = friction.shares[order][:, :, 1:].transpose(2, 1, 0).reshape(-1, len(order))
+    there = element >= 0
+    shares, constants = (np.where(there, values[:, element], 0.0) for values in (shares, constants))
+    constants[3, ~there] = 1.0
+    shares, constants = np.ascontiguousarray(shares), np.ascontiguousarray(constants)
+    return (FrictionLists(start, corners, shares, constants, np.zeros((3, len(element)))),)
+
+
+register(
+    FrictionLists,
+    name="bending_friction",
+    memory=("rested",),
+    block=add_friction,
+    settle=settle_friction,
+    stick=stick,
+    energy=measure_friction,
+    rows=linear_lists(ROWS, "corners"),
+    fill=fill_friction,
+    diagonal=sum_friction,
+    multiply=multiply_friction,
+)
