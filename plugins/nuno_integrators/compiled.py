@@ -24,6 +24,7 @@ from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Extra, Packed, evaluate
 from nuno_kernels.step.packing import (
     call_each,
+    hold_over,
     making_lists,
     pack,
     python_terms,
@@ -75,12 +76,15 @@ class Compiled(ABC):
     order: ClassVar[int]
     explicit: ClassVar[bool]
     adaptive: ClassVar[bool] = False
+    holds: ClassVar[bool] = True
+    """Whether its steps are so small that forces far softer than tension may be held over several."""
 
     def prepare(self, config: Any, system: System, state: State, without: Sequence[str] = ()) -> Memory:
         """Memory for this system, in which the terms of some names do nothing. Raises BadInput for a force that no
         kernel knows.
         """
-        packed = silence(self.adapt(pack(system)), *without)
+        packed = pack(system)
+        packed = silence(self.adapt(hold_over(packed) if self.holds else packed), *without)
         work = self.make_work(config, system, packed)
         return Memory(dict(_own_arrays(packed, work)), work)
 

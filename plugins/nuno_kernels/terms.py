@@ -89,6 +89,7 @@ class Kernels:
     constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
                                                    nuno_kernels.forces.constraint_packing
     stick(term, x)                                 lets nothing slip on a short way from x (3, n)
+    hold_over(term, inverse_mass) -> term          the same whose force is held over several steps
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
     begin(term, x, span, threads)                  before an interval's first step; it lasts `span` [s]
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
@@ -144,6 +145,7 @@ class Kernels:
     unbalance: Any = None
     counts: Any = None
     stick: Any = None
+    hold_over: Any = None
 
     def find(self, role: str) -> Any:
         """What is done in a role, None for nothing."""

@@ -76,6 +76,7 @@ class Implicit(Compiled):
 
     Config: ClassVar[type[ImplicitConfig]] = ImplicitConfig
     explicit: ClassVar[bool] = False
+    holds: ClassVar[bool] = False
 
     def make_work(self, config: ImplicitConfig, system: System, packed: Packed) -> ImplicitWork:
         n = system.fabric.number

@@ -60,11 +60,29 @@ class FrictionLists(NamedTuple):
     rested: Float
 
 
+class HeldFriction(NamedTuple):
+    """The same whose force is found once in a while and held meanwhile; see nuno_kernels.forces.held_friction.
+
+    start, corners, shares, constants, rested  as above
+    force      (3, n)  [N]
+    clock      (4,)    for how long the force is still held; when that was asked last, by the interval's own time; how
+                       long an interval takes, 0 before the first; how long a force may be held [s]
+    """
+
+    start: Long
+    corners: Int
+    shares: Float
+    constants: Float
+    rested: Float
+    force: Float
+    clock: Float
+
+
 Five = tuple[Triple, Triple, Triple, Triple, Triple]
 
 
 @kernel
-def derivatives(lists: FrictionLists, x: Float, p: int) -> Five:
+def derivatives(lists: FrictionLists | HeldFriction, x: Float, p: int) -> Five:
     """t_w, t_f, d_w, d_f and d_t of eight patches, or what else is linear in their vertices (3, n)."""
     corners, shares, zero = lists.corners, lists.shares, splat(0.0)
     own, none = gather_triple(x, corners, 0, p), (zero, zero, zero)
@@ -87,7 +105,7 @@ def normal(found: Five) -> tuple[Triple, Lanes]:
 
 
 @kernel
-def held(lists: FrictionLists, found: Five, n: Triple, p: int) -> tuple[Triple, Lanes]:
+def held(lists: FrictionLists | HeldFriction, found: Five, n: Triple, p: int) -> tuple[Triple, Lanes]:
     """e of eight patches, before any slips, and what each is multiplied by for |e| not to be above 1."""
     e = times(
         load(lists.constants, 3, p),
@@ -98,7 +116,9 @@ def held(lists: FrictionLists, found: Five, n: Triple, p: int) -> tuple[Triple, 
 
 
 @kernel
-def spread_patch(lists: FrictionLists, p: int, force: Float, on: Triple, warp: Triple, weft: Triple, m: Triple) -> None:
+def spread_patch(
+    lists: FrictionLists | HeldFriction, p: int, force: Float, on: Triple, warp: Triple, weft: Triple, m: Triple
+) -> None:
     """Add minus s_w `warp` + s_f `weft` + (sum of m_a s_a) `on` of eight patches to a block's forces (3, w)."""
     corners, shares, zero = lists.corners, lists.shares, splat(0.0)
     k, total = corners.shape[0] // 2, (zero, zero, zero)
@@ -115,7 +135,9 @@ def spread_patch(lists: FrictionLists, p: int, force: Float, on: Triple, warp: T
 
 
 @kernel
-def add_friction(lists: FrictionLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+def add_friction(
+    lists: FrictionLists | HeldFriction, block: int, origin: int, x: Float, v: Float, force: Float
+) -> None:
     """Add a block's patches to its forces (3, w)."""
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
         found = derivatives(lists, x, p)
@@ -139,7 +161,7 @@ def stick(lists: FrictionLists, x: Float) -> None:
 
 
 @block_kernel
-def settle_block(block: int, x: Float, lists: FrictionLists) -> None:
+def settle_block(block: int, x: Float, lists: FrictionLists | HeldFriction) -> None:
     """Let a block's patches that slip follow."""
     for p in range(lists.start[block], lists.start[block + 1], WIDTH):
         found = derivatives(lists, x, p)
@@ -212,7 +234,7 @@ def sum_friction(lists: FrictionLists, linear: LinearLists, block: int, origin: 
 
 
 @kernel
-def measure_friction(lists: FrictionLists, x: Float) -> float:
+def measure_friction(lists: FrictionLists | HeldFriction, x: Float) -> float:
     """Energy of what has not slipped [J], each patch counted where its first vertex is at home."""
     energy, c, k = 0.0, lists.constants, lists.corners.shape[0] // 2
     scratch = np.empty((3, WIDTH))
@@ -254,6 +276,7 @@ register(
     block=add_friction,
     settle=settle_friction,
     stick=stick,
+    hold_over="nuno_kernels.forces.held_friction:hold",
     energy=measure_friction,
     rows=linear_lists(ROWS, "corners"),
     fill=fill_friction,

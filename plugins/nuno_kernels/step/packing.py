@@ -83,6 +83,16 @@ def own_terms(packed: Packed) -> Packed:
     return packed._replace(forces=forces, bodies=bodies)
 
 
+def hold_over(packed: Packed) -> Packed:
+    """The same system, whose softest forces are held over several steps."""
+    terms = {id(term): term for term in (*packed.forces, *packed.bodies)}
+    for key, term in terms.items():
+        hold = role_of(type(term), "hold_over")
+        terms[key] = term if hold is None else hold(term, packed.inverse_mass)
+    forces, bodies = (tuple(terms[id(term)] for term in part) for part in (packed.forces, packed.bodies))
+    return packed._replace(forces=forces, bodies=bodies)
+
+
 def making_lists(packed: Packed) -> tuple[str, ...]:
     """Names of the terms of which only real steps tell what they cost."""
     terms = (*packed.forces, *packed.bodies)

@@ -1,0 +1,105 @@
+"""Bending friction that is found once in a while and held meanwhile, as methods of many small steps can afford.
+
+Friction is far softer than tension, which sets their step. Its force is found where the cloth will be in the middle of
+the time T for which it is then held, x + v T / 2. An element that holds, x'' = -omega^2 x, goes over T by
+
+    x' = x + v T - (omega T)^2 (x + v T / 2) / 2,    v' = v - omega^2 T (x + v T / 2),
+
+whose determinant is 1: it neither grows nor fades for omega T < 2, and T is 1 / omega at most. Found at x, the force
+would lag and feed the swing. Leapfrog begins a step with the force of the last: looked for a step h further ahead, the
+swing fades a little with every method, by about omega^2 h / 2 at most.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nuno_kernels import block_kernel, kernel
+from nuno_kernels.forces.bending_friction import (
+    PARTS,
+    FrictionLists,
+    HeldFriction,
+    add_friction,
+    measure_friction,
+    settle_block,
+)
+from nuno_kernels.lanes.simd import WIDTH, read, write
+from nuno_kernels.step.blocks import BLOCK, PADDING
+from nuno_kernels.terms import over_blocks, register
+from nuno_schemas.fabric import Float
+
+
+@kernel
+def add_held(held: HeldFriction, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+    """Add what is held to a block's forces (3, w)."""
+    end = min(origin + BLOCK, x.shape[1])
+    for row in range(3):
+        for i in range(origin, end, WIDTH):
+            m = min(WIDTH, end - i)
+            write(force, row, i - origin, m, read(force, row, i - origin, m) + read(held.force, row, i, m))
+
+
+@block_kernel
+def find_block(block: int, held: HeldFriction, x: Float) -> None:
+    """Find the force of a block's patches at x (3, n), and let those that slip follow."""
+    origin, end = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    force = np.zeros((3, end - origin + PADDING))
+    add_friction(held, block, origin, x, x, force)
+    settle_block(block, x, held)
+    for row in range(3):
+        for i in range(origin, end):
+            held.force[row, i] = force[row, i - origin]
+
+
+find_each = over_blocks(find_block, "held, x")
+
+
+@kernel
+def settle_held(held: HeldFriction, x: Float, v: Float, s: float, threads: int | None) -> None:
+    """Find the force anew if it has been held for its time, for as many steps like the last as that has."""
+    clock = held.clock
+    now = s * clock[2]
+    step = now - clock[1]
+    clock[0] -= step
+    clock[1] = now
+    if clock[0] < 0.5 * step:
+        clock[0] = step * max(1.0, np.floor(clock[3] / step))
+        find_each(held, x + (0.5 * clock[0] + step) * v, held.start.shape[0] - 1, threads)
+
+
+def hold(lists: FrictionLists, inverse_mass: Float) -> HeldFriction:
+    """Patches whose force is held for as long as it changes by little: 1 / omega, omega^2 bounding how fast vertices of
+    these masses (n,) may swing, by the sums of the rows of the matrix where all hold (Gershgorin).
+    """
+    shares = lists.shares.reshape(-1, PARTS, lists.shares.shape[1])[:, 2:]
+    shares = np.abs(np.concatenate([-shares.sum(axis=0, keepdims=True), shares]))
+    rows = (shares * shares.sum(axis=0) * (lists.constants[:3] * lists.constants[3])).sum(axis=1)
+    squared, corners = np.zeros(len(inverse_mass)), lists.corners[: len(rows)]
+    np.add.at(squared, corners, rows * inverse_mass[corners])
+    clock = np.array([0.0, 0.0, 0.0, 1.0 / np.sqrt(squared.max(initial=0.0) or 1.0)])
+    return HeldFriction(*lists, np.zeros((3, len(inverse_mass))), clock)
+
+
+def begin(held: HeldFriction, x: Float, span: float, threads: int | None) -> None:
+    """Before an interval of `span` [s]: at a run's start nothing is held yet."""
+    if held.clock[2] == 0.0:
+        held.clock[0] = 0.0
+        find_each_at(held, x, threads)
+    held.clock[1], held.clock[2] = 0.0, span
+
+
+@kernel
+def find_each_at(held: HeldFriction, x: Float, threads: int | None) -> None:
+    """Find the force at x (3, n)."""
+    find_each(held, x, held.start.shape[0] - 1, threads)
+
+
+register(
+    HeldFriction,
+    name="bending_friction",
+    memory=("rested", "force", "clock"),
+    block=add_held,
+    settle=settle_held,
+    begin=begin,
+    energy=measure_friction,
+)
