@@ -29,7 +29,7 @@ from nuno_schemas.fabric import Fabric, Float, State
 
 HB = np.array([3e-4, 1e-4])
 SIDE = 0.02
-MATERIAL = Material(0.1, 1e3, 1e3, 1e2, 1e-5, 1e-5, bend_hysteresis=(2.0 * HB[0], 2.0 * HB[1]))
+MATERIAL = Material(0.1, 1e3, 1e3, 1e2, 1e-5, 1e-5, hysteresis_warp=2.0 * HB[0], hysteresis_weft=2.0 * HB[1])
 
 
 def piece(kind: str, n: int, angle: float = 0.0, material: Material = MATERIAL) -> Fabric:
@@ -218,6 +218,6 @@ def test_friction_that_is_held_does_not_feed_a_swing(solver: str) -> None:
 
 
 def test_a_loop_wider_than_bending_allows_is_refused() -> None:
-    for fields, said in (({"bend_hysteresis": 0.1}, "at most"), ({"bend_hysteresis": -1.0}, "greater than or equal")):
+    for fields, said in (({"hysteresis_warp": 0.1}, "at most"), ({"hysteresis_weft": -1.0}, "greater than or equal")):
         with pytest.raises(ValueError, match=said):
             Measured.model_validate({"preset": "denim"} | fields)

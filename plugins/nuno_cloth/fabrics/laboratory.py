@@ -3,7 +3,8 @@
 Sheets hold numbers in their instrument's units, of warp and weft where they have two. What a fabric is described by:
 
 density       W.
-bending       B of KES-F and FAST; of a bending length c, B = W g c^3 (Peirce 1930).
+bending       B of KES-F and FAST; of a bending length c, B = W g c^3 (Peirce 1930), C45 along the bias.
+hysteresis    2HB of KES-F, read between 0.5 and 1.5 1/cm.
 tension       the secant at 5 gf/cm, about what garments bear by their own weight. FAST gives the strain there, E5.
               KES-F gives it at F_m = 500 gf/cm, EMT, and the linearity LT = WT / (F_m EMT / 2): with
               F = F_m (e / EMT)^p that is 2 / (p + 1), so that e(5 gf/cm) = EMT / 100^(1 / p). Specimens are wide, as
@@ -63,17 +64,23 @@ SHEETS: dict[str, dict[str, Column]] = {
         "EB5": Column(PER_CENT, "", STRAIN, pair=False),
         "G": Column("N/m", "N/m", Plausible(1.0, 2000.0), pair=False),
     },
-    "cantilever": {"W": WEIGHED, "C": Column("mm", "m", Plausible(1e-3, 0.2))},
+    "cantilever": {
+        "W": WEIGHED,
+        "C": Column("mm", "m", Plausible(1e-3, 0.2)),
+        "C45": Column("mm", "m", Plausible(1e-3, 0.2), pair=False),
+    },
 }
 UNUSED = {
-    "KES-F": {"2HB", "2HG", "2HG5", "RT", "LC", "WC", "RC", "T0", "TM", "MIU", "MMD", "SMD"},
+    "KES-F": {"2HG", "2HG5", "RT", "LC", "WC", "RC", "T0", "TM", "MIU", "MMD", "SMD"},
     "FAST": {"E20", "E100", "T2", "T100", "ST", "STR", "RS", "HE", "F"},
     "cantilever": set[str](),
 }
-"""What sheets hold besides, which no force here has: hysteresis, compression, surface, thickness."""
+"""What sheets hold besides, which no force here has: hysteresis of shear, compression, surface, thickness."""
 NEEDED = {
     "density": "kg/m^2", "warp": "N/m", "weft": "N/m", "shear": "N/m", "bend_warp": "N*m", "bend_weft": "N*m",
 }  # fmt: skip
+MORE = {"bend_bias": "N*m", "hysteresis_warp": "N", "hysteresis_weft": "N"}
+"""What it may be described by besides."""
 """What a fabric is described by, and the units."""
 
 
@@ -106,7 +113,7 @@ def read_sheet(given: Mapping[str, Any], like: str | None = None) -> Imported:
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
-    return Imported(sheet.fabric, NEEDED, sheet.how, tuple(name for name in given if name in unused))
+    return Imported(sheet.fabric, NEEDED | MORE, sheet.how, tuple(name for name in given if name in unused))
 
 
 def _instrument(given: Mapping[str, Any]) -> str:
@@ -170,6 +177,8 @@ def _kes(sheet: Sheet) -> None:
                     limit=f"{2.0 * rigidity * CURVATURE / to_si('1 gf', 'N'):.3g} gf*cm/cm",
                     remedy="look whether B and 2HB are in gf*cm^2/cm and gf*cm/cm",
                 )  # fmt: skip
+        if "2HB" in values:
+            sheet.take(("hysteresis_warp", "hysteresis_weft"), values["2HB"], "measured: 2HB")
     if "G" in values:
         sheet.take(("shear",), (sum(values["G"]) / 2.0,), "measured: mean of G along warp and weft")
     if "EMT" not in values:
@@ -210,6 +219,8 @@ def _bend(sheet: Sheet) -> None:
     if "C" in values and "W" in values:
         bend = [values["W"][0] * GRAVITY * c**3 for c in values["C"]]
         sheet.take(("bend_warp", "bend_weft"), bend, "derived: W g C^3")
+        if "C45" in values:
+            sheet.take(("bend_bias",), [values["W"][0] * GRAVITY * values["C45"][0] ** 3], "derived: W g C45^3")
 
 
 READ: dict[str, Callable[[Sheet], None]] = {"KES-F": _kes, "FAST": _fast, "cantilever": _bend}
@@ -229,5 +240,5 @@ def _fill(sheet: Sheet, like: str | None, instrument: str) -> None:
         raise BadInput(f"unknown fabric preset {like!r}", field="--like", remedy=nearest(like, PRESETS))
     for name in missing:
         sheet.take((name,), (float(getattr(PRESETS[str(like)], name)),), f"assumed: as of {like}")
-    order = {name: sheet.fabric[name] for name in NEEDED}
+    order = {name: sheet.fabric[name] for name in (*NEEDED, *MORE) if name in sheet.fabric}
     sheet.fabric = order

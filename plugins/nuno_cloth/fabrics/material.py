@@ -21,20 +21,6 @@ def _known(preset: str) -> str:
     return preset
 
 
-def _pair(value: object) -> object:
-    """One constant stands for warp and weft alike."""
-    return value if isinstance(value, (list, tuple)) else (value, value)
-
-
-Pair = Annotated[
-    tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
-]
-
-
-Hysteresis = Annotated[
-    tuple[MomentPerWidth, MomentPerWidth],
-    BeforeValidator(_pair, json_schema_input_type=MomentPerWidth | tuple[MomentPerWidth, MomentPerWidth]),
-]
 MOST_BENT = 250.0
 """Curvature to which KES bends cloth [1/m]; what stays bent by more was not measured so."""
 
@@ -65,11 +51,12 @@ class Measured(Config):
         lt=1,
         description="how far cloth that is bent curls up across: Poisson's ratio of bending; 0 unless given",
     )
-    bend_hysteresis: Hysteresis | None = Field(
+    hysteresis_warp: MomentPerWidth | None = Field(
         default=None,
-        description="2HB, how much moment per width cloth that is bent to and fro has lost on its way back [N]: one "
-        "number, or [warp, weft]; it keeps the curvature 2HB / 2B; 0 unless given",
+        description="2HB, moment per width that warp bent to and fro has lost on its way back [N]; it keeps the "
+        "curvature 2HB / 2B; 0 unless given",
     )
+    hysteresis_weft: MomentPerWidth | None = Field(default=None, description="2HB of the weft [N]; 0 unless given")
     damping_ratio: Ratio | None = Field(
         default=None, description="damping of each spring as a part of its critical damping; 0.05 unless given"
     )
@@ -85,12 +72,11 @@ class Measured(Config):
         if self.preset is None and missing:
             raise ValueError(f"without a preset every measure is needed; missing: {', '.join(missing)}")
         material = self.material()
-        for yarn, rigidity, width in zip(
-            ("warp", "weft"), (material.bend_warp, material.bend_weft), material.bend_hysteresis, strict=True
-        ):
+        for yarn in ("warp", "weft"):
+            rigidity, width = getattr(material, f"bend_{yarn}"), getattr(material, f"hysteresis_{yarn}")
             if 0.5 * width > MOST_BENT * rigidity:
                 kept = f"would stay bent by more than the {MOST_BENT:g} 1/m to which cloth is tested"
-                limit = f"bend_hysteresis at most {2.0 * MOST_BENT * rigidity:.3g} N"
+                limit = f"hysteresis_{yarn} at most {2.0 * MOST_BENT * rigidity:.3g} N"
                 raise ValueError(f"cloth whose bend_{yarn} is {rigidity:.3g} N*m {kept}: {limit}")
         if material.bend_bias is not None:
             if 0.0 in (material.bend_warp, material.bend_weft, material.bend_bias):
@@ -106,6 +92,16 @@ class Measured(Config):
             return Material(**given)
         base = PRESETS[self.preset]
         return replace(base, **given, source=f"{base.source}, changed: {', '.join(given)}") if given else base
+
+
+def _pair(value: object) -> object:
+    """One constant stands for warp and weft alike."""
+    return value if isinstance(value, (list, tuple)) else (value, value)
+
+
+Pair = Annotated[
+    tuple[Modulus, Modulus], BeforeValidator(_pair, json_schema_input_type=Modulus | tuple[Modulus, Modulus])
+]
 
 
 class HandSet(Config):

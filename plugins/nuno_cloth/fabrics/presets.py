@@ -35,7 +35,7 @@ class Material:
     bend_warp, bend_weft  bending rigidity per width, of the warp and of the weft yarns [N m]
     bend_bias             the same of a strip cut at 45 degrees to both, or None where it was not measured
     bend_poisson          how far a bent strip curls up across, nu of B_1 = nu sqrt(B_w B_f)
-    bend_hysteresis       2HB of warp and weft [N]: width of the loop of moment per width over curvature
+    hysteresis_warp, hysteresis_weft  2HB [N]: width of the loop of moment per width over curvature
     damping_ratio         damping of each spring as a part of its critical damping
     source                where the numbers come from
     """
@@ -50,7 +50,8 @@ class Material:
     source: str = "the scene"
     bend_bias: float | None = None
     bend_poisson: float = 0.0
-    bend_hysteresis: tuple[float, float] = (0.0, 0.0)
+    hysteresis_warp: float = 0.0
+    hysteresis_weft: float = 0.0
 
     @property
     def bend_twist(self) -> float:

@@ -24,7 +24,8 @@ def build_friction(material: Material, x: Float, faces: Int, warp: Float, weft: 
     """Of triangles faces (f, 3), flat as x (n, 3) [m] is laid open, with yarn directions (f, 3); None of a fabric that
     has none.
     """
-    if not any(material.bend_hysteresis) or len(x) < 4:
+    widths = np.array([material.hysteresis_warp, material.hysteresis_weft])
+    if not widths.any() or len(x) < 4:
         return None
     of, place = np.unique(faces, return_index=True)
     face, corner = np.divmod(place, 3)
@@ -39,6 +40,6 @@ def build_friction(material: Material, x: Float, faces: Int, warp: Float, weft: 
     flat = np.take_along_axis(flat, near[..., None], axis=1)
     derived = fit(flat, there, np.sqrt(2.0 / np.sqrt(3.0) * area))
     shares = np.where(there[:, None], np.concatenate([derived.first, derived.second], axis=1), 0.0)
-    limit = 0.5 * np.repeat(np.array(material.bend_hysteresis)[:, None], len(of), axis=1)
+    limit = 0.5 * np.repeat(widths[:, None], len(of), axis=1)
     vertices = np.where(there, vertices, vertices[:, :1]).astype(np.int32)
     return BendingFriction(vertices, shares, area, limit, np.full(len(of), SLIP))
