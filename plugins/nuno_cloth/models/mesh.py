@@ -126,13 +126,14 @@ class Mesh:
         share = np.repeat(area, 3) * material.density / 3
         mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
         warp = turn(matrix, np.asarray(config.warp))
-        net = build_elements(material, x, faces, edges, mass, warp, tension=config.tension)
+        held = pin_mesh(config.pin, x)
+        net = build_elements(material, x, faces, edges, mass, warp, tension=config.tension, held=held)
         return Fabric(
             name=self.name,
             position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
             mass=mass,
-            pinned=pin_mesh(config.pin, x),
+            pinned=held,
             faces=faces,
             springs=net.springs,
             hinges=net.hinges,
@@ -164,10 +165,12 @@ class Net(NamedTuple):
 
 def build_elements(
     material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float, folded: bool = False,
-    tension: Tension = "springs",
+    tension: Tension = "springs", held: Bool | None = None,
 ) -> Net:  # fmt: skip
     """A membrane and bending by a matrix, or springs on edges with hinges or bending springs across the inner ones.
     Raises BadInput for a membrane of constants per spring, and for hinges that are to bend as they cannot.
+
+    What is `held` (n,) between triangles that are held all round does not bend.
 
     Bending springs are at rest in the shape x, or where that is `folded`, as pieces that lie on each other along their
     seams, with it laid open.
@@ -181,10 +184,11 @@ def build_elements(
     reduced = _reduced(mass, pairs)
     if isinstance(material, Material):
         axes = yarn_axes(x, faces, warp)
-        friction = build_friction(material, x, faces, *axes)
+        held = np.zeros(len(x), np.bool_) if held is None else held
+        friction = build_friction(material, x, faces, *axes, held)
         if tension != "springs":
             membrane = build_membrane(material, x, faces, mass, *axes)
-            return Net(None, None, membrane, build_bending(material, x, faces, *axes), friction)
+            return Net(None, None, membrane, build_bending(material, x, faces, *axes, held), friction)
         if material.bend_bias is not None or material.bend_poisson != 0.0:
             problem, remedy = "hinges bend alike along the bias whatever was measured", "take tension: membrane"
             raise BadInput(problem, field="tension", value=tension, remedy=remedy)

@@ -29,7 +29,7 @@ from nuno_cloth.models.placement import (
 )
 from nuno_cloth.models.triangles import face_areas, find_edges, yarn_axes
 from nuno_cloth.quantities import Length
-from nuno_schemas.fabric import Bending, BendingFriction, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import Bending, BendingFriction, Bool, Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Imported, Preset
 from nuno_schemas.vectors import turn
@@ -83,7 +83,9 @@ class Elements:
     friction: BendingFriction | None = None
 
 
-def build_grid(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: CellKind) -> Elements:
+def build_grid(
+    grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: CellKind, held: Bool
+) -> Elements:
     """What a grid is simulated with, of quads or of the triangles that it is drawn with.
 
     Raises BadInput for elongated cells.
@@ -101,13 +103,13 @@ def build_grid(grid: Grid, lattice: Lattice, material: Material | HandSet, x: Fl
         if isinstance(material, HandSet):
             return Elements(mass, faces, springs, build_hinges(grid, constants))
         axes = yarn_axes(x, faces, down)
-        friction = build_friction(material, x, faces, *axes)
+        friction = build_friction(material, x, faces, *axes, held)
         if material.bend_poisson != 0.0:
-            return Elements(mass, faces, springs, None, build_bending(material, x, faces, *axes), friction)
+            return Elements(mass, faces, springs, None, build_bending(material, x, faces, *axes, held), friction)
         return Elements(mass, faces, springs, build_hinges(grid, constants), None, friction)
     share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
     mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
-    net = mesh.build_elements(material, x, faces, find_edges(faces), mass, down)
+    net = mesh.build_elements(material, x, faces, find_edges(faces), mass, down, held=held)
     return Elements(mass, faces, net.springs, net.hinges, friction=net.friction)
 
 
@@ -164,13 +166,14 @@ class Sheet:
         lattice = Lattice(np.full(rows, a), np.full(rows - 1, b))
         material = resolve(config.fabric)
         x = place(config, rows, cols)
-        net = build_grid(grid, lattice, material, x, config.cells)
+        held = pin_grid(grid, config.pin)
+        net = build_grid(grid, lattice, material, x, config.cells, held)
         return Fabric(
             name=self.name,
             position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
             mass=net.mass,
-            pinned=pin_grid(grid, config.pin),
+            pinned=held,
             faces=net.faces,
             springs=net.springs,
             hinges=net.hinges,

@@ -91,7 +91,8 @@ class Skirt:
         lattice = Lattice(circle / config.columns, slant)
         material = resolve(config.fabric)
         x = drape(config, circle)
-        net = build_grid(grid, lattice, material, x, config.cells)
+        held = np.repeat(np.arange(config.rows) == 0, config.columns)
+        net = build_grid(grid, lattice, material, x, config.cells, held)
         waist = np.arange(config.columns, dtype=np.int32)
         attach = config.attach
         across = 1 - np.abs(2 * np.arange(config.columns) / config.columns - 1)
@@ -100,7 +101,7 @@ class Skirt:
             position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
             mass=net.mass,
-            pinned=np.repeat(np.arange(config.rows) == 0, config.columns),
+            pinned=held,
             faces=net.faces,
             springs=net.springs,
             hinges=net.hinges,

@@ -73,7 +73,7 @@ def measure_bending(rows: BendingRows, x: Float) -> float:
             if rows.weight[0, p] != 0.0:
                 d = edge(x, group * WIDTH + p % WIDTH, rows.partner[0, p])
                 energy += 0.25 * rows.weight[0, p] * dot(d, d)
-    return energy
+    return max(energy, 0.0)  # but for rounding it is not negative
 
 
 def rows_of_bending(rows: BendingRows) -> LinearLists:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import base64
-import io
 import sys
 import time
 from collections.abc import Sequence
@@ -16,9 +14,8 @@ from nuno.scene import scene_file
 from nuno.words import roughly
 from nuno_bench import machine, options
 from nuno_bench.gallery import contact, dye, knit, wrinkle
-from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Kind, Shown, compare
+from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Kind, Shown, compare, embed
 from nuno_bench.report import page
-from nuno_schemas.dye_picture import Picture
 from nuno_schemas.errors import BadInput
 
 KINDS: dict[str, Kind] = {"contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "wrinkle": wrinkle.KIND}
@@ -90,14 +87,5 @@ def _pictures(kind: Kind, shown: Sequence[Shown]) -> list[page.Image]:
     for one in shown:
         for i, (label, picture) in enumerate(one.pictures):
             caption = f"{one.name}{', ' if label else ''}{label}. {'' if i else one.description}".strip()
-            found.append((label == kind.apart != "", page.Image(_embed(picture), caption)))
+            found.append((label == kind.apart != "", page.Image(embed(picture), caption)))
     return [image for _, image in sorted(found, key=lambda each: each[0])]
-
-
-def _embed(picture: Picture) -> str:
-    """A picture as a data URL."""
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, format="PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

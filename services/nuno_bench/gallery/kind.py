@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -97,6 +99,15 @@ def read_picture(path: Path) -> Picture:
 
     with Image.open(path) as image:
         return np.asarray(image.convert("RGB"))
+
+
+def embed(picture: Picture) -> str:
+    """A picture as a data URL."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, format="PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
 def compare(differences: Sequence[Difference], shown: Mapping[str, Shown]) -> list[list[str]]:

@@ -1,0 +1,1 @@
+"""Virtual instruments: what a textile laboratory measures of a fabric, on specimens in shipped scenes."""

@@ -1,0 +1,100 @@
+"""A specimen of a fabric in the scene of an instrument, and the scene's own solver that brings it to rest."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from nuno.cloth import build
+from nuno.scene import scene_file
+from nuno_bench.problem.observe import Problem, make_problem
+from nuno_schemas.errors import RunFailed
+from nuno_schemas.fabric import Fabric, Float, Memory, State
+from nuno_schemas.system import System
+
+GRAVITY = 9.81
+"""As scenes have it [m/s^2]."""
+MOST = 400
+"""Frames until then."""
+ELASTIC = ("springs", "hinges", "membrane", "bending", "bending_friction")
+"""Kinds of force that are the fabric's own."""
+
+
+@dataclass
+class Rig:
+    """A specimen, its solver, its state and what the solver remembers."""
+
+    problem: Problem
+    system: System
+    state: State
+    memory: Memory
+
+    @property
+    def fabric(self) -> Fabric:
+        return self.system.fabric
+
+    @property
+    def plugin(self) -> Any:
+        return self.problem.loaded.integrator.plugin
+
+    def load(self, gravity: float) -> None:
+        """Weigh it under so much gravity [m/s^2], from its start."""
+        self.system = replace(self.system, gravity=np.array([0.0, -gravity, 0.0]))
+        self.state = build.start_state(self.fabric)
+        self.memory = self.plugin.prepare(self.problem.loaded.integrator.config, self.system, self.state)
+
+    def rest(self, still: float, frames: int = MOST) -> Float:
+        """(n, 3) where it comes to rest [m]: no vertex goes further in a frame than this share of the way that one has
+        gone by then, twice. Raises RunFailed where it does not within so many frames, or the solver fails.
+        """
+        start, quiet = self.state.x.copy(), 0
+        for _ in range(frames):
+            before = self.state.x.copy()
+            self.run(1)
+            gone = np.abs(self.state.x - start).max()
+            quiet = quiet + 1 if np.abs(self.state.x - before).max() < still * gone else 0
+            if quiet == 2:
+                return self.state.x
+        raise RunFailed(f"{self.problem.loaded.scene.name}: not at rest after {frames * self.problem.frame:g} s")
+
+    def run(self, frames: int) -> Float:
+        """(n, 3) where it is after so many frames [m]. Raises RunFailed where the solver fails."""
+        limit = self.plugin.limit(self.problem.loaded.integrator.config, self.system, self.state)
+        steps = self.problem.own_steps(limit)
+        for _ in range(frames):
+            report = self._advance(steps, self.problem.frame / steps)
+            if report.status != "ok":
+                raise RunFailed(f"{self.problem.loaded.scene.name}: {report.status}: {report.message}")
+        return self.state.x
+
+    def put(self, x: Float) -> Float:
+        """(n, 3) the fabric's own forces [N] where all vertices are put, after what slips has followed."""
+        self.state.x[...], self.state.v[...] = x, 0.0
+        found = self.forces()
+        self._advance(1, 1e-12)
+        return found
+
+    def forces(self) -> Float:
+        """(n, 3) the fabric's own forces [N] in the present state."""
+        parts = self.plugin.forces(self.system, self.state, self.memory, None).parts
+        return np.asarray(sum((parts[kind] for kind in ELASTIC if kind in parts), np.zeros_like(self.state.x)))
+
+    def _advance(self, steps: int, dt: float) -> Any:
+        with np.errstate(all="ignore"):
+            return self.plugin.advance(self.system, self.state, self.memory, None, steps, dt)
+
+
+def mount(scene: str, fabric: object, **model: object) -> Rig:
+    """A specimen of a fabric, as a scene names or describes it, in the scene of an instrument; `model` are fields of
+    its model that are otherwise than there. Raises BadInput.
+    """
+    fields = {"fabric": fabric, **model}
+    overrides = [f"objects.0.model.{name}={json.dumps(value)}" for name, value in fields.items()]
+    loaded = scene_file.read(scene_file.find(f"instruments/{scene}"), [*overrides, "until=duration"])
+    problem = make_problem(loaded, threads=1)
+    rig = Rig(problem, problem.system, build.start_state(problem.fabric), Memory())
+    rig.load(GRAVITY)
+    return rig

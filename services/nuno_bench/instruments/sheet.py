@@ -1,0 +1,163 @@
+"""What a laboratory's sheet holds of a fabric, measured on virtual specimens, beside what theory makes of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nuno import registry
+from nuno_bench.instruments import buckling, cantilever, drape, loops, rig
+
+DIRECTIONS = {"warp": 0.0, "weft": 0.5 * math.pi, "bias": 0.25 * math.pi}
+"""Angle of the warp to the specimen's length [rad]."""
+STRIP = 32
+"""Edges along a cantilever's free length."""
+NARROW, SLIM = 120, 2
+"""Edges along and across a strip that tips over: a sixtieth as wide as long, for the closed form is of narrow ones."""
+LONG, STIFF = 0.2, 2400.0
+"""Its length [m], and stiffness [N/m] by its rigidity over the square of its width."""
+EDGES, SEEDS = (0.02, 0.01, 0.007), (1, 2, 3, 4, 5)
+"""Of drapes [m]; the seeds are tried at the second of the edges."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured value in a laboratory's unit, the standard it is by, and what theory says, NaN for nothing; `spread`
+    the least and the greatest of several.
+    """
+
+    what: str
+    standard: str
+    value: float
+    unit: str
+    theory: float = math.nan
+    spread: tuple[float, float] | None = None
+
+    @property
+    def off(self) -> float:
+        """Share by which it is off, NaN where theory says nothing."""
+        return self.value / self.theory - 1.0 if self.theory else math.nan
+
+
+@dataclass
+class Sheet:
+    """Rows, and what a page draws: the loops of bending by direction, the drapes by edge and seed."""
+
+    rows: list[Row]
+    loops: dict[str, loops.Loop]
+    drapes: dict[tuple[float, int], drape.Drape]
+
+
+def measures(fabric: object) -> Mapping[str, Any]:
+    """What a fabric is described by, in SI. Raises BadInput."""
+    plugin = registry.load("nuno.models", "swatch")
+    loaded = rig.mount("cantilever", fabric).problem.loaded
+    found: Mapping[str, Any] = plugin.measures(loaded.models[0].config)
+    return found
+
+
+def test(fabric: object, wanted: list[str], quick: bool, told: Callable[[str], None]) -> Sheet:
+    """All tests of these names, in their order."""
+    given, sheet = measures(fabric), Sheet([], {}, {})
+    for name in wanted:
+        told(name)
+        TESTS[name](sheet, fabric, given, quick)
+    return sheet
+
+
+def _weigh(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+    found = loops.density(rig.mount("cantilever", fabric))
+    sheet.rows.append(Row("weight", "ISO 3801", 1e3 * found, "g/m^2", 1e3 * given["density"]))
+
+
+def _pull(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+    """At first: along the bias (C_w + C_f + 2 C_wf) / 4 + G, its shear (C_w + C_f - 2 C_wf) / 4."""
+    warp, weft, shear = given["warp"], given["weft"], given["shear"]
+    both = min(shear, math.sqrt(warp * weft))
+    stiff = {"warp": warp, "weft": weft, "bias": 0.25 * (warp + weft + 2.0 * both) + shear}
+    slide = {"warp": shear, "bias": 0.25 * (warp + weft - 2.0 * both)}
+    for name, expected in stiff.items():
+        found = loops.stretch(fabric, DIRECTIONS[name])
+        sheet.rows.append(Row(f"tension, {name}", "KES-FB1, at first, width held", found, "N/m", expected))
+    for name, expected in slide.items():
+        found = loops.shear(fabric, DIRECTIONS[name])
+        sheet.rows.append(Row(f"shear, {name}", "KES-FB1, at first", found, "N/m", expected))
+
+
+def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+    warp, weft, twist = given["bend_warp"], given["bend_weft"], given["bend_twist"]
+    both = given["bend_poisson"] * math.sqrt(warp * weft)
+    rigid = {"warp": warp, "weft": weft, "bias": 0.25 * (warp + weft + 2.0 * both) + twist}
+    h_warp, h_weft = given["hysteresis_warp"], given["hysteresis_weft"]
+    lost = {"warp": h_warp, "weft": h_weft, "bias": 0.25 * (math.sqrt(h_warp) + math.sqrt(h_weft)) ** 2}
+    for name, angle in DIRECTIONS.items():
+        loop = sheet.loops[name] = loops.bend(fabric, angle)
+        by = "KES-FB2, width held"
+        sheet.rows.append(Row(f"rigidity B, {name}", by, 1e6 * loop.rigidity, "uN*m", 1e6 * rigid[name]))
+        if lost[name]:
+            left, taken = 0.5 * lost[name] / rigid[name], 2.0 * lost[name] * loops.MOST
+            sheet.rows.append(Row(f"hysteresis 2HB, {name}", by, 1e3 * loop.hysteresis, "mN", 1e3 * lost[name]))
+            sheet.rows.append(Row(f"curvature left, {name}", by, loop.left, "1/m", left))
+            sheet.rows.append(Row(f"work of a cycle, {name}", by, loop.work, "J/m^2", taken))
+
+
+def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+    """Peirce's length of cloth without friction: with it strips hang less."""
+    free = 1.0 - given["bend_poisson"] ** 2
+    strips = {"warp": free * given["bend_warp"], "weft": free * given["bend_weft"], "bias": given["bend_bias"]}
+    for name, rigidity in strips.items():
+        if rigidity == 0.0:
+            continue
+        length = (rigidity / (given["density"] * rig.GRAVITY)) ** (1.0 / 3.0)
+        edges = STRIP // 2 if quick else STRIP
+        found = cantilever.bending_length(cantilever.overhang(fabric, 2.0 * length, edges, DIRECTIONS[name]))
+        sheet.rows.append(Row(f"bending length, {name}", "ASTM D1388, 41.5 deg", 1e3 * found, "mm", 1e3 * length))
+
+
+def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+    """Of the fabric as if it bent alike along warp and weft, and so stiff in its plane that this does not bend first:
+    what the closed form is for.
+    """
+    poisson, rigidity = given["bend_poisson"], math.sqrt(given["bend_warp"] * given["bend_weft"])
+    if rigidity == 0.0:
+        return
+    stiff = STIFF * rigidity / (LONG * SLIM / NARROW) ** 2
+    alike = {name: given[name] for name in ("density", "damping_ratio", "bend_poisson")}
+    alike |= {"bend_warp": rigidity, "bend_weft": rigidity, "warp": stiff, "weft": stiff, "shear": 0.1 * stiff}
+    strip, expected = rigidity * (1.0 - poisson**2), buckling.critical(poisson)
+    for layout in ("irregular",) if quick else ("aligned", "crossed", "irregular"):
+        found = buckling.tips_over(alike, strip, given["density"], LONG, NARROW, SLIM, layout=layout)
+        by = f"w L^3 / B, {layout} mesh"
+        sheet.rows.append(Row("lateral buckling, as if isotropic", by, found, "", expected))
+
+
+def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+    """Theory has no number; the spread is over edges, and over seeds at one of them."""
+    edges, seeds = (EDGES[1:2], SEEDS[:2]) if quick else (EDGES, SEEDS)
+    for edge in edges:
+        for seed in seeds if edge == EDGES[1] else seeds[:1]:
+            sheet.drapes[edge, seed] = drape.drape(fabric, edge, seed)
+    by = "ISO 9073-9, 30 cm on 18 cm"
+    for what, unit, read in (("drape coefficient", "%", lambda one: 100.0 * one.coefficient),
+                             ("nodes", "", lambda one: float(one.nodes))):  # fmt: skip
+        over = {
+            f"seeds {seeds[0]} to {seeds[-1]}, edges of {1e3 * EDGES[1]:g} mm": [
+                read(one) for (edge, _), one in sheet.drapes.items() if edge == EDGES[1]
+            ],
+            "edges of " + ", ".join(f"{1e3 * edge:g}" for edge in edges) + " mm": [
+                read(one) for (_, seed), one in sheet.drapes.items() if seed == seeds[0]
+            ],
+        }  # fmt: skip
+        for where, values in over.items():
+            if len(values) > 1:
+                spread = min(values), max(values)
+                sheet.rows.append(Row(f"{what}, {where}", by, float(np.mean(values)), unit, spread=spread))
+
+
+TESTS: Mapping[str, Callable[[Sheet, object, Mapping[str, Any], bool], None]] = {
+    "weight": _weigh, "tension": _pull, "bending": _bend, "cantilever": _hang, "buckling": _tip, "drape": _drape,
+}  # fmt: skip
