@@ -22,6 +22,7 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
         "skirt": {"columns": 64, "rows": 24, "fullness": 1.3, "pleats": 8, "attach": {"body": "b", "frame": "hips"}},
         "shirt": {"over": {"body": "b"}},
         "mesh": {"file": "sheet.obj", "fabric": "jacket", "pin": [0]},
+        "swatch": {"radius": 0.04, "hold": 0.02, "fabric": {"preset": "denim", "hysteresis_warp": 4e-4}},
         "net": {"file": "net.npz"},
         "knit": {"wales": 4, "courses": 5, "form": "tube", "pin": ["top-row"]},
     },

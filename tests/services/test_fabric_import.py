@@ -33,7 +33,12 @@ def test_kes_values_are_read_in_their_units(tmp_path: Path) -> None:
     assert found.fabric["weft"] == pytest.approx(490.3325 / 0.061, rel=1e-9)
     # LT = 0.8 is F = F_m (e / EMT)^1.5.
     assert found.fabric["warp"] == pytest.approx(4.903325 / (0.032 * 0.01 ** (1.0 / 1.5)), rel=1e-9)
-    assert found.unused == ("2HB",)
+    assert (
+        found.fabric["hysteresis_warp"]
+        == found.fabric["hysteresis_weft"]
+        == pytest.approx(0.124 * 9.80665e-3, rel=1e-9)
+    )
+    assert found.how["hysteresis_weft"] == "measured: 2HB" and found.unused == ()
 
 
 def test_wt_says_what_lt_does(tmp_path: Path) -> None:
@@ -56,9 +61,9 @@ def test_fast_values_are_read_in_their_units(tmp_path: Path) -> None:
 def test_virtual_tests_give_the_sheet_back(tmp_path: Path, text: str) -> None:
     """Within the bar of 2 %, but for rounding."""
     found = read(tmp_path, text)
-    assert set(found.measured) == set(found.fabric)
-    for name, value in found.fabric.items():
-        assert found.measured[name] == pytest.approx(value, rel=1e-3), name
+    assert set(found.measured) == {"density", "warp", "weft", "shear", "bend_warp", "bend_weft"}
+    for name, value in found.measured.items():
+        assert found.fabric[name] == pytest.approx(value, rel=1e-3), name
 
 
 def test_what_is_missing_is_asked_for_or_taken_from_a_preset(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def made(folder: Path, model: dict[str, Any], height: float, seed: int = 0) -> F
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 def test_only_the_start_is_rough_and_along_the_normals(model: dict[str, Any], tmp_path: Path) -> None:
     flat, rough = (made(tmp_path, model, height) for height in (0.0, HEIGHT))
-    parts = [part for part in ("springs", "hinges", "membrane") if getattr(flat, part) is not None]
+    parts = [part for part in ("springs", "hinges", "membrane", "bending") if getattr(flat, part) is not None]
     assert len(parts) == 2
     for part in parts:
         for field in fields(getattr(flat, part)):

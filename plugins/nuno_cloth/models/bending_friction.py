@@ -15,7 +15,7 @@ from nuno_cloth.models.patches import find_patches
 from nuno_schemas.fabric import BendingFriction, Bool, Float, Int
 
 AROUND = 8
-SLIP = 2.0
+SLIP = 1.0
 """Change of curvature that friction holds before it slips [1/m]. No instrument tells: KES, which bends to 250 1/m,
 reads its hysteresis at 50 to 150. Less would be stiffer, and would shorten explicit steps."""
 

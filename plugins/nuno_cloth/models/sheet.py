@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_cloth.fabrics.constants import Lattice, grid_constants
-from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
+from nuno_cloth.fabrics.material import FABRIC, MEASURES, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models import mesh
 from nuno_cloth.models.bending import build_bending
@@ -156,7 +156,7 @@ class Sheet:
         found = read_sheet(given, like)
         config = SheetConfig.model_validate({"size": SIZE, "resolution": RESOLUTION, "fabric": dict(found.fabric)})
         tests = measure(self.build(config, None, 0), RESOLUTION, SIZE)  # type: ignore[arg-type] # no images
-        return replace(found, measured={name: float(getattr(tests, name)) for name in found.fabric})
+        return replace(found, measured={name: float(getattr(tests, name)) for name in found.fabric if name in MEASURES})
 
     def build(self, config: SheetConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a pin that does not exist, a missing texture, elongated cells."""

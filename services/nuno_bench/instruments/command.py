@@ -81,7 +81,7 @@ def find_fabric(given: str) -> tuple[str, object]:
 
 def cells(row: sheet.Row) -> list[str]:
     theory = "" if math.isnan(row.theory) else number(row.theory)
-    off = "" if math.isnan(row.off) else f"{100.0 * row.off:+.2f} %"
+    off = "" if math.isnan(row.off) else f"{100.0 * row.off:+.2f} %".replace("-0.00", "0.00").replace("+0.00", "0.00")
     spread = "" if row.spread is None else f"{number(row.spread[0])} to {number(row.spread[1])}"
     return [row.what, row.standard, number(row.value), row.unit, theory, off, spread]
 

@@ -12,7 +12,7 @@ from nuno_schemas.fabric import Float
 
 STRAIN = 1e-4
 """Strain, and angle of shear [rad]: small, for presets are what cloth has at first."""
-MOST, STEPS = 250.0, 100
+MOST, STEPS = 250.0, 200
 """KES bends to so much [1/m], here in so many steps from level."""
 LOW, HIGH, AT = 50.0, 150.0, 100.0
 """B is the slope between these curvatures [1/m], 2HB the width of the loop here, as KES reads them."""
