@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.patches import find_patches
+from nuno_cloth.models.patches import find_patches, find_sides
 from nuno_schemas.fabric import Bending, Bool, Float, Int
 
 NEAR, STEEP = 1.0, 3
@@ -53,12 +53,13 @@ def build_bending(material: Material, x: Float, faces: Int, warp: Float, weft: F
     """
     rigidity = plate(material)
     clamp = find_clamp(faces, held)
-    loose = np.flatnonzero(~clamp.faces)
+    loose = np.flatnonzero(~clamp.faces).astype(np.int32)
     if not rigidity.any() or len(x) < 4 or not len(loose):
         return None
-    patches, parts = find_patches(x, faces, warp, weft), []
+    sides, parts = find_sides(x, faces), []
     for at in range(0, len(loose), AT_ONCE):
-        part = patches.of(loose[at : at + AT_ONCE])
+        of = loose[at : at + AT_ONCE]
+        part = find_patches(sides, x, of, warp[of], weft[of])
         middle, base = part.flat[:, :3].mean(axis=1, keepdims=True), clamp.base(part.vertices, part.flat, part.there)
         side = np.sqrt(4.0 / np.sqrt(3.0) * part.area)
         found = fit(part.flat - middle, base - middle, part.there, side)

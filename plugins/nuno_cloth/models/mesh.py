@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
-from nuno_cloth.models.bending_friction import build_friction
+from nuno_cloth.models.bending_friction import build_friction, bytes_of_friction
 from nuno_cloth.models.membrane import build_membrane
 from nuno_cloth.models.placement import (
     STILL,
@@ -43,10 +43,9 @@ TENSION = (
 )
 FARTHEST = 1e100
 """Coordinates beyond this [m] have no squares and cubes that are numbers."""
-BYTES_PER_VERTEX = 2000
-"""What a run takes at most: 1,896 were measured between meshes of 262,144 and 640,000 vertices, with
-three springs and three hinges each, and the file's text and triangles while it is read; a membrane takes a
-little less."""
+BYTES_PER_VERTEX, SPRUNG = 4500, 2000
+"""What a run takes at most, of a membrane and of springs: 4,188 and 1,896 were measured, between meshes of 90,000 and
+250,000 and of 262,144 and 640,000 vertices, and the file's text and triangles while it is read."""
 
 
 class Box(Config):
@@ -106,7 +105,7 @@ class Mesh:
 
     def memory(self, config: MeshConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
-        return vertices * BYTES_PER_VERTEX
+        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def build(self, config: MeshConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for a mesh that is empty, degenerate, not manifold, not oriented."""

@@ -26,12 +26,8 @@ class Patches(NamedTuple):
     there: Bool
     area: Float
 
-    def of(self, which: Any) -> Patches:
-        """Some of them."""
-        return Patches(self.vertices[which], self.flat[which], self.there[which], self.area[which])
 
-
-class _Sides(NamedTuple):
+class Sides(NamedTuple):
     """Sides of triangles, 3 f, each from a corner to the next: the side that runs the other way or -1; where the third
     corner is, `along` from the side's start on and `high` over it [m]; of vertices, the triangles round each and
     whether it is on a border.
@@ -45,34 +41,32 @@ class _Sides(NamedTuple):
     border: Bool
 
 
-def find_patches(x: Float, faces: Int, warp: Float, weft: Float) -> Patches:
-    """Patches of triangles faces (f, 3) at rest at x (n, 3) [m], with yarn directions (f, 3)."""
-    sides = _find_sides(x, faces)
-    edges = x[faces] - x[faces[:, :1]]
+def find_patches(sides: Sides, x: Float, of: Int, warp: Float, weft: Float) -> Patches:
+    """Patches of some triangles (f,) of a mesh at rest at x (n, 3) [m], with the yarn directions (f, 3) of these."""
+    corners = sides.faces[of]
+    edges = x[corners] - x[corners[:, :1]]
     flat = np.stack([np.einsum("fcd,fd->fc", edges, axis) for axis in (weft, warp)], axis=2)
-    area = 0.5 * sides.high[::3] * np.linalg.norm(edges[:, 1], axis=1)
-    found: list[Any] = [(np.repeat(np.arange(len(faces)), 3), faces.reshape(-1), flat.reshape(-1, 2))]
+    area = 0.5 * sides.high[3 * of] * np.linalg.norm(edges[:, 1], axis=1)
+    found: list[Any] = [(np.repeat(np.arange(len(of)), 3), corners.reshape(-1), flat.reshape(-1, 2))]
     for corner in range(3):
         for way in (1, -1):
-            found += _walk(sides, flat, corner, way)
+            found += _walk(sides, of, flat, corner, way)
     face, vertex, place = (np.concatenate(part) for part in zip(*found, strict=True))
     # Of a vertex that is met twice the first place stays.
     _, first = np.unique(face.astype(np.int64) * len(x) + vertex, return_index=True)
     first = first[np.lexsort((first, face[first]))]
     face, vertex, place = face[first], vertex[first], place[first]
-    count = np.bincount(face, minlength=len(faces))
+    count = np.bincount(face, minlength=len(of))
     column = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    shape = (len(faces), int(count.max(initial=0)))
-    vertices, places, there = (
-        np.repeat(faces[:, :1], shape[1], axis=1),
-        np.zeros((*shape, 2)),
-        np.zeros(shape, np.bool_),
-    )
+    shape = (len(of), int(count.max(initial=0)))
+    vertices, places = np.repeat(corners[:, :1], shape[1], axis=1), np.zeros((*shape, 2))
+    there = np.zeros(shape, np.bool_)
     vertices[face, column], places[face, column], there[face, column] = vertex, place, True
     return Patches(vertices, places, there, area)
 
 
-def _find_sides(x: Float, faces: Int) -> _Sides:
+def find_sides(x: Float, faces: Int) -> Sides:
+    """Of triangles faces (f, 3) at rest at x (n, 3) [m]."""
     start, end, third = (np.roll(faces, -k, axis=1).reshape(-1) for k in range(3))
     n = len(x)
     key, sought = start.astype(np.int64) * n + end, end.astype(np.int64) * n + start
@@ -85,18 +79,18 @@ def _find_sides(x: Float, faces: Int) -> _Sides:
     edge, slant = x[end] - x[start], x[third] - x[start]
     length = np.linalg.norm(edge, axis=1)
     along, high = np.einsum("sd,sd->s", slant, edge) / length, np.linalg.norm(np.cross(edge, slant), axis=1) / length
-    return _Sides(faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border)
+    return Sides(faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border)
 
 
-def _walk(sides: _Sides, flat: Float, corner: int, way: int) -> list[Any]:
+def _walk(sides: Sides, of: Int, flat: Float, corner: int, way: int) -> list[Any]:
     """Triangles, vertices and their places, step by step round one corner of every triangle, counter-clockwise (1) or
     clockwise (-1).
     """
-    number = len(sides.faces)
-    face, pivot, beside = np.arange(number), flat[:, corner], flat[:, (corner - way) % 3]
-    left = (sides.round[sides.faces[:, corner]] - (1 if way == 1 else 2)) // 2
-    left = np.where(sides.border[sides.faces[:, corner]], np.iinfo(np.int32).max, left)
-    side = sides.other[3 * face + (corner if way == -1 else (corner + 2) % 3)]
+    face, pivot, beside = np.arange(len(of)), flat[:, corner], flat[:, (corner - way) % 3]
+    around = sides.faces[of, corner]
+    left = (sides.round[around] - (1 if way == 1 else 2)) // 2
+    left = np.where(sides.border[around], np.iinfo(np.int32).max, left)
+    side = sides.other[3 * of + (corner if way == -1 else (corner + 2) % 3)]
     found: list[Any] = []
     while True:
         on = (side >= 0) & (left > 0)

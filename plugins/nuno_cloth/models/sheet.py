@@ -14,7 +14,7 @@ from nuno_cloth.fabrics.material import FABRIC, MEASURES, FabricChoice, HandSet,
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models import mesh
 from nuno_cloth.models.bending import build_bending
-from nuno_cloth.models.bending_friction import build_friction
+from nuno_cloth.models.bending_friction import build_friction, bytes_of_friction
 from nuno_cloth.models.grid import Grid, build_faces, build_hinges, build_springs
 from nuno_cloth.models.placement import (
     STILL,
@@ -39,8 +39,17 @@ CELLS = (
     "quads: springs along rows, columns and both diagonals; triangles: on the edges of triangles, as the wrinkle paper "
     "has them and ridge and valley lines need them"
 )
-BYTES_PER_VERTEX = {"quads": 400, "triangles": mesh.BYTES_PER_VERTEX}
+BYTES_PER_VERTEX = {"quads": 400, "triangles": mesh.SPRUNG}
 """What a run takes at most: rows of quads are runs of springs; `nuno bench speed` measures them."""
+
+
+def bytes_of_grid(cells: CellKind, fabric: FabricChoice) -> int:
+    """What a run of a grid takes at most per vertex."""
+    material = resolve(fabric)
+    curls = cells == "quads" and isinstance(material, Material) and material.bend_poisson != 0.0
+    return BYTES_PER_VERTEX[cells] + bytes_of_friction(fabric) + (mesh.BYTES_PER_VERTEX - mesh.SPRUNG if curls else 0)
+
+
 Vertices = Annotated[int, Field(ge=2, le=16384)]
 
 # Directions of columns and rows for each plane, so that their cross product rows x columns
@@ -135,7 +144,7 @@ class Sheet:
 
     def memory(self, config: SheetConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
-        return vertices * BYTES_PER_VERTEX[config.cells]
+        return vertices * bytes_of_grid(config.cells, config.fabric)
 
     def presets(self) -> tuple[Preset, ...]:
         """Fabrics known by name, to every model here; the virtual tests take about a second."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
+from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.dress import Fit, dress
 from nuno_cloth.models.mesh import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, find_texture
@@ -73,7 +74,7 @@ class Shirt:
 
     def memory(self, config: ShirtConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
-        return vertices * BYTES_PER_VERTEX
+        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def build(self, config: ShirtConfig, files: Files, seed: int) -> Fabric:
         raise BadInput("a shirt is cut to a body", field="over", remedy="name a body whose collider is a mesh")

@@ -18,7 +18,7 @@ from nuno_cloth.fabrics.constants import Lattice
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.models.grid import Grid
 from nuno_cloth.models.placement import STILL, TEXTURE, VELOCITY, Attach, Point, Rotation, Velocity, find_texture
-from nuno_cloth.models.sheet import BYTES_PER_VERTEX, CELLS, CellKind, build_grid, texture_coordinates
+from nuno_cloth.models.sheet import CELLS, CellKind, build_grid, bytes_of_grid, texture_coordinates
 from nuno_cloth.quantities import Flatness, Fullness, Length
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Fabric, Float
@@ -79,7 +79,7 @@ class Skirt:
 
     def memory(self, config: SkirtConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
-        return vertices * BYTES_PER_VERTEX[config.cells]
+        return vertices * bytes_of_grid(config.cells, config.fabric)
 
     def build(self, config: SkirtConfig, files: Files, seed: int) -> Fabric:
         """Raises BadInput for impossible measures, a missing texture, elongated cells."""

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
+from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.delaunay import triangulate
 from nuno_cloth.models.mesh import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, Point, Rotation, find_texture
@@ -76,7 +77,7 @@ class Swatch:
 
     def memory(self, config: SwatchConfig, files: Files, vertices: int) -> int:
         """What a run takes at most [bytes]."""
-        return vertices * BYTES_PER_VERTEX
+        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def measures(self, config: SwatchConfig) -> Mapping[str, float | str]:
         """What its fabric is described by, in SI, `bend_bias` and `bend_twist` among it, and its source. Raises

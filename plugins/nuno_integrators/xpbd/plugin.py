@@ -33,7 +33,7 @@ from nuno_kernels.step.acceleration import Extra, Packed
 from nuno_kernels.step.packing import call_each, silence, silence_bodies
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, State
+from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
 
@@ -51,6 +51,12 @@ class XPBDConfig(Config):
         lt=1,
         description="share of a spring's force that may be missing where `dt: auto` chooses the step",
     )
+
+
+def unconstrained(fabric: Fabric) -> list[str]:
+    """What of a fabric has no constraint."""
+    parts = {"bending": fabric.bending, "bending_friction": fabric.friction}
+    return [name for name, part in parts.items() if part is not None]
 
 
 @dataclass
@@ -79,7 +85,7 @@ class XPBD(Compiled):
                     remedy="use an explicit or implicit solver, or set mu to 0",
                 )
         others = None
-        if lacking(system.terms, "constraints") or system.fabric.bending is not None:
+        if lacking(system.terms, "constraints") or unconstrained(system.fabric):
             solved = (kernels_of(term).name for term in packed.forces if kernels_of(term).constraints is not None)
             others = silence_bodies(silence(packed, *solved))._replace(damping=0.0)
         held = np.zeros((3, n)) if repeated and any(kernels_of(term).project for term in packed.bodies) else None
@@ -92,7 +98,7 @@ class XPBD(Compiled):
         omega, damping = measure_rates(system, state)
         kept = tuple(term for term in system.terms if lacking([term], "constraints"))
         dt = np.inf
-        if kept or system.fabric.bending is not None:
+        if kept or unconstrained(system.fabric):
             bare = replace(system.fabric, springs=None, hinges=None, membrane=None)
             rates = measure_rates(replace(system, fabric=bare, terms=kept, damping=0.0), state)
             dt = stable_step(SymplecticEuler().amplification, *rates, 0.0)
@@ -102,7 +108,7 @@ class XPBD(Compiled):
 
     def about(self, system: System) -> str:
         """Threads, and which forces have no constraint."""
-        names = sorted([*lacking(system.terms, "constraints"), *(["bending"] if system.fabric.bending else [])])
+        names = sorted([*lacking(system.terms, "constraints"), *unconstrained(system.fabric)])
         told = f"; without a constraint, as at the start of each step: {', '.join(names)}" if names else ""
         return super().about(system) + told
 

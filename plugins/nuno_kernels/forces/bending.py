@@ -121,10 +121,9 @@ def pack_bending(bending: Bending | None, vertices: int) -> tuple[BendingRows, .
     """Kernel layout of a fabric's bending; none where there is none."""
     if bending is None or bending.number == 0:
         return ()
-    first = np.concatenate([bending.pairs[:, 0], bending.pairs[:, 1]]).astype(np.int64)
-    second, weight = np.concatenate([bending.pairs[:, 1], bending.pairs[:, 0]]), np.tile(bending.weight, 2)
-    order = np.lexsort((second, first))
-    first, second, weight = first[order], second[order], weight[order]
+    first, second = (np.concatenate([bending.pairs[:, k], bending.pairs[:, 1 - k]]) for k in (0, 1))
+    order = np.lexsort((second, first)).astype(np.int32)
+    first, second, weight = first[order], second[order], bending.weight[order % bending.number]
     groups = -(-vertices // WIDTH)
     count = np.bincount(first, minlength=groups * WIDTH)
     longest = count.reshape(groups, WIDTH).max(axis=1)

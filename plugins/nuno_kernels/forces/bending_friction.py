@@ -65,8 +65,8 @@ class HeldFriction(NamedTuple):
 
     start, corners, shares, constants, rested  as above
     force      (3, n)  [N]
-    clock      (4,)    for how long the force is still held; when that was asked last, by the interval's own time; how
-                       long an interval takes, 0 before the first; how long a force may be held [s]
+    clock      (4,)    for how long the force is still held, or NOT_HELD; when that was asked last, by the interval's
+                       own time; how long an interval takes; how long a force may be held [s]
     """
 
     start: Long

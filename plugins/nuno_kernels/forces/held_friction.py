@@ -22,16 +22,23 @@ from nuno_kernels.forces.bending_friction import (
     add_friction,
     measure_friction,
     settle_block,
+    settle_each,
 )
 from nuno_kernels.lanes.simd import WIDTH, read, write
 from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.fabric import Float
 
+NOT_HELD = -1.0
+"""In the place of the time for which the force is still held."""
+
 
 @kernel
 def add_held(held: HeldFriction, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
-    """Add what is held to a block's forces (3, w)."""
+    """Add what is held to a block's forces (3, w), or what there is at x where nothing is held."""
+    if held.clock[0] < 0.0:
+        add_friction(held, block, origin, x, v, force)
+        return
     end = min(origin + BLOCK, x.shape[1])
     for row in range(3):
         for i in range(origin, end, WIDTH):
@@ -40,31 +47,37 @@ def add_held(held: HeldFriction, block: int, origin: int, x: Float, v: Float, fo
 
 
 @block_kernel
-def find_block(block: int, held: HeldFriction, x: Float) -> None:
-    """Find the force of a block's patches at x (3, n), and let those that slip follow."""
+def find_block(block: int, held: HeldFriction, x: Float, ahead: Float) -> None:
+    """Let a block's patches that slip at x (3, n) follow, and find their force at `ahead` (3, n)."""
     origin, end = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     force = np.zeros((3, end - origin + PADDING))
-    add_friction(held, block, origin, x, x, force)
     settle_block(block, x, held)
+    add_friction(held, block, origin, ahead, ahead, force)
     for row in range(3):
         for i in range(origin, end):
             held.force[row, i] = force[row, i - origin]
 
 
-find_each = over_blocks(find_block, "held, x")
+find_each = over_blocks(find_block, "held, x, ahead")
 
 
 @kernel
 def settle_held(held: HeldFriction, x: Float, v: Float, s: float, threads: int | None) -> None:
-    """Find the force anew if it has been held for its time, for as many steps like the last as that has."""
-    clock = held.clock
+    """Find the force anew if it has been held for its time, for as many steps like the last as that has; where that are
+    not two, let what slips follow, and hold nothing.
+    """
+    clock, blocks = held.clock, held.start.shape[0] - 1
     now = s * clock[2]
     step = now - clock[1]
-    clock[0] -= step
     clock[1] = now
+    if 2.0 * step > clock[3]:
+        clock[0] = NOT_HELD
+        settle_each(x, held, blocks, threads)
+        return
+    clock[0] = max(clock[0], 0.0) - step
     if clock[0] < 0.5 * step:
-        clock[0] = step * max(1.0, np.floor(clock[3] / step))
-        find_each(held, x + (0.5 * clock[0] + step) * v, held.start.shape[0] - 1, threads)
+        clock[0] = step * np.floor(clock[3] / step)
+        find_each(held, x, x + (0.5 * clock[0] + step) * v, blocks, threads)
 
 
 def hold(lists: FrictionLists, inverse_mass: Float) -> HeldFriction:
@@ -76,22 +89,14 @@ def hold(lists: FrictionLists, inverse_mass: Float) -> HeldFriction:
     rows = (shares * shares.sum(axis=0) * (lists.constants[:3] * lists.constants[3])).sum(axis=1)
     squared, corners = np.zeros(len(inverse_mass)), lists.corners[: len(rows)]
     np.add.at(squared, corners, rows * inverse_mass[corners])
-    clock = np.array([0.0, 0.0, 0.0, 1.0 / np.sqrt(squared.max(initial=0.0) or 1.0)])
+    clock = np.array([NOT_HELD, 0.0, 0.0, 1.0 / np.sqrt(squared.max(initial=0.0) or 1.0)])
     return HeldFriction(*lists, np.zeros((3, len(inverse_mass))), clock)
 
 
 def begin(held: HeldFriction, x: Float, span: float, threads: int | None) -> None:
-    """Before an interval of `span` [s]: at a run's start nothing is held yet."""
-    if held.clock[2] == 0.0:
-        held.clock[0] = 0.0
-        find_each_at(held, x, threads)
-    held.clock[1], held.clock[2] = 0.0, span
-
-
-@kernel
-def find_each_at(held: HeldFriction, x: Float, threads: int | None) -> None:
-    """Find the force at x (3, n)."""
-    find_each(held, x, held.start.shape[0] - 1, threads)
+    """Before an interval of `span` [s], 0 where the state is only looked at."""
+    if span > 0.0:
+        held.clock[1], held.clock[2] = 0.0, span
 
 
 register(

@@ -14,6 +14,7 @@ from nuno.scene.files import SceneFiles
 from nuno_bench.validation.laws.base import (
     ACCURATE,
     DOWN,
+    NONE,
     Found,
     G,
     Laws,
@@ -131,6 +132,55 @@ def strip(gamma: float, elements: int) -> tuple[System, float]:
     cloth = make_fabric(piece.position, piece.springs, piece.mass, np.arange(piece.number) < 4, hinges=piece.hinges)
     bending, swinging = 3.516 * math.sqrt(G / (gamma * length)), 1.2 * math.sqrt(G / length)
     return System(cloth, DOWN, 1.4 * math.hypot(bending, swinging)), length
+
+
+def swatch(**fields: Any) -> Fabric:
+    """A specimen of irregular triangles; its fabric is given in SI."""
+    plugin = registry.load("nuno.models", "swatch")
+    built: Fabric = plugin.build(plugin.Config(**fields), SceneFiles(Path(), ()), 1)
+    return built
+
+
+@laws("mesh cantilever", "theta'' = -Gamma (1 - s) cos theta")
+def measure_mesh_cantilever(plugin: Any) -> Found:
+    """A heavy strip of irregular triangles, 24 edges long, drops as the elastica does at w L^3 / B = 10, settled."""
+    gamma, length, density, edges = 10.0, 0.2, 0.2, 24
+    edge, rigidity = length / edges, density * G * length**3 / gamma
+    fabric = {"density": density, "warp": 400.0, "weft": 400.0, "shear": 100.0, "damping_ratio": 0.0}
+    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity}
+    cloth = swatch(size=(length + 3.0 * edge, 2.0 * edge), hold=3.0 * edge, edge=edge, fabric=fabric)
+    end = cloth.position[:, 0] > length - 1e-9
+    damping = 1.4 * math.hypot(3.516 * math.sqrt(G / (gamma * length)), 1.2 * math.sqrt(G / length))
+    run, expected = Run(plugin, System(cloth, DOWN, damping), ACCURATE), DROP[10]
+    measured = settle(run, 48.0 / damping, 0.02, lambda x: float(-x[end, 1].mean()) / length, 1e-3 * expected)
+    return relative(measured, expected, 2e-2)
+
+
+@laws("crease", "B kappa = HB")
+def measure_crease(plugin: Any) -> Found:
+    """A piece of irregular triangles that was rolled up, and is let go of, keeps the curvature 2HB / 2B."""
+    side, edge, most, rigidity, width = 0.01, 1e-3, 100.0, 1e-5, 6e-4
+    fabric = {"density": 0.2, "warp": 400.0, "weft": 400.0, "shear": 100.0, "damping_ratio": 0.0}
+    fabric |= {"bend_warp": rigidity, "bend_weft": rigidity, "hysteresis_warp": width, "hysteresis_weft": width}
+    cloth = swatch(size=(side, side), edge=edge, fabric=fabric)
+    flat = cloth.position.copy()
+    middle = np.argsort(np.abs(flat[:, 0] - 0.5 * side))[: len(flat) // 2]
+    cloth.position[:, 0] = np.sin(most * (flat[:, 0] - 0.5 * side)) / most
+    cloth.position[:, 1] = (1.0 - np.cos(most * (flat[:, 0] - 0.5 * side))) / most
+    # Its slowest mode of bending, critically damped: it opens without swinging.
+    slowest = 22.4 * math.sqrt(rigidity / (0.2 * side**4))
+    run = Run(plugin, System(cloth, NONE, 2.0 * slowest), ACCURATE)
+
+    def curvature(x: Float) -> float:
+        """Of the circle that fits the middle half best."""
+        plane = x[middle][:, :2] - x[middle][:, :2].mean(axis=0)
+        sums = np.column_stack([2.0 * plane, np.ones(len(plane))])
+        centre = np.linalg.lstsq(sums, np.square(plane).sum(axis=1), rcond=None)[0]
+        return float(1.0 / math.sqrt(centre[2] + centre[0] ** 2 + centre[1] ** 2))
+
+    expected = width / (2.0 * rigidity)
+    measured = settle(run, 40.0 / slowest, 2e-4, curvature, 2e-3 * expected)
+    return relative(measured, expected, 3e-2)
 
 
 @laws({f"cantilever {gamma}": {"gamma": gamma} for gamma in DROP}, "theta'' = -Gamma (1 - s) cos theta")
