@@ -190,3 +190,10 @@ def test_exit_codes_of_the_command_itself(tmp_path: Path) -> None:
     assert done.stdout == ""
     assert done.stderr.startswith(f"error: {tmp_path / 'scene.yaml'}:2: durration: no such field")
     assert not (tmp_path / "recordings").exists()
+
+
+def test_a_fault_of_the_command_itself_is_told_and_ends_with_1() -> None:
+    """Not by a signal, as code that the C library calls when Python is no more would end it."""
+    code = "from nuno import cli\ncli.main = lambda: 1 / 0\ncli.command()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1 and done.stderr.rstrip().endswith("ZeroDivisionError: division by zero")

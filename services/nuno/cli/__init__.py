@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+import traceback
 from collections.abc import Sequence
 from types import ModuleType
 from typing import NoReturn
@@ -63,6 +64,10 @@ def command() -> NoReturn:
         process.leave(main())
     except SystemExit as end:  # of --help
         process.leave(int(end.code or 0))
+    except Exception:
+        # A fault of ours. Python's own way out would call `fail_on_exit` when Python is no more.
+        traceback.print_exc()
+        process.leave(1)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
