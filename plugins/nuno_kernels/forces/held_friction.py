@@ -5,9 +5,10 @@ the time T for which it is then held, x + v T / 2. An element that holds, x'' = 
 
     x' = x + v T - (omega T)^2 (x + v T / 2) / 2,    v' = v - omega^2 T (x + v T / 2),
 
-whose determinant is 1: it neither grows nor fades for omega T < 2, and T is 1 / omega at most. Found at x, the force
-would lag and feed the swing. Leapfrog begins a step with the force of the last: looked for a step h further ahead, the
-swing fades a little with every method, by about omega^2 h / 2 at most.
+whose determinant is 1: it neither grows nor fades for omega T < 2. Found at x, the force would lag and feed the swing.
+Leapfrog begins a step with the force of the last: looked for a step h further ahead, the swing fades a little with
+every method, by about omega^2 h / 2 at most, and is stable for (omega T)^2 (1 / 2 + h / T) < 2: with two steps at
+least, for omega T < sqrt(2).
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from nuno_schemas.fabric import Float
 
 NOT_HELD = -1.0
 """In the place of the time for which the force is still held."""
+LONGEST = 1.4
+"""Of T by omega."""
 
 
 @kernel
@@ -81,15 +84,15 @@ def settle_held(held: HeldFriction, x: Float, v: Float, s: float, threads: int |
 
 
 def hold(lists: FrictionLists, inverse_mass: Float) -> HeldFriction:
-    """Patches whose force is held for as long as it changes by little: 1 / omega, omega^2 bounding how fast vertices of
-    these masses (n,) may swing, by the sums of the rows of the matrix where all hold (Gershgorin).
+    """Patches whose force is held for LONGEST over omega, omega^2 bounding how fast vertices of these masses (n,) may
+    swing, by the sums of the rows of the matrix where all hold (Gershgorin).
     """
     shares = lists.shares.reshape(-1, PARTS, lists.shares.shape[1])[:, 2:]
     shares = np.abs(np.concatenate([-shares.sum(axis=0, keepdims=True), shares]))
     rows = (shares * shares.sum(axis=0) * (lists.constants[:3] * lists.constants[3])).sum(axis=1)
     squared, corners = np.zeros(len(inverse_mass)), lists.corners[: len(rows)]
     np.add.at(squared, corners, rows * inverse_mass[corners])
-    clock = np.array([NOT_HELD, 0.0, 0.0, 1.0 / np.sqrt(squared.max(initial=0.0) or 1.0)])
+    clock = np.array([NOT_HELD, 0.0, 0.0, LONGEST / np.sqrt(squared.max(initial=0.0) or 1.0)])
     return HeldFriction(*lists, np.zeros((3, len(inverse_mass))), clock)
 
 
