@@ -14,7 +14,7 @@ What the fit leaves, r, is no curvature, and cloth could fold to and fro between
 A FIT sqrt(B_w B_f) times the weighted mean of r^2 over the fourth power of the side, which is 0 where the surface is
 quadratic, so that constant curvature stays exact, and vanishes as the square of the side elsewhere (as virtual elements
 are made stable: Beirao da Veiga et al. 2013, Math. Models Methods Appl. Sci. 23, 199-214). With
-FIT = 130 the lowest frequencies squared of a free square plate with 12 edges a side are within 4 % on any mesh, and a
+FIT = 130 the lowest frequencies squared of a free square plate with 12 edges a side are within 5 % on any mesh, and a
 heavy strip of 16 clamped edges drops 1 to 2 % too far; half as much leaves 5 and 4 %, and twice as much is as far off
 to the other side, with steps that are half as long.
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from nuno_bench.instruments.rig import mount
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
 
 SLOPE = math.radians(41.5)
@@ -37,7 +38,7 @@ def steepness(start: Float, x: Float) -> float:
 
 def overhang(fabric: object, guess: float, edges: int, angle: float = 0.0, **model: object) -> float:
     """Length [m] of the strip whose end is SLOPE below its clamp, looked for from a guess of it by secants: the slope's
-    tangent grows about with the third power of the length.
+    tangent grows about with the third power of the length. Raises RunFailed where it is not found.
     """
 
     def off(log: float) -> float:
@@ -51,8 +52,8 @@ def overhang(fabric: object, guess: float, edges: int, angle: float = 0.0, **mod
         step = -found * (log - before[0]) / (found - before[1])
         before, log = (log, found), log + float(np.clip(step, -0.5, 0.5))
         if abs(step) < ENOUGH:
-            break
-    return math.exp(log)
+            return math.exp(log)
+    raise RunFailed(f"cantilever: no length is found at which its end hangs {math.degrees(SLOPE):g} degrees below")
 
 
 def bending_length(overhang: float) -> float:

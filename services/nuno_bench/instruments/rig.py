@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,12 @@ class Rig:
     def plugin(self) -> Any:
         return self.problem.loaded.integrator.plugin
 
+    @cached_property
+    def steps(self) -> int:
+        """Steps a frame, as the scene says."""
+        config = self.problem.loaded.integrator.config
+        return self.problem.own_steps(self.plugin.limit(config, self.system, self.state))
+
     def load(self, gravity: float) -> None:
         """Weigh it under so much gravity [m/s^2], from its start."""
         self.system = replace(self.system, gravity=np.array([0.0, -gravity, 0.0]))
@@ -53,7 +60,7 @@ class Rig:
         start, quiet = self.state.x.copy(), 0
         for _ in range(frames):
             before = self.state.x.copy()
-            self.run(1)
+            self._go()
             gone = np.abs(self.state.x - start).max()
             quiet = quiet + 1 if np.abs(self.state.x - before).max() < still * gone else 0
             if quiet == 2:
@@ -62,13 +69,15 @@ class Rig:
 
     def run(self, frames: int) -> Float:
         """(n, 3) where it is after so many frames [m]. Raises RunFailed where the solver fails."""
-        limit = self.plugin.limit(self.problem.loaded.integrator.config, self.system, self.state)
-        steps = self.problem.own_steps(limit)
         for _ in range(frames):
-            report = self._advance(steps, self.problem.frame / steps)
-            if report.status != "ok":
-                raise RunFailed(f"{self.problem.loaded.scene.name}: {report.status}: {report.message}")
+            self._go()
         return self.state.x
+
+    def _go(self) -> None:
+        """One frame."""
+        report = self._advance(self.steps, self.problem.frame / self.steps)
+        if report.status != "ok":
+            raise RunFailed(f"{self.problem.loaded.scene.name}: {report.status}: {report.message}")
 
     def put(self, x: Float) -> Float:
         """(n, 3) the fabric's own forces [N] where all vertices are put, after what slips has followed."""
