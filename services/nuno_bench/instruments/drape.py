@@ -1,4 +1,4 @@
-"""Cusick's drapemeter: a disc of 30 cm over one of 18 cm, its shadow, its folds and the drape coefficient."""
+"""Cusick's drapemeter: a disc over a smaller one, its shadow, its folds and the drape coefficient."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_bench.instruments.rig import mount
+from nuno_cloth.fabrics import shadow as shadows
 from nuno_schemas.fabric import Float, Int
 
 RADIUS, SUPPORT = 0.15, 0.09
-"""Of specimen and support [m]."""
+"""Of specimen and support, unless others were measured [m]."""
 DOT = 2.5e-4
 """Side of the shadow's dots [m]."""
-RAYS, SMOOTH, PEAK = 720, 24, 1e-3
-"""Directions in which the outline is read, harmonics that are kept of it, and how far a node stands out of what is
-beside it [m]."""
 
 
 @dataclass(frozen=True)
@@ -31,24 +29,28 @@ class Drape:
     x: Float
 
 
-def drape(fabric: object, edge: float, seed: int, **model: object) -> Drape:
-    """A disc of triangles with edges of this length [m], hung from a start that is rough by a seed of its own."""
-    rig = mount("drapemeter", fabric, edge=edge, **model)
+def drape(
+    fabric: object, edge: float, seed: int, radius: float = RADIUS, support: float = SUPPORT, **model: object
+) -> Drape:
+    """A disc of triangles with edges of this length [m], hung from a start that is rough by a seed of its own; radii of
+    the disc and of what it lies on [m].
+    """
+    rig = mount("drapemeter", fabric, edge=edge, radius=radius, hold=support, **model)
     free = ~rig.fabric.pinned
     rig.state.x[free, 1] += 2e-4 * np.random.default_rng(seed).standard_normal(int(free.sum()))
-    whole = cast_shadow(rig.fabric.position, rig.fabric.faces)
+    whole = cast_shadow(rig.fabric.position, rig.fabric.faces, radius)
     x = rig.run(rig.problem.frames).copy()
-    shadow = cast_shadow(x, rig.fabric.faces)
-    support = np.pi * SUPPORT**2
+    shadow = cast_shadow(x, rig.fabric.faces, radius)
+    held = np.pi * support**2
     dark, most = (float(each.sum()) * DOT**2 for each in (shadow, whole))
-    return Drape((dark - support) / (most - support), count_nodes(shadow), shadow, x)
+    return Drape((dark - held) / (most - held), count_nodes(shadow), shadow, x)
 
 
-def cast_shadow(x: Float, faces: Int) -> NDArray[np.bool_]:
-    """(side, side) what triangles at x (n, 3) [m] cover as seen from above."""
+def cast_shadow(x: Float, faces: Int, radius: float = RADIUS) -> NDArray[np.bool_]:
+    """(side, side) what triangles at x (n, 3) [m] within a radius cover as seen from above."""
     from PIL import Image, ImageDraw
 
-    side = round(2.2 * RADIUS / DOT)
+    side = round(2.2 * radius / DOT)
     image = Image.new("1", (side, side))
     drawn, places = ImageDraw.Draw(image), x[:, [0, 2]] / DOT + 0.5 * side
     for face in faces:
@@ -58,20 +60,4 @@ def cast_shadow(x: Float, faces: Int) -> NDArray[np.bool_]:
 
 def count_nodes(shadow: NDArray[np.bool_]) -> int:
     """How many folds stand out of its outline."""
-    side, angles = len(shadow), 2.0 * np.pi * np.arange(RAYS) / RAYS
-    far = np.arange(round(0.5 * side))
-    rows = np.clip(np.rint(0.5 * side + np.outer(np.sin(angles), far)).astype(int), 0, side - 1)
-    columns = np.clip(np.rint(0.5 * side + np.outer(np.cos(angles), far)).astype(int), 0, side - 1)
-    reached = DOT * (shadow[rows, columns] * far).max(axis=1)
-    waves = np.fft.rfft(reached)
-    waves[SMOOTH + 1 :] = 0.0
-    outline = np.fft.irfft(waves, RAYS)
-    high = np.flatnonzero((outline > np.roll(outline, 1)) & (outline >= np.roll(outline, -1)))
-    if len(high) < 2:
-        return len(high)
-    low = [
-        outline[np.arange(a, b if b > a else b + RAYS) % RAYS].min()
-        for a, b in zip(high, np.roll(high, -1), strict=True)
-    ]
-    before = np.roll(low, 1)
-    return int((outline[high] - np.maximum(low, before) > PEAK).sum())
+    return shadows.count_nodes(shadow, DOT, (0.5 * len(shadow), 0.5 * len(shadow)))

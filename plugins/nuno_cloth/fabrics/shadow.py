@@ -1,0 +1,87 @@
+"""The shadow of a draped specimen: read from a photograph, and its nodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nuno_schemas.errors import BadInput
+
+FORMATS = ("PNG", "JPEG")
+CONTRAST = 0.1
+"""By which a shadow's mean is darker than what is around it at least, as a share of white."""
+RAYS, SMOOTH, PEAK = 720, 24, 1e-3
+"""Directions in which the outline is read, harmonics that are kept of it, and how far a node stands out of what is
+beside it [m]."""
+
+
+def read_shadow(path: Path, field: str) -> NDArray[np.bool_]:
+    """(h, w) pixels of the shadow: the largest dark area of a photograph, without holes. Dark is what Otsu's threshold
+    (1979) says. Raises BadInput, of this field, for a picture that cannot be read, that is alike everywhere, or that
+    cuts the shadow off.
+    """
+    from scipy import ndimage
+
+    values, white = _read_grey(path, field)
+    counts, edges = np.histogram(values, 256)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    below, sums = np.cumsum(counts)[:-1], np.cumsum(counts * middles)
+    above = values.size - below
+    darker, lighter = sums[:-1] / np.maximum(below, 1), (sums[-1] - sums[:-1]) / np.maximum(above, 1)
+    best = int(np.argmax(below * above * (lighter - darker) ** 2.0))
+    if not (below[best] and above[best] and lighter[best] - darker[best] > CONTRAST * white):
+        raise BadInput(
+            "no shadow stands out: the picture is as dark, or as light, everywhere", field=field, value=str(path),
+            limit=f"a shadow darker than the rest by {CONTRAST:.0%} of white", remedy="photograph it dark on light",
+        )  # fmt: skip
+    areas, _ = ndimage.label(values < edges[best + 1])
+    largest = areas == np.argmax(np.bincount(areas.ravel())[1:]) + 1
+    if largest[[0, -1]].any() or largest[:, [0, -1]].any():
+        raise BadInput(
+            "the shadow reaches the picture's edge", field=field, value=str(path), limit="light all around the shadow",
+            remedy="take the whole shadow into the picture, dark on light",
+        )  # fmt: skip
+    filled: NDArray[np.bool_] = ndimage.binary_fill_holes(largest)
+    return filled
+
+
+def _read_grey(path: Path, field: str) -> tuple[NDArray[Any], float]:
+    """(h, w) grey values, and what white is."""
+    from PIL import Image
+
+    try:
+        with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
+            deep = image.mode.startswith("I")
+            return np.asarray(image if deep else image.convert("L")), 65535.0 if deep else 255.0
+    except Exception as error:  # whatever a broken file makes of the decoder
+        raise BadInput(
+            f"the picture cannot be read: {error}", field=field, value=str(path), limit=" or ".join(FORMATS),
+            remedy="name a picture beside the sheet",
+        ) from None  # fmt: skip
+
+
+def count_nodes(shadow: NDArray[np.bool_], dot: float, middle: tuple[float, float]) -> int:
+    """How many folds stand out of the outline of a shadow (h, w) of dots of this side [m], seen from a place in it
+    (row, column).
+    """
+    angles, far = 2.0 * np.pi * np.arange(RAYS) / RAYS, np.arange(max(shadow.shape))
+    rows, columns = (
+        np.clip(np.rint(start + np.outer(turn, far)).astype(int), 0, most - 1)
+        for start, turn, most in zip(middle, (np.sin(angles), np.cos(angles)), shadow.shape, strict=True)
+    )
+    reached = dot * (shadow[rows, columns] * far).max(axis=1)
+    waves = np.fft.rfft(reached)
+    waves[SMOOTH + 1 :] = 0.0
+    outline = np.fft.irfft(waves, RAYS)
+    high = np.flatnonzero((outline > np.roll(outline, 1)) & (outline >= np.roll(outline, -1)))
+    if len(high) < 2:
+        return len(high)
+    low = [
+        outline[np.arange(a, b if b > a else b + RAYS) % RAYS].min()
+        for a, b in zip(high, np.roll(high, -1), strict=True)
+    ]
+    before = np.roll(low, 1)
+    return int((outline[high] - np.maximum(low, before) > PEAK).sum())
