@@ -32,12 +32,14 @@ class Preset:
 
 @dataclass(frozen=True)
 class Imported:
-    """A fabric from a laboratory's sheet, of a model that reads some by `import_fabric(given, like)`.
+    """A fabric from a laboratory's sheet, of a model that reads some by `import_fabric(given, like, folder)`.
 
-    fabric    values in SI by their names in a scene's `fabric`, and the units of these
+    fabric    values in SI by their names in a scene's `fabric`
+    units     of all values
     how       how each was had: measured, derived or assumed, in words
     unused    values of the sheet that nothing here is made of
     measured  what virtual tests find of each on a mesh, where there is a test
+    drape     what was measured of its drape, for virtual ones to be held against: nothing is made of it
     """
 
     fabric: Mapping[str, float]
@@ -45,3 +47,4 @@ class Imported:
     how: Mapping[str, str]
     unused: tuple[str, ...] = ()
     measured: Mapping[str, float] = field(default_factory=dict)
+    drape: Mapping[str, float] = field(default_factory=dict)

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from nuno.cli import main
 from nuno.cli.fabric import importer, read_values
+from nuno_bench.instruments import drape, sheet
+from nuno_bench.instruments.command import cells, find_fabric
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
 
@@ -19,7 +24,7 @@ FAST = "instrument: FAST\nW: 200\nC: [20, 16]\nE5: [0.5, 1.2]\nEB5: 4.1\n"
 def read(folder: Path, text: str, like: str | None = None, suffix: str = ".yaml") -> Imported:
     path = folder / f"sheet{suffix}"
     path.write_text(text)
-    found: Imported = importer().import_fabric(read_values(path)[0], like)
+    found: Imported = importer().import_fabric(read_values(path)[0], like, folder)
     return found
 
 
@@ -131,3 +136,99 @@ def test_words_of_several_lines_stay_in_their_comment(tmp_path: Path, capsys: py
     text = (tmp_path / "out.yaml").read_text()
     assert text.startswith("# cotton fabric: 3: KES-F, sheet.yaml\n# source: ['a', 'b']\nfabric:\n")
     assert list(yaml.safe_load(text)) == ["fabric"]
+
+
+def photograph(path: Path, shape: str, pixel: float = 0.25e-3) -> None:
+    """Dark on light beside a dark label, with noise and off the middle: radius 12 cm and six folds of 1 cm."""
+    rows, columns = np.arange(1300)[:, None] - 620, np.arange(1500)[None] - 810
+    radius, turn = pixel * np.hypot(rows, columns), np.arctan2(rows, columns)
+    dark = (radius < 0.12 + 0.01 * np.cos(6.0 * turn)) & (radius > 2e-3)
+    dark[20:60, 20:300] = True
+    dark |= shape == "dark"
+    if shape == "cut":
+        dark[620:630] = True
+    grey = np.where(dark, 60.0, 190.0) + np.random.default_rng(1).normal(0.0, 8.0, dark.shape)
+    Image.fromarray(np.clip(grey, 0.0, 255.0).astype(np.uint8)).save(path)
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_a_photograph_tells_its_shadows_area_and_nodes(tmp_path: Path, suffix: str) -> None:
+    """Of a radius r + a cos 6 t the area is pi (r^2 + a^2 / 2)."""
+    photograph(tmp_path / f"shadow.{suffix}", "folds")
+    found = read(tmp_path, KES + f"shadow: shadow.{suffix}\nmm per pixel: 0.25\n")
+    share = (0.12**2 + 0.5 * 0.01**2 - 0.09**2) / (0.15**2 - 0.09**2)
+    assert found.drape["drape_coefficient"] == pytest.approx(100.0 * share, abs=0.5)
+    assert found.drape["nodes"] == 6.0 and found.how["nodes"] == f"measured: shadow.{suffix}"
+    assert found.fabric == read(tmp_path, KES).fabric
+
+
+@pytest.mark.parametrize(
+    ("lines", "field", "words"),
+    [
+        ("DC: 120", "DC", "1 to 100 percent"),
+        ("Drape Coefficient: -3 %", "Drape Coefficient", "cannot be negative"),
+        ("DC: 60\ndrape_coefficient: 61", "drape_coefficient", "given twice"),
+        ("nodes: 6.5", "nodes", "whole number"),
+        ("nodes: -1", "nodes", "cannot be negative"),
+        ("drape coeficient: 60", "drape coeficient", "did you mean 'drape coefficient'"),
+        ("DC: 60\nsupport: 30", "support", "below 30 cm"),
+        ("shadow: folds.png", "shadow", "add mm per pixel"),
+        ("mm per pixel: 0.25", "mm per pixel", "add shadow"),
+        ("mm per pixel: 0\nshadow: folds.png", "mm per pixel", "0.01 to 5 mm"),
+        ("mm per pixel: 0.25\nshadow: folds.png\nDC: 60", "DC", "the photograph tells this too"),
+        ("mm per pixel: 0.25\nshadow: none.png", "shadow", "No such file"),
+        ("mm per pixel: 0.25\nshadow: sheet.yaml", "shadow", "cannot be read"),
+        ("mm per pixel: 0.25\nshadow: dark.png", "shadow", "as dark, or as light, everywhere"),
+        ("mm per pixel: 0.25\nshadow: cut.png", "shadow", "reaches the picture's edge"),
+        ("mm per pixel: 0.15\nshadow: folds.png", "shadow", "smaller than the support"),
+        ("mm per pixel: 0.35\nshadow: folds.png", "shadow", "larger than the specimen"),
+    ],
+)
+def test_a_drape_that_cannot_be_is_refused_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], lines: str, field: str, words: str
+) -> None:
+    for shape in ("folds", "dark", "cut"):
+        if shape in lines:
+            photograph(tmp_path / f"{shape}.png", shape)
+    path = tmp_path / "sheet.yaml"
+    path.write_text(KES + lines)
+    assert main(["fabric", "import", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert f": {field}: " in said and words in said and f"{path}:" in said
+
+
+def test_a_measured_drape_is_held_against_the_virtual_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, out = tmp_path / "sheet.yaml", tmp_path / "cotton.yaml"
+    path.write_text(KES + "drape coefficient: 63 %\nnumber of nodes: 7\nspecimen: 24 cm\n")
+    assert main(["fabric", "import", str(path), "--out", str(out)]) == 0
+    name, fabric, measured = find_fabric(str(out))
+    assert name == "cotton" and isinstance(fabric, dict) and "drape_coefficient" not in fabric
+    hung: list[Any] = []
+
+    def hang(*given: Any) -> drape.Drape:
+        hung.append(given[3:])
+        return drape.Drape(0.65, 6, np.zeros((2, 2), np.bool_), np.zeros((1, 3)))
+
+    monkeypatch.setattr(drape, "drape", hang)
+    rows = sheet.test(fabric, ["drape"], True, lambda text: None, measured).rows
+    assert set(hung) == {(0.12, 0.09)}
+    assert [row.measured for row in rows] == [True, True]
+    coefficient, nodes = (cells(row) for row in rows)
+    assert coefficient[1:6] == ["ISO 9073-9, 24 cm on 18 cm", "65", "%", "63, measured", "+2.0 points"]
+    assert nodes[2:6] == ["6", "", "7, measured", "-14.29 %"]
+    rows = sheet.test(fabric, ["drape"], True, lambda text: None, {}).rows
+    assert cells(rows[0])[1:6] == ["ISO 9073-9, 30 cm on 18 cm", "65", "%", "", ""]
+
+
+def test_what_a_file_says_was_measured_is_checked(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("fabric: denim\nmeasured:\n  drape_coefficient: 130 %\n")
+    with pytest.raises(BadInput, match="no fabric is known") as caught:
+        find_fabric(str(path))
+    assert f"{path}:3: measured.drape_coefficient" in str(caught.value)
+    path.write_text("fabric: denim\nmeasured: {foldes: 3}\n")
+    with pytest.raises(BadInput, match="not a value of a drape"):
+        find_fabric(str(path))
+    path.write_text("fabric: denim\nmeasured: 65 %\n")
+    with pytest.raises(BadInput, match="values by name"):
+        find_fabric(str(path))

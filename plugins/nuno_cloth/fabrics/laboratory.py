@@ -10,15 +10,23 @@ tension       the secant at 5 gf/cm, about what garments bear by their own weigh
               F = F_m (e / EMT)^p that is 2 / (p + 1), so that e(5 gf/cm) = EMT / 100^(1 / p). Specimens are wide, as
               if their sides were held.
 shear         the mean of G along warp and weft; of FAST's bias extension, G = 123 N/m / EB5 (EB5 in per cent).
+
+A sheet of any instrument may hold a drape by Cusick's drapemeter (ISO 9073-9): the drape coefficient and the nodes, or
+a photograph of the shadow. It is kept for `nuno test` to be held against, and nothing of the fabric is made of it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nuno_cloth.fabrics.presets import PRESETS
+from nuno_cloth.fabrics.shadow import count_nodes, read_shadow
 from nuno_cloth.quantities import BENDING, WEIGHT
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.preset import Imported
@@ -83,6 +91,17 @@ MORE = {"bend_bias": "N*m", "hysteresis_warp": "N", "hysteresis_weft": "N"}
 """What it may be described by besides."""
 """What a fabric is described by, and the units."""
 
+DRAPE = {
+    "drape coefficient": Column(PER_CENT, "", Plausible(0.01, 1.0), pair=False),
+    "nodes": Column("", "", Plausible(0.0, 50.0), pair=False),
+    "mm per pixel": Column("mm", "m", Plausible(1e-5, 5e-3), pair=False),
+    "specimen": Column("cm", "m", Plausible(0.1, 0.5), pair=False),
+    "support": Column("cm", "m", Plausible(0.05, 0.4), pair=False),
+}
+ALIASES = {"dc": "drape coefficient", "number of nodes": "nodes", "millimetres per pixel": "mm per pixel"}
+DRAPED = {"drape_coefficient": "%", "nodes": "", "specimen": "cm", "support": "cm"}
+"""What is kept of a drape, and the units."""
+
 
 @dataclass
 class Sheet:
@@ -97,9 +116,9 @@ class Sheet:
             self.fabric[name], self.how[name] = value, how
 
 
-def read_sheet(given: Mapping[str, Any], like: str | None = None) -> Imported:
+def read_sheet(given: Mapping[str, Any], like: str | None = None, folder: Path = Path()) -> Imported:
     """The fabric of a sheet: `instrument`, and values by the instrument's own names, one number or [warp, weft], in its
-    units or as text with another; what it lacks is that of a preset `like`.
+    units or as text with another; what it lacks is that of a preset `like`. Pictures lie in the sheet's folder.
 
     Raises BadInput that names the value at fault.
     """
@@ -109,11 +128,83 @@ def read_sheet(given: Mapping[str, Any], like: str | None = None) -> Imported:
     for name, value in given.items():
         if name in columns:
             sheet.values[name] = _values(name, value, columns[name])
-        elif name not in unused and name != "instrument":
+        elif name not in unused and name != "instrument" and not _is_drape(name):
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
-    return Imported(sheet.fabric, NEEDED | MORE, sheet.how, tuple(name for name in given if name in unused))
+    drape, how = read_drape({name: value for name, value in given.items() if _is_drape(name)}, folder)
+    left_over = tuple(name for name in given if name in unused)
+    return Imported(sheet.fabric, NEEDED | MORE | DRAPED, sheet.how | how, left_over, drape=drape)
+
+
+def read_drape(given: Mapping[str, Any], folder: Path) -> tuple[dict[str, float], dict[str, str]]:
+    """What was measured of a drape, in the units of DRAPED, and how each was had. `given` holds the `drape coefficient`
+    [%] and the `nodes`, or a photograph of the `shadow`, in this folder, and its scale in `mm per pixel`; the diameters
+    of `specimen` and `support` are 30 cm and 18 cm unless given. Raises BadInput that names the value at fault.
+    """
+    names, values = dict[str, str](), {"specimen": 0.3, "support": 0.18}
+    for name, value in given.items():
+        own = _drape_name(name)
+        if not _is_drape(name):
+            raise BadInput("not a value of a drape", field=name, remedy=nearest(str(name), (*DRAPE, "shadow")))
+        if own in names:
+            raise BadInput(f"{names[own]} is the same value: it is given twice", field=name, remedy="leave one out")
+        names[own] = name
+        if own in DRAPE:
+            (values[own],) = _values(name, value, DRAPE[own])
+    if values["support"] >= values["specimen"]:
+        field, limit = names.get("support", names.get("specimen")), f"below {100.0 * values['specimen']:g} cm"
+        value = f"{100.0 * values['support']:g} cm"
+        raise BadInput("the support is as wide as the specimen", field=field, value=value, limit=limit)
+    if values.get("nodes", 0.0) % 1.0:
+        raise BadInput("nodes are a whole number", field=names["nodes"], value=values["nodes"], limit="0, 1, 2, ...")
+    how: dict[str, str] = {own: f"measured: {names[own]}" for own in ("drape coefficient", "nodes") if own in names}
+    if "shadow" in names or "mm per pixel" in names:
+        picture = _measure_shadow(given, names, values, folder)
+        how = dict.fromkeys(("drape coefficient", "nodes"), f"measured: {picture}")
+    if not how:
+        return {}, {}
+    how |= {own: "measured: diameter" if own in names else "assumed: diameter" for own in ("specimen", "support")}
+    kept = {own.replace(" ", "_"): 100.0 * values[own] if own != "nodes" else values[own] for own in how}
+    return kept, {own.replace(" ", "_"): words for own, words in how.items()}
+
+
+def _measure_shadow(given: Mapping[str, Any], names: Mapping[str, str], values: dict[str, float], folder: Path) -> str:
+    """Add to the values what a photograph tells, and return its name."""
+    for own, other in (("shadow", "mm per pixel"), ("mm per pixel", "shadow")):
+        if own not in names:
+            raise BadInput(
+                f"a photograph goes with its scale, and {own} is missing", field=names[other],
+                value=given[names[other]], limit="shadow and mm per pixel, or neither", remedy=f"add {own}",
+            )  # fmt: skip
+    for own in ("drape coefficient", "nodes"):
+        if own in names:
+            remedy = f"leave out {names[own]}, or {names['shadow']}"
+            raise BadInput("the photograph tells this too", field=names[own], value=given[names[own]], remedy=remedy)
+    name, pixel = given[names["shadow"]], values["mm per pixel"]
+    picture = str(name[0] if isinstance(name, list) and len(name) == 1 else name)  # of CSV, a list of cells
+    shadow = read_shadow(folder / picture, names["shadow"])
+    area = float(shadow.sum()) * pixel**2
+    least, most = (0.25 * math.pi * values[own] ** 2 for own in ("support", "specimen"))
+    if not least <= area <= most:
+        which = "smaller than the support" if area < least else "larger than the specimen"
+        raise BadInput(
+            f"the shadow is {which}", field=names["shadow"], value=f"{1e4 * area:.4g} cm^2, {picture}",
+            limit=f"{1e4 * least:.4g} to {1e4 * most:.4g} cm^2", remedy=f"look at {names['mm per pixel']}",
+        )  # fmt: skip
+    row, column = (float(each.mean()) for each in np.nonzero(shadow))
+    values["drape coefficient"] = (area - least) / (most - least)
+    values["nodes"] = float(count_nodes(shadow, pixel, (row, column)))
+    return " ".join(picture.split())  # in one line, as a comment holds it
+
+
+def _drape_name(name: str) -> str:
+    plain = str(name).lower().replace("_", " ")
+    return ALIASES.get(plain, plain)
+
+
+def _is_drape(name: str) -> bool:
+    return _drape_name(name) in (*DRAPE, "shadow")
 
 
 def _instrument(given: Mapping[str, Any]) -> str:
@@ -132,7 +223,7 @@ def _unknown(name: str, instrument: str) -> BadInput:
     if others:
         problem, remedy = f"a sheet of {instrument} has no such value", f"is it instrument: {others[0]}?"
         return BadInput(problem, field=name, remedy=remedy)
-    known = SHEETS[instrument].keys() | UNUSED[instrument] | {"instrument"}
+    known = SHEETS[instrument].keys() | UNUSED[instrument] | {"instrument", "shadow"} | DRAPE.keys()
     return BadInput(f"not a value of a sheet of {instrument}", field=name, remedy=nearest(name, known))
 
 
@@ -151,7 +242,7 @@ def _values(name: str, given: object, column: Column) -> tuple[float, ...]:
             remedy = f"a plain number is in {column.unit or 'no unit'}"
             raise BadInput(str(error), field=name, value=part, remedy=remedy) from None
         if value < 0.0:
-            raise BadInput("it cannot be negative", field=name, value=part, limit="above 0")
+            raise BadInput("it cannot be negative", field=name, value=part, limit="0 or more")
         if not column.plausible.low <= value <= column.plausible.high:
             low, high = (
                 edge / to_si(f"1 {column.unit}", column.si) for edge in (column.plausible.low, column.plausible.high)

@@ -57,8 +57,9 @@ def _read_grey(path: Path, field: str) -> tuple[NDArray[Any], float]:
             deep = image.mode.startswith("I")
             return np.asarray(image if deep else image.convert("L")), 65535.0 if deep else 255.0
     except Exception as error:  # whatever a broken file makes of the decoder
+        reason = getattr(error, "strerror", None) or "it is none, or damaged"
         raise BadInput(
-            f"the picture cannot be read: {error}", field=field, value=str(path), limit=" or ".join(FORMATS),
+            f"the picture cannot be read: {reason}", field=field, value=str(path), limit=" or ".join(FORMATS),
             remedy="name a picture beside the sheet",
         ) from None  # fmt: skip
 

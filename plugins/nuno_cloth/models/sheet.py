@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -156,13 +157,13 @@ class Sheet:
 
         return list_presets(cut)
 
-    def import_fabric(self, given: Mapping[str, Any], like: str | None) -> Imported:
-        """A fabric from a laboratory's sheet, with what virtual tests find of it. Raises BadInput."""
+    def import_fabric(self, given: Mapping[str, Any], like: str | None, folder: Path = Path()) -> Imported:
+        """A fabric from a laboratory's sheet in this folder, with what virtual tests find of it. Raises BadInput."""
         from nuno_cloth.fabrics.catalogue import RESOLUTION, SIZE
         from nuno_cloth.fabrics.kes import measure
         from nuno_cloth.fabrics.laboratory import read_sheet
 
-        found = read_sheet(given, like)
+        found = read_sheet(given, like, folder)
         config = SheetConfig.model_validate({"size": SIZE, "resolution": RESOLUTION, "fabric": dict(found.fabric)})
         tests = measure(self.build(config, None, 0), RESOLUTION, SIZE)  # type: ignore[arg-type] # no images
         return replace(found, measured={name: float(getattr(tests, name)) for name in found.fabric if name in MEASURES})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "sheet", type=Path, metavar="FILE",
         help="values of KES-F, FAST or a cantilever, .yaml or .csv: instrument, then each by the instrument's own "
-        "name, one number or warp and weft, in its units",
+        "name, one number or warp and weft, in its units; and a drape to hold nuno test against: drape coefficient and "
+        "nodes, or a photograph of the shadow",
     )  # fmt: skip
     parser.add_argument("--like", metavar="PRESET", help="what the sheet does not tell is as of this fabric")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the fabric as YAML, for a scene")
@@ -37,7 +39,7 @@ def main(args: argparse.Namespace) -> int:
     # In one line, as a comment holds them.
     title = {name: " ".join(str(given.pop(name)).split()) for name in TITLE if name in given}
     try:
-        found: Imported = importer().import_fabric(given, args.like)
+        found: Imported = importer().import_fabric(given, args.like, args.sheet.parent)
     except BadInput as error:
         if error.field is None or error.field.startswith("--"):
             raise
@@ -110,7 +112,7 @@ def _is_number(text: str) -> bool:
 def table(found: Imported) -> str:
     """Each measure, how it was had, and what a virtual test of it finds."""
     rows = [["", "value", "", "virtual test", "off", "how"]]
-    for name, value in found.fabric.items():
+    for name, value in {**found.fabric, **found.drape}.items():
         tested = found.measured.get(name)
         off = "" if tested is None else f"{100.0 * (tested / value - 1.0):+.2f} %"
         seen = "" if tested is None else f"{tested:.4g}"
@@ -119,7 +121,15 @@ def table(found: Imported) -> str:
 
 
 def as_yaml(found: Imported, head: list[str]) -> str:
-    """The `fabric` of a scene below comments of a line each, and how each value was had."""
-    lines = [f"# {line}" for line in head] + ["fabric:"]
-    lines += [f"  {name}: {value:.6g} {found.units[name]}  # {found.how[name]}" for name, value in found.fabric.items()]
+    """The `fabric` of a scene below comments of a line each, and beside it what was `measured` of its drape."""
+    lines = [*(f"# {line}" for line in head), "fabric:", *_entries(found, found.fabric)]
+    if found.drape:
+        note = "of its drape, for nuno test to be held against; no part of the fabric"
+        lines += [f"measured:  # {note}", *_entries(found, found.drape)]
     return "\n".join(lines) + "\n"
+
+
+def _entries(found: Imported, values: Mapping[str, float]) -> list[str]:
+    """Values with their units, and how each was had."""
+    texts = {name: f"{value:.6g} {found.units[name]}".strip() for name, value in values.items()}
+    return [f"  {name}: {text}  # {found.how[name]}" for name, text in texts.items()]

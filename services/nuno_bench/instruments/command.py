@@ -7,6 +7,7 @@ import math
 import sys
 import tempfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from nuno import api
@@ -20,19 +21,22 @@ from nuno_bench.instruments.drape import DOT
 from nuno_bench.report import page, plots
 from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.report.result import number
+from nuno_cloth.fabrics.laboratory import read_drape
 from nuno_schemas.errors import BadInput
 
 LEAD = (
     "What a laboratory would measure of this fabric, on virtual specimens: each standard's test as it is simulated, "
-    "beside what the fabric's own measures say by the theory of plates and of the elastica. Nothing is tuned to a test."
+    "beside what the fabric's own measures say by the theory of plates and of the elastica, or what a laboratory "
+    "measured of its drape. Nothing is tuned to a test."
 )
-HEADS = ("test", "standard", "found", "unit", "theory", "off", "least to greatest")
+HEADS = ("test", "standard", "found", "unit", "expected", "off", "least to greatest")
 SIZE = (640, 400)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("fabric", metavar="FABRIC", help="a preset (nuno fabrics), a YAML file with a `fabric`, as "
-                        "nuno fabric import writes one, or a fabric as a scene has it")  # fmt: skip
+                        "nuno fabric import writes one, with what was `measured` of its drape; or a fabric as a scene "
+                        "has it")  # fmt: skip
     parser.add_argument("--only", metavar="A,B", help=f"of the tests {', '.join(sheet.TESTS)} (default: all)")
     parser.add_argument("--quick", action="store_true", help="coarser specimens, one mesh, two drapes")
     options.add_shared(parser, "--json", "--html", "--docs")
@@ -40,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    name, fabric = find_fabric(args.fabric)
+    name, fabric, measured = find_fabric(args.fabric)
     wanted = options.names_of(args.only) or list(sheet.TESTS)
     options.require_known(wanted, sheet.TESTS, "test", "--only")
     section = args.section or "test"
@@ -48,42 +52,60 @@ def main(args: argparse.Namespace) -> int:
     if args.html is not None:
         plots.require_matplotlib()
     others, given = machine.Others(), sheet.measures(fabric)
-    found = sheet.test(fabric, wanted, args.quick, lambda text: print(f"{text} ...", file=sys.stderr, flush=True))
+    found = sheet.test(
+        fabric, wanted, args.quick, lambda text: print(f"{text} ...", file=sys.stderr, flush=True), measured
+    )
     table = page.Table(HEADS, [cells(row) for row in found.rows], f"{name}: {given['source']}.")
     print(f"{table.caption}\n\n{table.text()}")
     parts = figures(found) if args.html is not None else []
     drawn = pictures(fabric, found) if args.html is not None and found.drapes else []
     sections: page.Sections = [("", [table]), ("Bending", parts), ("Drape", drawn)]
-    data = {"fabric": dict(given), "rows": found.rows}
+    data = {"fabric": dict(given), "measured": measured, "rows": found.rows}
     report = page.Report(f"{name}, tested", LEAD, sections, machine.about(others), data, [table])
     report.write(args.html, args.json, args.docs, section)
     return 0
 
 
-def find_fabric(given: str) -> tuple[str, object]:
-    """A name, and the fabric as a scene has it. Raises BadInput."""
+def find_fabric(given: str) -> tuple[str, object, Mapping[str, float]]:
+    """A name, the fabric as a scene has it, and what a file says was measured of its drape. Raises BadInput."""
     path = Path(given)
     if path.suffix.lower() in (".yaml", ".yml"):
         try:
             text = path.read_text(encoding="utf-8")
         except OSError as error:
             raise BadInput(f"the fabric cannot be read: {error.strerror}", given) from None
-        held, _ = yaml_lines.parse(text, given)
+        held, lines = yaml_lines.parse(text, given)
         if not isinstance(held, Mapping) or "fabric" not in held:
             remedy = "nuno fabric import SHEET --out FILE writes one"
             raise BadInput("the file holds no `fabric`", given, field="fabric", remedy=remedy)
-        return path.stem, held["fabric"]
+        return path.stem, held["fabric"], _find_drape(held.get("measured", {}), path, lines)
     value = yaml_lines.parse_value(given)
     if isinstance(value, Mapping):
-        return f"{value.get('preset', 'a fabric')}, changed" if "preset" in value else "a fabric", dict(value)
-    return given, given
+        return f"{value.get('preset', 'a fabric')}, changed" if "preset" in value else "a fabric", dict(value), {}
+    return given, given, {}
+
+
+def _find_drape(given: object, path: Path, lines: Mapping[yaml_lines.Path, int]) -> Mapping[str, float]:
+    if not isinstance(given, Mapping):
+        remedy = "write for example measured: {drape_coefficient: 65 %, nodes: 7}"
+        raise BadInput("what was measured are values by name", str(path), field="measured", value=given, remedy=remedy)
+    try:
+        return read_drape(given, path.parent)[0]
+    except BadInput as error:
+        line = lines.get(("measured", str(error.field)))
+        raise replace(error, file=str(path), line=line, field=f"measured.{error.field}") from None
 
 
 def cells(row: sheet.Row) -> list[str]:
-    theory = "" if math.isnan(row.theory) else number(row.theory)
-    off = "" if math.isnan(row.off) else f"{100.0 * row.off:+.2f} %".replace("-0.00", "0.00").replace("+0.00", "0.00")
+    expected, off = "", ""
+    if not math.isnan(row.expected):
+        expected = number(row.expected) + (", measured" if row.measured else "")
+    if row.unit == "%" and expected:
+        off = f"{row.value - row.expected:+.1f} points"
+    elif not math.isnan(row.off):
+        off = f"{100.0 * row.off:+.2f} %".replace("-0.00", "0.00").replace("+0.00", "0.00")
     spread = "" if row.spread is None else f"{number(row.spread[0])} to {number(row.spread[1])}"
-    return [row.what, row.standard, number(row.value), row.unit, theory, off, spread]
+    return [row.what, row.standard, number(row.value), row.unit, expected, off, spread]
 
 
 def figures(found: sheet.Sheet) -> list[page.Part]:
@@ -106,10 +128,13 @@ def pictures(fabric: object, found: sheet.Sheet) -> list[page.Part]:
     images = []
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         target = Path(folder) / "drape.mcap"
-        api.run("instruments/drapemeter", f"objects.0.model.fabric={json.dumps(fabric)}", record=target)
+        radius, support = found.radii()
+        model = {"fabric": json.dumps(fabric), "radius": radius, "hold": support}
+        changes = [f"objects.0.model.{key}={value}" for key, value in model.items()]
+        api.run("instruments/drapemeter", *changes, record=target)
         with open_recording(target) as recording:
             picture = read_picture(export_picture(recording, Path(folder) / "drape.png", None, SIZE, "cloth"))
-        images.append(page.Image(embed(picture), "On its support of 18 cm, edges of 10 mm."))
+        images.append(page.Image(embed(picture), f"On its support of {200.0 * support:g} cm, edges of 10 mm."))
     for (edge, seed), one in found.drapes.items():
         dark = np.where(one.shadow[::2, ::2, None], np.uint8(60), np.uint8(245)).repeat(3, axis=2)
         says = (

@@ -1,10 +1,10 @@
-"""What a laboratory's sheet holds of a fabric, measured on virtual specimens, beside what theory makes of it."""
+"""What a laboratory's sheet holds of a fabric, found on virtual specimens, beside what theory or a laboratory says."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,30 +26,39 @@ EDGES, SEEDS = (0.02, 0.01, 0.007), (1, 2, 3, 4, 5)
 
 @dataclass(frozen=True)
 class Row:
-    """A measured value in a laboratory's unit, the standard it is by, and what theory says, NaN for nothing; `spread`
-    the least and the greatest of several.
+    """A value found in a laboratory's unit, the standard it is by, and what is expected, NaN for nothing: by theory, or
+    as it was `measured` of the cloth itself; `spread` the least and the greatest of several.
     """
 
     what: str
     standard: str
     value: float
     unit: str
-    theory: float = math.nan
+    expected: float = math.nan
     spread: tuple[float, float] | None = None
+    measured: bool = False
 
     @property
     def off(self) -> float:
-        """Share by which it is off, NaN where theory says nothing."""
-        return self.value / self.theory - 1.0 if self.theory else math.nan
+        """Share by which it is off, NaN where nothing is expected."""
+        return self.value / self.expected - 1.0 if self.expected else math.nan
 
 
 @dataclass
 class Sheet:
-    """Rows, and what a page draws: the loops of bending by direction, the drapes by edge and seed."""
+    """Rows, and what a page draws: the loops of bending by direction, the drapes by edge and seed. `measured` holds
+    what a laboratory found of a drape, in the rows' units.
+    """
 
     rows: list[Row]
     loops: dict[str, loops.Loop]
     drapes: dict[tuple[float, int], drape.Drape]
+    measured: Mapping[str, float] = field(default_factory=dict)
+
+    def radii(self) -> tuple[float, float]:
+        """Of the disc and its support [m]: those of the measured drape, if any."""
+        given = {"specimen": 200.0 * drape.RADIUS, "support": 200.0 * drape.SUPPORT} | dict(self.measured)
+        return given["specimen"] / 200.0, given["support"] / 200.0
 
 
 def measures(fabric: object) -> Mapping[str, Any]:
@@ -60,9 +69,11 @@ def measures(fabric: object) -> Mapping[str, Any]:
     return found
 
 
-def test(fabric: object, wanted: list[str], quick: bool, told: Callable[[str], None]) -> Sheet:
-    """All tests of these names, in their order."""
-    given, sheet = measures(fabric), Sheet([], {}, {})
+def test(
+    fabric: object, wanted: list[str], quick: bool, told: Callable[[str], None], measured: Mapping[str, float]
+) -> Sheet:
+    """All tests of these names, in their order, beside what was measured of a drape."""
+    given, sheet = measures(fabric), Sheet([], {}, {}, measured)
     for name in wanted:
         told(name)
         TESTS[name](sheet, fabric, given, quick)
@@ -136,12 +147,13 @@ def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) ->
 
 
 def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
-    """Theory has no number; the spread is over edges, and over seeds at one of them."""
+    """Theory has no number, a laboratory may; the spread is over edges, and over seeds at one of them."""
+    radius, support = sheet.radii()
     edges, seeds = (EDGES[1:2], SEEDS[:2]) if quick else (EDGES, SEEDS)
     for edge in edges:
         for seed in seeds if edge == EDGES[1] else seeds[:1]:
-            sheet.drapes[edge, seed] = drape.drape(fabric, edge, seed)
-    by = "ISO 9073-9, 30 cm on 18 cm"
+            sheet.drapes[edge, seed] = drape.drape(fabric, edge, seed, radius, support)
+    by = f"ISO 9073-9, {200.0 * radius:g} cm on {200.0 * support:g} cm"
     for what, unit, read in (("drape coefficient", "%", lambda one: 100.0 * one.coefficient),
                              ("nodes", "", lambda one: float(one.nodes))):  # fmt: skip
         over = {
@@ -155,7 +167,9 @@ def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) 
         for where, values in over.items():
             if len(values) > 1:
                 spread = min(values), max(values)
-                sheet.rows.append(Row(f"{what}, {where}", by, float(np.mean(values)), unit, spread=spread))
+                known = sheet.measured.get(what.replace(" ", "_"), math.nan)
+                row = Row(f"{what}, {where}", by, float(np.mean(values)), unit, known, spread, not math.isnan(known))
+                sheet.rows.append(row)
 
 
 TESTS: Mapping[str, Callable[[Sheet, object, Mapping[str, Any], bool], None]] = {
