@@ -23,11 +23,16 @@ class Measure:
 
 @dataclass(frozen=True)
 class Preset:
-    """A fabric or a yarn that a scene can name. A model that knows some lists them by `presets()` and by `yarns()`."""
+    """A fabric or a yarn that a scene can name. A model that knows some lists them by `presets()` and by `yarns()`.
+
+    how  of each value, also of those that `measures` leaves out: `measured`, by the source, or `derived` or `assumed`
+         with a colon and the reason
+    """
 
     name: str
     source: str
     measures: tuple[Measure, ...]
+    how: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class Imported:
 
     fabric    values in SI by their names in a scene's `fabric`
     units     of all values
-    how       how each was had: measured, derived or assumed, in words
+    how       of each value, also of those that `fabric` leaves to it: `measured`, `derived` or `assumed` and the reason
     unused    values of the sheet that nothing here is made of
     measured  what virtual tests find of each on a mesh, where there is a test
     drape     what was measured of its drape, for virtual ones to be held against: nothing is made of it

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from nuno.cli import main
 from nuno.cli.presets import find_presets, table
-from nuno_cloth.fabrics.presets import PRESETS
+from nuno_cloth.fabrics.presets import PRESETS, Material
 from nuno_schemas.preset import Preset
 from nuno_schemas.units import to_si
 
@@ -30,6 +31,19 @@ def test_values_are_the_materials_in_units_that_scenes_take(presets: dict[str, P
             assert value == pytest.approx(getattr(PRESETS[name], measure.name), rel=1e-12), (name, measure.name)
 
 
+def test_each_value_of_a_preset_is_measured_derived_or_assumed(presets: dict[str, Preset]) -> None:
+    """By one word for each, `assumed` for all that is as it is without a source."""
+    own = {each.name: each.default for each in fields(Material) if each.name not in ("source", "given")}
+    for name, preset in presets.items():
+        assert preset.how.keys() == own.keys() | {"bend_twist"}
+        kinds = {field: how.split(":")[0] for field, how in preset.how.items()}
+        assert set(kinds.values()) == {"measured", "derived", "assumed"}
+        for field, kind in kinds.items():
+            assert (kind == "measured") == (field in PRESETS[name].given)
+            if kind == "assumed":
+                assert getattr(PRESETS[name], field) == own[field]
+
+
 def test_held_specimens_give_the_source_and_free_ones_less(presets: dict[str, Preset]) -> None:
     for preset in presets.values():
         by_name = {measure.name: measure for measure in preset.measures}
@@ -45,6 +59,9 @@ def test_the_command_prints_units_values_and_sources(capsys: pytest.CaptureFixtu
     assert lines[1].split() == ["[g/m^2]", "[N/m]", "[N/m]", "[N/m]", "[uN*m]", "[uN*m]", "[1]"]
     assert lines[2].split() == ["denim", "324", "410.7", "2028", "26.69", "24.24", "16.05", "0.05"]
     assert any(line.startswith("denim: Wang et al. 2011, sample 11oz-black-denim") for line in lines)
+    assert lines.count("  measured: density, warp, weft, shear, bend_warp, bend_weft") == 2
+    assert lines.count("  derived: bend_bias, bend_twist (from the other rigidities)") == 2
+    assert lines.count("  assumed: bend_poisson, hysteresis_warp, hysteresis_weft (0, not measured)") == 2
     assert not any("swimwear" in line for line in lines)
 
 

@@ -128,6 +128,14 @@ def test_the_command_writes_what_a_scene_takes(tmp_path: Path, capsys: pytest.Ca
     assert read(tmp_path, KES).fabric["bend_weft"] == pytest.approx(float(fabric["bend_weft"].split()[0]), rel=1e-5)
 
 
+def test_what_a_sheet_does_not_tell_is_said_to_be_derived_or_assumed(tmp_path: Path) -> None:
+    how = read(tmp_path, "instrument: cantilever\nW: 150\nC: [18, 16]\nC45: 17\n", "denim").how
+    assert how.keys() == importer().presets()[0].how.keys()
+    kinds = {name: words.split(":")[0] for name, words in how.items()}
+    assert kinds["density"] == "measured" and kinds["bend_bias"] == kinds["bend_twist"] == "derived"
+    assert kinds["warp"] == kinds["bend_poisson"] == kinds["hysteresis_warp"] == kinds["damping_ratio"] == "assumed"
+
+
 def test_words_of_several_lines_stay_in_their_comment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "sheet.yaml"
     path.write_text(KES + "name: |\n  cotton\n  fabric: 3\nsource: [a, b]\n")

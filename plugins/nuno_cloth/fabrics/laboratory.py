@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_cloth.fabrics.presets import PRESETS
+from nuno_cloth.fabrics.presets import PRESETS, complete
 from nuno_cloth.fabrics.shadow import count_nodes, read_shadow
 from nuno_cloth.quantities import BENDING, WEIGHT
 from nuno_schemas.errors import BadInput, nearest
@@ -134,7 +134,7 @@ def read_sheet(given: Mapping[str, Any], like: str | None = None, folder: Path =
     _fill(sheet, like, instrument)
     drape, how = read_drape({name: value for name, value in given.items() if _is_drape(name)}, folder)
     left_over = tuple(name for name in given if name in unused)
-    return Imported(sheet.fabric, NEEDED | MORE | DRAPED, sheet.how | how, left_over, drape=drape)
+    return Imported(sheet.fabric, NEEDED | MORE | DRAPED, complete(sheet.how) | how, left_over, drape=drape)
 
 
 def read_drape(given: Mapping[str, Any], folder: Path) -> tuple[dict[str, float], dict[str, str]]:

@@ -7,12 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
-from nuno_cloth.fabrics.presets import PRESETS, Material
+from nuno_cloth.fabrics.presets import MEASURES, PRESETS, Material
 from nuno_cloth.quantities import Density, Modulus, MomentPerWidth, Ratio, Rigidity, SpringDamping, Tensile
 from nuno_schemas.errors import nearest
 from nuno_schemas.plugin import Config
-
-MEASURES = ("density", "warp", "weft", "shear", "bend_warp", "bend_weft")
 
 
 def _known(preset: str) -> str:
@@ -89,9 +87,12 @@ class Measured(Config):
     def material(self) -> Material:
         given: dict[str, Any] = self.model_dump(exclude={"preset"}, exclude_none=True)
         if self.preset is None:
-            return Material(**given)
+            return Material(**given, given=tuple(given))
         base = PRESETS[self.preset]
-        return replace(base, **given, source=f"{base.source}, changed: {', '.join(given)}") if given else base
+        if not given:
+            return base
+        source = f"{base.source}, changed: {', '.join(given)}"
+        return replace(base, **given, source=source, given=tuple(dict.fromkeys((*base.given, *given))))
 
 
 def _pair(value: object) -> object:

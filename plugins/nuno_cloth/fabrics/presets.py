@@ -20,9 +20,28 @@ was measured. No source gives damping: the ratio is ours, chosen to let a sheet 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 DAMPING_RATIO = 0.05
+MEASURES = ("density", "warp", "weft", "shear", "bend_warp", "bend_weft")
+"""What every fabric is described by."""
+OTHERWISE = {
+    "bend_bias": "derived: from the other rigidities",
+    "bend_twist": "derived: from the other rigidities",
+    "bend_poisson": "assumed: 0, not measured",
+    "hysteresis_warp": "assumed: 0, not measured",
+    "hysteresis_weft": "assumed: 0, not measured",
+    "damping_ratio": f"assumed: {DAMPING_RATIO:g}, no source gives any",
+}
+"""How the rest of a fabric's measures is had where its source does not give them."""
+
+
+def complete(how: Mapping[str, str]) -> dict[str, str]:
+    """Of every measure whether it was `measured`, `derived` or `assumed`, and by what: `how` says it of what a source
+    gives.
+    """
+    return OTHERWISE | dict(how)
 
 
 @dataclass(frozen=True)
@@ -38,6 +57,7 @@ class Material:
     hysteresis_warp, hysteresis_weft  2HB [N]: width of the loop of moment per width over curvature
     damping_ratio         damping of each spring as a part of its critical damping
     source                where the numbers come from
+    given                 the fields that it gives; for the rest see OTHERWISE
     """
 
     density: float
@@ -52,6 +72,7 @@ class Material:
     bend_poisson: float = 0.0
     hysteresis_warp: float = 0.0
     hysteresis_weft: float = 0.0
+    given: tuple[str, ...] = MEASURES
 
     @property
     def bend_twist(self) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_cloth.fabrics.constants import Lattice, grid_constants
-from nuno_cloth.fabrics.material import FABRIC, MEASURES, FabricChoice, HandSet, resolve
-from nuno_cloth.fabrics.presets import Material
+from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
+from nuno_cloth.fabrics.presets import MEASURES, Material
 from nuno_cloth.models import mesh
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.bending_friction import build_friction, bytes_of_friction

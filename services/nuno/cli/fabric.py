@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nuno import registry
+from nuno.cli.presets import origins
 from nuno.cli.top import align
 from nuno.export.target import writing
 from nuno.scene import yaml_lines
@@ -46,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
         raise replace(error, file=str(args.sheet), line=lines.get(error.field)) from None
     head = [f"{title.get('name', args.sheet.stem)}: {given['instrument']}, {args.sheet.name}"]
     text = as_yaml(found, head + ([f"source: {title['source']}"] if "source" in title else []))
-    print(table(found))
+    print("\n".join([table(found), "", *origins(left_out(found))]))
     if found.unused:
         print(f"\nnot used, for no force here has it: {', '.join(found.unused)}")
     print(f"\n{text}", end="")
@@ -123,10 +124,16 @@ def table(found: Imported) -> str:
 def as_yaml(found: Imported, head: list[str]) -> str:
     """The `fabric` of a scene below comments of a line each, and beside it what was `measured` of its drape."""
     lines = [*(f"# {line}" for line in head), "fabric:", *_entries(found, found.fabric)]
+    lines += [f"  # {line}" for line in origins(left_out(found))]
     if found.drape:
         note = "of its drape, for nuno test to be held against; no part of the fabric"
         lines += [f"measured:  # {note}", *_entries(found, found.drape)]
     return "\n".join(lines) + "\n"
+
+
+def left_out(found: Imported) -> dict[str, str]:
+    """How those values are had that a fabric has and the sheet does not tell."""
+    return {name: how for name, how in found.how.items() if name not in {*found.fabric, *found.drape}}
 
 
 def _entries(found: Imported, values: Mapping[str, float]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import textwrap
+from collections.abc import Mapping
 
 from nuno import registry
 from nuno.cli.top import align
@@ -13,6 +14,7 @@ from nuno_schemas.preset import Preset
 GROUP = "nuno.models"
 LISTS = {"fabrics": "presets", "yarns": "yarns"}
 """The method of a model that lists what each command shows."""
+KINDS = ("measured", "derived", "assumed")
 LEGENDS = {
     "fabrics": "The first row of a fabric holds the values of its source, which springs and hinges follow at any "
     "resolution. Below, what virtual tensile, shear and bending tests measure on 5 cm x 5 cm: with the sides held they "
@@ -45,9 +47,22 @@ def find_presets(command: str) -> dict[str, Preset]:
 
 
 def show(presets: list[Preset]) -> str:
-    """Their values as a table, then the source of each."""
-    sources = (textwrap.fill(f"{one.name}: {one.source}", 100, subsequent_indent="  ") for one in presets)
-    return "\n".join([table(presets), "", *sources])
+    """Their values as a table, then the source of each, and how its values were had."""
+    lines = [table(presets), ""]
+    for one in presets:
+        lines.append(textwrap.fill(f"{one.name}: {one.source}", 100, subsequent_indent="  "))
+        lines += [f"  {line}" for line in origins(one.how)]
+    return "\n".join(lines)
+
+
+def origins(how: Mapping[str, str]) -> list[str]:
+    """What was measured, derived and assumed, a line for each reason."""
+    lines = []
+    for words in sorted(set(how.values()), key=lambda words: (KINDS.index(words.partition(":")[0]), words)):
+        kind, _, reason = words.partition(": ")
+        names = ", ".join(name for name, own in how.items() if own == words)
+        lines.append(f"{kind}: {names}" + (f" ({reason})" if reason else ""))
+    return lines
 
 
 def table(presets: list[Preset]) -> str:
