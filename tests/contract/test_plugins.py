@@ -29,7 +29,7 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
     "nuno.forces": {"wind": {}, "particle_wind": {"strength": 1e-3}},
     "nuno.integrators": {
         name: {}
-        for name in ("euler", "symplectic_euler", "leapfrog", "rk4", "rk4_printed", "dopri5", "dop853",
+        for name in ("euler", "symplectic_euler", "respa", "leapfrog", "rk4", "rk4_printed", "dopri5", "dop853",
                      "implicit_euler", "tr_bdf2", "xpbd")
     },
     "nuno.colliders": {

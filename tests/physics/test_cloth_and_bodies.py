@@ -15,7 +15,7 @@ from nuno_contact.offset.places import HELD_CUT, LEFT_OUT, TOUCHING
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
-SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler", "tr_bdf2")
+SOLVERS = ("symplectic_euler", "respa", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler", "tr_bdf2")
 ASIDE = np.array([0.002, 0.0, 0.001])
 """So that nothing lies above anything exactly."""
 BALL, CUBE = sphere(16, 0.03), box((0.04, 0.04, 0.04))

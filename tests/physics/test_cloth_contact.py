@@ -18,7 +18,7 @@ from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 
-SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
+SOLVERS = ("symplectic_euler", "respa", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
 
 
 def heap(solver: str, seed: int, contact: bool = True, dt: float = 2e-4) -> Pile:
@@ -51,7 +51,7 @@ def test_a_run_takes_no_more_memory_the_longer_it_is(solver: str) -> None:
     assert held() == before
 
 
-@pytest.mark.quick(solver=["symplectic_euler"])
+@pytest.mark.quick(solver=["symplectic_euler", "respa"])
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_nothing_passes_through(solver: str) -> None:
     """Of three sheets at up to 16 m/s to each other, which without contact do, at a step that moves them by 3 mm."""

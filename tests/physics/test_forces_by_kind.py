@@ -23,7 +23,9 @@ def push(x: Float, v: Float, t: float, out: Float) -> None:
 
 
 @pytest.mark.quick(name=["symplectic_euler", "implicit_euler"])
-@pytest.mark.parametrize("name", ["symplectic_euler", "rk4", "rk4_printed", "implicit_euler", "dopri5", "xpbd"])
+@pytest.mark.parametrize(
+    "name", ["symplectic_euler", "respa", "rk4", "rk4_printed", "implicit_euler", "dopri5", "xpbd"]
+)
 def test_each_kind_is_its_laws(name: str) -> None:
     x, springs = random_net(12, 30, 1, c=0.5)
     rng = np.random.default_rng(2)

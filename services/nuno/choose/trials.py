@@ -32,7 +32,7 @@ class Method:
     name: str
     plugin: Any
     config: Any
-    evaluations: int
+    evaluations: float
     fewest: int
 
 

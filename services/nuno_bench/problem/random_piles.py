@@ -11,7 +11,7 @@ import numpy as np
 from nuno_bench.problem.irregular import irregular_square, write_obj
 from nuno_bench.problem.random_scenes import random_fabric
 
-SOLVERS = ("symplectic_euler", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
+SOLVERS = ("symplectic_euler", "respa", "leapfrog", "rk4", "dopri5", "xpbd", "implicit_euler")
 """One of each kind."""
 BODIES = ("none", "sphere", "box", "capsule", "plane", "mesh", "sdf", "skeleton", "wearer")
 """What the cloth falls on; a wearer is a capsule that one of the pieces, a skirt, is attached to."""

@@ -54,6 +54,7 @@ IMPLICIT_EULER = _function(lambda z: np.asarray(np.linalg.inv(ONE - z)))
 TEXTBOOK: dict[str, Matrix] = {
     "euler": _polynomial(1.0, 1.0),
     "symplectic_euler": _symplectic_euler,
+    "respa": _symplectic_euler,
     "leapfrog": _leapfrog,
     "rk4": _polynomial(1.0, 1.0, 1 / 2, 1 / 6, 1 / 24),
     "dopri5": _polynomial(1.0, 1.0, 1 / 2, 1 / 6, 1 / 24, 1 / 120, 1 / 600),

@@ -1,0 +1,210 @@
+"""r-RESPA: tension in every step of symplectic Euler, all other forces as kicks every few steps. Order 1.
+
+Verlet-I or the reversible reference system propagator (Grubmueller et al. 1991, Mol. Simul. 6, 121-142; Tuckerman,
+Berne & Martyna 1992, J. Chem. Phys. 97, 1990-2001). Cloth hardly stretches: what limits an explicit step is tension
+alone, whose force is cheap to find. Bending, wind and contact are softer by an order of magnitude or more and cost
+several times as much. A kick of theirs is as strong as the steps that it stands for, and cloth is held off itself
+and off bodies once for each kick, along the straight way since the last one.
+
+How long a kick may stand for follows from three bounds. Kicks alone are stable, with the share SAFE of the limit left;
+they are no farther apart than the share SMOOTH of a radian of the fastest motion that they cause; and they feed no mode
+of tension. Kicks of a force with the frequency w_s let a mode w that they meet once in half of its period grow by
+w_s^2 H / (2 w) each (its matrix has the trace 2 cos w H - w_s^2 H / w sin w H), against which its damping takes
+d H / 2. Springs damp modes in proportion to w^2, so that the slowest such mode, w = pi / H, is the one that has to be
+damped enough: w_s^2 / w <= d_max (w / w_max)^2. Undamped, none may be met at all: H w_max <= pi.
+
+Not chosen: kicks filtered by the fast motion (mollified impulses, Izaguirre et al. 1999), which bear longer times
+between kicks, but need the derivatives of positions that they average over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from nuno_integrators.compiled import Compiled, Told, Work, source_of
+from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_integrators.explicit.updates import add, add_twice
+from nuno_integrators.stability import measure_rates, stable_step
+from nuno_kernels import kernel
+from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate
+from nuno_kernels.step.blocks import BLOCK
+from nuno_kernels.step.packing import parts, silence
+from nuno_kernels.step.rows import copy_rows
+from nuno_kernels.terms import kernels_of, over_blocks
+from nuno_schemas.fabric import Float, State
+from nuno_schemas.plugin import Config
+from nuno_schemas.system import StepLimit, System, Term
+
+TENSION = ("springs", "membrane", "yarns")
+"""Kinds of force that act in every step."""
+SAFE, SMOOTH = 0.7, 0.75
+"""Shares of what is stable, and of a radian."""
+MOST = 64
+"""Steps for each kick."""
+
+
+class RespaConfig(Config):
+    """How often all but tension acts."""
+
+    every: int | Literal["auto"] = Field(
+        default="auto", description="steps of tension for each kick of the other forces; auto: as many as are stable"
+    )
+
+
+@kernel
+def average_block(block: int, u: Float, v: Float, x: Float, last: Float, rate: float) -> None:
+    """Mean velocities u = (x - last) rate of a block's vertices, and what v is beyond them, in its place."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
+    for row in range(3):
+        for i in range(np.uint64(low), np.uint64(high)):
+            u[row, i] = (x[row, i] - last[row, i]) * rate
+            v[row, i] -= u[row, i]
+
+
+average_blocks = over_blocks(average_block, "u, v, x, last, rate")
+
+
+@kernel
+def advance_respa(
+    x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, slow: Packed, every: int
+) -> None:
+    """`steps` steps of x, v (3, n); stages (5, 3, n). p has tension and gravity, `slow` all else.
+
+    That kicks for half of the steps before and half of those after, by the mean velocity since the last kick: what lies
+    on a body goes to and fro between kicks, which is no velocity that anything should slow down. It is also the one
+    that what holds cloth off bodies and off cloth is told, and changes.
+
+    Tension is felt halfway through each step: symplectic Euler's steps, from positions that are half a step ahead.
+    """
+    here_x, here_v, to_x, to_v, a, u, last = x, v, stages[0], stages[1], stages[2], stages[3], stages[4]
+    blocks = (x.shape[1] + BLOCK - 1) // BLOCK
+    copy_rows(v, u)
+    step, before = 0, 0
+    while step < steps or before > 0:
+        after = min(every, steps - step)
+        evaluate(here_x, u, step / steps, a, slow, extra)
+        copy_rows(here_x, last)
+        add_twice(here_v, here_v, 0.5 * (before + after) * dt, a, here_x, here_x, 0.5 * dt, here_v, p.threads)
+        for _ in range(after):
+            add_forces(here_x, here_v, 0.0, to_x, to_v, dt, p)
+            here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
+        add(here_x, here_x, -0.5 * dt, here_v, p.threads)
+        step, before = step + after, after
+        if after > 0:
+            average_blocks(u, here_v, here_x, last, 1.0 / (after * dt), blocks, p.threads)
+            commit(here_x, u, step / steps, slow.bodies, slow.bodies_on, p.threads)
+            add(here_v, here_v, 1.0, u, p.threads)
+    if steps % 2 == 1:
+        copy_rows(here_x, x)
+        copy_rows(here_v, v)
+
+
+@dataclass
+class RespaWork(Work):
+    """What is known of a system beforehand: steps for each kick where they are given, and rates [1/s], the greatest
+    angular frequency and damping, of tension and of the other forces.
+    """
+
+    every: int | None
+    fast: tuple[float, float]
+    slow: tuple[float, float]
+    kicks: int = 1
+    """Steps for each kick of the last steps that were taken."""
+
+
+class Respa(Compiled):
+    """Limited by tension alone, where that is what limits."""
+
+    name: ClassVar[str] = "respa"
+    Config: ClassVar[type[RespaConfig]] = RespaConfig
+    order: ClassVar[int] = 1
+    explicit: ClassVar[bool] = True
+    holds: ClassVar[bool] = False
+
+    def make_work(self, config: RespaConfig, system: System, packed: Packed) -> RespaWork:
+        n = system.fabric.number
+        x, v = np.empty((2, 3, n))
+        every = None if config.every == "auto" else config.every
+        return RespaWork(packed, x, v, np.empty((5, 3, n)), every, *both_rates(system, at_start(system)))
+
+    def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
+        """Of all forces with the damping of tension, and of the other forces alone."""
+        if has_sliding(system.terms):
+            return super().limit(config, system, state)
+        fast, slow = both_rates(system, state)
+        whole = math.hypot(fast[0], slow[0]), fast[1] + system.damping
+        step = min(stable_step(self.amplification, *rates, system.damping) for rates in (whole, slow))
+        return StepLimit(step, whole[0], max(whole[1], slow[1]))
+
+    def steps_a_kick(self, config: RespaConfig, system: System, dt: float) -> int:
+        """Steps of dt [s] for each kick in this system."""
+        return steps_a_kick(*both_rates(system, at_start(system)), dt) if config.every == "auto" else config.every
+
+    def go(self, work: RespaWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
+        work.kicks = steps_a_kick(work.fast, work.slow, dt) if work.every is None else work.every
+        self._loop(work, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
+        return Told(steps)
+
+    def compile(self, work: RespaWork, packed: Packed, extra: Extra) -> None:
+        self._loop(work, extra)(work.x, work.v, work.stages, 0, 0.0, packed, extra)
+
+    def step_at_rest(self, work: RespaWork, extra: Extra) -> Any:
+        return self._loop(work, extra)
+
+    def _loop(self, work: RespaWork, extra: Extra) -> Any:
+        """The loop of a system, which is told apart into tension and all else; symplectic Euler's where nothing else is,
+        or vertices slide on bodies: what holds them there changes their velocities in each step.
+        """
+        alone = extra is None and not work.packed.bodies and not set(parts(work.packed)) - set(TENSION)
+        if alone or any(kernels_of(term).slow is not None for term in work.packed.bodies):
+            return source_of(SymplecticEuler().loop_for(work.packed), extra)
+
+        def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
+            others = [name for name in parts(p) if name not in TENSION]
+            fast = silence(p, *others)._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0)
+            slow = silence(p, *TENSION)._replace(gravity=np.zeros(3))
+            source_of(advance_respa, extra)(x, v, stages, steps, dt, fast, force, slow, work.kicks)
+
+        return loop
+
+    def amplification(self, omega: float, damping: float, dt: float) -> Float:
+        """(2, 2) matrix of one step on x'' = -omega^2 x - damping x', state (x, v): symplectic Euler's."""
+        return SymplecticEuler().amplification(omega, damping, dt)
+
+    def about(self, system: System) -> str:
+        """Threads, and which forces are kicks."""
+        return super().about(system) + "; all but tension as kicks every few steps"
+
+
+def has_sliding(terms: Sequence[Term]) -> bool:
+    """Whether vertices slide on bodies."""
+    return any(kernels_of(part).slow is not None for term in terms if not callable(term.data) for part in term.data)
+
+
+def at_start(system: System) -> State:
+    """The fabric as it is built, not as a run has it that goes on: that must choose the same kicks again."""
+    return State(system.fabric.position, np.zeros_like(system.fabric.position))
+
+
+def both_rates(system: System, state: State) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Bounds on angular frequency and damping rate [1/s] of tension, and of all other forces."""
+    fabric = system.fabric
+    tension = replace(fabric, hinges=None, bending=None, friction=None)
+    others = replace(fabric, springs=None, membrane=None, yarns=None)
+    fast = measure_rates(replace(system, fabric=tension, terms=(), damping=0.0), state)
+    return fast, measure_rates(replace(system, fabric=others), state)
+
+
+def steps_a_kick(fast: tuple[float, float], slow: tuple[float, float], dt: float) -> int:
+    """For how many steps of dt [s] one kick may stand, of forces with the rates (omega, damping) [1/s]."""
+    longest = SAFE * stable_step(SymplecticEuler().amplification, *slow, 0.0)
+    if slow[0] > 0.0 and fast[0] > 0.0:
+        resonant = math.pi * max(1.0 / fast[0], (fast[1] / (slow[0] * fast[0]) ** 2) ** (1.0 / 3.0))
+        longest = min(longest, SMOOTH / slow[0], resonant)
+    return max(1, int(min(MOST, longest / dt)))

@@ -1,0 +1,116 @@
+"""Kicks of soft forces between steps of tension: how often, how precise, and where they would resonate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from nets import make_fabric, make_system
+
+from nuno_integrators.explicit.fixed_step import NoConfig
+from nuno_integrators.explicit.respa import Respa, RespaConfig, both_rates, steps_a_kick
+from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
+from nuno_schemas.fabric import Float, Hinges, Springs, State
+from nuno_schemas.system import System, Term
+
+EDGE, STIFF, MASS = 0.02, 400.0, 2e-4
+
+
+def strip(columns: int = 14, damping: float = 0.0, bend: float = 2e-5, gravity: float = 9.81) -> System:
+    """A strip of triangles that is held at one end, its springs damped by `damping` [N s/m]."""
+    along, across = np.meshgrid(np.arange(columns), np.arange(3), indexing="ij")
+    x = EDGE * np.stack([along.ravel(), 0.0 * along.ravel(), across.ravel()], axis=1)
+    at = np.arange(3 * columns).reshape(columns, 3)
+    ends = (at[1:], at[:-1]), (at[:, 1:], at[:, :-1]), (at[1:, 1:], at[:-1, :-1])
+    pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in ends]).astype(np.int32)
+    rest = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    springs = Springs.from_pairs(pairs, np.full(len(pairs), STIFF), rest, np.full(len(pairs), damping))
+    quads = np.stack([at[1:-1, :-1], at[1:-1, 1:], at[2:, 1:], at[:-2, :-1]], axis=-1).reshape(-1, 4).astype(np.int32)
+    one = np.ones(len(quads), np.int32)
+    hinges = Hinges(quads, one, one, np.full(len(quads), bend), np.zeros(len(quads)))
+    fabric = make_fabric(x, springs, hinges, MASS, x[:, 0] < 0.5 * EDGE)
+    return make_system(fabric, np.array([0.0, -gravity, 0.0]), 0.5)
+
+
+def end(system: System, plugin: Respa | SymplecticEuler, config: object, steps: int, duration: float) -> Float:
+    """(2, n, 3) where a system is after so long, and how fast."""
+    state = State(system.fabric.position.copy(), system.fabric.velocity.copy())
+    memory = plugin.prepare(config, system, state)
+    report = plugin.advance(system, state, memory, None, steps, duration / steps)
+    assert report.status == "ok"
+    return np.stack([state.x, state.v])
+
+
+def test_tension_alone_is_symplectic_eulers_to_the_last_bit() -> None:
+    system = strip()
+    system = replace(system, fabric=replace(system.fabric, hinges=None))
+    one, other = end(system, Respa(), RespaConfig(), 500, 0.05), end(system, SymplecticEuler(), NoConfig(), 500, 0.05)
+    assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.parametrize(("damping", "order"), [(0.0, 2.0), (5.0, 1.0)])
+def test_what_kicks_leave_out_falls_with_the_time_between_them(damping: float, order: float) -> None:
+    """Against a kick in every step as short: with its square, since kicks stand for half of the time before and half of
+    that after, but for what goes by velocities, which are means of the time before.
+    """
+    system, duration = replace(strip(damping=0.02), damping=damping), 0.1
+    errors, counts = [], (1000, 2000, 4000)
+    for steps in counts:
+        often = end(system, Respa(), RespaConfig(every=1), steps, duration)
+        errors.append(np.abs(end(system, Respa(), RespaConfig(every=5), steps, duration) - often)[0].max())
+    assert abs(-np.polyfit(np.log(counts), np.log(errors), 1)[0] - order) < 0.3, errors
+
+
+def test_kicks_stand_for_many_steps_of_damped_springs() -> None:
+    """And where they are not damped, for no more than half a period of the fastest mode."""
+    for damping, least in ((0.05, 8), (0.0, 1)):
+        system = strip(damping=damping)
+        state = State(system.fabric.position, system.fabric.velocity)
+        dt = 0.25 * Respa().limit(RespaConfig(), system, state).dt
+        fast, slow = both_rates(system, state)
+        assert slow[0] < 0.2 * fast[0]
+        kicks = steps_a_kick(fast, slow, dt)
+        assert kicks >= least
+        if damping == 0.0:
+            assert 1 < kicks <= np.pi / (dt * fast[0])
+
+
+def test_a_kick_every_half_period_of_an_undamped_spring_feeds_it() -> None:
+    """As the trace of its matrix has it, by w_s^2 H / (2 w) a kick; as often as `auto` has them, none does."""
+    omega, slow, kicks = 100.0, 20.0, 60
+    x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    spring = Springs.from_pairs(np.array([[0, 1]], np.int32), np.array([omega**2]), np.ones(1), np.zeros(1))
+    fabric = make_fabric(
+        x, spring, mass=1.0, pinned=np.array([True, False]), velocity=np.array([[0.0] * 3, [1e-3, 0, 0]])
+    )
+
+    def pull(x: Float, v: Float, t: float, out: Float) -> None:
+        out[1, 0] -= slow**2 * (x[1, 0] - 1.0)
+
+    system, state = make_system(fabric), State(fabric.position, fabric.velocity)
+    system = replace(system, terms=(Term("pull", pull),))
+    every = 16
+    span = np.pi / omega
+
+    def grown(every: int, dt: float, kicks: int = kicks) -> float:
+        x, v = end(system, Respa(), RespaConfig(every=every), kicks * every, kicks * every * dt)
+        return float(np.hypot(omega * (x[1, 0] - 1.0), v[1, 0]) / 1e-3)
+
+    # At which time between kicks modes meet them: about half a period, a little less for the pull adds to the spring.
+    times = np.linspace(0.95, 1.0, 21) * span / every
+    rate = max(np.log(grown(every, dt, 2 * kicks) / grown(every, dt)) / kicks for dt in times)
+    assert abs(rate / (slow**2 * span / (2.0 * omega)) - 1.0) < 0.1
+    dt = span / every
+    assert grown(steps_a_kick(*both_rates(system, state), dt), dt) < 1.1
+
+
+def test_rates_are_told_apart() -> None:
+    """Tension's without bending, and bending's without tension."""
+    system = strip(damping=0.05)
+    state = State(system.fabric.position, system.fabric.velocity)
+    fast, slow = both_rates(system, state)
+    softer = both_rates(replace(system, fabric=replace(system.fabric, hinges=replace(
+        system.fabric.hinges, k=system.fabric.hinges.k / 4.0))), state)  # type: ignore[type-var, union-attr]  # fmt: skip
+    assert softer[0] == fast
+    assert abs(softer[1][0] / slow[0] - 0.5) < 0.02
