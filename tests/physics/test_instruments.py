@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno_bench.instruments import buckling, cantilever, drape, elastica, loops
+from nuno_bench.instruments import buckling, cantilever, drape, elastica, loops, sheet
 from nuno_bench.instruments.command import find_fabric
-from nuno_bench.instruments.sheet import measures
+from nuno_bench.instruments.rig import mount
+from nuno_bench.sweep.executor import Executor, Processes
 from nuno_schemas.errors import BadInput
 
 DENSITY, RIGIDITY = 0.2, 1e-5
@@ -63,7 +64,7 @@ def test_the_cantilever_of_astm_finds_the_bending_length(name: str) -> None:
     expected = (rigid[name] / (DENSITY * 9.81)) ** (1.0 / 3.0)
     found = cantilever.bending_length(cantilever.overhang(fabric, 2.1 * expected, 32, angle[name]))
     assert found == pytest.approx(expected, rel=0.01)
-    assert measures(fabric)["bend_bias"] == pytest.approx(rigid["bias"], rel=1e-12)
+    assert sheet.measures(fabric)["bend_bias"] == pytest.approx(rigid["bias"], rel=1e-12)
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, -1.0 / 3.0])
@@ -106,6 +107,35 @@ def test_a_shadow_is_the_area_and_the_folds_of_its_outline() -> None:
     shadow = drape.cast_shadow(x, faces)
     assert shadow.sum() * drape.DOT**2 == pytest.approx(np.pi * (0.12**2 + 0.5 * 0.01**2), rel=5e-3)
     assert drape.count_nodes(shadow) == 6
+
+
+def test_energy_at_rest_is_weight_times_height_and_half_the_rigidity_times_curvature_squared() -> None:
+    rig, lift, curvature = mount("cantilever", FABRIC, size=[0.05, 0.05], hold=None, edge=2e-3), 0.3, 10.0
+    x, weight = rig.fabric.position, 9.81 * rig.fabric.mass
+    rig.state.x[:, 1] = lift
+    assert rig.energy() == pytest.approx(lift * weight.sum(), rel=1e-9)
+    rig.state.x[...] = loops.roll(x, curvature)
+    bent = 0.5 * RIGIDITY * curvature**2 * 0.05**2
+    assert rig.energy() - weight @ rig.state.x[:, 1] == pytest.approx(bent, rel=0.02)
+
+
+def test_a_disc_has_several_drapes_and_finds_that_of_its_start() -> None:
+    """Cloth as stiff as this drapes in 4, 5 or 6 folds: as different shadows, and almost the same energy."""
+    found = [drape.drape(FABRIC, 0.015, 1, folds) for folds in (4, 5, 6)]
+    assert [one.nodes for one in found] == [4, 5, 6]
+    energies = [one.energy for one in found]
+    assert max(energies) < 0.0 and np.ptp(energies) < 0.1 * -min(energies)
+    assert np.ptp([one.coefficient for one in found]) > 0.02
+
+
+def test_drapes_are_the_same_one_after_another_and_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sheet, "EDGES", (0.03, 0.025))
+    told, rows = list[str](), list[list[sheet.Row]]()
+    for executor in (Executor(), Processes(2)):
+        rows.append(sheet.test(FABRIC, ["drape"], sheet.How(True, executor, told.append), {}).rows)
+        executor.close()
+    assert rows[0] == rows[1] and len(rows[0]) == 3
+    assert told[:3] == ["test 1 of 1: drape", "drape 1 of 2 is at rest", "drape 2 of 2 is at rest"]
 
 
 @pytest.mark.full

@@ -14,6 +14,7 @@ from nuno.cli import main
 from nuno.cli.fabric import importer, read_values
 from nuno_bench.instruments import drape, sheet
 from nuno_bench.instruments.command import cells, find_fabric
+from nuno_bench.sweep.executor import Executor
 from nuno_schemas.errors import BadInput
 from nuno_schemas.preset import Imported
 
@@ -214,17 +215,21 @@ def test_a_measured_drape_is_held_against_the_virtual_one(tmp_path: Path, monkey
     hung: list[Any] = []
 
     def hang(*given: Any) -> drape.Drape:
-        hung.append(given[3:])
-        return drape.Drape(0.65, 6, np.zeros((2, 2), np.bool_), np.zeros((1, 3)))
+        hung.append(given[4:])
+        return drape.Drape(0.65, 6, -1e-3, np.zeros((2, 2), np.bool_), np.zeros((1, 3)))
 
     monkeypatch.setattr(drape, "drape", hang)
-    rows = sheet.test(fabric, ["drape"], True, lambda text: None, measured).rows
+    quick, whole = (sheet.How(each, Executor(), lambda text: None) for each in (True, False))
+    rows = sheet.test(fabric, ["drape"], quick, measured).rows
     assert set(hung) == {(0.12, 0.09)}
-    assert [row.measured for row in rows] == [True, True]
-    coefficient, nodes = (cells(row) for row in rows)
+    assert [row.measured for row in rows] == [True, True, False]
+    coefficient, nodes, _ = (cells(row) for row in rows)
     assert coefficient[1:6] == ["ISO 9073-9, 24 cm on 18 cm", "65", "%", "63, measured", "+2.0 points"]
     assert nodes[2:6] == ["6", "", "7, measured", "-14.29 %"]
-    rows = sheet.test(fabric, ["drape"], True, lambda text: None, {}).rows
+    for row in sheet.test(fabric, ["drape"], whole, measured).rows:
+        given = row.what.startswith("nodes, started in")
+        assert row.measured == (row.what.startswith(("drape coefficient", "nodes")) and not given)
+    rows = sheet.test(fabric, ["drape"], quick, {}).rows
     assert cells(rows[0])[1:6] == ["ISO 9073-9, 30 cm on 18 cm", "65", "%", "", ""]
 
 

@@ -21,6 +21,7 @@ from nuno_bench.instruments.drape import DOT
 from nuno_bench.report import page, plots
 from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.report.result import number
+from nuno_bench.sweep import places
 from nuno_cloth.fabrics.laboratory import read_drape
 from nuno_schemas.errors import BadInput
 
@@ -41,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="coarser specimens, one mesh, two drapes")
     options.add_shared(parser, "--json", "--html", "--docs")
     parser.add_argument("--section", metavar="NAME", help="of the Markdown page (default: test)")
+    places.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
@@ -52,9 +54,9 @@ def main(args: argparse.Namespace) -> int:
     if args.html is not None:
         plots.require_matplotlib()
     others, given = machine.Others(), sheet.measures(fabric)
-    found = sheet.test(
-        fabric, wanted, args.quick, lambda text: print(f"{text} ...", file=sys.stderr, flush=True), measured
-    )
+    with places.opened(args) as where:
+        how = sheet.How(args.quick, where, lambda text: print(text, file=sys.stderr, flush=True))
+        found = sheet.test(fabric, wanted, how, measured)
     table = page.Table(HEADS, [cells(row) for row in found.rows], f"{name}: {given['source']}.")
     print(f"{table.caption}\n\n{table.text()}")
     parts = figures(found) if args.html is not None else []
@@ -135,10 +137,10 @@ def pictures(fabric: object, found: sheet.Sheet) -> list[page.Part]:
         with open_recording(target) as recording:
             picture = read_picture(export_picture(recording, Path(folder) / "drape.png", None, SIZE, "cloth"))
         images.append(page.Image(embed(picture), f"On its support of {200.0 * support:g} cm, edges of 10 mm."))
-    for (edge, seed), one in found.drapes.items():
+    for start, one in found.drapes.items():
         dark = np.where(one.shadow[::2, ::2, None], np.uint8(60), np.uint8(245)).repeat(3, axis=2)
-        says = (
-            f"Shadow with edges of {1e3 * edge:g} mm, seed {seed}: {100.0 * one.coefficient:.1f} %, {one.nodes} nodes."
-        )
+        begun = f", started in {start.folds} folds" if start.folds else ""
+        says = f"Shadow with edges of {1e3 * start.edge:g} mm, seed {start.seed}{begun}: "
+        says += f"{100.0 * one.coefficient:.1f} %, {one.nodes} nodes, {1e6 * one.energy:.0f} uJ."
         images.append(page.Image(embed(dark), says))
     return [page.Pictures(images), f"A shadow's picture is {100.0 * DOT * len(one.shadow):.0f} cm wide."]

@@ -15,35 +15,54 @@ RADIUS, SUPPORT = 0.15, 0.09
 """Of specimen and support, unless others were measured [m]."""
 DOT = 2.5e-4
 """Side of the shadow's dots [m]."""
+ROUGH, WAVE = 2e-4, 1e-2
+"""Standard deviation of the heights at the start, and height of the folds at the rim where it begins in folds [m]."""
 
 
 @dataclass(frozen=True)
 class Drape:
-    """coefficient: the share of the overhanging ring that the shadow covers; nodes: its folds; shadow: (side, side)
-    dots that are dark, the middle of the disc in their middle; x (n, 3) where it rests [m].
+    """coefficient: the share of the overhanging ring that the shadow covers; nodes: its folds; energy [J] where it
+    rests, gravitational and elastic, about 0 of a flat disc; shadow: (side, side) dots that are dark, the middle of the
+    disc in their middle; x (n, 3) where it rests [m].
     """
 
     coefficient: float
     nodes: int
+    energy: float
     shadow: NDArray[np.bool_]
     x: Float
 
 
 def drape(
-    fabric: object, edge: float, seed: int, radius: float = RADIUS, support: float = SUPPORT, **model: object
+    fabric: object,
+    edge: float,
+    seed: int,
+    folds: int = 0,
+    radius: float = RADIUS,
+    support: float = SUPPORT,
+    **model: object,
 ) -> Drape:
     """A disc of triangles with edges of this length [m], hung from a start that is rough by a seed of its own; radii of
     the disc and of what it lies on [m].
+
+    With `folds` the free ring starts in so many waves round it, too, whose crests are where the seed says: the disc
+    then finds the drape with as many folds, if there is one, of the several that cloth has. Raises BadInput for what is
+    no fabric, RunFailed where the solver fails.
     """
     rig = mount("drapemeter", fabric, edge=edge, radius=radius, hold=support, **model)
-    free = ~rig.fabric.pinned
-    rig.state.x[free, 1] += 2e-4 * np.random.default_rng(seed).standard_normal(int(free.sum()))
+    free, random = ~rig.fabric.pinned, np.random.default_rng(seed)
+    rig.state.x[free, 1] += ROUGH * random.standard_normal(int(free.sum()))
+    if folds:
+        east, _, north = rig.fabric.position[free].T
+        out = (np.hypot(east, north) - support) / (radius - support)
+        waves = np.cos(folds * np.arctan2(north, east) + random.uniform(0.0, 2.0 * np.pi))
+        rig.state.x[free, 1] += WAVE * out * waves
     whole = cast_shadow(rig.fabric.position, rig.fabric.faces, radius)
     x = rig.run(rig.problem.frames).copy()
     shadow = cast_shadow(x, rig.fabric.faces, radius)
     held = np.pi * support**2
     dark, most = (float(each.sum()) * DOT**2 for each in (shadow, whole))
-    return Drape((dark - held) / (most - held), count_nodes(shadow), shadow, x)
+    return Drape((dark - held) / (most - held), count_nodes(shadow), rig.energy(), shadow, x)
 
 
 def cast_shadow(x: Float, faces: Int, radius: float = RADIUS) -> NDArray[np.bool_]:

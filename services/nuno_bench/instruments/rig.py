@@ -79,6 +79,11 @@ class Rig:
         if report.status != "ok":
             raise RunFailed(f"{self.problem.loaded.scene.name}: {report.status}: {report.message}")
 
+    def energy(self) -> float:
+        """Energy [J] of the present state at rest: gravitational, 0 at height 0, and all that is elastic."""
+        energy = self._advance(0, 1.0).energy
+        return float(sum(energy.values()) - energy["kinetic"])
+
     def put(self, x: Float) -> Float:
         """(n, 3) the fabric's own forces [N] where all vertices are put, after what slips has followed."""
         self.state.x[...], self.state.v[...] = x, 0.0

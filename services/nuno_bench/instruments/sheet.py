@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nuno import registry
 from nuno_bench.instruments import buckling, cantilever, drape, loops, rig
+from nuno_bench.sweep.executor import Executor, Lost
+from nuno_schemas.errors import BadInput, RunFailed
 
 DIRECTIONS = {"warp": 0.0, "weft": 0.5 * math.pi, "bias": 0.25 * math.pi}
 """Angle of the warp to the specimen's length [rad]."""
@@ -20,8 +23,8 @@ NARROW, SLIM = 120, 2
 """Edges along and across a strip that tips over: a sixtieth as wide as long, for the closed form is of narrow ones."""
 LONG, STIFF = 0.2, 2400.0
 """Its length [m], and stiffness [N/m] by its rigidity over the square of its width."""
-EDGES, SEEDS = (0.02, 0.01, 0.007), (1, 2, 3, 4, 5)
-"""Of drapes [m]; the seeds are tried at the second of the edges."""
+EDGES, SEEDS, FOLDS = (0.02, 0.01, 0.007), (1, 2, 3, 4, 5), (4, 5, 6, 7)
+"""Of drapes [m]; the seeds, and starts in so many folds, are tried at the second of the edges."""
 
 
 @dataclass(frozen=True)
@@ -44,21 +47,38 @@ class Row:
         return self.value / self.expected - 1.0 if self.expected else math.nan
 
 
+class Start(NamedTuple):
+    """Of a drape: edge [m] of the triangles, seed of what is random, and folds that it begins in, 0 for none."""
+
+    edge: float
+    seed: int
+    folds: int = 0
+
+
 @dataclass
 class Sheet:
-    """Rows, and what a page draws: the loops of bending by direction, the drapes by edge and seed. `measured` holds
-    what a laboratory found of a drape, in the rows' units.
+    """Rows, and what a page draws: the loops of bending by direction, the drapes by their starts. `measured` holds what
+    a laboratory found of a drape, in the rows' units.
     """
 
     rows: list[Row]
     loops: dict[str, loops.Loop]
-    drapes: dict[tuple[float, int], drape.Drape]
+    drapes: dict[Start, drape.Drape]
     measured: Mapping[str, float] = field(default_factory=dict)
 
     def radii(self) -> tuple[float, float]:
         """Of the disc and its support [m]: those of the measured drape, if any."""
         given = {"specimen": 200.0 * drape.RADIUS, "support": 200.0 * drape.SUPPORT} | dict(self.measured)
         return given["specimen"] / 200.0, given["support"] / 200.0
+
+
+@dataclass(frozen=True)
+class How:
+    """quick: coarser and fewer specimens; executor: where drapes are computed; told: is given what is done, in words"""
+
+    quick: bool
+    executor: Executor
+    told: Callable[[str], None]
 
 
 def measures(fabric: object) -> Mapping[str, Any]:
@@ -69,23 +89,23 @@ def measures(fabric: object) -> Mapping[str, Any]:
     return found
 
 
-def test(
-    fabric: object, wanted: list[str], quick: bool, told: Callable[[str], None], measured: Mapping[str, float]
-) -> Sheet:
-    """All tests of these names, in their order, beside what was measured of a drape."""
+def test(fabric: object, wanted: list[str], how: How, measured: Mapping[str, float]) -> Sheet:
+    """All tests of these names, in their order, beside what was measured of a drape. Raises BadInput for what is no
+    fabric, RunFailed where a test fails.
+    """
     given, sheet = measures(fabric), Sheet([], {}, {}, measured)
-    for name in wanted:
-        told(name)
-        TESTS[name](sheet, fabric, given, quick)
+    for number, name in enumerate(wanted, 1):
+        how.told(f"test {number} of {len(wanted)}: {name}")
+        TESTS[name](sheet, fabric, given, how)
     return sheet
 
 
-def _weigh(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+def _weigh(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
     found = loops.density(rig.mount("cantilever", fabric))
     sheet.rows.append(Row("weight", "ISO 3801", 1e3 * found, "g/m^2", 1e3 * given["density"]))
 
 
-def _pull(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+def _pull(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
     """At first: along the bias (C_w + C_f + 2 C_wf) / 4 + G, its shear (C_w + C_f - 2 C_wf) / 4."""
     warp, weft, shear = given["warp"], given["weft"], given["shear"]
     both = min(shear, math.sqrt(warp * weft))
@@ -99,7 +119,7 @@ def _pull(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -
         sheet.rows.append(Row(f"shear, {name}", "KES-FB1, at first", found, "N/m", expected))
 
 
-def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
     warp, weft, twist = given["bend_warp"], given["bend_weft"], given["bend_twist"]
     both = given["bend_poisson"] * math.sqrt(warp * weft)
     rigid = {"warp": warp, "weft": weft, "bias": 0.25 * (warp + weft + 2.0 * both) + twist}
@@ -116,7 +136,7 @@ def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -
             sheet.rows.append(Row(f"work of a cycle, {name}", by, loop.work, "J/m^2", taken))
 
 
-def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
     """Peirce's length of cloth without friction: with it strips hang less."""
     free = 1.0 - given["bend_poisson"] ** 2
     strips = {"warp": free * given["bend_warp"], "weft": free * given["bend_weft"], "bias": given["bend_bias"]}
@@ -124,12 +144,12 @@ def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -
         if rigidity == 0.0:
             continue
         length = (rigidity / (given["density"] * rig.GRAVITY)) ** (1.0 / 3.0)
-        edges = STRIP // 2 if quick else STRIP
+        edges = STRIP // 2 if how.quick else STRIP
         found = cantilever.bending_length(cantilever.overhang(fabric, 2.0 * length, edges, DIRECTIONS[name]))
         sheet.rows.append(Row(f"bending length, {name}", "ASTM D1388, 41.5 deg", 1e3 * found, "mm", 1e3 * length))
 
 
-def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
+def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
     """Of the fabric as if it bent alike along warp and weft, and so stiff in its plane that this does not bend first:
     what the closed form is for.
     """
@@ -140,38 +160,64 @@ def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) ->
     alike = {name: given[name] for name in ("density", "damping_ratio", "bend_poisson")}
     alike |= {"bend_warp": rigidity, "bend_weft": rigidity, "warp": stiff, "weft": stiff, "shear": 0.1 * stiff}
     strip, expected = rigidity * (1.0 - poisson**2), buckling.critical(poisson)
-    for layout in ("irregular",) if quick else ("aligned", "crossed", "irregular"):
+    for layout in ("irregular",) if how.quick else ("aligned", "crossed", "irregular"):
         found = buckling.tips_over(alike, strip, given["density"], LONG, NARROW, SLIM, layout=layout)
         by = f"w L^3 / B, {layout} mesh"
         sheet.rows.append(Row("lateral buckling, as if isotropic", by, found, "", expected))
 
 
-def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], quick: bool) -> None:
-    """Theory has no number, a laboratory may; the spread is over edges, and over seeds at one of them."""
+def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
+    """Theory has no number, a laboratory may; the spread is over edges, and at one of them over seeds and over
+    starts in folds.
+    """
     radius, support = sheet.radii()
-    edges, seeds = (EDGES[1:2], SEEDS[:2]) if quick else (EDGES, SEEDS)
-    for edge in edges:
-        for seed in seeds if edge == EDGES[1] else seeds[:1]:
-            sheet.drapes[edge, seed] = drape.drape(fabric, edge, seed, radius, support)
+    middle, edges = EDGES[1], EDGES[1:2] if how.quick else EDGES
+    seeds, folds = (SEEDS[:2], ()) if how.quick else (SEEDS, FOLDS)
+    at = f"edges of {1e3 * middle:g} mm"
+    over = {
+        f"seeds {seeds[0]} to {seeds[-1]}, {at}": [Start(middle, seed) for seed in seeds],
+        f"edges of {_listed(1e3 * edge for edge in edges)} mm": [Start(edge, seeds[0]) for edge in edges],
+        f"started in {_listed(folds)} folds, {at}": [Start(middle, seeds[0], number) for number in folds],
+    }
+    # Those that take longest are begun first.
+    starts, found = sorted({start for each in over.values() for start in each}), dict[Start, drape.Drape]()
+    for start, one in how.executor.run(partial(_drape_from, fabric, radius, support), starts):
+        if isinstance(one, BadInput):
+            raise one
+        if isinstance(one, Lost):
+            raise RunFailed(f"drapemeter: {one}")
+        found[start] = one
+        how.told(f"drape {len(found)} of {len(starts)} is at rest")
+    sheet.drapes = {start: found[start] for start in starts}
     by = f"ISO 9073-9, {200.0 * radius:g} cm on {200.0 * support:g} cm"
     for what, unit, read in (("drape coefficient", "%", lambda one: 100.0 * one.coefficient),
                              ("nodes", "", lambda one: float(one.nodes))):  # fmt: skip
-        over = {
-            f"seeds {seeds[0]} to {seeds[-1]}, edges of {1e3 * EDGES[1]:g} mm": [
-                read(one) for (edge, _), one in sheet.drapes.items() if edge == EDGES[1]
-            ],
-            "edges of " + ", ".join(f"{1e3 * edge:g}" for edge in edges) + " mm": [
-                read(one) for (_, seed), one in sheet.drapes.items() if seed == seeds[0]
-            ],
-        }  # fmt: skip
-        for where, values in over.items():
-            if len(values) > 1:
-                spread = min(values), max(values)
-                known = sheet.measured.get(what.replace(" ", "_"), math.nan)
-                row = Row(f"{what}, {where}", by, float(np.mean(values)), unit, known, spread, not math.isnan(known))
-                sheet.rows.append(row)
+        known = sheet.measured.get(what.replace(" ", "_"), math.nan)
+        for where, each in over.items():
+            if len(each) > 1:
+                # Nodes that a start was given say nothing of those that were measured.
+                beside = math.nan if what == "nodes" and each[0].folds else known
+                values = [read(found[start]) for start in each]
+                sheet.rows.append(_spread(f"{what}, {where}", by, values, unit, beside))
+    energies = [one.energy for start, one in found.items() if start.edge == middle]
+    above = [100.0 * (1.0 - energy / min(energies)) for energy in energies]
+    sheet.rows.append(_spread(f"energy at rest over the least, all with {at}", by, above, "%"))
 
 
-TESTS: Mapping[str, Callable[[Sheet, object, Mapping[str, Any], bool], None]] = {
+def _drape_from(fabric: object, radius: float, support: float, start: Start) -> drape.Drape:
+    return drape.drape(fabric, *start, radius, support)
+
+
+def _listed(values: Iterable[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def _spread(what: str, standard: str, values: list[float], unit: str, known: float = math.nan) -> Row:
+    """Their mean, from the least to the greatest, and what is known of it by measurement."""
+    spread = min(values), max(values)
+    return Row(what, standard, float(np.mean(values)), unit, known, spread, not math.isnan(known))
+
+
+TESTS: Mapping[str, Callable[[Sheet, object, Mapping[str, Any], How], None]] = {
     "weight": _weigh, "tension": _pull, "bending": _bend, "cantilever": _hang, "buckling": _tip, "drape": _drape,
 }  # fmt: skip
