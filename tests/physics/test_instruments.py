@@ -82,6 +82,7 @@ def test_the_loop_of_kes_gives_the_sheet_back() -> None:
     assert loop.hysteresis == pytest.approx(6e-4, rel=0.02)
     assert loop.left == pytest.approx(6e-4 / (2.0 * RIGIDITY), rel=0.01)
     assert loop.work == pytest.approx(4.0 * 3e-4 * loops.MOST, rel=0.01)
+    assert loop.recovery == pytest.approx(180.0 * (1.0 - 30.0 / loops.MOST), abs=0.2)
     elastic = loops.bend(FABRIC, 0.25 * math.pi)
     assert abs(elastic.hysteresis) < 1e-3 * 6e-4 and abs(elastic.left) < 1e-3
 

@@ -33,6 +33,11 @@ class Loop:
     left: float
     work: float
 
+    @property
+    def recovery(self) -> float:
+        """Angle [deg] by which a fold of 180 degrees, bent to MOST all round, opens when it is let go of (ISO 2313)."""
+        return 180.0 * (1.0 - self.left / MOST)
+
 
 def stretch(fabric: object, angle: float, **model: object) -> float:
     """Stiffness [N/m] along a strip whose warp makes an angle [rad] with it, its width held."""

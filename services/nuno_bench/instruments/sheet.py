@@ -130,10 +130,12 @@ def _bend(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> N
         by = "KES-FB2, width held"
         sheet.rows.append(Row(f"rigidity B, {name}", by, 1e6 * loop.rigidity, "uN*m", 1e6 * rigid[name]))
         if lost[name]:
-            left, taken = 0.5 * lost[name] / rigid[name], 2.0 * lost[name] * loops.MOST
+            left, taken = min(0.5 * lost[name] / rigid[name], loops.MOST), 2.0 * lost[name] * loops.MOST
+            opens = 180.0 * (1.0 - left / loops.MOST)
             sheet.rows.append(Row(f"hysteresis 2HB, {name}", by, 1e3 * loop.hysteresis, "mN", 1e3 * lost[name]))
             sheet.rows.append(Row(f"curvature left, {name}", by, loop.left, "1/m", left))
             sheet.rows.append(Row(f"work of a cycle, {name}", by, loop.work, "J/m^2", taken))
+            sheet.rows.append(Row(f"recovery angle, {name}", "as ISO 2313, from the loop", loop.recovery, "deg", opens))
 
 
 def _hang(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
