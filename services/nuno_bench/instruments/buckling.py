@@ -26,8 +26,8 @@ def critical(poisson: float) -> float:
     return FIRST_ZERO * math.sqrt(2.0 / (1.0 + poisson))
 
 
-def tips_over(fabric: object, rigidity: float, density: float, length: float, edges: int, wide: int, **model: object
-              ) -> float:  # fmt: skip
+def tips_over(fabric: object, rigidity: float, density: float, length: float, edges: int, wide: int,
+              solver: str | None = None, **model: Any) -> float:  # fmt: skip
     """w L^3 / B at which a strip of `length` [m] and `wide` of its edges across, of rigidity B [N m] and density
     [kg/m^2], has no stiffness left against tipping over.
 
@@ -36,7 +36,7 @@ def tips_over(fabric: object, rigidity: float, density: float, length: float, ed
     """
     edge = length / edges
     size, hold = [length + HELD * edge, wide * edge], HELD * edge
-    rig = mount("buckling", fabric, size=size, hold=hold, edge=edge, **model)
+    rig = mount("buckling", fabric, size=size, hold=hold, edge=edge, solver=solver, **model)
     weight = density * length**3 / rigidity
     gravity = LOAD * critical(0.0) / weight
     start, free = rig.fabric.position.copy(), np.flatnonzero(~rig.fabric.pinned)

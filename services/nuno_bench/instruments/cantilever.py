@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ makes them curl.
 """
 
 
-def hang(fabric: object, length: float, edges: int, angle: float = 0.0, **model: object) -> tuple[Float, Float]:
+def hang(fabric: object, length: float, edges: int, angle: float = 0.0, **model: Any) -> tuple[Float, Float]:
     """(n, 3) a strip of so many edges along its free length [m] at its start and at rest [m]; `angle` of its warp."""
     edge = length / edges
     size = [length + HELD * edge, WIDE * edge]
@@ -36,7 +37,7 @@ def steepness(start: Float, x: Float) -> float:
     return float(-x[end, 1].mean() / x[end, 0].mean())
 
 
-def overhang(fabric: object, guess: float, edges: int, angle: float = 0.0, **model: object) -> float:
+def overhang(fabric: object, guess: float, edges: int, angle: float = 0.0, **model: Any) -> float:
     """Length [m] of the strip whose end is SLOPE below its clamp, looked for from a guess of it by secants: the slope's
     tangent grows about with the third power of the length. Raises RunFailed where it is not found.
     """

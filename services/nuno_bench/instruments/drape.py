@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ def drape(
     folds: int = 0,
     radius: float = RADIUS,
     support: float = SUPPORT,
-    **model: object,
+    **model: Any,
 ) -> Drape:
     """A disc of triangles with edges of this length [m], hung from a start that is rough by a seed of its own; radii of
     the disc and of what it lies on [m].

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,13 +40,13 @@ class Loop:
         return 180.0 * (1.0 - self.left / MOST)
 
 
-def stretch(fabric: object, angle: float, **model: object) -> float:
+def stretch(fabric: object, angle: float, **model: Any) -> float:
     """Stiffness [N/m] along a strip whose warp makes an angle [rad] with it, its width held."""
     rig = mount("cantilever", fabric, size=[0.05, 0.05], hold=None, edge=5e-3, angle=angle, **model)
     return _stiffness(rig, np.array([[1.0, 0.0], [0.0, 0.0]]))
 
 
-def shear(fabric: object, angle: float, **model: object) -> float:
+def shear(fabric: object, angle: float, **model: Any) -> float:
     """Stiffness against shear [N/m]."""
     rig = mount("cantilever", fabric, size=[0.05, 0.05], hold=None, edge=5e-3, angle=angle, **model)
     return _stiffness(rig, np.array([[0.0, 1.0], [0.0, 0.0]]))
@@ -67,7 +68,7 @@ def density(rig: Rig) -> float:
     return float(rig.fabric.mass.sum() / (0.5 * np.linalg.norm(across, axis=1)).sum())
 
 
-def bend(fabric: object, angle: float, **model: object) -> Loop:
+def bend(fabric: object, angle: float, **model: Any) -> Loop:
     """A strip rolled up to MOST, to -MOST and back again: what its forces do on the way is the moment's work."""
     rig = mount("cantilever", fabric, size=[SIDE, SIDE], hold=None, edge=EDGE, angle=angle, **model)
     area = float(rig.fabric.mass.sum()) / density(rig)

@@ -101,13 +101,14 @@ class Rig:
             return self.plugin.advance(self.system, self.state, self.memory, None, steps, dt)
 
 
-def mount(scene: str, fabric: object, **model: object) -> Rig:
-    """A specimen of a fabric, as a scene names or describes it, in the scene of an instrument; `model` are fields of
-    its model that are otherwise than there. Raises BadInput.
+def mount(scene: str, fabric: object, solver: str | None = None, **model: object) -> Rig:
+    """A specimen of a fabric, as a scene names or describes it, in the scene of an instrument, with a solver of this
+    name or its own; `model` are fields of its model that are otherwise than there. Raises BadInput.
     """
     fields = {"fabric": fabric, **model}
     overrides = [f"objects.0.model.{name}={json.dumps(value)}" for name, value in fields.items()]
-    loaded = scene_file.read(scene_file.find(f"instruments/{scene}"), [*overrides, "until=duration"])
+    overrides += ["until=duration"] if solver is None else ["until=duration", f"solver={{plugin: {solver}}}"]
+    loaded = scene_file.read(scene_file.find(f"instruments/{scene}"), overrides)
     problem = make_problem(loaded, threads=1)
     rig = Rig(problem, problem.system, build.start_state(problem.fabric), Memory())
     rig.load(GRAVITY)

@@ -21,6 +21,7 @@ from nuno_bench.validation.laws import (
     meetings,
     nets,
     oscillator,
+    specimens,
     statics,
 )
 from nuno_bench.validation.laws.base import Broken, Case, Outcome, Unsupported
@@ -28,7 +29,7 @@ from nuno_schemas.errors import BadInput, nearest
 
 CASES: tuple[Case, ...] = tuple(
     case
-    for module in (oscillator, nets, statics, contacts, meetings, dye_spread, dye_fast, dye_amounts)
+    for module in (oscillator, nets, statics, specimens, contacts, meetings, dye_spread, dye_fast, dye_amounts)
     for case in module.laws
 )
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
