@@ -24,7 +24,9 @@ NARROW, SLIM = 120, 2
 LONG, STIFF = 0.2, 2400.0
 """Its length [m], and stiffness [N/m] by its rigidity over the square of its width."""
 EDGES, SEEDS, FOLDS = (0.02, 0.01, 0.007), (1, 2, 3, 4, 5), (4, 5, 6, 7)
-"""Of drapes [m]; the seeds, and starts in so many folds, are tried at the second of the edges."""
+"""Of drapes [m]; the seeds, and starts in so many folds, are tried at the second of the edges; in the second number of
+folds at all edges, for one number of folds on several meshes tells what the mesh does.
+"""
 
 
 @dataclass(frozen=True)
@@ -169,17 +171,18 @@ def _tip(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> No
 
 
 def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: How) -> None:
-    """Theory has no number, a laboratory may; the spread is over edges, and at one of them over seeds and over
-    starts in folds.
+    """Theory has no number, a laboratory may; the spread is over edges with and without folds at the start, and at one
+    of the edges over seeds and over starts in folds.
     """
     radius, support = sheet.radii()
     middle, edges = EDGES[1], EDGES[1:2] if how.quick else EDGES
     seeds, folds = (SEEDS[:2], ()) if how.quick else (SEEDS, FOLDS)
-    at = f"edges of {1e3 * middle:g} mm"
+    at, over_edges = f"edges of {1e3 * middle:g} mm", f"edges of {_listed(1e3 * edge for edge in edges)} mm"
     over = {
         f"seeds {seeds[0]} to {seeds[-1]}, {at}": [Start(middle, seed) for seed in seeds],
-        f"edges of {_listed(1e3 * edge for edge in edges)} mm": [Start(edge, seeds[0]) for edge in edges],
+        over_edges: [Start(edge, seeds[0]) for edge in edges],
         f"started in {_listed(folds)} folds, {at}": [Start(middle, seeds[0], number) for number in folds],
+        f"started in {FOLDS[1]} folds, {over_edges}": [Start(edge, seeds[0], k) for edge in edges for k in folds[1:2]],
     }
     # Those that take longest are begun first.
     starts, found = sorted({start for each in over.values() for start in each}), dict[Start, drape.Drape]()
