@@ -15,7 +15,7 @@ from nuno_bench.instruments.command import find_fabric
 from nuno_bench.instruments.rig import mount
 from nuno_bench.sweep.executor import Executor, Processes
 from nuno_bench.validation.laws import specimens, statics
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 
 DENSITY, RIGIDITY = 0.2, 1e-5
 FABRIC: dict[str, Any] = {
@@ -68,6 +68,22 @@ def test_the_cantilever_of_astm_finds_the_bending_length(name: str) -> None:
     found = cantilever.bending_length(cantilever.overhang(fabric, 2.1 * expected, 32, angle[name]))
     assert found == pytest.approx(expected, rel=0.01)
     assert sheet.measures(fabric)["bend_bias"] == pytest.approx(rigid["bias"], rel=1e-12)
+
+
+@pytest.mark.parametrize("guess", [0.3, 0.99, 1.0, 1.01, 3.0])
+def test_an_overhang_is_found_where_friction_scatters_the_slope(guess: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of limp cloth, by 0.5 % from one length to the next, which is 0.2 % of the length."""
+
+    def steepness(length: float, scatter: float) -> float:
+        return math.tan(cantilever.SLOPE) * (length / 0.02) ** 2.5 * (1.0 + scatter * math.sin(1e7 * length))
+
+    monkeypatch.setattr(cantilever, "hang", lambda fabric, length, edges, angle: (length, fabric))
+    monkeypatch.setattr(cantilever, "steepness", steepness)
+    assert cantilever.overhang(5e-3, 0.02 * guess, 32) == pytest.approx(0.02, rel=3e-3)
+    assert cantilever.overhang(0.0, 0.02 * guess, 32) == pytest.approx(0.02, rel=cantilever.ENOUGH)
+    monkeypatch.setattr(cantilever, "steepness", lambda length, scatter: 0.1)
+    with pytest.raises(RunFailed, match="no length is found"):
+        cantilever.overhang(0.0, 0.02, 32)
 
 
 @pytest.mark.parametrize("poisson", specimens.POISSON.values(), ids=specimens.POISSON)
