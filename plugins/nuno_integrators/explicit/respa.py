@@ -29,7 +29,7 @@ from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, Told, Work, source_of
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
-from nuno_integrators.explicit.updates import add, add_twice
+from nuno_integrators.explicit.updates import add
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate
@@ -86,20 +86,22 @@ def advance_respa(
     blocks = (x.shape[1] + BLOCK - 1) // BLOCK
     copy_rows(v, u)
     step, before = 0, 0
-    while step < steps or before > 0:
+    while steps > 0:
         after = min(every, steps - step)
         evaluate(here_x, u, step / steps, a, slow, extra)
+        add(here_v, here_v, 0.5 * (before + after) * dt, a, p.threads)
+        if after == 0:
+            break
         copy_rows(here_x, last)
-        add_twice(here_v, here_v, 0.5 * (before + after) * dt, a, here_x, here_x, 0.5 * dt, here_v, p.threads)
+        add(here_x, here_x, 0.5 * dt, here_v, p.threads)
         for _ in range(after):
             add_forces(here_x, here_v, 0.0, to_x, to_v, dt, p)
             here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
         add(here_x, here_x, -0.5 * dt, here_v, p.threads)
         step, before = step + after, after
-        if after > 0:
-            average_blocks(u, here_v, here_x, last, 1.0 / (after * dt), blocks, p.threads)
-            commit(here_x, u, step / steps, slow.bodies, slow.bodies_on, p.threads)
-            add(here_v, here_v, 1.0, u, p.threads)
+        average_blocks(u, here_v, here_x, last, 1.0 / (after * dt), blocks, p.threads)
+        commit(here_x, u, step / steps, slow.bodies, slow.bodies_on, p.threads)
+        add(here_v, here_v, 1.0, u, p.threads)
     if steps % 2 == 1:
         copy_rows(here_x, x)
         copy_rows(here_v, v)
@@ -158,7 +160,7 @@ class Respa(Compiled):
         return self._loop(work, extra)
 
     def _loop(self, work: RespaWork, extra: Extra) -> Any:
-        """The loop of a system, which is told apart into tension and all else; symplectic Euler's where nothing else is,
+        """The loop of a system, which is told apart into tension and all else; symplectic Euler's where nothing is,
         or vertices slide on bodies: what holds them there changes their velocities in each step.
         """
         alone = extra is None and not work.packed.bodies and not set(parts(work.packed)) - set(TENSION)
