@@ -74,6 +74,23 @@ def test_the_least_distance_is_that_which_ipctk_finds(seed: int) -> None:
         assert found == (pytest.approx(least, rel=1e-9, abs=1e-15) if within > least else None)
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_found_of_near_pairs_has_the_bits_of_all_pairs(seed: int) -> None:
+    """On triangles large and small, far from the origin."""
+    x, mesh = disorder(seed)
+    x = 0.1 * x + np.random.default_rng(seed).choice([0.0, 1.0, 100.0], 3)
+    every = np.array(all_pairs(mesh)).T
+    found, expected = find_crossings(x, mesh), find_crossings(x, mesh, (every[0], every[1]))
+    for name in ("edges", "triangles", "places"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    apart = every[:, ~cross(x[mesh.edges[every[0]]], x[mesh.faces[every[1]]])]
+    least = least_distance(x, mesh, (apart[0], apart[1]), np.inf)
+    assert least is not None
+    edge, face = near_pairs(x, mesh, 1.1 * least)
+    kept = ~cross(x[mesh.edges[edge]], x[mesh.faces[face]])
+    assert least_distance(x, mesh, (edge[kept], face[kept]), 1.1 * least) == least
+
+
 @pytest.mark.parametrize("at_once", [1, 7, 100])
 def test_pairs_are_the_same_however_many_are_looked_at_together(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
     x, mesh = disorder(3)
@@ -121,7 +138,7 @@ def test_flat_cloth_is_told_apart_without_fractions(monkeypatch: pytest.MonkeyPa
     mesh = mesh_of(np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32))
     for lean in (0.0, 0.3):
         x = 0.01 * np.stack([column, lean * row, row], axis=1)
-        near = near_pairs(x, mesh, 0.004)
+        near = near_pairs(x, mesh, 0.02)
         assert len(near[0]) > 100
         with monkeypatch.context() as patch:
             patch.setattr(crossings, "_exact_side", lambda *points: pytest.fail("in fractions"))
