@@ -14,6 +14,8 @@ from nuno_schemas.fabric import Float
 
 PARALLEL = 1e-12
 """Square of the sine between two edges up to which their ends will do: that is off by a millionth of their length."""
+SURE = 1.0 + 1e-9
+"""Edges' boxes are farther apart than this many times a distance only where the edges are, whatever the rounding."""
 
 
 def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> float | None:
@@ -21,18 +23,19 @@ def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float
     not cross; None for more than `within`.
     """
     edge, face = pairs
-    points, edges, faces = (boxes_of(x[part]) for part in (np.arange(len(x))[:, None], mesh.edges, mesh.faces))
-    vertex, below = _near(mesh.edges[edge].ravel().astype(np.int64), points, face.repeat(2), faces, within)
+    along = np.ascontiguousarray(x.T)
+    edges, faces = boxes_of(along, mesh.edges), boxes_of(along, mesh.faces)
+    vertex, below = _near(mesh.edges[edge].ravel().astype(np.int64), (along, along), face.repeat(2), faces, within)
+    least = _above(x[vertex], x[mesh.faces[below]])
     one, two = edge.repeat(3), mesh.sides[face].ravel()
-    one, two = _near(np.minimum(one, two), edges, np.maximum(one, two), edges, within)
-    least = min(_above(x[vertex], x[mesh.faces[below]]), _across(x[mesh.edges[one]], x[mesh.edges[two]]))
+    one, two = _near(np.minimum(one, two), edges, np.maximum(one, two), edges, min(within, SURE * least))
+    least = min(least, _across(x[mesh.edges[one]], x[mesh.edges[two]]))
     return least if least <= within else None
 
 
 def _near(a: Long, boxes: Boxes, b: Long, others: Boxes, within: float) -> tuple[Long, Long]:
     """Those of pairs a, b (k,) whose boxes are no farther apart than `within`, each once."""
-    kept = overlap(a, (boxes[0] - within, boxes[1] + within), b, others)
-    return once(a[kept], b[kept], len(others[0]))
+    return once(*overlap(a, (boxes[0] - within, boxes[1] + within), b, others), others[0].shape[1])
 
 
 def _above(p: Float, triangle: Float) -> float:
