@@ -36,6 +36,11 @@ def thread_count(system: System) -> int:
     """Threads that this system's kernels run on."""
     if system.fabric.number < PARALLEL_FROM:
         return 1
+    return crew_size(system)
+
+
+def crew_size(system: System) -> int:
+    """Threads that may help it."""
     return max(1, min(system.threads, threads_available()[0]))
 
 
@@ -45,6 +50,7 @@ def pack(system: System) -> Packed:
     """
     fabric = system.fabric
     given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
+    given = [part if (crew := role_of(type(part), "crew")) is None else crew(part, crew_size(system)) for part in given]
     n = fabric.number
     forces: tuple[Any, ...] = (
         *pack_springs(fabric.springs, n),
