@@ -14,11 +14,9 @@ from nuno_bench import machine, options
 from nuno_bench.precision.findings import ABOVE
 from nuno_bench.precision.point import Point
 from nuno_bench.report.page import Report, Table
-from nuno_bench.report.result import number
+from nuno_bench.report.result import apart, factor, number
 from nuno_schemas.errors import BadInput
 
-SAME_TIME = 1.1
-"""Medians within a tenth of each other count as the same, as everywhere in the benches."""
 SAME_ERROR = 1.01
 """The same solver repeats its errors to the bit; another machine's rounding may move them less than this."""
 HEADINGS = (
@@ -108,31 +106,14 @@ def _change(a: Point, b: Point, floors: Mapping[str, float]) -> Change:
     found = {name: (a.errors[name].l2, b.errors[name].l2) for name in a.errors if name in b.errors}
     # An error that both have below the floor is known in neither.
     known = {name: pair for name, pair in found.items() if max(pair) > ABOVE * floors.get(name, 0.0)}
-    quantity = max(known, key=lambda name: _factor(*known[name]), default="")
+    quantity = max(known, key=lambda name: factor(*known[name]), default="")
     changed = ["outcome"] if a.outcome != b.outcome else []
-    if quantity and _factor(*known[quantity]) > SAME_ERROR:
+    if quantity and factor(*known[quantity]) > SAME_ERROR:
         changed.append("error")
-    if _apart(a.seconds, b.seconds):
+    if apart(a.seconds, b.seconds):
         changed.append("time")
     times = (a.median, b.median) if a.seconds and b.seconds else None
     return Change(a.key, quantity, known.get(quantity), times, tuple(changed))
-
-
-def _factor(a: float, b: float) -> float:
-    """By how much two errors differ, at least 1."""
-    low, high = sorted((a, b))
-    return high / low if low > 0.0 else (1.0 if high == 0.0 else float("inf"))
-
-
-def _apart(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Whether two sets of repeats do not overlap, and their medians differ by more than a tenth.
-
-    Of a time that was taken once the spread is not known, so nothing is said of it.
-    """
-    if min(len(a), len(b)) < 2:
-        return False
-    overlap = max(a) >= min(b) and max(b) >= min(a)
-    return not overlap and _factor(statistics.median(a), statistics.median(b)) > SAME_TIME
 
 
 def summary(first: Result, second: Result, changes: Sequence[Change]) -> list[str]:

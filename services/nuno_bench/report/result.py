@@ -8,6 +8,9 @@ from dataclasses import dataclass
 
 from nuno_bench.report.page import Table
 
+SAME_TIME = 1.1
+"""Medians within a tenth of each other count as the same, as everywhere in the benches."""
+
 
 @dataclass(frozen=True)
 class Result:
@@ -35,6 +38,11 @@ class Result:
     @property
     def median(self) -> float:
         return statistics.median(self.samples)
+
+    @property
+    def more_is_better(self) -> bool:
+        """Of rates, which are so much a second; of times, ratios and whatever else is counted, less is."""
+        return self.unit.endswith("/s")
 
     @property
     def verdict(self) -> str:
@@ -73,6 +81,23 @@ def _row(result: Result) -> list[str]:
 def spread_of(samples: Sequence[float]) -> str:
     """Smallest and largest."""
     return f"{number(min(samples))} - {number(max(samples))}" if len(samples) > 1 else "once"
+
+
+def factor(a: float, b: float) -> float:
+    """By how much two errors or times differ, at least 1."""
+    low, high = sorted((a, b))
+    return high / low if low > 0.0 else (1.0 if high == 0.0 else float("inf"))
+
+
+def apart(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Whether two sets of repeats do not overlap, and their medians differ by more than a tenth.
+
+    Of a time that was taken once the spread is not known, so nothing is said of it.
+    """
+    if min(len(a), len(b)) < 2:
+        return False
+    overlap = max(a) >= min(b) and max(b) >= min(a)
+    return not overlap and factor(statistics.median(a), statistics.median(b)) > SAME_TIME
 
 
 def number(value: float) -> str:
