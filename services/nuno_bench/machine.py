@@ -44,10 +44,11 @@ class Others:
         wall = (time.perf_counter() - self.started) * (os.cpu_count() or 1)
         return min(1.0, max(0.0, (self._seconds() - self.before) / wall))
 
-    def describe(self) -> str:
-        share = self.share()
-        text = f"other processes took {share:.0%} of the machine meanwhile"
-        return f"{text}: TIMES ARE DISTURBED" if share > DISTURBED else text
+
+def describe_load(share: float) -> str:
+    """What is to say of a share of the machine that others took."""
+    text = f"other processes took {share:.0%} of the machine meanwhile"
+    return f"{text}: TIMES ARE DISTURBED" if share > DISTURBED else text
 
 
 def command() -> str:
@@ -72,5 +73,5 @@ def about(others: Others, **more: str) -> dict[str, str]:
         "kernels": f"at most {numba.config.NUMBA_NUM_THREADS} threads, {layer}",
         "versions": ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in PACKAGES)]),
         "date": time.strftime("%Y-%m-%d"),
-        "load": others.describe(),
+        "load": describe_load(others.share()),
     }

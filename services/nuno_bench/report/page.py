@@ -21,8 +21,8 @@ from markupsafe import Markup, escape
 
 from nuno_schemas.errors import BadInput
 
-BAD = ("failed", "missed", "diverged", "contradicts")
-GOOD = ("bar met", "aim met", "agrees")
+BAD = ("failed", "missed", "diverged", "contradicts", "slower")
+GOOD = ("bar met", "aim met", "agrees", "faster")
 """Words that are coloured where a cell begins with them."""
 LONG = 26
 """Cells with more characters than this wrap."""

@@ -7,11 +7,15 @@ import importlib
 import sys
 import traceback
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Literal
 
 from nuno_bench import extras, machine, options
 from nuno_bench.report import page
 from nuno_bench.report.page import Table
 from nuno_bench.report.result import Result, number, table
+from nuno_bench.speed import record
+from nuno_schemas.errors import BadInput
 
 CASES = {
     "grid-256": "steps.explicit:grid_256",
@@ -47,30 +51,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"which to run (default: all): {', '.join(CASES)}")
     options.add_repeats(parser, 7, "samples of each figure")
     options.add_shared(parser, "--json", "--html", "--docs")
+    for name, what in (("--save", "append this run to"), ("--against", "tell what is slower or faster than in")):
+        what += " a record of speed (default: the repository's)"
+        parser.add_argument(name, nargs="?", type=Path, const=True, metavar="FILE", help=what)
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run the cases; 1 if any could not be measured. A missed bar is a finding, not a failure."""
+    """Run the cases; 1 if any could not be measured or has become slower. A missed bar is a finding, not a failure."""
     options.require_known(args.cases, CASES, "case", "CASE")
     section = " ".join(["speed", *args.cases])
     page.check_section(args.docs, section)
+    save, against = _record(args.save, "--save"), _record(args.against, "--against")
+    before = record.read_of_machine(against) if against else []
+    if save and save.exists():
+        record.read(save)  # so that a line is added to no other file
     lacking = _tell_lacking(args.cases or CASES)
     others = machine.Others()
     results: list[Result] = []
     for name in args.cases or CASES:
         print(f"{name} ...", file=sys.stderr)
         results += run_case(name, args.repeats)
+    load = others.share()
     about = machine.about(others) | lacking | _limits(results)
     figures, said = table(results, OF_LIMIT), f"{summary(results)}."
     print(figures.text(), end="\n\n")
     for text in (*map(": ".join, notes(results)), *map(": ".join, about.items()), said):
         print(text)
     told = Table(("what", "note"), notes(results), "Sizes, and what failed.", prose=True)
-    sections: page.Sections = [("", [said]), ("All figures", [figures]), ("Notes", [told])]
+    changes = record.compare(before, results) if against else []
+    since = record.told(changes, load) if against else []
+    for part in since:
+        print(part if isinstance(part, str) else f"\n{part.text()}\n")
+    sections: page.Sections = [("", [said]), ("All figures", [figures]), ("Since", since), ("Notes", [told])]
     data = {"results": [vars(one) | {"verdict": one.verdict} for one in results]}
     report = page.Report("Speed", LEAD, sections, about, data, [said, figures])
     report.write(args.html, args.json, args.docs, section)
-    return int(any(result.failure for result in results))
+    if save:
+        record.append(save, record.Record.of(results, load))
+        print(f"written {save}")
+    return int(any(result.failure for result in results) or any(change.verdict == "slower" for change in changes))
+
+
+def _record(given: Path | Literal[True] | None, field: str) -> Path | None:
+    """The file of an option: the repository's where none is named."""
+    if given is True:
+        return record.own_file(field)
+    if given and str(given) in CASES:
+        raise BadInput("this is a case, and no file", field=field, value=str(given), remedy=f"name it before {field}")
+    return given
 
 
 def _tell_lacking(cases: Iterable[str]) -> dict[str, str]:
