@@ -15,8 +15,10 @@ from nuno_schemas.fabric import Float
 REPEATS = 5
 """Each variant is timed this often; the fastest counts, since other programs can only slow it down."""
 
-LONG = 2e-3
-"""Steps are run together until they take this long [s], so that entering the kernel does not show."""
+LONG = 8e-3
+"""Steps are run together until they take this long [s]: entering the kernel does not show, nor what a method does once
+more at an interval's end.
+"""
 
 BRIEF = 1e-200
 """Duration of a step [s] that moves nothing by more than rounding hides, and yet is none of no duration, in which
