@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from nuno_kernels.forces.yarn_tension import lengths, own_tensions
-from nuno_schemas.fabric import Fabric, Float, Membrane
+from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.triangles import Membrane
 
 TINY = 1e-300
 """Stands for the length of a yarn that has none [1], which then pulls nowhere."""

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.layout import Bounds
+from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 from nuno_schemas.yarns import Yarns
 
 Float = NDArray[np.float64]
@@ -148,107 +149,6 @@ class Hinges:
     def per_hinge(self, values: Float) -> Float:
         """(h,) values of a constant that may be stored per run."""
         return values if values.shape[0] == self.number else np.repeat(values, self.count)
-
-
-@dataclass(frozen=True)
-class Membrane:
-    """Triangles of constant strain: energy A (C_w e_w^2 + C_f e_f^2 + 2 C_wf e_w e_f + G g^2) / 2 each.
-
-    The cloth's unit vectors along warp and weft become F_w = a (x1 - x0) + b (x2 - x0) and F_f; the strains are
-    e_w = |F_w| - 1, e_f = |F_f| - 1 and g = F_w.F_f, the angle of shear where they are small.
-
-    faces    (t, 3) int32  vertices x0, x1, x2
-    along    (t, 2)        a, b of F_w [1/m]
-    across   (t, 2)        a, b of F_f [1/m]
-    area     (t,)          A, at rest [m^2]
-    moduli   (4, t)        C_w, C_f, C_wf and G [N/m]; C_wf^2 <= C_w C_f
-    damping  (3, t)        of the rates of e_w, e_f and g [N s/m]
-    """
-
-    faces: Annotated[Int, "t", 3, Bounds(0, below="n")]
-    along: Annotated[Float, "t", 2]
-    across: Annotated[Float, "t", 2]
-    area: Annotated[Float, "t", Bounds(above=0.0)]
-    moduli: Annotated[Float, 4, "t"]
-    damping: Annotated[Float, 3, "t", Bounds(0.0)]
-
-    @property
-    def number(self) -> int:
-        return int(self.faces.shape[0])
-
-    def shares(self) -> Float:
-        """(2, t, 3) how far F_w and F_f move with each corner [1/m]."""
-        yarns = np.stack([self.along, self.across])
-        return np.concatenate([-yarns.sum(axis=2, keepdims=True), yarns], axis=2)
-
-    def stiffness(self) -> Float:
-        """(t, 3) how stiffly each corner is held by its triangle alone, at most [N/m]."""
-        (warp, weft), (c_w, c_f, _, g) = np.square(self.shares()), self.moduli[..., None]
-        return np.asarray(self.area[:, None] * ((c_w + g) * warp + (c_f + g) * weft))
-
-    def sides(self) -> Float:
-        """(t, 3) lengths at rest of x0 x1, x1 x2 and x2 x0 [m]."""
-        first, second = np.linalg.inv(np.stack([self.along, self.across], axis=2)).transpose(2, 0, 1)
-        return np.asarray(np.linalg.norm(np.stack([first, second - first, second], axis=1), axis=2))
-
-    def edges(self) -> tuple[Int, Float]:
-        """(e, 2) vertices of every side, each once, and (e,) its length at rest [m]."""
-        ends = np.sort(np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        pairs, first = np.unique(ends, axis=0, return_index=True)
-        return pairs, self.sides().reshape(-1)[first]
-
-
-@dataclass(frozen=True)
-class Bending:
-    """Bending as a quadratic form of the positions: energy sum of weight |x_j - x_i|^2 / 2 over pairs.
-
-    pairs    (p, 2) int32  vertices i < j, each pair once
-    weight   (p,)          [N/m], of either sign; the form is never negative, and 0 for what is moved, turned, strained
-                           and sheared the same everywhere
-    """
-
-    pairs: Annotated[Int, "p", 2, Bounds(0, below="n")]
-    weight: Annotated[Float, "p"]
-
-    @property
-    def number(self) -> int:
-        return int(self.pairs.shape[0])
-
-
-@dataclass(frozen=True)
-class BendingFriction:
-    """Friction that bending has to overcome, in patches of vertices; see nuno_kernels.forces.bending_friction.
-
-    vertices (b, k) int32  patches, each filled up by its first vertex
-    shares   (b, 5, k)     how the tangents along warp and weft [1/m], and the second derivatives along warp, weft and
-                           between them [1/m^2], move with each vertex; rows sum to 0
-    area     (b,)          [m^2]
-    limit    (2, b)        moment per width at which it slips, of warp and weft [N]
-    slip     (b,)          change of curvature that it holds until then [1/m]
-    """
-
-    vertices: Annotated[Int, "b", "k", Bounds(0, below="n")]
-    shares: Annotated[Float, "b", 5, "k"]
-    area: Annotated[Float, "b", Bounds(above=0.0)]
-    limit: Annotated[Float, 2, "b", Bounds(0.0)]
-    slip: Annotated[Float, "b", Bounds(above=0.0)]
-
-    @property
-    def number(self) -> int:
-        return int(self.vertices.shape[0])
-
-    @staticmethod
-    def join(parts: list[BendingFriction]) -> BendingFriction:
-        """One of several (at least one), whose patches are filled up to the largest."""
-        most = max(part.vertices.shape[1] for part in parts)
-        vertices = [
-            np.concatenate([p.vertices, np.repeat(p.vertices[:, :1], most - p.vertices.shape[1], axis=1)], axis=1)
-            for p in parts
-        ]
-        shares = [np.pad(p.shares, ((0, 0), (0, 0), (0, most - p.shares.shape[2]))) for p in parts]
-        limit = np.concatenate([p.limit for p in parts], axis=1)
-        area, slip = (np.concatenate([getattr(p, name) for p in parts]) for name in ("area", "slip"))
-        return BendingFriction(np.concatenate(vertices), np.concatenate(shares), area, limit, slip)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def hinge_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
 def membrane_energy(fabric: Fabric, x: Float) -> tuple[float, Float]:
     """Energy of triangles of constant strain [J] and its gradient (n, 3) [N]; x (n, 3) [m].
 
-    See nuno_schemas.fabric.Membrane; a yarn whose length is 0 has no direction and gives no gradient.
+    See nuno_schemas.triangles.Membrane; a yarn whose length is 0 has no direction and gives no gradient.
     """
     gradient, membrane = np.zeros_like(x), fabric.membrane
     if membrane is None:

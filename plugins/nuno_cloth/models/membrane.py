@@ -19,7 +19,8 @@ import numpy as np
 
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.triangles import face_areas
-from nuno_schemas.fabric import Float, Int, Membrane
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.triangles import Membrane
 
 
 def build_membrane(material: Material, x: Float, faces: Int, mass: Float, warp: Float, weft: Float) -> Membrane:

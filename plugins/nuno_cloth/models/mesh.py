@@ -29,8 +29,9 @@ from nuno_cloth.models.triangles import Edges, face_areas, find_edges, hinge_sti
 from nuno_cloth.quantities import Scale
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bending, BendingFriction, Bool, Fabric, Float, Hinges, Int, Membrane, Springs
+from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 from nuno_schemas.vectors import turn
 
 KINDS = ("obj", "ply", "stl")

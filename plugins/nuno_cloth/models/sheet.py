@@ -30,9 +30,10 @@ from nuno_cloth.models.placement import (
 )
 from nuno_cloth.models.triangles import face_areas, find_edges, yarn_axes
 from nuno_cloth.quantities import Length
-from nuno_schemas.fabric import Bending, BendingFriction, Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Imported, Preset
+from nuno_schemas.triangles import Bending, BendingFriction
 from nuno_schemas.vectors import turn
 
 CellKind = Literal["quads", "triangles"]

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_schemas.fabric import Bending, BendingFriction, Binding, Fabric, Hinges, Membrane, Springs
+from nuno_schemas.fabric import Binding, Fabric, Hinges, Springs
+from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 from nuno_schemas.yarns import Yarns
 
 

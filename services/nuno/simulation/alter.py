@@ -16,9 +16,10 @@ from nuno.scene.explain import UNNUMBERED, explain
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Chosen, Loaded, choose_operation
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Bending, BendingFriction, Binding, Fabric, Hinges, Int, Membrane, Springs
+from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Springs
 from nuno_schemas.operation import arranges
 from nuno_schemas.scene import Applied
+from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 
 NAME = "add"
 """What errors call the text of an added operation."""
