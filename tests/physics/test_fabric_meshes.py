@@ -14,7 +14,8 @@ from nuno.scene.files import SceneFiles
 from nuno_cloth.fabrics.energy import membrane_energy
 from nuno_cloth.fabrics.presets import PRESETS, Material
 from nuno_cloth.models.delaunay import triangulate
-from nuno_cloth.models.mesh import Mesh, MeshConfig, build_elements
+from nuno_cloth.models.elements import build_elements
+from nuno_cloth.models.mesh import Mesh, MeshConfig
 from nuno_cloth.models.triangles import face_areas, find_edges
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
@@ -49,13 +50,11 @@ def square(kind: str, n: int) -> tuple[Float, Int]:
 def piece(points: Float, faces: Int, material: Material, angle: float = 90.0) -> Fabric:
     """A flat piece whose warp makes an angle [degrees] with x; its top is held."""
     x, edges = np.column_stack([points, np.zeros(len(points))]), find_edges(faces)
-    share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
-    mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
     warp = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
-    net = build_elements(material, x, faces, edges, mass, warp, tension="membrane")
-    assert net.springs is None
+    elements = build_elements(material, x, faces, edges, warp, tension="membrane")
+    assert elements.springs is None
     held = points[:, 1] == points[:, 1].max()
-    return Fabric("piece", x, 0.0 * x, mass, held, faces, membrane=net.membrane, bending=net.bending)
+    return Fabric("piece", x, 0.0 * x, pinned=held, **elements._replace(friction=None)._asdict())
 
 
 def hessian(fabric: Fabric, x: Float) -> scipy.sparse.csc_matrix:

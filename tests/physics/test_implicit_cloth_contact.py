@@ -12,8 +12,8 @@ from test_cloth_contact import heap, pace, sliding
 
 from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.models.delaunay import fill_outline
-from nuno_cloth.models.mesh import build_elements
-from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_cloth.models.elements import build_elements
+from nuno_cloth.models.triangles import find_edges
 from nuno_contact.offset.places import CUT, STEPS, TOUCHING
 from nuno_schemas.fabric import Fabric, Float
 
@@ -127,9 +127,7 @@ def folded(spacing: float = 0.012, size: float = 0.2) -> Fabric:
     rng = np.random.default_rng(7)
     points[len(outline) :] += 0.15 * spacing * rng.standard_normal((len(points) - len(outline), 2))
     flat = np.stack([points[:, 0], np.zeros(len(points)), points[:, 1]], 1)
-    edges, material = find_edges(faces), resolve("jacket")
-    mass = np.bincount(faces.ravel(), np.repeat(face_areas(flat, faces), 3) * material.density / 3, len(flat))
-    springs, hinges, _ = build_elements(material, flat, faces, edges, mass, np.array([1.0, 0.0, 0.0]))
+    elements = build_elements(resolve("jacket"), flat, faces, find_edges(faces), np.array([1.0, 0.0, 0.0]))
     radius = 0.005
     along = flat[:, 0] - 0.5 * (size - math.pi * radius)
     angle = np.clip(along / radius, 0.0, math.pi)
@@ -139,8 +137,8 @@ def folded(spacing: float = 0.012, size: float = 0.2) -> Fabric:
     ], 1)  # fmt: skip
     fabric = sheet()
     return replace(
-        fabric, name="folded", position=bent, velocity=np.zeros_like(bent), mass=mass, pinned=along < 0.0, faces=faces,
-        springs=springs, hinges=hinges, uv=None,
+        fabric, name="folded", position=bent, velocity=np.zeros_like(bent), pinned=along < 0.0, uv=None,
+        **elements._asdict(),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,8 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.bending import build_bending
-from nuno_cloth.models.bending_friction import build_friction, bytes_of_friction
-from nuno_cloth.models.membrane import build_membrane
+from nuno_cloth.models.bending_friction import bytes_of_friction
+from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import (
     STILL,
     TEXTURE,
@@ -25,28 +24,17 @@ from nuno_cloth.models.placement import (
     find_texture,
     vertices,
 )
-from nuno_cloth.models.triangles import Edges, face_areas, find_edges, hinge_stiffness, spring_stiffness, yarn_axes
+from nuno_cloth.models.triangles import Edges, face_areas, find_edges
 from nuno_cloth.quantities import Scale
 from nuno_kernels.meshes.file import load_mesh
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
-from nuno_schemas.triangles import Bending, BendingFriction, Membrane
 from nuno_schemas.vectors import turn
 
 KINDS = ("obj", "ply", "stl")
-STRUCTURAL, BENDING = 0, 2
-Tension = Literal["auto", "membrane", "springs"]
-TENSION = (
-    "what bears tension and shear: membrane, triangles of constant strain along warp and weft, which have a measured "
-    "fabric's stiffness on any mesh; springs on the edges, which lines of wrinkles need; auto: a membrane of measured "
-    "fabrics, springs of constants set by hand"
-)
 FARTHEST = 1e100
 """Coordinates beyond this [m] have no squares and cubes that are numbers."""
-BYTES_PER_VERTEX, SPRUNG = 4500, 2000
-"""What a run takes at most, of a membrane and of springs: 4,188 and 1,896 were measured, between meshes of 90,000 and
-250,000 and of 262,144 and 640,000 vertices, and the file's text and triangles while it is read."""
 
 
 class Box(Config):
@@ -121,28 +109,19 @@ class Mesh:
             where, at = int(np.argmax(far)), x[far][0].tolist()
             limit, remedy = f"{FARTHEST:g} m", "give a smaller `scale`, or mend the file"
             raise BadInput("too far away", str(path), field=f"vertex {where}", value=at, limit=limit, remedy=remedy)
-        area = face_areas(x, faces)
         material = resolve(config.fabric)
-        share = np.repeat(area, 3) * material.density / 3
-        mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
         warp = turn(matrix, np.asarray(config.warp))
         held = pin_mesh(config.pin, x)
-        net = build_elements(material, x, faces, edges, mass, warp, tension=config.tension, held=held)
+        elements = build_elements(material, x, faces, edges, warp, tension=config.tension, held=held)
         return Fabric(
             name=self.name,
             position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
-            mass=mass,
             pinned=held,
-            faces=faces,
-            springs=net.springs,
-            hinges=net.hinges,
-            membrane=net.membrane,
-            bending=net.bending,
-            friction=net.friction,
             uv=uv,
             texture=find_texture(config.texture, files),
             origin=_unseen(material, edges),
+            **elements._asdict(),
         )
 
 
@@ -151,86 +130,6 @@ def _unseen(material: Material | HandSet, edges: Edges) -> dict[str, float]:
     if isinstance(material, Material) or len(edges.inner):
         return {}
     return {"k_bend": material.bending[0]}
-
-
-class Net(NamedTuple):
-    """What bears tension, and what bending, of a mesh."""
-
-    springs: Springs | None
-    hinges: Hinges | None
-    membrane: Membrane | None = None
-    bending: Bending | None = None
-    friction: BendingFriction | None = None
-
-
-def build_elements(
-    material: Material | HandSet, x: Float, faces: Int, edges: Edges, mass: Float, warp: Float, folded: bool = False,
-    tension: Tension = "springs", held: Bool | None = None,
-) -> Net:  # fmt: skip
-    """A membrane and bending by a matrix, or springs on edges with hinges or bending springs across the inner ones.
-    Raises BadInput for a membrane of constants per spring, and for hinges that are to bend as they cannot.
-
-    What is `held` (n,) between triangles that are held all round does not bend.
-
-    Bending springs are at rest in the shape x, or where that is `folded`, as pieces that lie on each other along their
-    seams, with it laid open.
-    """
-    if tension == "membrane" and isinstance(material, HandSet):
-        remedy = "give a preset or measured values, or take tension: springs"
-        raise BadInput("constants per spring make no membrane", field="tension", value=tension, remedy=remedy)
-    pairs = edges.pairs
-    rest = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
-    flat = np.zeros(len(edges.inner))
-    reduced = _reduced(mass, pairs)
-    if isinstance(material, Material):
-        axes = yarn_axes(x, faces, warp)
-        held = np.zeros(len(x), np.bool_) if held is None else held
-        friction = build_friction(material, x, faces, *axes, held)
-        if tension != "springs":
-            membrane = build_membrane(material, x, faces, mass, *axes)
-            return Net(None, None, membrane, build_bending(material, x, faces, *axes, held), friction)
-        if material.bend_bias is not None or material.bend_poisson != 0.0:
-            problem, remedy = "hinges bend alike along the bias whatever was measured", "take tension: membrane"
-            raise BadInput(problem, field="tension", value=tension, remedy=remedy)
-        hinges = _hinges(edges, hinge_stiffness(material, x, edges, face_areas(x, faces), *axes), flat)
-        k = spring_stiffness(material, x, faces, edges, *axes)
-        c = 2 * material.damping_ratio * np.sqrt(k * reduced)
-        return Net(Springs.from_pairs(pairs, k, rest, c, STRUCTURAL), hinges, friction=friction)
-    k, ratio = np.full(len(pairs), material.structural[0]), 2 * material.damping_ratio
-    c = material.damping + ratio * np.sqrt(k * reduced)
-    springs = Springs.from_pairs(pairs, k, rest, c, STRUCTURAL)
-    if material.bending[0] > 0:
-        ends = np.ascontiguousarray(edges.quads[:, 2:])
-        span = open_spans(x, edges.quads) if folded else np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
-        c = material.damping + ratio * np.sqrt(material.bending[0] * _reduced(mass, ends))
-        across = Springs.from_pairs(ends, flat + material.bending[0], span, c, BENDING)
-        springs = Springs.join([springs, across])
-    return Net(springs, _hinges(edges, flat + material.hinge, flat))
-
-
-def open_spans(x: Float, quads: Int) -> Float:
-    """(h,) distances [m] between the last two vertices of each hinge (h, 4), its triangles laid open into a plane."""
-    start, end, left, right = (x[quads[:, i]] for i in range(4))
-    along = end - start
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    (one, high), (other, low) = (
-        (np.einsum("hk,hk->h", side - start, along), np.linalg.norm(np.cross(side - start, along), axis=1))
-        for side in (left, right)
-    )
-    return np.asarray(np.hypot(one - other, high + low))
-
-
-def _reduced(mass: Float, pairs: Int) -> Float:
-    """(s,) reduced masses of springs (s, 2) [kg]."""
-    one, other = mass[pairs[:, 0]], mass[pairs[:, 1]]
-    return np.asarray(one * other / (one + other))
-
-
-def _hinges(edges: Edges, k: Float, rest: Float) -> Hinges | None:
-    if not k.any():
-        return None
-    one = np.ones(len(k), np.int32)
-    return Hinges(edges.quads, one, one, k, rest)
 
 
 def read_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -13,9 +13,9 @@ from pydantic import BaseModel, Field
 from nuno_cloth.fabrics.constants import Lattice, grid_constants
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import MEASURES, Material
-from nuno_cloth.models import mesh
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.bending_friction import build_friction, bytes_of_friction
+from nuno_cloth.models.elements import BYTES_PER_VERTEX, SPRUNG, Elements, build_elements
 from nuno_cloth.models.grid import Grid, build_faces, build_hinges, build_springs
 from nuno_cloth.models.placement import (
     STILL,
@@ -28,12 +28,11 @@ from nuno_cloth.models.placement import (
     find_texture,
     pin_grid,
 )
-from nuno_cloth.models.triangles import face_areas, find_edges, yarn_axes
+from nuno_cloth.models.triangles import find_edges, yarn_axes
 from nuno_cloth.quantities import Length
-from nuno_schemas.fabric import Bool, Fabric, Float, Hinges, Int, Springs
+from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.preset import Imported, Preset
-from nuno_schemas.triangles import Bending, BendingFriction
 from nuno_schemas.vectors import turn
 
 CellKind = Literal["quads", "triangles"]
@@ -41,15 +40,15 @@ CELLS = (
     "quads: springs along rows, columns and both diagonals; triangles: on the edges of triangles, as the wrinkle paper "
     "has them and ridge and valley lines need them"
 )
-BYTES_PER_VERTEX = {"quads": 400, "triangles": mesh.SPRUNG}
-"""What a run takes at most: rows of quads are runs of springs; `nuno bench speed` measures them."""
+BYTES = {"quads": 400, "triangles": SPRUNG}
+"""What a run takes at most per vertex: rows of quads are runs of springs; `nuno bench speed` measures them."""
 
 
 def bytes_of_grid(cells: CellKind, fabric: FabricChoice) -> int:
     """What a run of a grid takes at most per vertex."""
     material = resolve(fabric)
     curls = cells == "quads" and isinstance(material, Material) and material.bend_poisson != 0.0
-    return BYTES_PER_VERTEX[cells] + bytes_of_friction(fabric) + (mesh.BYTES_PER_VERTEX - mesh.SPRUNG if curls else 0)
+    return BYTES[cells] + bytes_of_friction(fabric) + (BYTES_PER_VERTEX - SPRUNG if curls else 0)
 
 
 Vertices = Annotated[int, Field(ge=2, le=16384)]
@@ -82,18 +81,6 @@ class SheetConfig(Config):
     texture: str | None = Field(default=None, description=TEXTURE)
 
 
-@dataclass(frozen=True)
-class Elements:
-    """What a grid is simulated with: masses (n,) [kg], triangles, springs and hinges."""
-
-    mass: Float
-    faces: Int
-    springs: Springs | None
-    hinges: Hinges | None
-    bending: Bending | None = None
-    friction: BendingFriction | None = None
-
-
 def build_grid(
     grid: Grid, lattice: Lattice, material: Material | HandSet, x: Float, cells: CellKind, held: Bool
 ) -> Elements:
@@ -116,12 +103,10 @@ def build_grid(
         axes = yarn_axes(x, faces, down)
         friction = build_friction(material, x, faces, *axes, held)
         if material.bend_poisson != 0.0:
-            return Elements(mass, faces, springs, None, build_bending(material, x, faces, *axes, held), friction)
-        return Elements(mass, faces, springs, build_hinges(grid, constants), None, friction)
-    share = np.repeat(face_areas(x, faces) * material.density / 3, 3)
-    mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
-    net = mesh.build_elements(material, x, faces, find_edges(faces), mass, down, held=held)
-    return Elements(mass, faces, net.springs, net.hinges, friction=net.friction)
+            bending = build_bending(material, x, faces, *axes, held)
+            return Elements(mass, faces, springs, bending=bending, friction=friction)
+        return Elements(mass, faces, springs, build_hinges(grid, constants), friction=friction)
+    return build_elements(material, x, faces, find_edges(faces), down, held=held)
 
 
 def grid_mass(grid: Grid, density: float, lattice: Lattice) -> Float:
@@ -178,20 +163,15 @@ class Sheet:
         material = resolve(config.fabric)
         x = place(config, rows, cols)
         held = pin_grid(grid, config.pin)
-        net = build_grid(grid, lattice, material, x, config.cells, held)
+        elements = build_grid(grid, lattice, material, x, config.cells, held)
         return Fabric(
             name=self.name,
             position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
-            mass=net.mass,
             pinned=held,
-            faces=net.faces,
-            springs=net.springs,
-            hinges=net.hinges,
-            bending=net.bending,
-            friction=net.friction,
             uv=texture_coordinates(np.linspace(0, 1, cols), rows),
             texture=find_texture(config.texture, files),
+            **elements._asdict(),
         )
 
 

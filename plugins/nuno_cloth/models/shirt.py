@@ -11,10 +11,10 @@ from pydantic import BaseModel, Field
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.dress import Fit, dress
-from nuno_cloth.models.mesh import BYTES_PER_VERTEX, TENSION, Tension, build_elements
+from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, find_texture
 from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
-from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.models.wearer import STANDS, TURN, Wearer, find_wearer
 from nuno_cloth.quantities import Angle, Length
 from nuno_schemas.bodies import check_size
@@ -91,25 +91,17 @@ class Shirt:
         cut, sewn = sewn_for(sizes, config)
         edges = find_edges(sewn.faces)
         material = resolve(config.fabric)
-        share = np.repeat(face_areas(sewn.flat, sewn.faces), 3) * material.density / 3
-        mass = np.bincount(sewn.faces.reshape(-1), share, len(sewn.flat)).astype(np.float64)
         down = np.array([0.0, 1.0, 0.0])
-        net = build_elements(material, sewn.flat, sewn.faces, edges, mass, down, folded=True, tension=config.tension)
+        elements = build_elements(material, sewn.flat, sewn.faces, edges, down, folded=True, tension=config.tension)
         position = dress(wearer, cut, fit, sewn, edges, config.over.clearance)
         return Fabric(
             name=self.name,
             position=position,
             velocity=np.zeros_like(position),
-            mass=mass,
-            pinned=np.zeros(len(mass), np.bool_),
-            faces=sewn.faces,
-            springs=net.springs,
-            hinges=net.hinges,
-            membrane=net.membrane,
-            bending=net.bending,
-            friction=net.friction,
+            pinned=np.zeros(len(position), np.bool_),
             uv=texture_of(sewn),
             texture=find_texture(config.texture, files),
+            **elements._asdict(),
         )
 
 

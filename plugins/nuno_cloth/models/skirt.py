@@ -92,7 +92,7 @@ class Skirt:
         material = resolve(config.fabric)
         x = drape(config, circle)
         held = np.repeat(np.arange(config.rows) == 0, config.columns)
-        net = build_grid(grid, lattice, material, x, config.cells, held)
+        elements = build_grid(grid, lattice, material, x, config.cells, held)
         waist = np.arange(config.columns, dtype=np.int32)
         attach = config.attach
         across = 1 - np.abs(2 * np.arange(config.columns) / config.columns - 1)
@@ -100,16 +100,11 @@ class Skirt:
             name=self.name,
             position=x,
             velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
-            mass=net.mass,
             pinned=held,
-            faces=net.faces,
-            springs=net.springs,
-            hinges=net.hinges,
-            bending=net.bending,
-            friction=net.friction,
             uv=texture_coordinates(across, config.rows),
             bindings=() if attach is None else (Binding(waist, attach.body, attach.frame),),
             texture=find_texture(config.texture, files),
+            **elements._asdict(),
         )
 
 

@@ -12,9 +12,9 @@ from pydantic import BaseModel, Field, model_validator
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.delaunay import triangulate
-from nuno_cloth.models.mesh import BYTES_PER_VERTEX, TENSION, Tension, build_elements
+from nuno_cloth.models.elements import BYTES_PER_VERTEX, TENSION, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, Point, Rotation, find_texture
-from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.quantities import Angle, Length
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -67,7 +67,7 @@ class SwatchConfig(Config):
 
 
 class Swatch:
-    """Of a measured fabric; see nuno_cloth.models.mesh for what bears tension and bending."""
+    """Of a measured fabric; see nuno_cloth.models.elements for what bears tension and bending."""
 
     name: ClassVar[str] = "swatch"
     Config: ClassVar[type[BaseModel]] = SwatchConfig
@@ -102,25 +102,17 @@ class Swatch:
         matrix = np.eye(3) if config.rotate is None else config.rotate.matrix()
         x = np.ascontiguousarray(turn(matrix, level) + np.asarray(config.centre))
         material = resolve(config.fabric)
-        share = np.repeat(face_areas(x, faces), 3) * material.density / 3
-        mass = np.bincount(faces.reshape(-1), share, len(x)).astype(np.float64)
         warp = turn(matrix, np.array([[np.cos(config.angle), 0.0, -np.sin(config.angle)]]))[0]
-        net = build_elements(material, x, faces, find_edges(faces), mass, warp, tension=config.tension, held=held)
+        elements = build_elements(material, x, faces, find_edges(faces), warp, tension=config.tension, held=held)
         low, high = flat.min(axis=0), flat.max(axis=0)
         return Fabric(
             name=self.name,
             position=x,
             velocity=np.zeros_like(x),
-            mass=mass,
             pinned=held,
-            faces=faces,
-            springs=net.springs,
-            hinges=net.hinges,
-            membrane=net.membrane,
-            bending=net.bending,
-            friction=net.friction,
             uv=np.ascontiguousarray((flat - low) / (high - low).max(), np.float32),
             texture=find_texture(config.texture, files),
+            **elements._asdict(),
         )
 
 
