@@ -48,22 +48,14 @@ def build_friction(
     of, place = np.unique(faces[loose], return_index=True)
     face, corner = loose[place // 3], place % 3
     area = np.bincount(faces[loose].reshape(-1), np.repeat(area[loose] / 3.0, 3), len(x))[of].astype(np.float64)
+    limit, slip = 0.5 * np.repeat(widths[:, None], len(of), axis=1), np.full(len(of), SLIP)
     sides, parts = find_sides(x, faces), []
     for at in range(0, len(of), AT_ONCE):
         part = slice(at, at + AT_ONCE)
-        parts.append(_derive(find_patches(sides, x, face[part], warp[face[part]], weft[face[part]]), corner[part],
-                             area[part], clamp))  # fmt: skip
-    most = max(vertices.shape[1] for vertices, _ in parts)
-    parts = [(_filled(vertices, most), np.pad(shares, ((0, 0), (0, 0), (0, most - shares.shape[2]))))
-             for vertices, shares in parts]  # fmt: skip
-    vertices, shares = (np.concatenate(part) for part in zip(*parts, strict=True))
-    limit = 0.5 * np.repeat(widths[:, None], len(of), axis=1)
-    return BendingFriction(vertices, shares, area, limit, np.full(len(of), SLIP))
-
-
-def _filled(vertices: Int, most: int) -> Int:
-    """(f, most) patches filled up by their first vertices."""
-    return np.concatenate([vertices, np.repeat(vertices[:, :1], most - vertices.shape[1], axis=1)], axis=1)
+        patches = find_patches(sides, x, face[part], warp[face[part]], weft[face[part]])
+        derived = _derive(patches, corner[part], area[part], clamp)
+        parts.append(BendingFriction(*derived, area[part], limit[:, part], slip[part]))
+    return BendingFriction.join(parts)
 
 
 def _derive(patches: Patches, corner: Any, area: Float, clamp: Clamp) -> tuple[Int, Float]:
