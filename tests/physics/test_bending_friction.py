@@ -217,6 +217,13 @@ def test_friction_that_is_held_does_not_feed_a_swing(solver: str) -> None:
     assert max(totals) < 1.01 * totals[0] and totals[-1] > 0.5 * totals[0]
 
 
+def test_cloth_that_is_held_all_over_has_none() -> None:
+    points, faces = square("diagonal", 3)
+    x = np.column_stack([SIDE * points, np.zeros(len(points))])
+    axes = yarn_axes(x, faces, np.array([1.0, 0.0, 0.0]))
+    assert build_friction(MATERIAL, x, faces, *axes, np.ones(len(x), bool)) is None
+
+
 def test_a_loop_wider_than_bending_allows_is_refused() -> None:
     for fields, said in (({"hysteresis_warp": 0.1}, "at most"), ({"hysteresis_weft": -1.0}, "greater than or equal")):
         with pytest.raises(ValueError, match=said):

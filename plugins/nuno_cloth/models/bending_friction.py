@@ -45,6 +45,8 @@ def build_friction(
         return None
     clamp, area = find_clamp(faces, held), face_areas(x, faces)
     loose = np.flatnonzero(~clamp.faces).astype(np.int32)
+    if not len(loose):
+        return None
     of, place = np.unique(faces[loose], return_index=True)
     face, corner = loose[place // 3], place % 3
     area = np.bincount(faces[loose].reshape(-1), np.repeat(area[loose] / 3.0, 3), len(x))[of].astype(np.float64)
