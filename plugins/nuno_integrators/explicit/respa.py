@@ -117,7 +117,8 @@ class RespaWork(Work):
     fast: tuple[float, float]
     slow: tuple[float, float]
     kicks: int = 1
-    """Steps for each kick of the last steps that were taken."""
+    dt: float = 0.0
+    """Steps for each kick, and the step [s], of the last steps that were taken."""
 
 
 class Respa(Compiled):
@@ -149,7 +150,9 @@ class Respa(Compiled):
         return steps_a_kick(*both_rates(system, at_start(system)), dt) if config.every == "auto" else config.every
 
     def go(self, work: RespaWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
-        work.kicks = steps_a_kick(work.fast, work.slow, dt) if work.every is None else work.every
+        if dt != work.dt:
+            work.kicks = steps_a_kick(work.fast, work.slow, dt) if work.every is None else work.every
+            work.dt = dt
         self._loop(work, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         return Told(steps)
 

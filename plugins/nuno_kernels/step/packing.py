@@ -50,7 +50,8 @@ def pack(system: System) -> Packed:
     """
     fabric = system.fabric
     given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
-    given = [part if (crew := role_of(type(part), "crew")) is None else crew(part, crew_size(system)) for part in given]
+    crews = [kernels_of(part).find("crew") for part in given]
+    given = [part if crew is None else crew(part, crew_size(system)) for part, crew in zip(given, crews, strict=True)]
     n = fabric.number
     forces: tuple[Any, ...] = (
         *pack_springs(fabric.springs, n),
