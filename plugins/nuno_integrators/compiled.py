@@ -51,9 +51,8 @@ class Work:
     """None where one thread runs."""
 
     def __post_init__(self) -> None:
-        most = max([self.packed.threads or 1, *(getattr(term, "crew", None) or 1 for term in self.packed.forces)])
-        if most > 1:
-            self.pace = Pace(most)
+        if self.packed.threads is not None:
+            self.pace = Pace(self.packed.threads)
 
     def kept(self) -> dict[str, NDArray[Any]]:
         """Arrays that are part of the state."""

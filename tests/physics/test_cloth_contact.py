@@ -73,7 +73,7 @@ def test_lists_that_several_threads_make_are_the_same() -> None:
     ends = []
     for threads in (1, 2):
         pile = Pile(*piles.heap(1), threads=threads)
-        assert pile.meeting.crew == (2 if min(threads, threads_available()[0]) > 1 else None)
+        assert pile.meeting.crew == (None if threads == 1 else min(2, threads_available()[0]))
         assert pile.memory.work.packed.threads is None  # type: ignore[attr-defined]
         for _ in range(10):
             pile.go(10)
