@@ -90,7 +90,6 @@ class Kernels:
                                                    nuno_kernels.forces.constraint_packing
     stick(term, x)                                 lets nothing slip on a short way from x (3, n)
     hold_over(term, inverse_mass) -> term          the same whose force is held over several steps
-    crew(term, threads) -> term                    the same that may use so many threads, however few vertices there are
     interval(term, start, end)                     writes the bodies' poses over a frame into the term
     begin(term, x, span, threads)                  before an interval's first step; it lasts `span` [s]
     approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
@@ -147,7 +146,6 @@ class Kernels:
     counts: Any = None
     stick: Any = None
     hold_over: Any = None
-    crew: Any = None
 
     def find(self, role: str) -> Any:
         """What is done in a role, None for nothing."""

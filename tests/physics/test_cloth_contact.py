@@ -15,7 +15,6 @@ from nuno.cloth.join import join_fabrics
 from nuno_bench.problem import piles
 from nuno_contact.offset.places import LEFT_OUT, LISTS_MADE, STEPS, TOUCHING
 from nuno_contact.offset.plugin import Offset, OffsetConfig
-from nuno_kernels import threads_available
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 
@@ -66,19 +65,6 @@ def test_nothing_passes_through(solver: str) -> None:
             assert not pile.crossed
         assert pile.meeting.so_far[LEFT_OUT] == 0
         assert pile.meeting.so_far[STEPS] > 0
-
-
-def test_lists_that_several_threads_make_are_the_same() -> None:
-    """Of cloth too small for threads in its steps: as one makes them, to the last bit."""
-    ends = []
-    for threads in (1, 2):
-        pile = Pile(*piles.heap(1), threads=threads)
-        assert pile.meeting.crew == (None if threads == 1 else min(2, threads_available()[0]))
-        assert pile.memory.work.packed.threads is None  # type: ignore[attr-defined]
-        for _ in range(10):
-            pile.go(10)
-        ends.append((pile.state.x.tobytes(), pile.state.v.tobytes(), pile.meeting.pair.tobytes()))
-    assert ends[0] == ends[1]
 
 
 def test_what_never_meets_keeps_its_bits() -> None:

@@ -59,14 +59,14 @@ def begin_whole(m: Meeting, x: Float, goes_on: bool, span: float, threads: int |
         m.unrest[:] = 0.0
         m.anchored[:] = False
         m.number[LISTED] = 0
-        plan(m, m.nothing, 1.0, 0.0, 0.0)
+        plan(m, m.nothing, 1.0, 0.0, 0.0, threads)
     elif not (
         same_rows(m.listed[:6], m.reference)
         and same_rows(m.listed[6:12], m.motion)
         and same_rows(m.listed[12:], m.spread)
     ):
-        make_list(m)
-        choose_near(m)
+        make_list(m, threads)
+        choose_near(m, threads)
     renew_planes(m)
     all_close(m)
     find_touching(m, threads)

@@ -194,7 +194,7 @@ def hold_apart(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
 
 
 @block_kernel
-def list_for(m: Meeting, x: Float, s: float) -> bool:
+def list_for(m: Meeting, x: Float, s: float, threads: int | None) -> bool:
     """Have lists for a step from `last` to x (3, n), which ends at fraction s; False where x is not finite.
 
     Those of bodies hold for a step more: what one will meet is to be seen before, for it cannot be slowed down then.
@@ -208,9 +208,9 @@ def list_for(m: Meeting, x: Float, s: float) -> bool:
         # At first by the mean motion since the last plan, which a vertex' tremor does not sway.
         gone = clock[NOW] - clock[NEAR_BEGUN]
         if gone > 0.0:
-            plan(m, sum_rows(last, -1.0, reference), gone, way, ahead)
+            plan(m, sum_rows(last, -1.0, reference), gone, way, ahead, threads)
         if gone <= 0.0 or strays_near(m, x, s):
-            plan(m, sum_rows(x, -1.0, last), way, way, ahead)
+            plan(m, sum_rows(x, -1.0, last), way, way, ahead, threads)
     return True
 
 
@@ -224,11 +224,11 @@ def hold_whole(m: Meeting, x: Float, v: Float, s: float, threads: int | None) ->
         if m.number[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) > 0:
             push_on(m, x, v, dt)
         lists = m.number[CHOICES]
-        if not list_for(m, x, s):
+        if not list_for(m, x, s, threads):
             return False
         if m.number[CHOICES] == lists:
             break
-    if m.local.shape[0] == 0 and not list_for(m, x, s):
+    if m.local.shape[0] == 0 and not list_for(m, x, s, threads):
         return False
     if m.number[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[NEAR] > 0 else 0.0, threads) > 0:
         cut_short(m, x, v, threads)
@@ -252,7 +252,7 @@ def cut_short(m: Meeting, x: Float, v: Float, threads: int | None) -> None:
         # One that stays behind strays by its way: whatever could be met by that is listed.
         for i in range(x.shape[1]):
             spread[i] = max(spread[i], share[i])
-        set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW])
+        set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW], threads)
     if m.number[LACKING] > 0:
         # What is not listed might be met: nothing moves.
         m.so_far[STILL] += 1

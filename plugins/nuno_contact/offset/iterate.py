@@ -41,7 +41,7 @@ def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> b
     if not all_finite(d):
         return False
     if m.local.shape[0] == 0:
-        return restrain_whole(m, y, d, s)
+        return restrain_whole(m, y, d, s, threads)
     n, whole, way, goal = y.shape[1], m.whole, m.way, m.goal
     pose_solids(m, s, goal, m.whole_velocity)
     if same_rows(y, m.last):
@@ -51,7 +51,7 @@ def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> b
     for i in range(n, way.shape[1]):
         for row in range(3):
             way[row, i] = goal[row, i] - whole[row, i]
-    shortened = restrain_whole(m, whole, way, s)
+    shortened = restrain_whole(m, whole, way, s, threads)
     copy_part(way, d, 0, n)
     for i in range(n, way.shape[1]):
         for row in range(3):
@@ -60,16 +60,16 @@ def restrain(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> b
 
 
 @block_kernel
-def restrain_whole(m: Meeting, y: Float, d: Float, s: float) -> bool:
+def restrain_whole(m: Meeting, y: Float, d: Float, s: float, threads: int | None) -> bool:
     """The same of cloth and bodies."""
     lists = m.number[CHOICES]
-    cover(m, sum_rows(y, 1.0, d), s)
+    cover(m, sum_rows(y, 1.0, d), s, threads)
     shortened = m.number[LACKING] > 0
     for _ in range(SHORTER):
         if m.number[LACKING] == 0:
             break
         d *= 0.25
-        cover(m, sum_rows(y, 1.0, d), s)
+        cover(m, sum_rows(y, 1.0, d), s, threads)
     m.expected[:] = False
     if not give_way(m, y, d, STOP) and not shortened:
         m.calm[0] += 1
@@ -104,7 +104,7 @@ def freeze(m: Meeting, y: Float) -> None:
 
 
 @block_kernel
-def cover(m: Meeting, end: Float, s: float) -> None:
+def cover(m: Meeting, end: Float, s: float, threads: int | None) -> None:
     """Have lists for a step from `last` to `end` (3, n) and what is around that."""
     clock, last, spread = m.clock, m.last, m.spread[1]
     if s <= clock[NEAR_BEGUN] + clock[NEAR_WINDOW] and not strays_near(m, end, s):
@@ -118,5 +118,5 @@ def cover(m: Meeting, end: Float, s: float) -> None:
         a, b, c = end[0, i] - last[0, i], end[1, i] - last[1, i], end[2, i] - last[2, i]
         spread[i] = max(spread[i], min(MOST[1] * m.law[0], np.sqrt(a * a + b * b + c * c)))
     left_out = m.so_far[LEFT_OUT]
-    set_out(m, sum_rows(end, -1.0, last), way, window)
+    set_out(m, sum_rows(end, -1.0, last), way, window, threads)
     m.so_far[LEFT_OUT] = left_out  # which counts those of steps that count

@@ -172,19 +172,19 @@ enlist_parts = over_blocks(enlist_part, "m, found, normal, number")
 
 
 @block_kernel
-def search(m: Meeting) -> None:
+def search(m: Meeting, threads: int | None) -> None:
     """List the pairs by the tree, which is fitted already, as m.ways are."""
     leaves = near_leaves(m.boxes, m.law[0], m.local.shape[0] > 0)
     number, room = np.empty(PARTS, np.int64), 24 * m.faces.shape[0] // PARTS
     lacking = 1
     while lacking > 0:
         found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
-        search_parts(m, leaves, found, normal, number, PARTS, m.crew)
+        search_parts(m, leaves, found, normal, number, PARTS, threads)
         lacking, total = 0, 0
         for part in range(PARTS):
             lacking, total = max(lacking, -number[part]), total + number[part]
         room += lacking
-    enlist_parts(m, found, normal, number, PARTS, m.crew)
+    enlist_parts(m, found, normal, number, PARTS, threads)
     m.number[LISTED], m.number[LACKING] = min(total, m.pair.shape[0]), max(0, total - m.pair.shape[0])
 
 
@@ -222,11 +222,11 @@ choose_parts = over_blocks(choose_part, "m, number")
 
 
 @block_kernel
-def choose_near(m: Meeting) -> None:
+def choose_near(m: Meeting, threads: int | None) -> None:
     """Choose the listed pairs that may come near in the near plan; the others touch nothing, and lose their anchors."""
     lay_out(m.reference[3:], m.motion[3:], m.spread[1], m.ways)
     number = np.empty(PARTS, np.int64)
-    choose_parts(m, number, PARTS, m.crew)
+    choose_parts(m, number, PARTS, threads)
     m.number[NEAR], m.number[CHOICES] = close_up(m.near, m.number[LISTED], number), m.number[CHOICES] + 1
     copy_rows(m.reference[3:], m.listed[3:6])
     copy_rows(m.motion[3:], m.listed[9:12])
@@ -234,7 +234,7 @@ def choose_near(m: Meeting) -> None:
 
 
 @block_kernel
-def make_list(m: Meeting) -> None:
+def make_list(m: Meeting, threads: int | None) -> None:
     """List the pairs for the present plan; anchors are left alone."""
     x, u, spread = m.reference[:3], m.motion[:3], m.spread[0]
     fit_tree(tree_of(m), x, u, spread)
@@ -242,7 +242,7 @@ def make_list(m: Meeting) -> None:
     copy_rows(x, m.listed[:3])
     copy_rows(u, m.listed[6:9])
     copy_rows(m.spread[:1], m.listed[12:13])
-    search(m)
+    search(m, threads)
     m.number[LISTS_MADE] += 1
 
 
@@ -256,7 +256,7 @@ def slot(key: int, table: Long) -> int:
 
 
 @block_kernel
-def renew_list(m: Meeting) -> None:
+def renew_list(m: Meeting, threads: int | None) -> None:
     """The same, anchors going with their pairs."""
     held, size = 0, 64
     for p in range(m.number[LISTED]):
@@ -273,7 +273,7 @@ def renew_list(m: Meeting) -> None:
             for corner in range(4):
                 anchors[at, corner] = m.anchor[p, corner]
             m.anchored[p] = False
-    make_list(m)
+    make_list(m, threads)
     for p in range(m.number[LISTED] if held > 0 else 0):
         at = slot(m.key[p], table)
         m.anchored[p] = table[at] != EMPTY

@@ -171,9 +171,6 @@ class Meeting(NamedTuple):
     """(b,) which of the bodies' vertices are behind their bodies at `last`"""
     so_far: NDArray[np.int64]
     """(5,) counts of the whole run: see CUT; part of the state"""
-    crew: int | None = None
-    """Threads that make lists: worth it for far smaller cloth than those for steps are, which meet some thousand times
-    as often. None: compiled for one."""
 
 
 @forced_inline

@@ -116,7 +116,7 @@ def tighter(spread: Float) -> bool:
 
 
 @block_kernel
-def plan(m: Meeting, u: Float, way: float, step: float, ahead: float) -> None:
+def plan(m: Meeting, u: Float, way: float, step: float, ahead: float, threads: int | None) -> None:
     """Plan from `last` on, for vertices that go u (3, n) in `way` of the interval, by steps of `step`: for longer than
     before where the last plan was lived out and a step costs less by what is near than by its share of choosing that,
     else for shorter. One that is to hold for a step `ahead` is used up where another goes beyond its end.
@@ -134,11 +134,11 @@ def plan(m: Meeting, u: Float, way: float, step: float, ahead: float) -> None:
     room = clock[NEAR_ROOM] * (0.7 if crowd > FEW else 1.2 if crowd < 0.5 * FEW else 1.0)
     clock[NEAR_ROOM] = min(MOST[1], max(LEAST[1], room))
     allow(m, m.spread[1], m.unrest[1], window, clock[NEAR_ROOM], MOST[1])
-    set_out(m, u, way, window)
+    set_out(m, u, way, window, threads)
 
 
 @block_kernel
-def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
+def set_out(m: Meeting, u: Float, way: float, window: float, threads: int | None) -> None:
     """Choose what is near for a window, in which vertices may stray as far as m.spread[1] says. The list is made anew
     unless it holds for all of that.
     """
@@ -165,7 +165,7 @@ def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[LIST_BEGUN], clock[LIST_WINDOW] = s, whole
-        renew_list(m)
+        renew_list(m, threads)
         while m.number[LACKING] > 0 and m.local.shape[0] > 0 and whole > window:
             # Bodies are taken to go through what they will push: for less time it is less.
             shorter = max(0.5, window / whole)
@@ -174,9 +174,9 @@ def set_out(m: Meeting, u: Float, way: float, window: float) -> None:
             for row in range(3):
                 for i in range(last.shape[1]):
                     motion[row, i] *= shorter
-            renew_list(m)
+            renew_list(m, threads)
         while m.number[LACKING] > 0 and tighter(spread):
             clock[LIST_ROOM] *= 0.5
-            renew_list(m)
+            renew_list(m, threads)
         m.so_far[LEFT_OUT] += m.number[LACKING]
-    choose_near(m)
+    choose_near(m, threads)

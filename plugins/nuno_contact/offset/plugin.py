@@ -61,11 +61,6 @@ def take_step(m: Meeting, rate: float) -> None:
     m.step[0], m.calm[0], m.frozen[0] = 1.0 / rate, 0, False
 
 
-def with_crew(m: Meeting, threads: int) -> Meeting:
-    """Whose lists are made by several threads, where there are."""
-    return m._replace(crew=threads if threads > 1 else None)
-
-
 def no_batches(m: Meeting, vertices: int) -> tuple[()]:
     """Its constraints are none that could be laid out beforehand; see nuno_contact.offset.projection."""
     return ()
@@ -103,7 +98,6 @@ register(
     hold=hold_apart,
     begin=begin_apart,
     approach=take_step,
-    crew=with_crew,
     bound=restrain,
     waits=is_waiting,
     cut=count_cut,

@@ -60,7 +60,7 @@ TURNS = 32
 def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
     """Solve all contacts of cloth for a step that ends at fraction s, in place in `moved`."""
     if m.local.shape[0] == 0:
-        project_whole(m, moved, s)
+        project_whole(m, moved, s, threads)
         return
     n, all_of = moved.x.shape[1], m.goal.shape
     x, u, y, mobility = np.empty(all_of), np.empty(all_of), np.empty(all_of), np.zeros((1, all_of[1]))
@@ -73,12 +73,12 @@ def project(m: Meeting, moved: Displaced, s: float, held: Float | None, threads:
     for row in range(3):
         for i in range(n, all_of[1]):
             u[row, i] = m.goal[row, i] - x[row, i]
-    project_whole(m, Displaced(x, u, y, y, mobility, moved.inverse_step), s)
+    project_whole(m, Displaced(x, u, y, y, mobility, moved.inverse_step), s, threads)
     copy_part(u, moved.u, 0, n)
 
 
 @block_kernel
-def project_whole(m: Meeting, moved: Displaced, s: float) -> None:
+def project_whole(m: Meeting, moved: Displaced, s: float, threads: int | None) -> None:
     """The same of cloth and bodies, which go their way."""
     x, u, y, near = moved.x, moved.u, moved.y, m.near
     for row in range(3):
@@ -87,7 +87,7 @@ def project_whole(m: Meeting, moved: Displaced, s: float) -> None:
     if not all_finite(y):
         return
     if m.swept[0] == 0:
-        cover(m, y, s)
+        cover(m, y, s, threads)
         for q in range(m.number[NEAR]):
             m.kept[near[q]] = False
     gather(m, y)

@@ -89,7 +89,7 @@ def check_gaps(m: Meeting, pieces: Sequence[str]) -> None:
     other than the thickness.
     """
     m.reference[:3] = m.start
-    make_list(m)
+    make_list(m, None)
     number = int(m.number[LISTED])
     measure_listed(m)
     both = m.piece[m.pair[:number]][:, [0, 3]]

@@ -36,11 +36,6 @@ def thread_count(system: System) -> int:
     """Threads that this system's kernels run on."""
     if system.fabric.number < PARALLEL_FROM:
         return 1
-    return crew_size(system)
-
-
-def crew_size(system: System) -> int:
-    """Threads that may help it."""
     return max(1, min(system.threads, threads_available()[0]))
 
 
@@ -50,8 +45,6 @@ def pack(system: System) -> Packed:
     """
     fabric = system.fabric
     given = [own_copy(part) for term in system.terms if not callable(term.data) for part in term.data]
-    crews = [kernels_of(part).find("crew") for part in given]
-    given = [part if crew is None else crew(part, crew_size(system)) for part, crew in zip(given, crews, strict=True)]
     n = fabric.number
     forces: tuple[Any, ...] = (
         *pack_springs(fabric.springs, n),

@@ -43,8 +43,8 @@ class Parts:
             "what touches": lambda: find_touching(m, threads),
             "anchors of friction": lambda: drag_anchors(m, v, threads),
             "brakes": lambda: brake(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0]),
-            "what is near": lambda: choose_near(m),
-            "lists": lambda: make_list(m),
+            "what is near": lambda: choose_near(m, threads),
+            "lists": lambda: make_list(m, threads),
         }
         own, a = packed._replace(forces=tuple(m if isinstance(f, Meeting) else f for f in packed.forces)), v.copy()
         alone, cloth, rates = silence(own, "cloth_contact"), x[:, : len(state.v)].copy(), v[:, : len(state.v)].copy()
