@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from nets import make_fabric, make_system
+from pydantic import ValidationError
 
 from nuno_integrators.explicit.fixed_step import NoConfig
 from nuno_integrators.explicit.respa import Respa, RespaConfig, both_rates, steps_a_kick
@@ -103,6 +104,12 @@ def test_a_kick_every_half_period_of_an_undamped_spring_feeds_it() -> None:
     assert abs(rate / (slow**2 * span / (2.0 * omega)) - 1.0) < 0.1
     dt = span / every
     assert grown(steps_a_kick(*both_rates(system, state), dt), dt) < 1.1
+
+
+@pytest.mark.parametrize("every", [0, -1, 1.5, "often"])
+def test_kicks_stand_for_whole_steps(every: object) -> None:
+    with pytest.raises(ValidationError):
+        RespaConfig.model_validate({"every": every})
 
 
 def test_rates_are_told_apart() -> None:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -52,7 +52,7 @@ MOST = 64
 class RespaConfig(Config):
     """How often all but tension acts."""
 
-    every: int | Literal["auto"] = Field(
+    every: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         default="auto", description="steps of tension for each kick of the other forces; auto: as many as are stable"
     )
 
