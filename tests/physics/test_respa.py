@@ -103,7 +103,28 @@ def test_a_kick_every_half_period_of_an_undamped_spring_feeds_it() -> None:
     rate = max(np.log(grown(every, dt, 2 * kicks) / grown(every, dt)) / kicks for dt in times)
     assert abs(rate / (slow**2 * span / (2.0 * omega)) - 1.0) < 0.1
     dt = span / every
-    assert grown(steps_a_kick(*both_rates(system, state), dt), dt) < 1.1
+    assert grown(steps_a_kick(*both_rates(system, state), dt), dt, 10 * kicks) < 3.0
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_a_force_in_python_that_does_nothing_changes_nothing(every: int) -> None:
+    """The same loop runs interpreted then; to the last digits, for its parts are compiled one by one."""
+    system = strip(damping=0.02)
+    idle = replace(system, terms=(Term("idle", lambda x, v, t, out: None),))
+    plain, other = (end(each, Respa(), RespaConfig(every=every), 300, 0.05) for each in (system, idle))
+    assert np.abs(plain - other).max() < 1e-12
+
+
+@pytest.mark.parametrize("damping", [20.0, 300.0, 1000.0])
+def test_viscous_damping_by_kicks_feeds_nothing(damping: float) -> None:
+    """It goes by the mean velocity since the last kick, which drives what swings faster than that."""
+    system = replace(strip(damping=0.0, gravity=0.0), damping=damping)
+    start = 1e-3 * np.random.default_rng(3).standard_normal(system.fabric.position.shape)
+    start[system.fabric.pinned] = 0.0
+    system = replace(system, fabric=replace(system.fabric, velocity=start))
+    dt = 0.7 * Respa().limit(RespaConfig(), system, State(system.fabric.position, start)).dt
+    speed = end(system, Respa(), RespaConfig(), 5000, 5000 * dt)[1]
+    assert np.abs(speed).max() < np.abs(start).max()
 
 
 @pytest.mark.parametrize("every", [0, -1, 1.5, "often"])

@@ -11,7 +11,8 @@ they are no farther apart than the share SMOOTH of a radian of the fastest motio
 of tension. Kicks of a force with the frequency w_s let a mode w that they meet once in half of its period grow by
 w_s^2 H / (2 w) each (its matrix has the trace 2 cos w H - w_s^2 H / w sin w H), against which its damping takes
 d H / 2. Springs damp modes in proportion to w^2, so that the slowest such mode, w = pi / H, is the one that has to be
-damped enough: w_s^2 / w <= d_max (w / w_max)^2. Undamped, none may be met at all: H w_max <= pi.
+damped enough: w_s^2 / w <= d_max (w / w_max)^2. Undamped, none may be met at all: H w_max <= pi. And dashpots go by the
+mean velocity since the last kick, which comes too late for modes that swing faster: `feeds` looks at them all.
 
 Not chosen: kicks filtered by the fast motion (mollified impulses, Izaguirre et al. 1999), which bear longer times
 between kicks, but need the derivatives of positions that they average over.
@@ -32,12 +33,12 @@ from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
 from nuno_integrators.explicit.updates import add
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate
+from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate, place
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.step.packing import parts, silence
 from nuno_kernels.step.rows import copy_rows
 from nuno_kernels.terms import kernels_of, over_blocks
-from nuno_schemas.fabric import Float, State
+from nuno_schemas.fabric import Bool, Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System, Term
 
@@ -45,8 +46,8 @@ TENSION = ("springs", "membrane", "yarns")
 """Kinds of force that act in every step."""
 SAFE, SMOOTH = 0.7, 0.75
 """Shares of what is stable, and of a radian."""
-MOST = 64
-"""Steps for each kick."""
+MOST, MODES = 64, 200
+"""Steps for each kick, and modes of tension that are looked at."""
 
 
 class RespaConfig(Config):
@@ -71,6 +72,18 @@ average_blocks = over_blocks(average_block, "u, v, x, last, rate")
 
 
 @kernel
+def average(u: Float, v: Float, x: Float, last: Float, rate: float, threads: int | None) -> None:
+    """u = (x - last) rate, and v -= u, all (3, n)."""
+    average_blocks(u, v, x, last, rate, (x.shape[1] + BLOCK - 1) // BLOCK, threads)
+
+
+@kernel
+def set_out(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool) -> None:
+    """Give carried vertices the place and velocity that they have from fraction s of the frame on."""
+    place(bodies, on, x, v, s)
+
+
+@kernel
 def advance_respa(
     x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, slow: Packed, every: int
 ) -> None:
@@ -83,7 +96,6 @@ def advance_respa(
     Tension is felt halfway through each step: symplectic Euler's steps, from positions that are half a step ahead.
     """
     here_x, here_v, to_x, to_v, a, u, last = x, v, stages[0], stages[1], stages[2], stages[3], stages[4]
-    blocks = (x.shape[1] + BLOCK - 1) // BLOCK
     copy_rows(v, u)
     step, before = 0, 0
     while steps > 0:
@@ -92,6 +104,7 @@ def advance_respa(
         add(here_v, here_v, 0.5 * (before + after) * dt, a, p.threads)
         if after == 0:
             break
+        set_out(here_x, here_v, step / steps, slow.bodies, slow.bodies_on)
         copy_rows(here_x, last)
         add(here_x, here_x, 0.5 * dt, here_v, p.threads)
         for _ in range(after):
@@ -99,7 +112,7 @@ def advance_respa(
             here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
         add(here_x, here_x, -0.5 * dt, here_v, p.threads)
         step, before = step + after, after
-        average_blocks(u, here_v, here_x, last, 1.0 / (after * dt), blocks, p.threads)
+        average(u, here_v, here_x, last, 1.0 / (after * dt), p.threads)
         commit(here_x, u, step / steps, slow.bodies, slow.bodies_on, p.threads)
         add(here_v, here_v, 1.0, u, p.threads)
     if steps % 2 == 1:
@@ -134,7 +147,7 @@ class Respa(Compiled):
         n = system.fabric.number
         x, v = np.empty((2, 3, n))
         every = None if config.every == "auto" else config.every
-        return RespaWork(packed, x, v, np.empty((5, 3, n)), every, *both_rates(system, at_start(system)))
+        return RespaWork(packed, x, v, np.empty((5, 3, n)), every, *kick_rates(system))
 
     def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
         """Of all forces with the damping of tension, and of the other forces alone."""
@@ -143,11 +156,15 @@ class Respa(Compiled):
         fast, slow = both_rates(system, state)
         whole = math.hypot(fast[0], slow[0]), fast[1] + system.damping
         step = min(stable_step(self.amplification, *rates, system.damping) for rates in (whole, slow))
+        if config.every != "auto" and math.isfinite(step) and step > 0.0:
+            step *= min(1.0, steps_a_kick(*kick_rates(system), step) / config.every)
         return StepLimit(step, whole[0], max(whole[1], slow[1]))
 
     def steps_a_kick(self, config: RespaConfig, system: System, dt: float) -> int:
         """Steps of dt [s] for each kick in this system."""
-        return steps_a_kick(*both_rates(system, at_start(system)), dt) if config.every == "auto" else config.every
+        if has_sliding(system.terms):
+            return 1
+        return steps_a_kick(*kick_rates(system), dt) if config.every == "auto" else config.every
 
     def go(self, work: RespaWork, packed: Packed, extra: Extra, steps: int, dt: float) -> Told:
         if dt != work.dt:
@@ -197,19 +214,68 @@ def at_start(system: System) -> State:
     return State(system.fabric.position, np.zeros_like(system.fabric.position))
 
 
+def kick_rates(system: System) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Those by which kicks are chosen: of tension the damping that it has at least."""
+    (omega, damping), slow = both_rates(system, at_start(system))
+    return (omega, min(damping, least_damping(system.fabric, omega))), slow
+
+
 def both_rates(system: System, state: State) -> tuple[tuple[float, float], tuple[float, float]]:
     """Bounds on angular frequency and damping rate [1/s] of tension, and of all other forces."""
     fabric = system.fabric
     tension = replace(fabric, hinges=None, bending=None, friction=None)
     others = replace(fabric, springs=None, membrane=None, yarns=None)
-    fast = measure_rates(replace(system, fabric=tension, terms=(), damping=0.0), state)
-    return fast, measure_rates(replace(system, fabric=others), state)
+    omega, damping = measure_rates(replace(system, fabric=tension, terms=(), damping=0.0), state)
+    return (omega, damping), measure_rates(replace(system, fabric=others), state)
+
+
+def least_damping(fabric: Fabric, omega: float) -> float:
+    """Damping rate [1/s] of a mode of tension of frequency omega [1/s], at least, by what is damped least for its
+    stiffness.
+    """
+    shares = [np.inf]
+    if (springs := fabric.springs) is not None and springs.number:
+        firm = springs.stiffest()
+        k, c = firm.per_spring(firm.k), firm.per_spring(firm.c)
+        shares.append(float((c[k > 0.0] / k[k > 0.0]).min(initial=np.inf)))
+    if (membrane := fabric.membrane) is not None and membrane.number:
+        k = membrane.moduli[[0, 1, 3]]
+        shares.append(float((membrane.damping[k > 0.0] / k[k > 0.0]).min(initial=np.inf)))
+    least = min(shares)
+    return least * omega * omega if math.isfinite(least) else 0.0
 
 
 def steps_a_kick(fast: tuple[float, float], slow: tuple[float, float], dt: float) -> int:
     """For how many steps of dt [s] one kick may stand, of forces with the rates (omega, damping) [1/s]."""
     longest = SAFE * stable_step(SymplecticEuler().amplification, *slow, 0.0)
     if slow[0] > 0.0 and fast[0] > 0.0:
-        resonant = math.pi * max(1.0 / fast[0], (fast[1] / (slow[0] * fast[0]) ** 2) ** (1.0 / 3.0))
+        resonant = math.pi * max(1.0 / fast[0], (fast[1] / slow[0] / slow[0] / fast[0] / fast[0]) ** (1.0 / 3.0))
         longest = min(longest, SMOOTH / slow[0], resonant)
-    return max(1, int(min(MOST, longest / dt)))
+    most = max(1, int(min(MOST, longest / dt)))
+    for steps in range(2, most + 1):
+        if feeds(fast, slow, steps * dt):
+            return steps - 1
+    return most
+
+
+def feeds(fast: tuple[float, float], slow: tuple[float, float], span: float) -> bool:
+    """Whether kicks that are `span` [s] apart let any mode of tension grow: by their stiffness, or by their damping,
+    which goes by the mean velocity since the last one and comes too late for modes of more than half a period.
+    """
+    share = np.arange(1, MODES + 1) / MODES
+    if fast[0] == 0.0:
+        return False
+    w, d = share * fast[0], share**2 * fast[1]
+    # Between kicks: x'' = -w^2 x - d x', overdamped modes taken as just not swinging.
+    swing = np.sqrt(np.maximum(w * w - 0.25 * d * d, 1e-12 * w * w))
+    fade, c, s = np.exp(-0.5 * d * span), np.cos(swing * span), np.sin(swing * span) / swing
+    xx, xv = fade * (c + 0.5 * d * s), fade * s
+    vx, vv = -fade * w * w * s, fade * (c - 0.5 * d * s)
+    k, damp = slow[0] ** 2 * span, slow[1] * span
+    # Of (x, v, mean velocity): a kick, the way to the next one, and the mean on it.
+    rows = [
+        [xx - xv * k, xv, -xv * damp], [vx - vv * k, vv, -vv * damp],
+        [(xx - 1.0 - xv * k) / span, xv / span, -xv * damp / span],
+    ]  # fmt: skip
+    matrix = np.moveaxis(np.array(rows), 2, 0)
+    return bool(np.abs(np.linalg.eigvals(matrix)).max() > 1.0 + 1e-9)
