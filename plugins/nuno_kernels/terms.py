@@ -186,6 +186,12 @@ def role_of(kind: type, role: str) -> Any:
     return kernels.find(role)
 
 
+COMPILED = '    raise TypeError("only compiled code can call this: wrap it in a kernel")'
+"""Body of what numba replaces as it compiles. Interpreted, as where a force is written in Python, it is not to do
+nothing in silence.
+"""
+
+
 def _define(name: str, parameters: str, body: str, **scope: Any) -> Any:
     """A function made from source: numba has no other way to call by a tuple's types."""
     exec(f"def {name}({parameters}):\n{body or '    pass'}\n", scope)
@@ -225,7 +231,7 @@ def over_blocks(one: Any, parameters: str, worth: int = 0) -> Any:
     if worth:
         body = f"    if work < {worth}:\n        alone({head})\n    else:\n    {body}"
     several = _define("several", head, body, loop=loop, alone=numba.njit(**FLAGS)(alone))
-    called = _define("called", head, "")
+    called = _define("called", head, COMPILED)
     body = "    return alone if isinstance(threads, types.NoneType) else several"
     typed = _define("typed", head, body, alone=alone, several=several, types=types)
     overload(called, jit_options=FLAGS, inline="always")(typed)
@@ -234,7 +240,7 @@ def over_blocks(one: Any, parameters: str, worth: int = 0) -> Any:
 
 def _overloaded(parameters: str, build: Callable[[Any], Any]) -> Any:
     """A function that compiled code calls as the one that `build` makes for the types in its first parameter."""
-    called = _define("called", parameters, "")
+    called = _define("called", parameters, COMPILED)
     typed = _define("typed", parameters, "    return build(terms.types)", build=build)
     overload(called, jit_options=FLAGS, inline="always")(typed)
     return called

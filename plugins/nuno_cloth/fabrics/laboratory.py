@@ -17,16 +17,14 @@ a photograph of the shadow. It is kept for `nuno test` to be held against, and n
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from nuno_cloth.fabrics.columns import PER_CENT, Column, values_of
+from nuno_cloth.fabrics.drapes import DRAPE, DRAPED, is_drape, read_drape
 from nuno_cloth.fabrics.presets import PRESETS, complete
-from nuno_cloth.fabrics.shadow import count_nodes, read_shadow
 from nuno_cloth.quantities import BENDING, WEIGHT
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.preset import Imported
@@ -37,18 +35,7 @@ PULL, MOST = 5.0 * 0.980665, 500.0 * 0.980665
 """5 and 500 gf/cm [N/m]."""
 CURVATURE = 250.0
 """KES-F bends up to so much [1/m]."""
-PER_CENT = "percent"
 STRAIN = Plausible(1e-5, 2.0)
-
-
-@dataclass(frozen=True)
-class Column:
-    """A value of a sheet: its own unit, the SI unit, and what is plausible in that."""
-
-    unit: str
-    si: str
-    plausible: Plausible
-    pair: bool = True
 
 
 WEIGHED = Column("g/m^2", "kg/m^2", WEIGHT, pair=False)
@@ -88,19 +75,7 @@ NEEDED = {
     "density": "kg/m^2", "warp": "N/m", "weft": "N/m", "shear": "N/m", "bend_warp": "N*m", "bend_weft": "N*m",
 }  # fmt: skip
 MORE = {"bend_bias": "N*m", "hysteresis_warp": "N", "hysteresis_weft": "N"}
-"""What it may be described by besides."""
-"""What a fabric is described by, and the units."""
-
-DRAPE = {
-    "drape coefficient": Column(PER_CENT, "", Plausible(0.01, 1.0), pair=False),
-    "nodes": Column("", "", Plausible(0.0, 50.0), pair=False),
-    "mm per pixel": Column("mm", "m", Plausible(1e-5, 5e-3), pair=False),
-    "specimen": Column("cm", "m", Plausible(0.1, 0.5), pair=False),
-    "support": Column("cm", "m", Plausible(0.05, 0.4), pair=False),
-}
-ALIASES = {"dc": "drape coefficient", "number of nodes": "nodes", "millimetres per pixel": "mm per pixel"}
-DRAPED = {"drape_coefficient": "%", "nodes": "", "specimen": "cm", "support": "cm"}
-"""What is kept of a drape, and the units."""
+"""What a fabric is described by, and what it may be besides, and the units."""
 
 
 @dataclass
@@ -127,84 +102,14 @@ def read_sheet(given: Mapping[str, Any], like: str | None = None, folder: Path =
     sheet = Sheet({})
     for name, value in given.items():
         if name in columns:
-            sheet.values[name] = _values(name, value, columns[name])
-        elif name not in unused and name != "instrument" and not _is_drape(name):
+            sheet.values[name] = values_of(name, value, columns[name])
+        elif name not in unused and name != "instrument" and not is_drape(name):
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
-    drape, how = read_drape({name: value for name, value in given.items() if _is_drape(name)}, folder)
+    drape, how = read_drape({name: value for name, value in given.items() if is_drape(name)}, folder)
     left_over = tuple(name for name in given if name in unused)
     return Imported(sheet.fabric, NEEDED | MORE | DRAPED, complete(sheet.how) | how, left_over, drape=drape)
-
-
-def read_drape(given: Mapping[str, Any], folder: Path) -> tuple[dict[str, float], dict[str, str]]:
-    """What was measured of a drape, in the units of DRAPED, and how each was had. `given` holds the `drape coefficient`
-    [%] and the `nodes`, or a photograph of the `shadow`, in this folder, and its scale in `mm per pixel`; the diameters
-    of `specimen` and `support` are 30 cm and 18 cm unless given. Raises BadInput that names the value at fault.
-    """
-    names, values = dict[str, str](), {"specimen": 0.3, "support": 0.18}
-    for name, value in given.items():
-        own = _drape_name(name)
-        if not _is_drape(name):
-            raise BadInput("not a value of a drape", field=name, remedy=nearest(str(name), (*DRAPE, "shadow")))
-        if own in names:
-            raise BadInput(f"{names[own]} is the same value: it is given twice", field=name, remedy="leave one out")
-        names[own] = name
-        if own in DRAPE:
-            (values[own],) = _values(name, value, DRAPE[own])
-    if values["support"] >= values["specimen"]:
-        field, limit = names.get("support", names.get("specimen")), f"below {100.0 * values['specimen']:g} cm"
-        value = f"{100.0 * values['support']:g} cm"
-        raise BadInput("the support is as wide as the specimen", field=field, value=value, limit=limit)
-    if values.get("nodes", 0.0) % 1.0:
-        raise BadInput("nodes are a whole number", field=names["nodes"], value=values["nodes"], limit="0, 1, 2, ...")
-    how: dict[str, str] = {own: f"measured: {names[own]}" for own in ("drape coefficient", "nodes") if own in names}
-    if "shadow" in names or "mm per pixel" in names:
-        picture = _measure_shadow(given, names, values, folder)
-        how = dict.fromkeys(("drape coefficient", "nodes"), f"measured: {picture}")
-    if not how:
-        return {}, {}
-    how |= {own: "measured: diameter" if own in names else "assumed: diameter" for own in ("specimen", "support")}
-    kept = {own.replace(" ", "_"): 100.0 * values[own] if own != "nodes" else values[own] for own in how}
-    return kept, {own.replace(" ", "_"): words for own, words in how.items()}
-
-
-def _measure_shadow(given: Mapping[str, Any], names: Mapping[str, str], values: dict[str, float], folder: Path) -> str:
-    """Add to the values what a photograph tells, and return its name."""
-    for own, other in (("shadow", "mm per pixel"), ("mm per pixel", "shadow")):
-        if own not in names:
-            raise BadInput(
-                f"a photograph goes with its scale, and {own} is missing", field=names[other],
-                value=given[names[other]], limit="shadow and mm per pixel, or neither", remedy=f"add {own}",
-            )  # fmt: skip
-    for own in ("drape coefficient", "nodes"):
-        if own in names:
-            remedy = f"leave out {names[own]}, or {names['shadow']}"
-            raise BadInput("the photograph tells this too", field=names[own], value=given[names[own]], remedy=remedy)
-    name, pixel = given[names["shadow"]], values["mm per pixel"]
-    picture = str(name[0] if isinstance(name, list) and len(name) == 1 else name)  # of CSV, a list of cells
-    shadow = read_shadow(folder / picture, names["shadow"])
-    area = float(shadow.sum()) * pixel**2
-    least, most = (0.25 * math.pi * values[own] ** 2 for own in ("support", "specimen"))
-    if not least <= area <= most:
-        which = "smaller than the support" if area < least else "larger than the specimen"
-        raise BadInput(
-            f"the shadow is {which}", field=names["shadow"], value=f"{1e4 * area:.4g} cm^2, {picture}",
-            limit=f"{1e4 * least:.4g} to {1e4 * most:.4g} cm^2", remedy=f"look at {names['mm per pixel']}",
-        )  # fmt: skip
-    row, column = (float(each.mean()) for each in np.nonzero(shadow))
-    values["drape coefficient"] = (area - least) / (most - least)
-    values["nodes"] = float(count_nodes(shadow, pixel, (row, column)))
-    return " ".join(picture.split())  # in one line, as a comment holds it
-
-
-def _drape_name(name: str) -> str:
-    plain = str(name).lower().replace("_", " ")
-    return ALIASES.get(plain, plain)
-
-
-def _is_drape(name: str) -> bool:
-    return _drape_name(name) in (*DRAPE, "shadow")
 
 
 def _instrument(given: Mapping[str, Any]) -> str:
@@ -225,35 +130,6 @@ def _unknown(name: str, instrument: str) -> BadInput:
         return BadInput(problem, field=name, remedy=remedy)
     known = SHEETS[instrument].keys() | UNUSED[instrument] | {"instrument", "shadow"} | DRAPE.keys()
     return BadInput(f"not a value of a sheet of {instrument}", field=name, remedy=nearest(name, known))
-
-
-def _values(name: str, given: object, column: Column) -> tuple[float, ...]:
-    """In SI: of warp and weft where there are two."""
-    parts = list(given) if isinstance(given, (list, tuple)) else [given]
-    if len(parts) > (2 if column.pair else 1) or not parts:
-        limit = "one number, or [warp, weft]" if column.pair else "one number"
-        raise BadInput("too many values, or none", field=name, value=given, limit=limit)
-    found = []
-    for part in parts:
-        own = f"{part!r} {column.unit}" if isinstance(part, (int, float)) and column.unit else part
-        try:
-            value = to_si(own, column.si)
-        except ValueError as error:
-            remedy = f"a plain number is in {column.unit or 'no unit'}"
-            raise BadInput(str(error), field=name, value=part, remedy=remedy) from None
-        if value < 0.0:
-            raise BadInput("it cannot be negative", field=name, value=part, limit="0 or more")
-        if not column.plausible.low <= value <= column.plausible.high:
-            low, high = (
-                edge / to_si(f"1 {column.unit}", column.si) for edge in (column.plausible.low, column.plausible.high)
-            )
-            source = f"; {column.plausible.source} {column.si}" if column.plausible.source else ""
-            raise BadInput(
-                "no fabric is known to have that: is it in the instrument's unit?", field=name, value=part,
-                limit=f"{low:.3g} to {high:.3g} {column.unit}{source}", remedy=f"a plain number is in {column.unit}",
-            )  # fmt: skip
-        found.append(value)
-    return tuple(found * 2 if column.pair and len(found) == 1 else found)
 
 
 def _kes(sheet: Sheet) -> None:

@@ -1,0 +1,49 @@
+"""Values of a laboratory's sheet: each has a unit of its own, and a range in which fabrics are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nuno_schemas.errors import BadInput
+from nuno_schemas.units import Plausible, to_si
+
+PER_CENT = "percent"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A value of a sheet: its own unit, the SI unit, and what is plausible in that."""
+
+    unit: str
+    si: str
+    plausible: Plausible
+    pair: bool = True
+
+
+def values_of(name: str, given: object, column: Column) -> tuple[float, ...]:
+    """In SI: of warp and weft where there are two. Raises BadInput."""
+    parts = list(given) if isinstance(given, (list, tuple)) else [given]
+    if len(parts) > (2 if column.pair else 1) or not parts:
+        limit = "one number, or [warp, weft]" if column.pair else "one number"
+        raise BadInput("too many values, or none", field=name, value=given, limit=limit)
+    found = []
+    for part in parts:
+        own = f"{part!r} {column.unit}" if isinstance(part, (int, float)) and column.unit else part
+        try:
+            value = to_si(own, column.si)
+        except ValueError as error:
+            remedy = f"a plain number is in {column.unit or 'no unit'}"
+            raise BadInput(str(error), field=name, value=part, remedy=remedy) from None
+        if value < 0.0:
+            raise BadInput("it cannot be negative", field=name, value=part, limit="0 or more")
+        if not column.plausible.low <= value <= column.plausible.high:
+            low, high = (
+                edge / to_si(f"1 {column.unit}", column.si) for edge in (column.plausible.low, column.plausible.high)
+            )
+            source = f"; {column.plausible.source} {column.si}" if column.plausible.source else ""
+            raise BadInput(
+                "no fabric is known to have that: is it in the instrument's unit?", field=name, value=part,
+                limit=f"{low:.3g} to {high:.3g} {column.unit}{source}", remedy=f"a plain number is in {column.unit}",
+            )  # fmt: skip
+        found.append(value)
+    return tuple(found * 2 if column.pair and len(found) == 1 else found)
