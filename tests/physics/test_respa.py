@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.metadata import entry_points
+from typing import Any
 
 import numpy as np
 import pytest
 from nets import make_fabric, make_system
 from pydantic import ValidationError
 
+from nuno import registry
 from nuno_integrators.explicit.fixed_step import NoConfig
 from nuno_integrators.explicit.respa import Respa, RespaConfig, both_rates, steps_a_kick
 from nuno_integrators.explicit.symplectic_euler import SymplecticEuler
@@ -34,7 +37,7 @@ def strip(columns: int = 14, damping: float = 0.0, bend: float = 2e-5, gravity: 
     return make_system(fabric, np.array([0.0, -gravity, 0.0]), 0.5)
 
 
-def end(system: System, plugin: Respa | SymplecticEuler, config: object, steps: int, duration: float) -> Float:
+def end(system: System, plugin: Any, config: object, steps: int, duration: float) -> Float:
     """(2, n, 3) where a system is after so long, and how fast."""
     state = State(system.fabric.position.copy(), system.fabric.velocity.copy())
     memory = plugin.prepare(config, system, state)
@@ -142,3 +145,12 @@ def test_rates_are_told_apart() -> None:
         system.fabric.hinges, k=system.fabric.hinges.k / 4.0))), state)  # type: ignore[type-var, union-attr]  # fmt: skip
     assert softer[0] == fast
     assert abs(softer[1][0] / slow[0] - 0.5) < 0.02
+
+
+@pytest.mark.parametrize("name", sorted(point.name for point in entry_points(group="nuno.integrators")))
+def test_no_solver_moves_otherwise_where_its_loop_is_interpreted(name: str) -> None:
+    """As a force in Python has it: what compiled code alone can call would do nothing."""
+    system, plugin = strip(damping=0.02), registry.load("nuno.integrators", name)
+    idle = replace(system, terms=(Term("idle", lambda x, v, t, out: None),))
+    plain, other = (end(each, plugin, plugin.Config(), 20, 1e-3) for each in (system, idle))
+    assert np.abs(plain - other).max() < 1e-6 * np.abs(plain[1]).max()

@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel, shared_source
-from nuno_kernels.forces.constraints import Constraints, clear, forget, sweep
+from nuno_kernels.forces.constraints import Constraints, clear, sweep
+from nuno_kernels.forces.constraints import forget as forget_each
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import Displaced, each, over_blocks
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Bool, Float
 
-carry = each("carry", "moved, s")
-project = each("project", "moved, s, held, threads")
+carry_each = each("carry", "moved, s")
+project_each = each("project", "moved, s, held, threads")
+
+
+@kernel
+def carry(bodies: tuple[Any, ...], on: Bool, moved: Displaced, s: float) -> None:
+    """Move carried vertices to where they are at fraction s."""
+    carry_each(bodies, on, moved, s)
+
+
+@kernel
+def forget(kinds: tuple[Any, ...], on: Bool) -> None:
+    """Let constraints keep no force of the step before."""
+    forget_each(kinds, on)
+
+
+@kernel
+def project(
+    bodies: tuple[Any, ...], on: Bool, moved: Displaced, s: float, held: Float | None, threads: int | None
+) -> None:
+    """Move vertices off bodies, and cloth off cloth."""
+    project_each(bodies, on, moved, s, held, threads)
 
 
 @block_kernel
