@@ -56,7 +56,7 @@ def test_tension_alone_is_symplectic_eulers_to_the_last_bit() -> None:
 @pytest.mark.parametrize(("damping", "order"), [(0.0, 2.0), (5.0, 1.0)])
 def test_what_kicks_leave_out_falls_with_the_time_between_them(damping: float, order: float) -> None:
     """Against a kick in every step as short: with its square, since kicks stand for half of the time before and half of
-    that after, but for what goes by velocities, which are means of the time before.
+    that after, but for what goes by velocities, which are those of just before.
     """
     system, duration = replace(strip(damping=0.02), damping=damping), 0.1
     errors, counts = [], (1000, 2000, 4000)
@@ -120,7 +120,7 @@ def test_a_force_in_python_that_does_nothing_changes_nothing(every: int) -> None
 
 @pytest.mark.parametrize("damping", [20.0, 300.0, 1000.0])
 def test_viscous_damping_by_kicks_feeds_nothing(damping: float) -> None:
-    """It goes by the mean velocity since the last kick, which drives what swings faster than that."""
+    """It turns no velocity round, however long a kick stands for."""
     system = replace(strip(damping=0.0, gravity=0.0), damping=damping)
     start = 1e-3 * np.random.default_rng(3).standard_normal(system.fabric.position.shape)
     start[system.fabric.pinned] = 0.0

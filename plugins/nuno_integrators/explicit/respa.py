@@ -11,8 +11,12 @@ they are no farther apart than the share SMOOTH of a radian of the fastest motio
 of tension. Kicks of a force with the frequency w_s let a mode w that they meet once in half of its period grow by
 w_s^2 H / (2 w) each (its matrix has the trace 2 cos w H - w_s^2 H / w sin w H), against which its damping takes
 d H / 2. Springs damp modes in proportion to w^2, so that the slowest such mode, w = pi / H, is the one that has to be
-damped enough: w_s^2 / w <= d_max (w / w_max)^2. Undamped, none may be met at all: H w_max <= pi. And dashpots go by the
-mean velocity since the last kick, which comes too late for modes that swing faster: `feeds` looks at them all.
+damped enough: w_s^2 / w <= d_max (w / w_max)^2. Undamped, none may be met at all: H w_max <= pi. Together with their
+damping, which takes from each mode but shifts its phase, `feeds` looks at all modes.
+
+Kicks go by the velocity just before them. The mean velocity since the last kick would be free of the tremor that kicks
+cause themselves, but comes too late for modes that swing within that time, which it drives: half as many steps a kick.
+Gravity is a kick for this reason: what rests on a body feels one force of contact and weight, and does not stir.
 
 Not chosen: kicks filtered by the fast motion (mollified impulses, Izaguirre et al. 1999), which bear longer times
 between kicks, but need the derivatives of positions that they average over.
@@ -87,20 +91,18 @@ def set_out(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool) -> 
 def advance_respa(
     x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, slow: Packed, every: int
 ) -> None:
-    """`steps` steps of x, v (3, n); stages (5, 3, n). p has tension and gravity, `slow` all else.
+    """`steps` steps of x, v (3, n); stages (5, 3, n). p has tension, `slow` all else.
 
-    That kicks for half of the steps before and half of those after, by the mean velocity since the last kick: what lies
-    on a body goes to and fro between kicks, which is no velocity that anything should slow down. It is also the one
-    that what holds cloth off bodies and off cloth is told, and changes.
+    That kicks for half of the steps before and half of those after. What holds cloth off bodies and off cloth is told,
+    and changes, the mean velocity u since the last kick: it is by that that vertices came to where they are.
 
     Tension is felt halfway through each step: symplectic Euler's steps, from positions that are half a step ahead.
     """
     here_x, here_v, to_x, to_v, a, u, last = x, v, stages[0], stages[1], stages[2], stages[3], stages[4]
-    copy_rows(v, u)
     step, before = 0, 0
     while steps > 0:
         after = min(every, steps - step)
-        evaluate(here_x, u, step / steps, a, slow, extra)
+        evaluate(here_x, here_v, step / steps, a, slow, extra)
         add(here_v, here_v, 0.5 * (before + after) * dt, a, p.threads)
         if after == 0:
             break
@@ -189,8 +191,8 @@ class Respa(Compiled):
 
         def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
             others = [name for name in parts(p) if name not in TENSION]
-            fast = silence(p, *others)._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0)
-            slow = silence(p, *TENSION)._replace(gravity=np.zeros(3))
+            fast = silence(p, *others)._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0, gravity=np.zeros(3))
+            slow = silence(p, *TENSION)
             source_of(advance_respa, extra)(x, v, stages, steps, dt, fast, force, slow, work.kicks)
 
         return loop
@@ -259,9 +261,7 @@ def steps_a_kick(fast: tuple[float, float], slow: tuple[float, float], dt: float
 
 
 def feeds(fast: tuple[float, float], slow: tuple[float, float], span: float) -> bool:
-    """Whether kicks that are `span` [s] apart let any mode of tension grow: by their stiffness, or by their damping,
-    which goes by the mean velocity since the last one and comes too late for modes of more than half a period.
-    """
+    """Whether kicks that are `span` [s] apart let any mode of tension grow, with all of their damping or with none."""
     share = np.arange(1, MODES + 1) / MODES
     if fast[0] == 0.0:
         return False
@@ -271,11 +271,9 @@ def feeds(fast: tuple[float, float], slow: tuple[float, float], span: float) -> 
     fade, c, s = np.exp(-0.5 * d * span), np.cos(swing * span), np.sin(swing * span) / swing
     xx, xv = fade * (c + 0.5 * d * s), fade * s
     vx, vv = -fade * w * w * s, fade * (c - 0.5 * d * s)
-    k, damp = slow[0] ** 2 * span, slow[1] * span
-    # Of (x, v, mean velocity): a kick, the way to the next one, and the mean on it.
-    rows = [
-        [xx - xv * k, xv, -xv * damp], [vx - vv * k, vv, -vv * damp],
-        [(xx - 1.0 - xv * k) / span, xv / span, -xv * damp / span],
-    ]  # fmt: skip
-    matrix = np.moveaxis(np.array(rows), 2, 0)
-    return bool(np.abs(np.linalg.eigvals(matrix)).max() > 1.0 + 1e-9)
+    k, most = slow[0] ** 2 * span, 0.0
+    for kept in (1.0, 1.0 - slow[1] * span):
+        # A kick, and the way to the next one.
+        matrix = np.moveaxis(np.array([[xx - xv * k, xv * kept], [vx - vv * k, vv * kept]]), 2, 0)
+        most = max(most, float(np.abs(np.linalg.eigvals(matrix)).max()))
+    return most > 1.0 + 1e-9
