@@ -22,6 +22,7 @@ from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.field import DistanceField
 from nuno_schemas.layout import Bounds
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term
+from nuno_schemas.written import Fields, Written
 
 GROUPS: Mapping[str, str] = {
     "nuno.models": "build a fabric: sheet, skirt, mesh, net",
@@ -59,6 +60,12 @@ class Files(Protocol):
 
     def resolve(self, name: str) -> Path:
         """The path of an existing file. Raises BadInput for one outside the roots or missing."""
+        ...
+
+    def read(self, name: str, kind: type[Fields]) -> Written[Fields]:
+        """The fields of an existing YAML or JSON file, with their lines. Raises BadInput by line for what the model
+        `kind` does not take.
+        """
         ...
 
 

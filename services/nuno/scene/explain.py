@@ -140,6 +140,9 @@ def _words(error: Any) -> Words:
     if kind in ("too_short", "too_long"):
         limit = context.get("min_length", context.get("max_length"))
         return f"{kind.replace('_', ' ')} a list", value, f"{limit} items", None
+    if kind == "union_tag_not_found":
+        field = str(context["discriminator"]).strip("'")
+        return f"must be a mapping of fields with its {field}", value, None, f"add {field}: ..."
     if kind == "union_tag_invalid":
         field, tag = str(context["discriminator"]).strip("'"), str(context["tag"])
         return f"unknown {field}", tag, None, nearest(tag, re.findall(r"'([^']*)'", str(context["expected_tags"])))

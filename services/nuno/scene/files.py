@@ -5,7 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pydantic import ValidationError
+
+from nuno.scene import yaml_lines
+from nuno.scene.explain import explain
 from nuno_schemas.errors import BadInput
+from nuno_schemas.written import Fields, Written
 
 
 @dataclass
@@ -53,6 +58,24 @@ class SceneFiles:
             limit=allowed,
             remedy="put the file there, or name its folder with --root DIR",
         )
+
+    def read(self, name: str, kind: type[Fields]) -> Written[Fields]:
+        """The fields of a YAML or JSON file, as a model takes them. Raises BadInput with the line of a wrong one."""
+        path = self.resolve(name)
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            remedy = "save it as YAML or JSON in UTF-8"
+            raise BadInput(f"the file cannot be read: {reason}", str(path), remedy=remedy) from None
+        if path.suffix.lower() == ".json":
+            # JSON is YAML but for tabs, which stand there between values only: in texts they are written as \\t.
+            text = text.replace("\t", " ")
+        data, lines = yaml_lines.parse(text, str(path))
+        try:
+            return Written(kind.model_validate(data), str(path), lines)
+        except ValidationError as error:
+            raise explain(error, data, (), str(path), lines, kind) from None
 
 
 def stamp_of(path: Path) -> tuple[int, int]:

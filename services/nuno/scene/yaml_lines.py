@@ -8,17 +8,18 @@ from typing import Any
 import yaml
 
 from nuno_schemas.errors import BadInput
+from nuno_schemas.written import Path as Path
+from nuno_schemas.written import dotted as dotted
 
 MAX_BYTES = 4_000_000
 MAX_NODES = 200_000
 MAX_DEPTH = 40
 LIBYAML_TOO_DEEP = "exceeded maximum nesting depth"
 """What a libyaml that counts brackets itself says before any event comes: it looks far ahead of the first one."""
+START = "write `name: value` lines; for a scene, start from a shipped one: nuno scenes --paths"
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """libyaml, 20 times faster and of linear time, where PyYAML was built with it."""
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
-
-Path = tuple[str | int, ...]
 
 
 class _Reader:
@@ -36,7 +37,7 @@ class _Reader:
         # while it is counted, before it is built.
         if self.nodes > MAX_NODES or len(path) > MAX_DEPTH:
             raise BadInput(
-                "the scene is too large or nests too deep",
+                "the file is too large or nests too deep",
                 self.file,
                 line,
                 limit=f"{MAX_NODES} nodes, {MAX_DEPTH} levels",
@@ -55,7 +56,7 @@ class _Reader:
         raise self._tagged(node, path)
 
     def _tagged(self, node: yaml.Node, path: Path) -> BadInput:
-        problem, line = "YAML tags are not allowed in scenes", node.start_mark.line + 1
+        problem, line = "YAML tags are not allowed", node.start_mark.line + 1
         return BadInput(problem, self.file, line, dotted(path), node.tag, remedy="remove the tag")
 
     def _own_tag(self, node: yaml.Node) -> str:
@@ -90,14 +91,6 @@ class _Reader:
         return result
 
 
-def dotted(path: Path) -> str:
-    """("objects", 0, "name") -> "objects[0].name"."""
-    text = ""
-    for part in path:
-        text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else part)
-    return text
-
-
 def places(value: Any, path: Path = ()) -> Iterator[Path]:
     """All paths in a value that stands at a path, its own first."""
     yield path
@@ -113,16 +106,15 @@ def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:
     node = _compose(text, file)
     reader = _Reader(file)
     if node is None:
-        raise BadInput("the scene is empty", file, remedy="start from a shipped one: nuno scenes --paths")
+        raise BadInput("the file is empty", file, remedy=START)
     if not isinstance(node, yaml.MappingNode):
-        remedy = "write `name: value` lines; start from a shipped one: nuno scenes --paths"
-        raise BadInput("a scene is a mapping of fields", file, node.start_mark.line + 1, remedy=remedy)
+        raise BadInput("the file is no mapping of fields", file, node.start_mark.line + 1, remedy=START)
     return reader.read(node, ()), reader.lines
 
 
 def too_large(file: str, size: int) -> BadInput:
     remedy = "put arrays into .npz files"
-    return BadInput("the scene file is too large", file, None, None, f"{size} bytes", f"{MAX_BYTES} bytes", remedy)
+    return BadInput("the file is too large", file, None, None, f"{size} bytes", f"{MAX_BYTES} bytes", remedy)
 
 
 def _compose(text: str, file: str) -> yaml.Node | None:
@@ -146,7 +138,7 @@ def _compose(text: str, file: str) -> yaml.Node | None:
 
 def _too_deep(file: str, line: int | None) -> BadInput:
     remedy = "remove brackets and indentation"
-    return BadInput("the scene nests too deep", file, line, limit=f"{MAX_DEPTH} levels", remedy=remedy)
+    return BadInput("the file nests too deep", file, line, limit=f"{MAX_DEPTH} levels", remedy=remedy)
 
 
 def _require_shallow(text: str, file: str) -> None:
