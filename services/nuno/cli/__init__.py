@@ -39,6 +39,7 @@ COMMANDS = {
     "scenes": ("nuno.cli.lists", "the scenes that come with nuno"),
     "fabrics": ("nuno.cli.presets", "the fabrics that scenes can name, in measured units, with sources"),
     "fabric": ("nuno.cli.fabric", "a fabric from a laboratory's sheet: KES-F, FAST or a cantilever"),
+    "sew": ("nuno.cli.sew", "what is wrong, or looks wrong, with a sewing pattern, before it is sewn"),
     "test": ("nuno_bench.instruments.command", "a fabric on virtual instruments: KES, ASTM D1388, Cusick's drapemeter"),
     "yarns": ("nuno.cli.presets", "the yarns that knits can name, with sources"),
     "schema": ("nuno.cli.lists", "JSON Schema of scenes, for editors"),

@@ -1,0 +1,210 @@
+"""From a pattern's file to panels and seams, and all that keeps them from being sewn, by line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from nuno_cloth.sewing.crossings import find_crossing
+from nuno_cloth.sewing.curves import Arc, Bezier, Curve
+from nuno_cloth.sewing.fields import Circle, EdgeFields, PanelFields, PatternFile, SideFields
+from nuno_cloth.sewing.joined import find_sides
+from nuno_cloth.sewing.pattern import Edge, Panel, Pattern, Seam, Side, name_of
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Float
+from nuno_schemas.pattern import Remark
+from nuno_schemas.plugin import Files
+from nuno_schemas.vectors import compose, norm
+from nuno_schemas.written import Path, Written, dotted
+
+SHORTEST = 1e-5
+"""Shorter edges [m] are none."""
+FLATTEST = 1e-4
+"""A panel whose area is a smaller share of the square of the way round it has none."""
+STITCHES: Path = ("pattern", "stitches")
+Note = Callable[..., None]
+
+
+class Wrong(Exception):
+    """A panel that is no panel; it has been noted."""
+
+
+def read_pattern(files: Files, name: str) -> Pattern:
+    """The pattern of a file. Raises BadInput for the first thing in it that cannot be sewn."""
+    written = files.read(name, PatternFile)
+    pattern, remarks = assemble(written)
+    for remark in remarks:
+        raise BadInput(f"{remark.where}: {remark.text}", written.file, remark.line, remark.field, remedy=remark.remedy)
+    return pattern
+
+
+def assemble(written: Written[PatternFile]) -> tuple[Pattern, list[Remark]]:
+    """The panels and seams that are sound, and all else that the file has."""
+    remarks: list[Remark] = []
+
+    def note(kind: str, where: str, text: str, path: Path, remedy: str | None = None) -> None:
+        remarks.append(Remark(kind, True, where, text, written.line(path), dotted(path), remedy))
+
+    properties, given = written.said.properties, written.said.pattern.panels
+    panels = {}
+    for name, fields in given.items():
+        note_here = partial(_note_in, note, name)
+        try:
+            panels[name] = _panel(name, fields, 1.0 / properties.units_in_meter, properties.curvature_coords, note_here)
+        except Wrong:
+            continue
+    seams = _seams(written, note)
+    kept = tuple(seam for seam in seams if seam.one[0] in panels and seam.other[0] in panels)
+    pattern = Pattern(panels, kept)
+    _, seam = find_sides(pattern)
+    if seam is not None:
+        text = "the right side of one comes to the right side of the other, which other seams have turned inside out"
+        if seam.right_wrong:
+            text = "the right side of one comes to the wrong side of the other, which other seams have right side out"
+        remedy = "without right_wrong?" if seam.right_wrong else "with right_wrong?"
+        note("sides disagree", seam.names, text, (*STITCHES, seam.stitch), f"is this stitch meant {remedy}")
+    return pattern, remarks
+
+
+def _note_in(note: Note, name: str, kind: str, text: str, path: Path = (), remedy: str | None = None) -> None:
+    where = name_of((name, int(path[1]))) if path[:1] == ("edges",) and len(path) > 1 else name
+    note(kind, where, text, ("pattern", "panels", name, *path), remedy)
+
+
+def _panel(name: str, fields: PanelFields, unit: float, coords: str, note: Note) -> Panel:
+    """Raises Wrong for one that is none."""
+    corners, number = np.array(fields.vertices) * unit, len(fields.vertices)
+    for k, edge in enumerate(fields.edges):
+        for vertex in edge.endpoints:
+            if not 0 <= vertex < number:
+                remedy = "vertices are counted from 0"
+                text = f"ends at vertex {vertex}, and the panel has 0 to {number - 1}"
+                note("no such vertex", text, ("edges", k, "endpoints"), remedy)
+                raise Wrong
+    _require_closed(fields, note)
+    edges = [
+        _edge(fields.edges[k], corners, unit, coords, partial(_of_edge, note, k)) for k in range(len(fields.edges))
+    ]
+    x, y, z = np.radians(fields.rotation)
+    grain = float(np.radians(fields.grain))
+    panel = Panel(
+        name, tuple(edges), _rotation(x, y, z), np.array(fields.translation) * unit,
+        np.array([-np.sin(grain), np.cos(grain)]), fields.label,
+    )  # fmt: skip
+    crossing = find_crossing([edge.curve for edge in edges])
+    if crossing is not None:
+        one, other, where = crossing
+        text = "crosses itself" if one == other else f"crosses {name_of((name, other))}"
+        x, y = where / unit
+        note("crossing edges", f"{text} at ({x:.4g}, {y:.4g})", ("edges", one), "draw the outline without crossings")
+        raise Wrong
+    around = sum(edge.length for edge in edges)
+    if abs(panel.area) < FLATTEST * around**2:
+        note("no area", f"encloses {1e4 * abs(panel.area):.3g} cm², {100 * around:.4g} cm round", ("edges",),
+             "give it a third edge, or curve one of the two")  # fmt: skip
+        raise Wrong
+    return panel
+
+
+def _of_edge(note: Note, k: int, kind: str, text: str, path: Path = (), remedy: str | None = None) -> None:
+    note(kind, text, ("edges", k, *path), remedy)
+
+
+def _require_closed(fields: PanelFields, note: Note) -> None:
+    """Raises Wrong where edges do not go round the panel once."""
+    ends = [edge.endpoints for edge in fields.edges]
+    for k, (start, end) in enumerate(ends):
+        after = (k + 1) % len(ends)
+        if start == end:
+            note("no length", f"starts and ends at vertex {start}", ("edges", k, "endpoints"))
+            raise Wrong
+        if end != ends[after][0]:
+            text = f"ends at vertex {end}, and edge {after} starts at vertex {ends[after][0]}"
+            note("open outline", text, ("edges", k, "endpoints"), "list edges in order, each from where the last ended")
+            raise Wrong
+    starts = [start for start, _ in ends]
+    for k, start in enumerate(starts):
+        if start in starts[:k]:
+            text = f"comes to vertex {start} again, where edge {starts.index(start)} starts"
+            note("crossing edges", text, ("edges", k, "endpoints"), "a panel has one outline; make two panels of it")
+            raise Wrong
+
+
+def _edge(fields: EdgeFields, corners: Float, unit: float, coords: str, note: Note) -> Edge:
+    """Raises Wrong for one without length, or an arc that does not reach."""
+    start, end = corners[fields.endpoints[0]], corners[fields.endpoints[1]]
+    if norm(end - start) < SHORTEST:
+        note("no length", f"is {100 * float(norm(end - start)):.3g} cm long", ("endpoints",), "leave one corner out")
+        raise Wrong
+    try:
+        return Edge(_curve(fields, start, end, unit, coords), fields.label)
+    except ValueError as error:
+        least = float(str(error).rpartition(" ")[2]) / unit
+        text = f"an arc of radius {fields.curvature.params[0]:.6g} does not reach from end to end: at least {least:.6g}"  # type: ignore[union-attr]
+        note("no such arc", text, ("curvature", "params"))
+        raise Wrong from None
+
+
+def _curve(fields: EdgeFields, start: Float, end: Float, unit: float, coords: str) -> Curve:
+    """Raises ValueError for an arc that does not reach."""
+    bent = fields.curvature
+    if bent is None:
+        return Bezier(np.stack([start, end]))
+    if isinstance(bent, Circle):
+        radius, large, right = bent.params
+        return Arc.between(start, end, radius * unit, large, right)
+    control = np.array(bent.params)
+    if coords == "relative":
+        along = end - start
+        control = start + control[:, :1] * along + control[:, 1:] * np.array([-along[1], along[0]])
+    else:
+        control = control * unit
+    return Bezier(np.concatenate([start[None], control, end[None]]))
+
+
+def _rotation(x: float, y: float, z: float) -> Float:
+    """(3, 3), about x, then about the y that has turned, then about the z [rad]: scipy's from_euler("XYZ")."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos([x, y, z]), np.sin([x, y, z])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    return compose(compose(about_x, about_y), about_z)
+
+
+def _seams(written: Written[PatternFile], note: Note) -> list[Seam]:
+    """Those between edges that there are, each sewn once."""
+    fields, sewn = written.said.pattern, dict[Side, int]()
+    seams = []
+    for k, stitch in enumerate(fields.stitches):
+        path: Path = (*STITCHES, k)
+        sides = [part for part in stitch[:2] if isinstance(part, SideFields)]
+        if len(sides) < 2 or len(stitch) > 3 or (len(stitch) == 3 and isinstance(stitch[2], SideFields)):
+            note("no seam", f"stitch {k}", "joins two edges: {panel, edge}, {panel, edge}", path,
+                 "write two of them, and, where right comes to wrong, right_wrong as the third")  # fmt: skip
+            continue
+        ends = [(side.panel, side.edge) for side in sides]
+        if sum(_there(fields.panels, side, (*path, i), note) for i, side in enumerate(ends)) < 2:
+            continue
+        again = next((i for i, side in enumerate(ends) if side in sewn or (i == 1 and side == ends[0])), None)
+        if again is None:
+            seams.append(Seam(ends[0], ends[1], len(stitch) == 3, k))
+            sewn |= dict.fromkeys(ends, k)
+        else:
+            before = sewn.get(ends[again], k)
+            text = "is sewn to itself" if before == k else f"is sewn twice, in stitches {before} and {k}"
+            note("sewn twice", name_of(ends[again]), text, (*path, again), "part the edge in two, and sew each once")
+    return seams
+
+
+def _there(panels: dict[str, PanelFields], side: Side, path: Path, note: Note) -> bool:
+    name, edge = side
+    if name not in panels:
+        note("no such panel", name_of(side), f"no panel {name!r}", (*path, "panel"), nearest(name, panels))
+    elif not 0 <= edge < len(panels[name].edges):
+        text = f"no edge {edge}: the panel has 0 to {len(panels[name].edges) - 1}"
+        note("no such edge", name_of(side), text, (*path, "edge"), "edges are counted from 0")
+    else:
+        return True
+    return False

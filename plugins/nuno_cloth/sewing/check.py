@@ -1,0 +1,151 @@
+"""What a pattern's maker should know before it is sewn: sizes, openings, and seams that look wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nuno_cloth.sewing.assemble import STITCHES, assemble
+from nuno_cloth.sewing.fields import PatternFile
+from nuno_cloth.sewing.joined import find_openings, find_pieces, find_sides
+from nuno_cloth.sewing.pattern import Panel, Pattern, Side, name_of
+from nuno_schemas.fabric import Float
+from nuno_schemas.pattern import Checked, Opening, PanelSize, Remark
+from nuno_schemas.plugin import Files
+from nuno_schemas.vectors import dot, norm
+from nuno_schemas.written import Path, dotted
+
+TURNED = -0.5
+"""A seam looks turned whose edges run away from each other by 120 degrees or more, of this cosine."""
+TELLS = 0.03
+"""Edges this long show which way a seam runs [m]."""
+LEVEL = 0.1
+"""Sine of the angle by which a panel must be off the level for it to have a right and an upper side."""
+SHORT = 2e-3
+"""Edges shorter than this make small triangles [m]."""
+SIZES = 0.02, 5.0
+"""Garments as they lie in space are no smaller and no larger than this [m]."""
+Note = Callable[..., None]
+
+
+def check_pattern(files: Files, name: str, gather: float) -> Checked:
+    """All that is to be said of a pattern, also of seams whose longer edge is more than `gather` times the shorter one.
+    Raises BadInput for a file whose fields are not those of a pattern.
+    """
+    written = files.read(name, PatternFile)
+    pattern, remarks = assemble(written)
+
+    def note(kind: str, where: str, text: str, path: Path, remedy: str | None = None) -> None:
+        remarks.append(Remark(kind, False, where, text, written.line(path), dotted(path), remedy))
+
+    broken = bool(remarks)
+    _note_lengths(pattern, gather, note)
+    _note_turned(pattern, note)
+    _note_edges(pattern, note)
+    # Of a pattern that lacks a panel or a seam it cannot be said what stays open.
+    openings = [] if broken else find_openings(pattern)
+    if not broken:
+        _note_pieces(pattern, openings, note)
+    length = sum(min(pattern.edge(seam.one).length, pattern.edge(seam.other).length) for seam in pattern.seams)
+    ordered = sorted(remarks, key=lambda remark: not remark.wrong)
+    return Checked(
+        tuple(_size(panel, pattern) for panel in pattern.panels.values()), len(pattern.seams), length,
+        tuple(_opening(pattern, edges) for edges in openings), tuple(ordered),
+    )  # fmt: skip
+
+
+def _size(panel: Panel, pattern: Pattern) -> PanelSize:
+    points = np.concatenate([edge.curve.at(np.linspace(0.0, 1.0, 33)) for edge in panel.edges])
+    width, height = np.ptp(points, axis=0)
+    sewn = sum((panel.name, k) in pattern.partner for k in range(len(panel.edges)))
+    return PanelSize(panel.name, len(panel.edges), sewn, abs(panel.area), float(width), float(height))
+
+
+def _opening(pattern: Pattern, edges: list[Side]) -> Opening:
+    return Opening(tuple(map(name_of, edges)), sum(pattern.edge(side).length for side in edges))
+
+
+def _note_lengths(pattern: Pattern, gather: float, note: Note) -> None:
+    for seam in pattern.seams:
+        one, other = pattern.edge(seam.one).length, pattern.edge(seam.other).length
+        ratio = max(one, other) / min(one, other)
+        if ratio > gather:
+            (short, onto), (long, which) = sorted([(one, name_of(seam.one)), (other, name_of(seam.other))])
+            text = f"{100 * long:.2f} cm are gathered onto {100 * short:.2f} cm, {ratio:.2f} to 1"
+            note("unequal seam", f"{which}, {onto}", text, (*STITCHES, seam.stitch))
+
+
+def _note_turned(pattern: Pattern, note: Note) -> None:
+    """Panels may stand far from each other, before and behind the body, so that not where their edges are is compared,
+    but which way they run: as they stand, as those of a shoulder do, or as seen from outside of each panel, as cloth
+    goes round the body. A seam that runs away in both looks turned; short edges, as at a shoulder's tip, do not tell.
+    """
+    inside, _ = find_sides(pattern)
+    for seam in pattern.seams:
+        if min(pattern.edge(side).length for side in seam.sides) < TELLS:
+            continue
+        along = 1.0 if seam.right_wrong else -1.0
+        ways = [_ways(pattern.panels[name], edge, inside[name]) for name, edge in seam.sides]
+        cosine = max(along * _cosine(one, other) for one, other in zip(*ways, strict=True))
+        if cosine < TURNED:
+            angle = np.degrees(np.arccos(max(cosine, -1.0)))
+            text = f"as the panels are placed, the edges run {angle:.0f}° apart"
+            remedy = "is it sewn the wrong way round, or is a panel upside down?"
+            note("turned seam", seam.names, text, (*STITCHES, seam.stitch), remedy)
+
+
+def _ways(panel: Panel, edge: int, inside: bool) -> tuple[Float, Float]:
+    """From an edge's start to its end: (3,) as it stands, and (2,) to the right and up as seen from outside, 0 where
+    the panel lies flat.
+    """
+    start, end = panel.place(panel.edges[edge].ends())
+    outside = panel.rotation[:, 2] * (1.0 if (panel.area > 0.0) != inside else -1.0)
+    right = np.cross([0.0, 1.0, 0.0], outside)
+    way = np.array([dot(end - start, right), dot(end - start, np.cross(outside, right))])
+    return end - start, way * (norm(right) > LEVEL)
+
+
+def _cosine(one: Float, other: Float) -> float:
+    """1 where one of them is 0."""
+    lengths = float(norm(one) * norm(other))
+    return float(dot(one, other)) / lengths if lengths > 0.0 else 1.0
+
+
+def _note_edges(pattern: Pattern, note: Note) -> None:
+    points = []
+    for name, panel in pattern.panels.items():
+        for k, edge in enumerate(panel.edges):
+            points.append(panel.place(edge.ends()))
+            if edge.length < SHORT:
+                text = f"{10 * 100 * edge.length:.2g} mm long: triangles there are as small, and steps short"
+                note("short edge", name_of((name, k)), text, ("pattern", "panels", name, "edges", k))
+    if points:
+        size = float(np.ptp(np.concatenate(points), axis=0).max())
+        if not SIZES[0] <= size <= SIZES[1]:
+            text = (
+                f"the whole is {100 * size:.4g} cm large, where a garment has {100 * SIZES[0]:g} to {100 * SIZES[1]:g}"
+            )
+            note(
+                "size", "pattern", text, ("properties", "units_in_meter"), "is the unit right? 100 for cm, 1000 for mm"
+            )
+
+
+def _note_pieces(pattern: Pattern, openings: list[list[Side]], note: Note) -> None:
+    piece = find_pieces(pattern)
+    open_ = {piece[side[0]] for edges in openings for side in edges}
+    pieces = {first: [name for name in piece if piece[name] == first] for first in dict.fromkeys(piece.values())}
+    for first, names in pieces.items():
+        path: Path = ("pattern", "panels", first)
+        if len(names) == 1 and len(pieces) > 1:
+            note("loose panel", first, "is sewn to no other panel", path)
+        if first not in open_:
+            note("closed bag", ", ".join(names), "is sewn shut all round: nothing can be put into it", path)
+    if sum(len(names) > 1 for names in pieces.values()) > 1:
+        shown = "; ".join(", ".join(names) for names in pieces.values())
+        note(
+            "several pieces",
+            "pattern",
+            f"{len(pieces)} pieces hang together by no seam: {shown}",
+            ("pattern", "panels"),
+        )

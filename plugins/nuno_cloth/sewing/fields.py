@@ -1,0 +1,81 @@
+"""A pattern's file, as GarmentCode writes it (Korosteleva & Sorkine-Hornung 2023, ACM Trans. Graph. 42, 199).
+
+Lengths are in the file's own unit, `units_in_meter` of which are a metre. Beyond GarmentCode's fields a panel may have
+a `grain`. The relations between fields, such as which edges meet, are looked at in nuno_cloth.sewing.assemble.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from nuno_schemas.plugin import Config
+
+LARGEST = 1e6
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Point = tuple[Number, Number]
+Triple = tuple[Number, Number, Number]
+RIGHT_WRONG = "right_wrong"
+
+
+class Quadratic(Config):
+    type: Literal["quadratic"]
+    params: tuple[Point] = Field(description="the control point")
+
+
+class Cubic(Config):
+    type: Literal["cubic"]
+    params: tuple[Point, Point] = Field(description="the two control points")
+
+
+class Circle(Config):
+    type: Literal["circle"]
+    params: tuple[Annotated[float, Field(gt=0, le=LARGEST)], bool, bool] = Field(
+        description="radius, 1 for the longer arc of the circle, 1 if it bulges to the right of the way along the edge"
+    )
+
+
+class EdgeFields(Config):
+    endpoints: tuple[int, int] = Field(description="numbers of the vertices where it starts and ends")
+    curvature: Annotated[Quadratic | Cubic | Circle, Field(discriminator="type")] | None = None
+    label: str | None = None
+
+
+class PanelFields(Config):
+    vertices: tuple[Point, ...] = Field(min_length=2, max_length=400)
+    edges: tuple[EdgeFields, ...] = Field(min_length=2, max_length=400, description="in order round the panel")
+    translation: Triple = (0.0, 0.0, 0.0)
+    rotation: Triple = Field(default=(0.0, 0.0, 0.0), description="about x, then the new y, then the new z [deg]")
+    label: str | None = None
+    grain: Number = Field(default=0.0, description="angle of the warp from the panel's y, counter-clockwise [deg]")
+
+
+class SideFields(Config):
+    panel: str
+    edge: int
+
+
+class PatternFields(Config):
+    panels: dict[str, PanelFields] = Field(min_length=1)
+    stitches: tuple[tuple[SideFields | Literal["right_wrong"], ...], ...] = ()
+    panel_order: tuple[str, ...] = ()
+
+
+class Properties(Config):
+    units_in_meter: Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
+    curvature_coords: Literal["relative", "absolute"] = "relative"
+    normalize_panel_translation: Literal[False] = False
+    normalized_edge_loops: Literal[True] = True
+    original_units_in_meter: float | None = None
+
+
+class PatternFile(Config):
+    """What only the program needs that drew the pattern, `parameters` and the like, is left aside."""
+
+    pattern: PatternFields
+    properties: Properties
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    parameter_order: tuple[Any, ...] = ()
+    constraints: dict[str, Any] = Field(default_factory=dict)
+    constraint_order: tuple[Any, ...] = ()

@@ -1,0 +1,105 @@
+"""How edges hang together once their seams are sewn: corners that become one, pieces, sides, and what stays open."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable
+from typing import TypeVar
+
+from nuno_cloth.sewing.pattern import Pattern, Seam, Side
+
+Item = TypeVar("Item", bound=Hashable)
+
+
+def group(items: Iterable[Item], pairs: Iterable[tuple[Item, Item]]) -> dict[Item, Item]:
+    """Of each item the first of those that it is joined with, by pairs."""
+    above = {item: item for item in items}
+    order = {item: k for k, item in enumerate(above)}
+
+    def top(item: Item) -> Item:
+        while above[item] != item:
+            above[item] = above[above[item]]
+            item = above[item]
+        return item
+
+    for one, other in pairs:
+        one, other = top(one), top(other)
+        if one != other:
+            low, high = sorted((one, other), key=order.__getitem__)
+            above[high] = low
+    return {item: top(item) for item in above}
+
+
+def ends_of(pattern: Pattern, side: Side) -> tuple[Side, Side]:
+    """Corners where an edge starts and ends; a corner is called by the edge that starts there."""
+    panel, edge = side
+    return side, (panel, (edge + 1) % len(pattern.panels[panel].edges))
+
+
+def join_corners(pattern: Pattern) -> dict[Side, Side]:
+    """Of each corner the first of those that are sewn to one."""
+    pairs = []
+    for seam in pattern.seams:
+        (start, end), (other_start, other_end) = ends_of(pattern, seam.one), ends_of(pattern, seam.other)
+        pairs += (
+            [(start, other_start), (end, other_end)] if seam.right_wrong else [(start, other_end), (end, other_start)]
+        )
+    corners = [(name, k) for name, panel in pattern.panels.items() for k in range(len(panel.edges))]
+    return group(corners, pairs)
+
+
+def find_pieces(pattern: Pattern) -> dict[str, str]:
+    """Of each panel the first of those that hang together by seams."""
+    return group(pattern.panels, [(seam.one[0], seam.other[0]) for seam in pattern.seams])
+
+
+def find_sides(pattern: Pattern) -> tuple[dict[str, bool], Seam | None]:
+    """Of each panel whether it is worn with its wrong side out, so that sides agree along all seams; and a seam along
+    which they cannot, None where they can. Of a piece, most of the cloth has its right side out.
+    """
+    inside: dict[str, bool] = {}
+    beside: dict[str, list[tuple[str, Seam]]] = {name: [] for name in pattern.panels}
+    for seam in pattern.seams:
+        beside[seam.one[0]].append((seam.other[0], seam))
+        beside[seam.other[0]].append((seam.one[0], seam))
+    for first in pattern.panels:
+        if first in inside:
+            continue
+        piece, inside[first] = [first], False
+        for name in piece:
+            for other, seam in beside[name]:
+                if other not in inside:
+                    inside[other] = inside[name] != seam.right_wrong
+                    piece.append(other)
+                elif inside[other] != (inside[name] != seam.right_wrong):
+                    return inside, seam
+        out = sum((-1.0 if inside[name] else 1.0) * abs(pattern.panels[name].area) for name in piece)
+        if out < 0.0:
+            inside.update({name: not inside[name] for name in piece})
+    return inside, None
+
+
+def find_openings(pattern: Pattern) -> list[list[Side]]:
+    """The edges round each opening, in order: at the end of one that is not sewn the next is found by going round the
+    corner, from panel to panel, across what is sewn.
+    """
+    partner = pattern.partner
+    edges = [(name, k) for name, panel in pattern.panels.items() for k in range(len(panel.edges))]
+    free = dict.fromkeys(side for side in edges if side not in partner)
+    openings = []
+    while free:
+        side, way = next(iter(free)), 1
+        opening: list[Side] = []
+        while side in free:
+            opening.append(side)
+            del free[side]
+            side = _beside(pattern, side, way)
+            while side in partner:
+                side, turned = partner[side]
+                way = -way if turned else way
+                side = _beside(pattern, side, way)
+        openings.append(opening)
+    return openings
+
+
+def _beside(pattern: Pattern, side: Side, way: int) -> Side:
+    return side[0], (side[1] + way) % len(pattern.panels[side[0]].edges)

@@ -1,0 +1,122 @@
+"""`nuno sew --check`: what looks wrong with a pattern, and whether it can be sewn."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sewing_patterns import back, front, panel, pattern, stitch, tube
+
+from nuno.cli import main
+
+LID = panel((0, 0), (30, 0), (30, 0.5), (0, 0.5))
+
+
+def check(folder: Path, capsys: pytest.CaptureFixture[str], data: Any, *flags: str) -> tuple[int, dict[str, Any]]:
+    (folder / "pattern.json").write_text(json.dumps(data))
+    capsys.readouterr()
+    code = main(["sew", str(folder / "pattern.json"), "--check", "--json", *flags])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def kinds(found: dict[str, Any]) -> dict[str, str]:
+    return {remark["kind"]: remark["where"] for remark in found["remarks"]}
+
+
+def test_a_sound_pattern_has_its_measures_and_nothing_to_be_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, found = check(tmp_path, capsys, tube())
+    assert (code, found["remarks"], found["seams"]) == (0, [], 2) and found["length"] == pytest.approx(0.4)
+    assert [one["edges"] for one in found["openings"]] == [["front[0]", "back[3]"], ["front[2]", "back[1]"]]
+    assert [one["length"] for one in found["openings"]] == pytest.approx([0.6, 0.6])
+    assert [(one["name"], one["sewn"]) for one in found["panels"]] == [("front", 2), ("back", 2)]
+    assert [one["area"] for one in found["panels"]] == pytest.approx([0.06, 0.06])
+
+
+REMARKS: dict[str, tuple[Any, dict[str, str]]] = {
+    "gathers": (tube(back=back(height=24.0)), {"unequal seam": "back[0], front[3]"}),
+    "a turned seam": (
+        pattern({"front": front(), "back": back()}, stitch("front[1]", "back[2]"), stitch("front[3]", "back[2]")),
+        {"sewn twice": "back[2]"},
+    ),
+    "a panel upside down": (
+        tube(back=back() | {"rotation": [180, 0, 0], "translation": [-15, 120, -15]}),
+        {"turned seam": "front[3], back[0]"},
+    ),
+    "a bag": (
+        pattern({"front": front(), "back": back()}, *(stitch(f"front[{k}]", f"back[{3 - k}]") for k in range(4))),
+        {"closed bag": "front, back"},
+    ),
+    "a loose panel": (tube(pocket=front(10.0, 10.0)), {"loose panel": "pocket"}),
+    "two pieces": (
+        pattern(
+            {"front": front(), "back": back(), "cuff": front(), "other": back()}, stitch("front[1]", "back[2]"),
+            stitch("cuff[1]", "other[2]"),
+        ),
+        {"several pieces": "pattern"},
+    ),
+    "a short edge": (
+        tube(front=panel((0, 0), (30, 0), (30, 20), (0.1, 20), (0, 20), translation=[-15, 100, 15])),
+        {"short edge": "front[3]", "unequal seam": "back[0], front[3]"},
+    ),
+    "millimetres for centimetres": (
+        tube() | {"properties": {"units_in_meter": 1.0}}, {"size": "pattern"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REMARKS)
+def test_what_looks_wrong_is_told(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, expected = REMARKS[name]
+    code, found = check(tmp_path, capsys, data)
+    told = kinds(found)
+    assert told.items() >= expected.items(), told
+    assert code == (2 if any(remark["wrong"] for remark in found["remarks"]) else 0)
+    assert (code == 2) == (name == "a turned seam")
+
+
+def test_all_errors_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = tube(front=panel((0, 0), (30, 20), (30, 0), (0, 20)))
+    data["pattern"]["panels"]["back"]["edges"].pop()
+    data["pattern"]["stitches"].append(stitch("sleeve[0]", "back[1]"))
+    code, found = check(tmp_path, capsys, data)
+    assert code == 2 and all(remark["wrong"] and remark["line"] for remark in found["remarks"])
+    assert list(kinds(found)) == ["crossing edges", "open outline", "no such panel"]
+
+
+def test_the_ratio_that_is_told_of_can_be_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = tube(back=back(height=24.0))
+    assert "unequal seam" not in kinds(check(tmp_path, capsys, data, "--gather", "1.25")[1])
+    (remark, *_) = check(tmp_path, capsys, data, "--gather", "1.15")[1]["remarks"]
+    assert remark["text"] == "24.00 cm are gathered onto 20.00 cm, 1.20 to 1"
+
+
+def test_a_person_reads_a_table_of_each_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [tmp_path / name for name in ("sound.json", "none.json", "torn.yaml")]
+    paths[0].write_text(json.dumps(tube()))
+    paths[2].write_text(json.dumps(tube(front=panel((0, 0), (30, 20), (30, 0), (0, 20)))))
+    assert main(["sew", "--check", *map(str, paths)]) == 2
+    said = capsys.readouterr()
+    assert "can be sewn, 0 remarks" in said.out and "cannot be sewn: 1 error, 0 remarks" in said.out
+    assert "no such file" in said.err
+    row = next(line for line in said.out.splitlines() if line.startswith("front"))
+    assert row.split() == ["front", "4", "2", "30.0", "20.0", "600"]
+
+
+def test_the_page_shows_what_is_said_of_its_skirt(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "sewing.md").read_text()
+    skirt, said = (page.partition(f"```{kind}\n")[2].partition("```")[0] for kind in ("yaml", "text"))
+    monkeypatch.chdir(tmp_path)
+    Path("skirt.yaml").write_text(skirt)
+    assert main(["sew", "--check", "skirt.yaml"]) == 0
+    assert capsys.readouterr().out.strip() == said.strip()
+
+
+def test_a_ratio_below_one_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sew", "--check", "--gather", "0.9", "x.json"]) == 2
+    assert "--gather" in capsys.readouterr().err

@@ -1,0 +1,58 @@
+"""Small patterns, and real ones where they lie beside the project."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nuno.scene.files import SceneFiles
+from nuno_cloth.sewing.assemble import read_pattern
+from nuno_cloth.sewing.pattern import Pattern
+
+REAL = ("shirt", "hoody", "dress-pencil", "jumpsuit", *(f"p{k:02d}" for k in range(24)))
+"""GarmentCode's own, and some that were sampled with its programs."""
+
+
+def panel(*corners: tuple[float, float], curves: Mapping[int, Any] | None = None, **fields: Any) -> dict[str, Any]:
+    """Straight edges from corner to corner [cm], or with the curvature of their number."""
+    edges = [
+        {"endpoints": [k, (k + 1) % len(corners)]} | ({"curvature": curves[k]} if curves and k in curves else {})
+        for k in range(len(corners))
+    ]
+    return {"vertices": [list(corner) for corner in corners], "edges": edges, **fields}
+
+
+def stitch(one: str, other: str, *more: str) -> list[Any]:
+    """Of edges by their names: `front[1]`."""
+    sides = [side.rstrip("]").split("[") for side in (one, other)]
+    return [*({"panel": name, "edge": int(edge)} for name, edge in sides), *more]
+
+
+def pattern(panels: Mapping[str, Any], *stitches: list[Any], **properties: Any) -> dict[str, Any]:
+    return {
+        "pattern": {"panels": dict(panels), "stitches": list(stitches)},
+        "properties": {"units_in_meter": 100, "curvature_coords": "relative"} | properties,
+    }
+
+
+def front(width: float = 30.0, height: float = 20.0) -> dict[str, Any]:
+    """Edges: hem, left of the wearer, top, right."""
+    return panel((0, 0), (width, 0), (width, height), (0, height), translation=[-width / 2, 100, 15])
+
+
+def back(width: float = 30.0, height: float = 20.0) -> dict[str, Any]:
+    """As the front, seen through it; so it is drawn clockwise. Edges: right, top, left, hem."""
+    return panel((0, 0), (0, height), (width, height), (width, 0), translation=[-width / 2, 100, -15])
+
+
+def tube(**changed: Any) -> dict[str, Any]:
+    """Front and back, sewn along both sides; open above and below."""
+    seams = stitch("front[1]", "back[2]"), stitch("front[3]", "back[0]")
+    return pattern({"front": front(), "back": back()} | changed, *seams)
+
+
+def read(folder: Path, data: Mapping[str, Any], name: str = "pattern.json") -> Pattern:
+    (folder / name).write_text(json.dumps(data, indent=1))
+    return read_pattern(SceneFiles(folder), name)
